@@ -16,9 +16,9 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from tests.helpers.clients import FrameClient, frame_client
-from tests.helpers.figures import print_table
-from tests.helpers.server import RunningServer
+from harness.clients import FrameClient, frame_client
+from harness.figures import print_table
+from harness.server import RunningServer
 
 GOALS = 40
 BURNERS_A_CORE = (0, 1, 2, 4)

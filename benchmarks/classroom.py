@@ -18,9 +18,9 @@ from pathlib import Path
 
 import psutil
 
-from tests.helpers.clients import FrameClient, frame_client
-from tests.helpers.figures import print_table
-from tests.helpers.server import FAST, ROOT
+from harness.clients import FrameClient, frame_client
+from harness.figures import print_table
+from harness.server import FAST, ROOT
 
 STUDENTS = 20
 MEASURE_S = 20.0

@@ -21,13 +21,13 @@ import numpy as np
 import uvloop
 from numpy.typing import NDArray
 
+from benchmarks.planning import EASY, LONG
+from harness.figures import percentiles, print_table
 from planners.pool import PlannerPool
 from planners.worker_process import NICENESS
 from robot.description.robot_folder import built_in
 from server.app import App
 from server.config_loader import load
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.motions import EASY, LONG
 
 BUSY_PROGRAM = f"import os; os.nice({NICENESS})\nwhile True: sum(range(100_000))"
 
@@ -160,7 +160,9 @@ async def _measure(rows: list[list[str]]) -> None:
     ticking = asyncio.create_task(ticker.run())
     await asyncio.sleep(QUIET_S)
     rows.append(ticker.row("at rest"))
-    client = await asyncio.create_subprocess_exec(sys.executable, "-m", "benchmarks.goal_flood", str(PORT), str(LOAD_S))
+    client = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "benchmarks.flood_clients", "goals", f"ws://127.0.0.1:{PORT}", str(LOAD_S)
+    )
     await asyncio.sleep(LOAD_S)
     rows.append(ticker.row("planning without pause"))
     ticking.cancel()

@@ -104,6 +104,12 @@ def _goals() -> Frames:
         yield json.dumps({"op": "publish", "topic": "/moveit_goal_joints", "msg": msg})
 
 
+def _messages() -> Frames:
+    yield '{"op":"advertise","topic":"/flood","type":"sensor_msgs/JointState"}'
+    while True:
+        yield json.dumps({"op": "publish", "topic": "/flood", "msg": {"name": JOINTS, "position": [0.1] * len(JOINTS)}})
+
+
 def _subscriptions() -> Frames:
     for number in itertools.cycle(range(TOPICS)):
         topic = f"/flood/topic_{number}"
@@ -123,6 +129,7 @@ def _garbage() -> Frames:
 
 FLOODS: dict[str, Callable[[str], Awaitable[None]]] = {
     "goals": _sending(_goals),
+    "messages": _sending(_messages),
     "subscriptions": _sending(_subscriptions),
     "connections": _connections,
     "garbage": _sending(_garbage),

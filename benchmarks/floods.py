@@ -21,8 +21,8 @@ import numpy as np
 import psutil
 
 from benchmarks.flood_clients import FLOODS
-from tests.helpers.figures import print_table
-from tests.helpers.server import ROOT, RunningServer
+from harness.figures import print_table
+from harness.server import ROOT, RunningServer
 
 SECONDS = 10.0
 TURNS = 3

@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from tests.helpers.figures import print_table
+from harness.figures import print_table
 
 SERVERS = {"gateway": ("benchmarks.bare_gateway", 9391), "relay": ("benchmarks.relay", 9392)}
 START_TIMEOUT_S = 30.0

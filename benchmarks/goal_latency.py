@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tests.helpers.clients import frame_client
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import RunningServer, read_write_log
+from harness.clients import frame_client
+from harness.figures import percentiles, print_table
+from harness.server import RunningServer, read_write_log
 
 GOALS = 60
 STEP_RAD = 0.1

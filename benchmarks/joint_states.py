@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 
 from benchmarks.watch_states import watch
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import RunningServer
+from harness.figures import percentiles, print_table
+from harness.server import RunningServer
 
 SECONDS = 10.0
 

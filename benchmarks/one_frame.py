@@ -27,10 +27,10 @@ from benchmarks.costly_frames import Attack, Frame, joined, known_attacks
 from benchmarks.costly_operations import operations_of_every_kind
 from benchmarks.costly_requests import FIRST_SHAPES, LARGER_SHAPES, ask_interfaces, requests_of_every_type
 from benchmarks.floods import DrainedLog
+from harness import clients
+from harness.figures import print_table
+from harness.server import RunningServer
 from protocol.registry import Registry
-from tests.helpers import clients
-from tests.helpers.figures import print_table
-from tests.helpers.server import RunningServer
 
 RATE_HZ = 100.0
 GOAL_PAUSE_MS, GOAL_STOP_MS = 50.0, 20.0

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import psutil
 from websockets.sync.client import connect
 
-from tests.helpers.clients import call
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.page import BUILT, chromium, opened, what_is_missing
-from tests.helpers.server import RunningServer
+from harness.clients import call
+from harness.figures import percentiles, print_table
+from harness.page import BUILT, chromium, opened, what_is_missing
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -7,12 +7,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.helpers.clients import goal
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.page import OpenPage, chromium, opened, what_is_missing
-from tests.helpers.server import RunningServer
-from tests.helpers.terminal_servos import RunningEmulator
-from tests.helpers.write_log import Entry, read_entries
+from harness.clients import goal
+from harness.emulator import RunningEmulator
+from harness.figures import percentiles, print_table
+from harness.page import OpenPage, chromium, opened, what_is_missing
+from harness.server import RunningServer
+from harness.write_log import Entry, read_entries
 
 STROKES = 20
 STROKE_MS, PAUSE_MS = 400, 1200

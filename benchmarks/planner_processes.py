@@ -4,27 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import itertools
 import random
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 
 import psutil
 import uvloop
 
 from benchmarks.event_loop import Ticker
-from benchmarks.make_scenes import SCENES
-from planners import worker_process
+from benchmarks.planning import AT_ZERO, EASY, LONG
+from benchmarks.planning_scenes import SCENES
+from harness.figures import percentiles, print_table
+from planners import worker, worker_process
+from planners.budget import never
 from planners.files import problem_file
+from planners.pipeline import Planner
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
-from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem, StateAnswer
+from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer, StateQuestion
 from planners.scene import Box, Pose, Scene, SceneObject
 from planners.worker import HARD_AFTER_S
 from planners.worker_process import WorkerProcess
 from robot.description.robot_folder import built_in
-from tests.helpers import broken_planner
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.motions import EASY, LONG, STATE, broken
 
 STARTS = 7
 ROUND_TRIPS = 500
@@ -32,6 +34,8 @@ CANCELS = 200
 KILLS = 15
 SCENE_SIZES = (20, 1000)
 SEED = 4
+STATE = StateQuestion("arm", AT_ZERO)
+HANG = "hang"
 
 # In each scene.
 RACES = 50
@@ -126,14 +130,14 @@ async def _cancel(worker: WorkerProcess, after_s: float) -> float:
 
 async def _kills() -> list[float]:
     """Cancel requests that hang in native code; the next request waits for the spare process only."""
-    worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
+    worker_process.WORKER_MODULE = "benchmarks.planner_processes"
     pool = PlannerPool(built_in("so101").model)
     await pool.start()
     times_s = []
     for _ in range(KILLS):
         while pool.idle_count < 2:  # noqa: ASYNC110 - a benchmark may poll
             await asyncio.sleep(0.01)
-        hanging = asyncio.create_task(pool.ask(broken(broken_planner.NATIVE_LOOP)))
+        hanging = asyncio.create_task(pool.ask(dataclasses.replace(EASY, group=HANG)))
         await asyncio.wait([hanging], timeout=0.05)
         hanging.cancel()
         times_s.append(await _timed(pool.ask(STATE)))
@@ -238,3 +242,16 @@ async def _asked(
 
 def _cpu_s(pool: PlannerPool) -> float:
     return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pool.pids)
+
+
+class _HangingPlanner(Planner):
+    """Planner that hangs in native code, which holds the interpreter, for requests of one group."""
+
+    def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:
+        if isinstance(request, PlanningProblem) and request.group == HANG:
+            max(itertools.repeat(0))
+        return super().answer(request, should_stop)
+
+
+if __name__ == "__main__":
+    worker.main(_HangingPlanner)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 
+from harness.figures import percentiles, print_table
 from planners.goals import Goal, JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningFailure, PlanningProblem
 from robot.description.robot_folder import built_in
-from tests.helpers.figures import percentiles, print_table
 
 PROBLEMS = 450
 SEED = 5
@@ -26,6 +27,10 @@ BLOCKED_LINES = (
 )
 
 
+AT_ZERO = {**dict.fromkeys(built_in("so101").model.groups["arm"].joints, 0.0), "gripper": 0.0}
+EASY = PlanningProblem("arm", AT_ZERO, JointGoal({"shoulder_pan": 0.5}))
+
+
 def blocked_problem(number: int, attempts: int) -> PlanningProblem:
     """Return a joint goal that needs a search, seeded by its number."""
     start, end = BLOCKED_LINES[number % len(BLOCKED_LINES)]
@@ -33,6 +38,10 @@ def blocked_problem(number: int, attempts: int) -> PlanningProblem:
     start_rad = {**dict(zip(arm, start, strict=True)), "gripper": 0.0}
     goal = JointGoal(dict(zip(arm, end, strict=True)))
     return PlanningProblem("arm", start_rad, goal, 0.3, 0.3, attempts=attempts, seed=number)
+
+
+# The search for a motion shorter than the last has no end.
+LONG = replace(blocked_problem(2, attempts=1000), allowed_time_s=60.0, optimization_time_s=60.0)
 
 
 class Draw:

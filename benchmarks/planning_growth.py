@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from benchmarks.published_arms import UR5_GROUP, published
+from harness.figures import percentiles, print_table
+from harness.meshes import ball
 from planners.geometry.collision import CollisionModel
 from planners.goals import JointGoal
 from planners.pipeline import Planner
@@ -19,8 +21,6 @@ from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
 from robot.description.robot_folder import built_in
 from robot.description.srdf import Group
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.meshes import ball
 
 SEED = 3
 GOALS = 40

@@ -7,7 +7,6 @@ joined by a path, by the official meshes, which are part of the reference data b
 from __future__ import annotations
 
 import json
-import math
 import multiprocessing
 import sys
 import tempfile
@@ -22,8 +21,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.make_scenes import GRIPPER_RAD, JOINTS, TOLERANCE_M, Draw, Vector
-from benchmarks.scene_things import IN_TABLE, TABLE, Arrangement, Fields, box, thing
+from benchmarks.random_scenes import GRIPPER_RAD, JOINTS, TOLERANCE_M, RandomScene, Vector
+from harness.figures import percentiles, print_table
+from harness.server import REFERENCE
 from planners.files import problem_file
 from planners.geometry.kinematics import ForwardKinematics
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
@@ -32,8 +32,6 @@ from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, Planni
 from planners.scene import Pose
 from planners.warm_up import warm_up
 from robot.description.robot_folder import built_in
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.resources import SHARED
 
 SEED = 1
 SCENES = 6
@@ -55,12 +53,12 @@ KINDS = ("joint goal", "position goal", "pose goal", "path of the tip")
 
 def run(seed: int = SEED) -> None:
     """Measure the scenes of a seed and print the tables."""
-    if not SHARED.is_dir():
+    if not REFERENCE.is_dir():
         print("random scenes are not measured: there is no reference data beside the checkout")
         return
     rows: dict[str, list[tuple[bool, list[str], float]]] = defaultdict(list)
     for number in range(SCENES):
-        for kind, answered in _measured(Draw(f"random{seed}-{number}", arrangement(seed, number), seed)):
+        for kind, answered in _measured(RandomScene(seed, number)):
             rows[kind].append(answered)
     print_table(
         f"Goals in {SCENES} random scenes, seed {seed}",
@@ -82,39 +80,10 @@ def run(seed: int = SEED) -> None:
 HOW = (", straight", ", searched")
 
 
-def arrangement(seed: int, number: int) -> Arrangement:
-    """Return random things around the arm.
-
-    Args:
-        seed: same seed and number, same things.
-        number: of the scene.
-    """
-    rng = np.random.default_rng((seed, number))
-    things: list[Fields] = [TABLE] if rng.random() < 0.7 else []
-    kinds = ("box", "cylinder", "sphere", "cone")
-    for i in range(int(rng.integers(3, 16))):
-        radius_m, angle, height_m = rng.uniform(0.16, 0.38), rng.uniform(-1.9, 1.9), rng.uniform(0.03, 0.25)
-        width_m = rng.uniform(0.02, 0.07)
-        kind = kinds[int(rng.integers(len(kinds)))]
-        size = {
-            "box": [width_m, rng.uniform(0.02, 0.1), height_m],
-            "cylinder": [height_m, width_m / 2],
-            "sphere": [width_m / 2],
-            "cone": [height_m, width_m / 2],
-        }[kind]
-        middle = (radius_m * math.cos(angle), radius_m * math.sin(angle), rng.uniform(0.02, 0.3))
-        things.append(thing(f"{kind}{i}", kind, size, middle))
-    if rng.random() < 0.3:
-        things.append(box("roof", (0.05, -0.2, 0.4), (0.3, 0.2, 0.42)))
-    x, y, z = things[-1]["pose"]["position"]
-    around = (x - 0.1, y - 0.1, max(0.02, z - 0.1)), (x + 0.1, y + 0.1, z + 0.12)
-    return Arrangement("random things", things, around, IN_TABLE)
-
-
-def _measured(draw: Draw) -> Iterator[tuple[str, tuple[bool, list[str], float]]]:
+def _measured(scene: RandomScene) -> Iterator[tuple[str, tuple[bool, list[str], float]]]:
     """Yield the kind of each problem, whether it was solved, the motion's faults, and the CPU time [s]."""
-    planner = _planner(draw, warm=True)
-    for start, goal in islice(draw.connected_pairs(), PAIRS):
+    planner = _planner(scene, warm=True)
+    for start, goal in islice(scene.connected_pairs(), PAIRS):
         for kind, request in _requests(planner, start, goal):
             started_s = time.process_time()
             answer = planner.answer(request)
@@ -123,7 +92,7 @@ def _measured(draw: Draw) -> Iterator[tuple[str, tuple[bool, list[str], float]]]
             faults: list[str] = []
             if isinstance(answer, Plan | CartesianPlan) and len(answer.trajectory.time_s) > 1:
                 asked = {"start": start.tolist()} | ({"goal": goal.tolist()} if kind == KINDS[0] else {})
-                faults = draw.judge.faults(asked, _as_json(answer))
+                faults = scene.judge.faults(asked, _as_json(answer))
             yield f"{kind}{HOW[0] if straight else HOW[1]}", (isinstance(answer, Plan | CartesianPlan), faults, cpu_s)
 
 
@@ -147,10 +116,10 @@ def _requests(planner: Planner, start: Vector, goal: Vector) -> Iterator[tuple[s
     yield KINDS[3], CartesianProblem("arm", start_rad, TIP, (Line(end),), allowed_time_s=ALLOWED_TIME_S)
 
 
-def _planner(draw: Draw, *, warm: bool) -> Planner:
+def _planner(scene: RandomScene, *, warm: bool) -> Planner:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.json"
-        path.write_text(json.dumps({**draw.fields, "joint_problems": [], "position_problems": [], "infeasible": []}))
+        path.write_text(json.dumps(scene.fields))
         file = problem_file.read(path, built_in("so101").model)
     planner = Planner(file.robot, time.process_time)
     if warm:
@@ -190,9 +159,9 @@ def _first_row(kind: str, seed: int) -> list[str]:
 
 def _first_and_third(kind: str, seed: int, number: int, warm: bool) -> tuple[float, float]:
     """CPU time of the first and the third answer to a problem of a new planner [s]."""
-    draw = Draw(f"random{seed}-{number}", arrangement(seed, number), seed)
-    start, goal = next(draw.connected_pairs())
-    planner = _planner(draw, warm=warm)
+    scene = RandomScene(seed, number)
+    start, goal = next(scene.connected_pairs())
+    planner = _planner(scene, warm=warm)
     request = dict(_requests(planner, start, goal))[kind]
     times_s = []
     for _ in range(3):

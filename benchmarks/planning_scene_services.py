@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from harness.figures import percentiles, print_table
 from protocol.codecs import json
 from protocol.registry import Registry
 from robot.arm import Arm
@@ -24,7 +25,6 @@ from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.interface import APPLY, GET, SceneInterface
 from server.moveit.scene.scene_state import AssumedStates, SceneState
-from tests.helpers.figures import percentiles, print_table
 
 OBJECTS = 50
 

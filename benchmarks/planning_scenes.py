@@ -1,4 +1,4 @@
-"""Motions among obstacles, beside MPlib: validity, success rate, duration, planning time, correctness of refusals.
+"""Motions among obstacles: validity, success rate, duration, planning time, correctness of refusals.
 
 The scenes are those of the reference data beside the checkout, when it is there, and the benchmark's own. Validity is
 judged by the official meshes, which are part of the reference data.
@@ -7,8 +7,7 @@ judged by the official meshes, which are part of the reference data.
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,35 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import mplib_side
-from benchmarks.make_scenes import SCENES
+from harness.figures import percentiles, print_table
+from harness.full_meshes import Judge
+from harness.server import REFERENCE
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Outcome
 from planners.motions.motion import STRAIGHT_LINE
 from planners.problem import Plan
 from robot.description.robot_folder import built_in
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.full_meshes import Judge
-from tests.helpers.resources import SHARED
+
+SCENES = Path(__file__).parent / "scenes"
 
 # A feasible problem counts as solved within this time.
 ALLOWED_TIME_S = 1.0
 LONG_OPTIMIZATION_S = 0.06
 
-# MPlib's default, and the setting at which it is fastest on these scenes.
-MPLIB_RANGES = (0.1, 1.0)
-
-# MPlib's timing exceeds its limits by 10 to 20 % nearly everywhere; only what is beyond that is held against it.
-MPLIB_RATE_EXCESS = 0.25
-
 # Goals at which hulls touch: a file of their own, of straight lines and refusals.
 NEAR_CONTACTS = "near_contacts"
-
-# Violations of MPlib's motions: the words of the mesh check, the worst first.
-MPLIB_FAULTS = ("touches", "position limit", "acceleration limit", "velocity limit")
-
-# A problem file, and MPlib's answer to one of its problems.
-Answered = tuple[Path, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -86,31 +73,22 @@ class Measured:
 def run() -> None:
     """Measure every scene and print the tables."""
     paths = scene_files()
-    if not SHARED.is_dir():
+    if not REFERENCE.is_dir():
         print("no reference data beside the checkout: its scenes and the judgement by the official meshes are left out")
-    reason = mplib_side.installed()
     default, first, longer = list[Measured](), list[Measured](), list[Measured]()
-    peers = {rrt_range: list[Answered]() for rrt_range in MPLIB_RANGES}
     for path in paths:
         default += measure(path, {})
-        # Planned right after armbridge's motions: the machine may be busier later.
-        for rrt_range, answers in peers.items() if not reason and path.stem != NEAR_CONTACTS else ():
-            answers += ((path, answer) for answer in mplib_side.plans(path, rrt_range))
         first += measure(path, {"optimization_time_s": 0.0})
         longer += measure(path, {"optimization_time_s": LONG_OPTIMIZATION_S})
     for one in (*default, *first, *longer):
         if one.faults or not one.outcome.expected:
             print(f"{one.outcome.file_problem.id}: {one.outcome.code.name} {'; '.join(one.faults or [])}")
     print_table(f"Motions in {len(paths)} scenes", ["", "problems", "goal", "measured"], _rows(default, first, longer))
-    if reason:
-        print(f"\nMPlib is not measured: {reason}")
-    else:
-        _print_beside(default, peers)
 
 
 def scene_files() -> list[Path]:
     """Return every problem file."""
-    return [*sorted((SHARED / "planning_problems").glob("*.json")), *sorted(SCENES.glob("*.json"))]
+    return [*sorted((REFERENCE / "planning_problems").glob("*.json")), *sorted(SCENES.glob("*.json"))]
 
 
 def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
@@ -118,7 +96,7 @@ def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
     fields = json.loads(path.read_text())
     entries = {entry["id"]: entry for key in _LISTS for entry in fields.get(key, [])}
     mesh = any(thing.get("type") == "mesh" for thing in fields["objects"])
-    judge = _judge(path) if SHARED.is_dir() else None
+    judge = _judge(path) if REFERENCE.is_dir() else None
     file = problem_file.read(path, built_in("so101").model)
     options = plan_command.Options([path], every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
     for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
@@ -169,63 +147,6 @@ def _durations(name: str, measured: Sequence[Measured], goal: str) -> list[str]:
     return [f"duration over best known, mean, {name}", str(len(known)), goal, mean]
 
 
-def _print_beside(ours: Sequence[Measured], peers: Mapping[float, Sequence[Answered]]) -> None:
-    joint = {
-        one.outcome.file_problem.id: one
-        for one in ours
-        if one.outcome.file_problem.feasible and "goal" in one.fields and one.kind != "near"
-    }
-    rows = [_row_of_ours(list(joint.values()))]
-    rows += [_row_of_mplib(rrt_range, answers, joint) for rrt_range, answers in peers.items()]
-    header = [
-        "planner",
-        "problems",
-        "returned",
-        "valid",
-        "why not",
-        "CPU p50 / p95 [ms]",
-        "ours / this, p50",
-        "duration",
-    ]
-    print_table("The joint goals, beside MPlib 0.2.1 on the same hulls and limits", header, rows)
-
-
-def _row_of_ours(measured: Sequence[Measured]) -> list[str]:
-    returned = [one for one in measured if isinstance(one.outcome.answer, Plan)]
-    valid = [one for one in returned if not one.faults]
-    cpu = percentiles((one.outcome.cpu_s for one in measured), 50, 95, digits=1)
-    counts = [str(len(part)) for part in (measured, returned, valid)]
-    ratios = [one.duration_ratio for one in valid if one.duration_ratio is not None]
-    return ["armbridge", *counts, "", " / ".join(cpu), "1", f"{np.mean(ratios):.2f}" if ratios else "-"]
-
-
-def _row_of_mplib(rrt_range: float, answers: Sequence[Answered], ours: dict[str, Measured]) -> list[str]:
-    returned = [(path, answer) for path, answer in answers if "positions" in answer]
-    why: Counter[str] = Counter()
-    ratios = []
-    for path, answer in returned:
-        asked = ours[answer["problem"]]
-        faults = _judge(path).faults(asked.fields, answer, MPLIB_RATE_EXCESS) if SHARED.is_dir() else []
-        kind = next((kind for kind in MPLIB_FAULTS if any(kind in fault for fault in faults)), None)
-        best_s = asked.fields.get("best_known_duration")
-        if kind is not None:
-            why[kind] += 1
-        elif best_s is not None:
-            ratios.append(answer["time_from_start"][-1] / best_s)
-    cpu_s = [answer["cpu_s"] for _, answer in answers]
-    ratio = np.median([ours[answer["problem"]].outcome.cpu_s for _, answer in answers]) / np.median(cpu_s)
-    return [
-        f"MPlib, rrt_range {rrt_range:g}",
-        str(len(answers)),
-        str(len(returned)),
-        str(len(returned) - why.total()),
-        ", ".join(f"{count} {kind}" for kind, count in why.items()),
-        " / ".join(percentiles(cpu_s, 50, 95, digits=1)),
-        f"{ratio:.2f}",
-        f"{np.mean(ratios):.2f}" if ratios else "-",
-    ]
-
-
 @cache
 def _judge(path: Path) -> Judge:
-    return Judge(SHARED, json.loads(path.read_text()))
+    return Judge(REFERENCE, json.loads(path.read_text()))

@@ -6,8 +6,8 @@ import time
 
 import psutil
 
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import RunningServer
+from harness.figures import percentiles, print_table
+from harness.server import RunningServer
 
 STARTS = 5
 REST_S = 10.0

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pinocchio as pin
 
+from harness.figures import percentiles, print_table
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
@@ -23,7 +24,6 @@ from robot.description import model, robot_folder
 from robot.description.example_robots import find_example
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
-from tests.helpers.figures import percentiles, print_table
 
 PROBLEMS = 120
 SEED = 5

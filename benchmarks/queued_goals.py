@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from benchmarks.planning import BLOCKED_LINES
+from harness.figures import percentiles, print_table
 from planners.goals import JointGoal
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, PlanningProblem
 from robot.arm import Arm
+from robot.calibration import Calibration
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
+from robot.description.robot_folder import built_in
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, MotionEnded
 from robot.trajectory import Trajectory
 from server.execution.executor import ExecutionContext, GoalExecutor, GoalExecutors
-from server.execution.goal import Answer, Goal
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest
 from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.robots import nominal_calibration, so101
 
 STARTING_TIMEOUT_S = 30.0
 ROUNDS = 2
@@ -92,8 +93,9 @@ def run() -> None:
 
 
 async def _measure() -> None:
-    calibration = nominal_calibration()
-    robot = within_calibration(so101(), calibration)
+    so101 = built_in("so101")
+    calibration = replace(Calibration.nominal(so101.hardware.servos), measured=True)
+    robot = within_calibration(so101.model, calibration)
     arm, pool = TimedArm(ArmConfig(robot, EmulatedConfig(calibration)), lambda _state: None), PlannerPool(robot)
     await arm.start(STARTING_TIMEOUT_S)
     await pool.start()
@@ -152,7 +154,7 @@ async def _round(
     arm.begin_round()
     queue.start()
     for number in range(GOALS):
-        queue.submit("/goal", _goal(robot, poses[number % len(poses)]))
+        queue.submit(GoalRequest("/goal", _goal(robot, poses[number % len(poses)])))
     await all_answered.wait()
     failed = [answer.message for answer in answers if answer.code is not MoveItErrorCode.SUCCESS]
     assert not failed, failed

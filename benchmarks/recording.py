@@ -12,12 +12,12 @@ from typing import Any
 
 import uvloop
 
+from harness.figures import percentiles, print_table
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.recording.recorder import Recorder
-from tests.helpers.figures import percentiles, print_table
 
 # An arm sends a hundred messages a second; a busy network of clients sends some thousands.
 RATES_HZ = (100, 1000, 5000)

@@ -9,9 +9,9 @@ from typing import Any
 
 import psutil
 
-from tests.helpers.clients import FrameClient, frame_client, goal_is
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import FAST, RunningServer
+from harness.clients import FrameClient, frame_client, goal_is
+from harness.figures import percentiles, print_table
+from harness.server import FAST, RunningServer
 
 TRIALS = 8
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
-import json
 import sys
 import tempfile
 import time
@@ -21,6 +20,11 @@ import psutil
 import uvloop
 
 from benchmarks.planning import blocked_problem
+from harness.clients import ArmClient, arm_client, values_of
+from harness.emulator import RunningEmulator
+from harness.figures import percentiles, print_table
+from harness.server import RunningServer
+from harness.write_log import Entry, read_entries
 from planners.pool import PlannerPool
 from robot.arm import Arm
 from robot.calibration import Calibration
@@ -30,11 +34,6 @@ from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
 from robot.trajectory import rest_to_rest
-from tests.helpers.clients import ArmClient, arm_client, values_of
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import RunningServer
-from tests.helpers.terminal_servos import RunningEmulator
-from tests.helpers.write_log import Entry, read_entries
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)
@@ -51,7 +50,7 @@ BURST, BURST_S = 3, PERIOD_S
 MISSING_SERVO = 6
 
 LOOP_HEADER = (
-    *("arm and machine", "ticks", "late p50", "p99", "max", "bare loop late p99", "max"),
+    *("arm and machine", "ticks", "late p50", "p99", "max"),
     *("bursts", "block read p50", "p99", "max", "CPU % of a core"),
 )
 
@@ -136,23 +135,13 @@ async def _watch(name: str, rig: Rig) -> list[str]:
     rig.states.clear()
     rig.healths.clear()
     from_s = time.monotonic()
-    bare_s = await _bare_ticks()
+    await asyncio.sleep(SECONDS)
     cpu = process.cpu_percent()
     lateness_s = [value for state in rig.states for value in state.lateness_s]
     trips_s = np.array([health.round_trip_s for health in rig.healths]) * 1e3
     trips = [f"{trips_s[:, 0].mean():.2f}", f"{trips_s[:, 1].mean():.2f}", f"{trips_s[:, 2].max():.2f}"]
     late = percentiles(lateness_s, 50, 99, 100)
-    bare = percentiles(bare_s, 99, 100)
-    return [name, str(len(lateness_s)), *late, *bare, str(_bursts(rig.log, from_s)), *trips, f"{cpu:.1f}"]
-
-
-async def _bare_ticks() -> list[float]:
-    """Return the lateness of a loop that does nothing, over the same time as the servo loop [s]."""
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "benchmarks.bare_ticks", f"{SECONDS:g}", stdout=asyncio.subprocess.PIPE
-    )
-    printed, _ = await process.communicate()
-    return [float(value) for value in json.loads(printed)]
+    return [name, str(len(lateness_s)), *late, str(_bursts(rig.log, from_s)), *trips, f"{cpu:.1f}"]
 
 
 def _bursts(log: Path, from_s: float) -> int:
@@ -209,16 +198,18 @@ async def _emergency_stops() -> list[list[str]]:
         async with arm_client(server.url) as client:
             await client.until_mode("holding")
             rows = [await _emergency_row("emergency stop of a client, machine as it is", client, rig.log)]
-            async with _flood("benchmarks.frame_flood", server.url):
+            async with _flood("messages", server.url):
                 rows.append(await _emergency_row("the same, another client publishes without pause", client, rig.log))
-            async with _flood("benchmarks.goal_flood", str(server.port)):
+            async with _flood("goals", server.url):
                 rows.append(await _emergency_row("the same, another client sends goals without pause", client, rig.log))
     return rows
 
 
 @contextlib.asynccontextmanager
-async def _flood(module: str, where: str) -> AsyncIterator[None]:
-    process = await asyncio.create_subprocess_exec(sys.executable, "-m", module, where, f"{FLOOD_S:g}")
+async def _flood(kind: str, url: str) -> AsyncIterator[None]:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "benchmarks.flood_clients", kind, url, f"{FLOOD_S:g}"
+    )
     try:
         yield
     finally:

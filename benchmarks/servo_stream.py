@@ -19,21 +19,21 @@ import numpy as np
 import uvloop
 
 from benchmarks.planning import blocked_problem
+from harness.clients import ArmClient, arm_client
+from harness.emulator import RunningEmulator
+from harness.figures import percentiles, print_table
+from harness.server import RunningServer
+from harness.write_log import Entry, read_entries
 from planners.pool import PlannerPool
 from planners.servo.question import ServoAnswer, ServoQuestion, TipTwist
 from robot.arm import Arm
 from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
-from robot.control.streaming import TIME_TO_FULL_ACCELERATION_S
 from robot.description.limits import JointBounds, within_calibration
 from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, Commanded
-from tests.helpers.clients import ArmClient, arm_client
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import RunningServer
-from tests.helpers.terminal_servos import RunningEmulator
-from tests.helpers.write_log import Entry, read_entries
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)

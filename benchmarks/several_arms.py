@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from tests.helpers.clients import ArmClient, arm_client, values_of
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import FAST, ROOT, RunningServer
+from harness.clients import ArmClient, arm_client, values_of
+from harness.figures import percentiles, print_table
+from harness.server import FAST, ROOT, RunningServer
 
 SECONDS = 15.0
 SETTLE_S = 4.0

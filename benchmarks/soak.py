@@ -18,10 +18,10 @@ import numpy as np
 import psutil
 from websockets.asyncio.client import connect
 
+from harness.clients import FrameClient, frame_client
+from harness.figures import print_table
+from harness.server import RunningServer
 from server.moveit.actions.gripper import GRIPPER_ACTION
-from tests.helpers.clients import FrameClient, frame_client
-from tests.helpers.figures import print_table
-from tests.helpers.server import RunningServer
 
 SECONDS = 60.0
 SEED = 5

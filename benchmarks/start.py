@@ -20,9 +20,9 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
-from tests.helpers.clients import GOAL_TYPES
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import READY, ROOT, free_port
+from harness.clients import GOAL_TYPES
+from harness.figures import percentiles, print_table
+from harness.server import READY, ROOT, free_port
 
 STARTS = 9
 TIMEOUT_S = 20.0

@@ -17,9 +17,9 @@ import bson
 from websockets.asyncio.client import connect
 
 from benchmarks.servo_loop import recover
-from tests.helpers.clients import ArmClient, FrameClient, arm_client, frame_client
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import FAST, RunningServer, free_port, read_write_log
+from harness.clients import ArmClient, FrameClient, arm_client, frame_client
+from harness.figures import percentiles, print_table
+from harness.server import FAST, RunningServer, free_port, read_write_log
 
 TRIALS = 8
 STOPS = 3

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tests.helpers.clients import arm_client
-from tests.helpers.figures import percentiles, print_table
-from tests.helpers.server import FAST, ROOT, EmulatorControl, RunningServer
+from harness.clients import arm_client
+from harness.figures import percentiles, print_table
+from harness.server import FAST, ROOT, EmulatorControl, RunningServer
 
 SECONDS = 20.0
 TIMEOUT_S = 60.0

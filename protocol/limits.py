@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from pydantic import BaseModel, ConfigDict, Field
 
 # Pieces of one message, in and out: the largest message in pieces of a kilobyte, which is as small as clients cut. The
 # envelope of a piece costs a hundred bytes, so a message in pieces of one character would cost a hundredfold.
@@ -12,39 +12,52 @@ MAX_PIECES = 10_000
 MAX_SERVER_QUEUED_BYTES = 256_000_000
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Bounds of one client's session."""
+class Limits(BaseModel):
+    """Limits of one client: sizes, numbers and times; see docs/protocol.md."""
 
-    # rosbridge_server's max_message_size, which its clients are used to. It bounds a frame, an object that comes in
-    # several frames, and all fragments that wait for others.
-    max_message_bytes: int = 10_000_000
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    # rosbridge_server's max_message_size, which its clients are used to.
+    max_message_bytes: int = Field(default=10_000_000, ge=65_536, le=100_000_000)
+    """size of a frame, of an object in several frames, and of all fragments that wait for others [bytes]."""
     # Clients that do not wait for the socket run a few operations together.
-    max_objects_per_frame: int = 1_000
-    # Of one message, and over all that wait for others.
-    max_fragments: int = MAX_PIECES
+    max_objects_per_frame: int = Field(default=1_000, ge=1, le=100_000)
+    """operations in one frame."""
+    max_fragments: int = Field(default=MAX_PIECES, ge=1, le=1_000_000)
+    """fragments of one message, and of all incomplete messages."""
     # One message after the other is what clients send; a few more for those that interleave.
-    max_fragmented_messages: int = 16
+    max_fragmented_messages: int = Field(default=16, ge=1, le=10_000)
+    """incomplete messages, whose fragments have not all come."""
     # rosbridge_server's fragment_timeout.
-    fragment_timeout_s: float = 600.0
+    fragment_timeout_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
+    """a message whose fragments do not all come within this time is dropped [s]."""
     # A client that lists every topic of a large robot subscribes to a few hundred.
-    max_subscriptions: int = 1_000
-    # As for subscriptions.
-    max_publications: int = 1_000
-    # Services, and as many actions; a client that stands for a whole robot offers a few dozen.
-    max_offers: int = 1_000
-    # Calls that wait for their responses, and as many goals; clients call one by one, or a burst at their start.
-    max_calls_in_flight: int = 1_000
-    # rosbridge_server's default_call_service_timeout: for the answer of a service that this client offers.
-    call_timeout_s: float = 5.0
-    # Everything that waits for a client; topic data gives way: two seconds of pictures of 1 MB at 30 Hz.
-    max_queued_bytes: int = 64_000_000
-    # Messages of topics among it, so that a queue of small ones is given up in 50 ms, not in half a second.
-    max_queued_messages: int = 20_000
-    # Topic data of one subscription: a client further behind wants the newest. With a client that stands still, all
-    # topic data: a computer that is suspended, or a page at a breakpoint, is not worth more memory for longer.
-    max_topic_delay_s: float = 5.0
-    # Calls and goals for a provider, which others fill: beyond it they fail, and the provider stays.
-    max_queued_request_bytes: int = 16_000_000
-    # With the one above less than all that may wait, so that topic data is not shut out: eighty answers of 400 kB.
-    max_queued_reply_bytes: int = 32_000_000
+    max_subscriptions: int = Field(default=1_000, ge=1, le=100_000)
+    """subscriptions."""
+    max_publications: int = Field(default=1_000, ge=1, le=100_000)
+    """topics that it advertises."""
+    # A client that stands for a whole robot offers a few dozen.
+    max_offers: int = Field(default=1_000, ge=0, le=100_000)
+    """services that it offers, and as many actions."""
+    # Clients call one by one, or a burst at their start.
+    max_calls_in_flight: int = Field(default=1_000, ge=1, le=100_000)
+    """calls of services that wait for their responses, and as many goals on actions."""
+    # rosbridge_server's default_call_service_timeout.
+    call_timeout_s: float = Field(default=5.0, ge=0.1, le=3600.0)
+    """time in which a service that it offers must answer, where the caller names none [s]."""
+    # Two seconds of pictures of 1 MB at 30 Hz.
+    max_queued_bytes: int = Field(default=64_000_000, ge=65_536, le=10_000_000_000)
+    """all data that waits for it; the oldest messages of topics are dropped [bytes]."""
+    # A queue of small messages is given up in 50 ms, not in half a second.
+    max_queued_messages: int = Field(default=20_000, ge=100, le=1_000_000)
+    """messages of topics that wait for it; beyond, the oldest are dropped."""
+    # A client further behind wants the newest. A computer that is suspended, or a page at a breakpoint, is not worth
+    # more memory for longer.
+    max_topic_delay_s: float = Field(default=5.0, ge=0.1, le=3600.0)
+    """age of a subscription's waiting messages, and the time that messages wait for a client that reads nothing [s]."""
+    # Others fill it: beyond it calls and goals fail, and the provider stays.
+    max_queued_request_bytes: int = Field(default=16_000_000, ge=65_536, le=100_000_000)
+    """calls and goals that wait for a slow client; further ones fail [bytes]."""
+    # With the limit above less than all that may wait, so that topic data is not shut out: eighty answers of 400 kB.
+    max_queued_reply_bytes: int = Field(default=32_000_000, ge=65_536, le=100_000_000)
+    """replies that wait for a slow client; beyond, it is disconnected [bytes]."""

@@ -15,7 +15,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from robot.messages import MIN_SPEED_LIMIT, EmergencyPolicy, EndState, GuardLimits
 from server.access.settings import AccessSettings
 from server.config_keys import SettingsSection
-from server.execution.queue import GoalPolicy
+from server.execution.goal import GoalPolicy
 from server.gateway.settings import ServerSettings
 from server.moveit.parameters import MoveItParameters
 from server.zenoh.settings import ZenohSettings
@@ -31,16 +31,16 @@ def _no_cluster(value: object) -> object:
 
 
 class PlanningSettings(SettingsSection):
-    """The planner processes."""
+    """Planner processes."""
 
     workers: Annotated[int, BeforeValidator(_no_cluster)] = Field(default=1, ge=1, le=16)
-    """how many goals may be planned at the same time; one more process is kept as a warm spare."""
+    """goals planned at the same time; one more process stands by, and helps with hard motions."""
     memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
-    """data that each process may hold; a process that needs more is restarted [MB]."""
+    """memory of each planner process, which is restarted when it needs more [MB]."""
     save_failed_goals: Path | None = None
     """directory for the goals that could not be planned, as files for ``armbridge plan``; None to keep none."""
     keep_failed_goals: int = Field(default=100, ge=1, le=100_000)
-    """how many of these files are kept, the newest."""
+    """newest files of failed goals to keep."""
 
     @property
     def memory_limit_bytes(self) -> int:
@@ -67,15 +67,15 @@ class GuardSettings(SettingsSection):
     stall_time_s: float = Field(default=_DEFAULT.stall_time_s, ge=0.1, le=1.5)
     """time for which a servo may be stalled before the fault; its own protection latches after 2 s [s]."""
     silent_after_s: float = Field(default=_DEFAULT.silent_after_s, ge=0.05, le=1.0)
-    """silence of a servo that is a fault; the arm moves blindly in that time, so raise it only for machines that stall
-    [s].
+    """silence of a servo that is a fault: over a network at least 0.5 s, on a pseudo terminal 3 s; the arm moves
+    blindly in that time, so raise it only for machines that stall [s].
     """
     min_voltage_v: float = Field(default=_DEFAULT.min_voltage_v, ge=4.0, le=11.0)
     """a supply below is a fault; 9 V are right for servos of 12 V [V]."""
     goal_tolerance_rad: float = Field(default=_DEFAULT.goal_tolerance_rad, ge=0.02, le=0.3)
     """how near each joint must come to the end of its motion [rad]."""
     settle_timeout_s: float = Field(default=_DEFAULT.settle_timeout_s, ge=0.1, le=10.0)
-    """time for that, after which the motion has failed; less than ``moveit.allowed_goal_duration_margin`` [s]."""
+    """time for that, after which the motion has failed; less than moveit.allowed_goal_duration_margin [s]."""
 
     def limits(self) -> GuardLimits:
         """The same as the arm process has it."""
@@ -87,26 +87,28 @@ PREFIX = "ARMBRIDGE_"
 
 
 class ArmSettings(SettingsSection):
-    """The arm and its bus."""
+    """Arm and its bus; see docs/arm.md."""
 
     serial: str | None = None
-    """serial device, URL or ``auto``; None for the simulated arm."""
+    """the servos' port: a path such as /dev/serial/by-id/..., a USB id, a URL such as socket://host:port, or auto for
+    the one adapter plugged in; None for the simulated arm.
+    """
     robot: str | None = None
-    """the arm: the name of a built-in one, or a folder with a robot.toml; None for the SO-101."""
+    """the arm: a built-in one, or a folder with a robot.toml (docs/robots.md); None for the SO-101."""
     calibration: Path | None = None
-    """a lerobot calibration file, the id under which lerobot keeps one, or ``nominal`` for servos that need none, as
-    emulated ones; without one a real arm is not enabled.
+    """a lerobot calibration file, its id there, or nominal for servos that need none, as emulated ones; without one a
+    real arm is not enabled.
     """
     zero_offset_rad: dict[str, float] = Field(default_factory=dict)
-    """by joint, a trim of its zero [rad]."""
+    """trim of joints' zeros, at most 0.5 rad: { elbow_flex = 0.02 } [rad]."""
     urdf: Path | None = None
-    """a URDF in place of the robot's. Without a robot, a serial port or a calibration it is an ideal arm, whose joints
-    follow their goals.
+    """a URDF in place of the robot's; without robot, serial and calibration its arm is an ideal one, whose joints
+    follow their goals (docs/simulation.md).
     """
     srdf: Path | None = None
-    """the SRDF that goes with it."""
+    """the SRDF of this URDF."""
     package_path: list[Path] = Field(default_factory=list)
-    """folders in which the packages of ``package://`` are looked for, ahead of ROS_PACKAGE_PATH."""
+    """folders with the packages of package://, searched ahead of ROS_PACKAGE_PATH."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
@@ -117,27 +119,27 @@ class ArmSettings(SettingsSection):
     speed_limit: float = Field(default=1.0, ge=MIN_SPEED_LIMIT, le=1.0)
     """share of the joints' velocity limits that no motion exceeds; ``/arm/set_speed_limit`` changes it."""
     unverified_speed_limit: float = Field(default=0.25, ge=MIN_SPEED_LIMIT, le=1.0)
-    """the same for an arm on servos until its calibration is verified; 1 for no other limit than ``speed_limit``."""
+    """such a share until the calibration of an arm on servos is verified; 1 for no such limit."""
     start_enabled: bool = True
-    """make the arm hold when it is connected; else it stays relaxed until it is enabled."""
+    """hold the arm when it is connected; else it is relaxed until /arm/enable is called."""
     # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.
     watchdog_s: float = Field(default=0.5, ge=0.3, le=10.0)
-    """silence of the server after which the arm is stopped; a simulated arm waits for 5 s at least [s]."""
+    """silence of the server after which the arm stops; a simulated arm waits at least 5 s [s]."""
     on_server_lost: EndState = EndState.HOLD
-    """action when the server has been silent for that time."""
+    """state of the arm after that stop (docs/arm.md)."""
     on_exit: EndState = EndState.HOLD
-    """action when the server ends in good order."""
+    """state of the arm after an orderly shutdown."""
     on_last_client: Literal["nothing", "park", "relax"] = "nothing"
-    """action when the last client that may drive the arm has left."""
+    """action when no client that may drive is connected any more."""
     last_client_delay_s: float = Field(default=10.0, ge=0.0, le=86_400.0)
     """time without such a client before that action [s]."""
     park_state: str | None = None
     """named state of the SRDF in which the arm is parked; None for the robot's own, which is ``rest`` for most."""
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
-    """action of an emergency stop."""
+    """action on an emergency stop: with torque_off the arm falls, with hold it stops and holds its position."""
     # The servos protect themselves at 70 degC.
     warn_temperature_c: float = Field(default=55.0, ge=30.0, le=70.0)
-    """temperature of a servo from which on there is a warning [degC]."""
+    """temperature of a servo at which /diagnostics has a warning [degC]."""
     slow_temperature_c: float = Field(default=60.0, ge=30.0, le=70.0)
     """temperature of a servo at which motions run at half speed [degC]."""
     stop_temperature_c: float = Field(default=65.0, ge=30.0, le=70.0)
@@ -160,20 +162,20 @@ class ArmSettings(SettingsSection):
 
 
 class EmulatorSettings(SettingsSection):
-    """The emulated servos of a simulated arm."""
+    """Emulated servos of a simulated arm; an ideal arm has none and refuses these settings."""
 
     drop: float = Field(default=0.0, ge=0.0, le=1.0)
     """probability that a reply is lost."""
     corrupt: float = Field(default=0.0, ge=0.0, le=1.0)
     """probability that a reply has a wrong byte."""
     seed: int = 0
-    """of the random faults."""
+    """seed of the random faults."""
     population: Literal["factory", "lerobot", "ros2_driver", "clone", "kit"] = "factory"
-    """state in which the servos are found, as ``armbridge emulate --population`` names it."""
+    """state in which the servos are found (docs/simulation.md)."""
     write_log: Path | None = None
-    """file that gets a line of JSON for every write to a servo."""
+    """file with a line of JSON for every write to a servo; None for no file."""
     control: Path | None = None
-    """path of a Unix socket that takes live commands to the servos, as ``armbridge emulate`` does."""
+    """Unix socket that takes live commands to the servos (docs/simulation.md); None for no socket."""
 
 
 # Far more than one machine has ports for.
@@ -220,14 +222,14 @@ class NamedArmSettings(ArmSettings):
     emulator: EmulatorSettings = EmulatorSettings()
     """its emulated servos."""
 
-    @model_validator(mode="after")
-    def _parks_alone(self) -> NamedArmSettings:
-        for name in ("on_exit", "on_server_lost"):
-            if getattr(self, name) is EndState.PARK:
-                raise ValueError(f"{name}: one of several arms cannot be parked at its end, hold or relax it")
-        if self.on_last_client != "nothing":
-            raise ValueError(f"on_last_client: must be nothing for one of several arms, not {self.on_last_client}")
-        return self
+    @field_validator("on_server_lost")
+    @classmethod
+    def _parks_with_others(cls, value: EndState) -> EndState:
+        if value is EndState.PARK:
+            raise ValueError(
+                "without a server several arms could meet on their ways to their rest poses: hold or relax"
+            )
+        return value
 
 
 class GoalSettings(SettingsSection):
@@ -236,44 +238,45 @@ class GoalSettings(SettingsSection):
     policy: GoalPolicy = GoalPolicy.QUEUE
     """action on a goal that comes while another goal is active."""
     capacity: int = Field(default=16, ge=1, le=1000)
-    """how many goals may wait."""
+    """goals that may wait."""
     on_disconnect: Literal["finish", "stop"] = "finish"
-    """action on a client's action goals when it leaves; it may choose another in its URL, by
-    ``?on_disconnect=stop`` or ``?on_disconnect=finish``.
+    """treatment of goals on actions of a client that leaves; its URL may choose, as in ``?on_disconnect=stop``.
     """
     confirm: bool = False
-    """wait for a message on ``/moveit_goal_confirm`` between plan and motion."""
+    """plan, show, and wait for a message on /moveit_goal_confirm before the motion."""
     # The goals behind it wait as long.
     confirm_timeout_s: float = Field(default=120.0, ge=1.0, le=3600.0)
     """a goal that is not confirmed within this time is answered TIMED_OUT [s]."""
     # A person who pauses a motion to look at something is back by then.
     max_paused_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
-    """a goal that was paused or going back for longer, all times together, is given up [s]."""
+    """a goal that was paused or going back for longer, in total, is given up [s]."""
     # The arm process plays half an hour of points at 100 Hz; an action's goal is over after an hour.
     max_trajectory_duration_s: float = Field(default=600.0, ge=1.0, le=1800.0)
-    """planned duration of a goal's motions above which the goal is refused [s]."""
+    """a goal whose planned motions take longer is refused [s]."""
     named_states_file: Path | None = None
-    """where saved states are kept; None for a file in the user's data directory."""
+    """file of saved states; None for ``named_states_<robot>.json`` in armbridge/ of the user's data directory
+    ($XDG_DATA_HOME, else ~/.local/share).
+    """
 
 
 class SceneSettings(SettingsSection):
-    """The planning scene from one start of the server to the next."""
+    """Planning scene from one start of the server to the next; see docs/scene.md."""
 
     keep: bool = True
     """keep what clients add to the planning scene, and restore it at the next start."""
     file: Path | None = None
-    """where it is kept; None for a file in the user's data directory. Each server needs one of its own."""
+    """its file, another one for each server; None for a file of each arm in armbridge/ of the user's data directory."""
 
 
 class RecordingSettings(SettingsSection):
-    """The recording of every message that is published."""
+    """Recording of every message that is published."""
 
     file: Path | None = None
-    """MCAP file to record to; if it exists, a number is added to the name. None to record nothing."""
+    """MCAP file to record every message to; if it exists, a number is added to the name; None to record nothing."""
     limit_mb: int | None = Field(default=None, ge=1, le=1_000_000)
-    """size of a file from which on the next one is begun [MB]; None for no limit."""
+    """size of a file at which the next file begins; None for no limit [MB]."""
     keep_files: int = Field(default=0, ge=0, le=10_000)
-    """how many of the newest files of a run are kept; 0 for all."""
+    """newest files of this run to keep; 0 for all; needs limit_mb."""
 
     @model_validator(mode="after")
     def _only_whole_files_are_given_up(self) -> RecordingSettings:
@@ -283,13 +286,13 @@ class RecordingSettings(SettingsSection):
 
 
 class DiagnosticsSettings(SettingsSection):
-    """The files about faults."""
+    """Files about faults; see docs/operations.md."""
 
     # Each has some 300 kB.
     fault_files: int = Field(default=20, ge=0, le=10_000)
-    """how many files about faults are kept, the newest: the last minute of log and joints before each; 0 for none."""
+    """newest files about faults to keep, each of some 300 kB with the minute before the fault; 0 for none."""
     fault_directory: Path | None = None
-    """where they are kept; None for a folder in the user's data directory."""
+    """their folder; None for armbridge/faults/ in the user's data directory."""
 
     def directory(self, data: Path) -> Path:
         """Return the directory of the files about faults."""
@@ -301,15 +304,20 @@ class Settings(BaseSettings):
 
     # Inputs may be tokens; who has a refusal to tell decides what it shows.
     model_config = SettingsConfigDict(
-        extra="forbid", frozen=True, env_prefix=PREFIX, env_nested_delimiter="__", hide_input_in_errors=True
+        extra="forbid",
+        frozen=True,
+        use_attribute_docstrings=True,
+        env_prefix=PREFIX,
+        env_nested_delimiter="__",
+        hide_input_in_errors=True,
     )
 
     server: ServerSettings = ServerSettings()
     access: AccessSettings = AccessSettings()
     arm: ArmSettings = ArmSettings()
     arms: dict[str, NamedArmSettings] = Field(default_factory=dict)
-    """several arms in place of ``arm``, each by its name: ``[arms.left]`` has what ``[arm]`` has, ``role``,
-    ``base_xyz_m``, ``base_rpy_rad`` and a section ``emulator``.
+    """several arms in place of arm, by name: [arms.left] has the settings of [arm], role, base_xyz_m, base_rpy_rad
+    and a section emulator (docs/several_arms.md).
     """
     moveit: MoveItParameters = MoveItParameters()
     goals: GoalSettings = GoalSettings()

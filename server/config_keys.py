@@ -5,16 +5,15 @@ Also the nearest key to an unknown one, and the template of a file.
 
 from __future__ import annotations
 
-import ast
 import difflib
-import inspect
 import json
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from itertools import groupby, pairwise
+from itertools import groupby
+from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
@@ -31,9 +30,13 @@ _UNIT = re.compile(r" \[([^]]+)\](?=\.$)")
 
 
 class SettingsSection(BaseModel):
-    """Section of the settings; the docstring under each field is its meaning, with the unit in brackets at the end."""
+    """Section of the settings; the docstring under each field is its meaning, with the unit in brackets at the end.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    Options of the command line, ``armbridge config`` and docs/configuration.md come from a field's type, default,
+    limits and docstring.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 @dataclass(frozen=True)
@@ -41,15 +44,17 @@ class Setting:
     """One setting.
 
     Attributes:
-        range: which values it takes; empty where the meaning alone says so.
+        section_meaning: meaning of its section.
+        range: values that it takes; empty where the meaning alone names them.
     """
 
     key: str
+    section_meaning: str
     meaning: str
     unit: str
     range: str
     default: Any
-    is_number: bool
+    field: FieldInfo
 
     @property
     def section(self) -> str:
@@ -60,6 +65,18 @@ class Setting:
     def name(self) -> str:
         """The last part of the key."""
         return _name(self.key)
+
+    @property
+    def kinds(self) -> set[Any]:
+        """Types of its values; the type of a list's values is not among them."""
+        return {get_origin(kind) or kind for kind in (self.field.annotation, *_members(self.field.annotation))}
+
+    @property
+    def explanation(self) -> str:
+        """Sentence with unit and range, for users."""
+        text = re.sub(r"\bNone\b", "leave it out", self.meaning)
+        bounds = ", ".join(filter(None, (self.unit, self.range)))
+        return f"{text[:1].upper()}{text[1:]}" + (f" ({bounds})" if bounds else "")
 
 
 def every_field(model: type[BaseModel], above: str = "") -> Iterator[tuple[str, type[BaseModel], FieldInfo]]:
@@ -81,19 +98,18 @@ def is_table(field: FieldInfo) -> bool:
 
 def every_setting(model: type[BaseModel]) -> Iterator[Setting]:
     """Yield the settings of a model and of the sections in it, in their order."""
-    for section, fields in groupby(every_field(model), key=lambda each: each[1]):
-        docstrings = _docstrings(section)
-        for key, _, field in fields:
-            sentence = " ".join(docstrings.get(_name(key), "").split()).replace("``", "")
-            unit = _UNIT.search(sentence)
-            yield Setting(
-                key=key,
-                meaning=_UNIT.sub("", sentence),
-                unit=unit[1] if unit else "",
-                range=_range(field),
-                default=to_jsonable_python(field.get_default(call_default_factory=True)),
-                is_number=bool({int, float} & {field.annotation, *get_args(field.annotation)}),
-            )
+    for key, section, field in every_field(model):
+        sentence = _plain(field.description)
+        unit = _UNIT.search(sentence)
+        yield Setting(
+            key=key,
+            section_meaning=_plain(section.__doc__),
+            meaning=_UNIT.sub("", sentence),
+            unit=unit[1] if unit else "",
+            range=_range(field),
+            default=to_jsonable_python(field.get_default(call_default_factory=True)),
+            field=field,
+        )
 
 
 def nearest(key: str, known: Sequence[str]) -> str:
@@ -136,18 +152,12 @@ def _name(key: str) -> str:
     return key.rpartition(".")[2]
 
 
-def _docstrings(section: type[BaseModel]) -> dict[str, str]:
-    """Return the docstring under each field, from the source.
+def _plain(docstring: str | None) -> str:
+    return " ".join((docstring or "").split()).replace("``", "")
 
-    pydantic's ``use_attribute_docstrings`` reads it at the import of each section, which takes every start 60 ms more.
-    """
-    found = {}
-    (definition,) = ast.parse(inspect.getsource(section)).body
-    for field, below in pairwise(definition.body if isinstance(definition, ast.ClassDef) else []):
-        match field, below:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                found[name] = text
-    return found
+
+def _members(kind: Any) -> tuple[Any, ...]:
+    return get_args(kind) if isinstance(kind, UnionType) else ()
 
 
 def _range(field: FieldInfo) -> str:
@@ -162,22 +172,27 @@ def _range(field: FieldInfo) -> str:
 
 
 def _limits(metadata: Sequence[Any]) -> str:
-    found = []
-    for name, words in _LIMITS.items():
-        found += [f"{words} {getattr(limit, name):g}" for limit in metadata if hasattr(limit, name)]
-    return ", ".join(found)
+    found = {name: getattr(limit, name) for name in _LIMITS for limit in metadata if hasattr(limit, name)}
+    if {"ge", "le"} <= found.keys():
+        return f"{_number(found['ge'])} to {_number(found['le'])}"
+    return ", ".join(f"{_LIMITS[name]} {_number(value)}" for name, value in found.items())
 
 
-LINE_WIDTH = 100
+def _number(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.10g}"
+
+
+LINE_WIDTH = 120
 
 _HEAD = "# Every setting of armbridge at its default. Keep the lines that you change; the others may go."
 
 
-def template(settings: Iterable[Setting]) -> str:
-    """The text of the file, in TOML."""
+def template(model: type[BaseModel]) -> str:
+    """Return the text of a file in TOML with every setting of a model."""
     lines = [_HEAD]
-    for section, inside in groupby(settings, key=lambda setting: setting.section):
-        lines += ["", f"[{section}]"] if section else [""]
+    for section, settings in groupby(every_setting(model), key=lambda setting: setting.section):
+        inside = list(settings)
+        lines += ["", f"# {inside[0].section_meaning}", f"[{section}]"] if section else [""]
         for setting in inside:
             lines += _lines(setting)
     return "\n".join(lines) + "\n"
@@ -195,12 +210,9 @@ def toml_value(value: Any) -> str:
 
 
 def _lines(setting: Setting) -> Iterator[str]:
-    text = re.sub(r"\bNone\b", "leave it out", setting.meaning)
-    bounds = ", ".join(filter(None, (setting.unit, setting.range)))
-    explained = f"{text[:1].upper()}{text[1:]}" + (f" ({bounds})" if bounds else "")
-    for line in textwrap.wrap(explained, LINE_WIDTH, break_on_hyphens=False, break_long_words=False):
+    for line in textwrap.wrap(setting.explanation, LINE_WIDTH - 2, break_on_hyphens=False, break_long_words=False):
         yield f"# {line}"
     if setting.default is None:
-        yield f"# {setting.name} = " + ("..." if setting.is_number else '"..."')
+        yield f"# {setting.name} = " + ("..." if {int, float} & setting.kinds else '"..."')
     else:
         yield f"{setting.name} = {toml_value(setting.default)}"

@@ -13,9 +13,9 @@ from hypothesis import settings
 
 # Imported before any test imports websockets: sets what that package reads when it is imported.
 import server  # noqa: F401
+from harness.server import FAST, RunningServer
 from tests.helpers.clock import SteppedLoop
 from tests.helpers.resources import EXAMPLES_OF_EXPLORING
-from tests.helpers.server import FAST, RunningServer
 
 # No deadline: how long an example takes depends on the machine and on what else it does; no test is about that.
 # The same examples each time, so that a change fails for what it changed; `explore` draws others, and more.
@@ -64,6 +64,8 @@ def simulated_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runni
         yield running
 
 
+# The fixtures of emulated servos serve several folders.
+pytest_plugins = ["tests.helpers.servo_fixtures"]
 pytest.register_assert_rewrite("tests.helpers.arm_contract")
 
 

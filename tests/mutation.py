@@ -7,6 +7,7 @@ Printed are the share that is noticed in each room and, as a diff, every change 
 from __future__ import annotations
 
 import argparse
+import os
 import random
 import shutil
 import subprocess
@@ -85,6 +86,9 @@ def main() -> int:
     COPY.mkdir(parents=True)
     archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True)
     subprocess.run(["tar", "-x", "-C", str(COPY)], input=archive.stdout, check=True)
+    # Servers that the tests start are changed too: the environment's own source comes after the path.
+    (COPY / ".venv").symlink_to(ROOT / ".venv")
+    os.environ["PYTHONPATH"] = str(COPY)
     for room in options.rooms or ROOMS:
         found = run(room, options.changes, options.seed)
         print(f"{room}: {found['noticed']} of {found.total()} changes were noticed", flush=True)

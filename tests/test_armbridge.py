@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.server import ROOT
+from harness.server import ROOT
 
 
 def distribution(folder: Path, package: str, content: str = "") -> None:

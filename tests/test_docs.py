@@ -14,22 +14,26 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
+from harness.page import page_digest
+from harness.server import ROOT
 from protocol.registry import Registry
 from robot.description.limits import END_STOP_MARGIN_RAD
 from robot.description.robot_folder import built_in_names
 from robot.faults import REMEDIES, FaultCode
 from server import cli
 from server.config_loader import load
-from tests.helpers.page import page_digest
-from tests.helpers.server import ROOT
 from tests.helpers.source import ROOMS, paths, sentences
 from tests.test_readme import blocks
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
+# The pages that a repository shows at its top.
+TOP = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
 
 # Beginnings of commands of other programs, which are not run.
 FOREIGN = (
+    "curl --json ",
     "pipx install ",
     "python3 -m http.server ",
     "python3 -m venv ",
@@ -44,6 +48,7 @@ FOREIGN = (
     "docker/",
     "socat ",
     "lerobot-calibrate ",
+    "git clone REPOSITORY ",
 )
 
 
@@ -57,7 +62,7 @@ def commands(page: str) -> list[str]:
     return [line for line in stripped if line]
 
 
-COMMANDS = sorted({line for page in ("README.md", *(f"docs/{page.name}" for page in PAGES)) for line in commands(page)})
+COMMANDS = sorted({line for page in (*TOP, *(f"docs/{page.name}" for page in PAGES)) for line in commands(page)})
 # A file of tokens is no configuration; it is read by the tests of tokens.
 SETTINGS = [block for page in PAGES for block in blocks(page, "toml") if "_tokens]" not in block]
 # They need two arms; tests/examples runs them with those.
@@ -102,6 +107,17 @@ def test_the_targets_of_make_exist() -> None:
         ["make", "-n", *sorted(words)], cwd=ROOT, capture_output=True, text=True, timeout=30, check=False
     )
     assert done.returncode == 0, f"a `make ...` of README.md or docs/ is no target of the Makefile: {done.stderr}"
+
+
+def test_the_workflow_and_the_hooks_run_what_the_makefile_has() -> None:
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text())
+    steps = [step["run"] for job in workflow["jobs"].values() for step in job["steps"] if "run" in step]
+    assert ".ci/run" in steps
+    assert "make test" in steps
+    repos = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    hooks = {Path(hook["entry"].split()[0]).name for repo in repos for hook in repo["hooks"]}
+    lint = (ROOT / "Makefile").read_text().split("\nlint:")[1].split("\n\n")[0]
+    assert hooks == set(re.findall(r"\$\(BIN\)/(\w+)", lint))
 
 
 def test_every_other_command_is_known_to_be_of_others() -> None:
@@ -150,7 +166,7 @@ def test_raw_examples_that_register_topics_ask_for_refusals_first(page: Path) ->
 
 def test_every_heading_that_is_linked_exists() -> None:
     missing = []
-    for page in (ROOT / "README.md", ROOT / "tests" / "ATTACKS.md", *PAGES):
+    for page in (*(ROOT / name for name in TOP), ROOT / "tests" / "ATTACKS.md", *PAGES):
         for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#([^)]+)\)", page.read_text()):
             linked = page.parent / target if target else page
             if anchor not in anchors(linked):
@@ -218,14 +234,12 @@ def test_no_command_opens_a_server_to_the_network_that_would_refuse_to_start() -
 @pytest.mark.parametrize("page", ["unreal.md", "unity.md"])
 def test_the_rate_of_joint_angles_is_that_of_the_throttle(page: str) -> None:
     """Of messages at a fixed rate, a throttle lets every second, third, ... one through."""
-    text = (ROOT / "docs" / page).read_text()
-    throttles_ms = set(
-        re.findall(r"/joint_states\"+,\"+type\"+:\"+sensor_msgs/JointState\"+,\"+throttle_rate\"+:(\d+)", text)
-    )
-    assert len(throttles_ms) == 1
+    messages = (ROOT / "docs" / "unreal.md").read_text()
+    (throttle_ms,) = re.findall(r'"/joint_states","type":"sensor_msgs/JointState","throttle_rate":(\d+)', messages)
     rate_hz = load(None, {}).arm.joint_state_rate_hz
-    each = math.ceil(float(throttles_ms.pop()) * rate_hz / 1000.0)
-    assert re.findall(r"[Mm]easured .* (\d+) times a second", text) == [f"{rate_hz / each:g}"]
+    each = math.ceil(float(throttle_ms) * rate_hz / 1000.0)
+    text = (ROOT / "docs" / page).read_text()
+    assert re.findall(r"measured .* (\d+) times a second", text) == [f"{rate_hz / each:g}"]
 
 
 def test_no_page_takes_the_default_speed_for_a_limit() -> None:

@@ -61,7 +61,7 @@ def test_nobody_sleeps_for_a_fixed_time() -> None:
                 continue
             if not stepped(tree, around) and not any(isinstance(node, ast.While) for node in around):
                 found.append(f"{name}:{call.lineno}")
-    assert found == [], f"in tests/: wait for an event (tests/helpers/waiting.py), or {ELSEWHERE}"
+    assert found == [], f"in tests/: wait for an event (harness/waiting.py), or {ELSEWHERE}"
 
 
 def test_nobody_measures_how_long_something_takes() -> None:

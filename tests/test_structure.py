@@ -6,8 +6,11 @@ import ast
 import re
 from pathlib import Path
 
-from tests.helpers.server import ROOT
+from harness.server import ROOT
 from tests.helpers.source import ROOMS, imports, name_of, paths
+
+# Code around the program; tests and benchmarks share harness/.
+HELPED = ("tests", "benchmarks", "harness")
 
 # Where the tests of a folder lie: what needs several processes, or real time, in the second.
 RINGS = ("tests", "tests/processes")
@@ -26,7 +29,9 @@ def imported_by(path: Path) -> frozenset[str]:
 
 
 def test_every_module_is_reached_by_the_tests_of_its_folder() -> None:
-    imported = {name_of(path): imported_by(path) for room in (*ROOMS, "tests") for path in paths(room, "[!_]*.py")}
+    imported = {
+        name_of(path): imported_by(path) for room in (*ROOMS, "tests", "harness") for path in paths(room, "[!_]*.py")
+    }
     missed: set[str] = set()
     for folder in sorted({path.parent.relative_to(ROOT) for room in ROOMS for path in paths(room)}):
         tests = [path for ring in RINGS for path in (ROOT / ring / folder).glob("*.py")]
@@ -42,6 +47,19 @@ def test_every_module_is_reached_by_the_tests_of_its_folder() -> None:
         "robot/control/motion.py (or tests/processes/robot/control/); a module of data only goes into WITHOUT_TEST of "
         "tests/test_structure.py"
     )
+
+
+def test_tests_and_benchmarks_import_nothing_of_each_other() -> None:
+    known = {name_of(path) for room in HELPED for path in paths(room)}
+    foreign, missing = [], []
+    for room in HELPED:
+        for path in paths(room):
+            for name in imports(path).sources:
+                place = f"{path.relative_to(ROOT)} imports {name}"
+                foreign += [place] if name.split(".")[0] in {"tests", "benchmarks"} - {room} else []
+                missing += [place] if name.startswith(("harness.", "tests.helpers.")) and name not in known else []
+    assert foreign == [], "move the helpers of both to harness/"
+    assert missing == [], "servers, clients, waiting and the page are in harness/, other helpers in tests/helpers/"
 
 
 def test_every_motion_that_the_server_sends_to_an_arm_names_the_stop_epoch_of_its_request() -> None:

@@ -50,6 +50,7 @@ _NO_TOKEN = (
 
 _WHAT_TO_SHOW = {
     Role.VIEW: "a token",
+    Role.PROPOSE: "a token of access.propose_tokens, access.operate_tokens or access.admin_tokens",
     Role.OPERATE: "a token of access.operate_tokens or access.admin_tokens",
     Role.ADMIN: "a token of access.admin_tokens",
 }
@@ -158,16 +159,16 @@ class Authorizer:
             case SendActionGoal():
                 name = qualify(operation.action)
                 rule = rule_of_action(name, self._graph)
-                return self._name_refusal(rule, "action", name) or self._drive(rule, name, operation.args)
+                return self.name_refusal(rule, "action", name) or self._drive(rule, name, operation.args)
             case Subscribe():
-                return self._name_refusal(LOOKING, "topic", qualify(operation.topic))
+                return self.name_refusal(LOOKING, "topic", qualify(operation.topic))
             case Advertise():
                 name = qualify(operation.topic)
-                return self._name_refusal(self._rule_of_publishing(name), "topic", name)
+                return self.name_refusal(self._rule_of_publishing(name), "topic", name)
             case AdvertiseService():
-                return self._name_refusal(WORKING, "service", qualify(operation.service))
+                return self.name_refusal(WORKING, "service", qualify(operation.service))
             case AdvertiseAction():
-                return self._name_refusal(WORKING, "action", qualify(operation.action))
+                return self.name_refusal(WORKING, "action", qualify(operation.action))
             case _:
                 return None
 
@@ -188,7 +189,7 @@ class Authorizer:
         """Check a message on a topic, as :meth:`refusal`."""
         name = qualify(topic)
         rule = self._rule_of_publishing(name)
-        refusal = self._name_refusal(rule, "topic", name)
+        refusal = self.name_refusal(rule, "topic", name)
         if refusal is None and name.endswith(ACTIONLIB_GOAL) and rule.goal:
             # The other way to an action must not be the one past its filter.
             refusal = self._access.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
@@ -204,7 +205,7 @@ class Authorizer:
         if name.endswith(CANCEL_SERVICE) and self._graph.actions.provider(name.removesuffix(CANCEL_SERVICE)) is None:
             # It belongs to no action, so it stops nothing.
             rule = WORKING
-        return self._name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
+        return self.name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
 
     def _rule_of_publishing(self, name: str) -> Rule:
         """Return the rule of a topic; a topic that would stop nothing has the rule of any other topic.
@@ -221,7 +222,8 @@ class Authorizer:
             stops = any(not node.remote for node in self._graph.subscribers(name))
         return rule if stops else WORKING
 
-    def _name_refusal(self, rule: Rule, kind: Literal["topic", "service", "action"], name: str) -> str | None:
+    def name_refusal(self, rule: Rule, kind: Literal["topic", "service", "action"], name: str) -> str | None:
+        """Return the reason why the client's role, or a setting, never allows a name; None when both allow it."""
         identity = self._node.identity
         if identity is None or identity.role < rule.role:
             has = "none" if identity is None else identity.role.name.lower()
@@ -238,7 +240,9 @@ class Authorizer:
                 f"{name}: this client sends more than {self._goals.burst} goals at once (access.goal_burst) and "
                 f"{self._goals.per_s:g} a second (access.goals_per_s)"
             )
-        if not rule.drives or plans_only(rule, goal):
+        # Of a goal that is proposed, the client that approves it is the driver.
+        proposes = self._node.only_looks and rule.role is Role.PROPOSE
+        if not rule.drives or proposes or plans_only(rule, goal):
             return None
         refusal = self._access.lease_of(rule).drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"
@@ -268,10 +272,9 @@ class Access:
         self.tokens = Tokens.from_settings(settings)
         self.one_time_tokens = OneTimeTokens(clock)
         policy, idle_s = settings.control, settings.control_idle_s
-        self.lease = ControlLease(policy, idle_s, wall_clock, busy, "all arms" if arms else "the arm")
+        self.lease = ControlLease(policy, idle_s, wall_clock, busy, several=bool(arms))
         self.leases_of_arms = {
-            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"the arm {name}")
-            for name, busy_there in arms.items()
+            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"/{name}") for name, busy_there in arms.items()
         }
         self.lease.excluded_by = tuple(self.leases_of_arms.values())
         for lease in self.leases_of_arms.values():

@@ -36,7 +36,7 @@ def add_config_parser(subparsers: Subparsers) -> None:
 
 def _config(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     if options.template:
-        terminal.tell(template(every_setting(Settings)).rstrip("\n"))
+        terminal.tell(template(Settings).rstrip("\n"))
         return ExitCode.DONE
     settings, sources = read_settings(options)
     values = list(_effective(settings, sources))

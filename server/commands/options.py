@@ -8,7 +8,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,6 +22,7 @@ from robot.hardware.port import AUTO, resolve_port
 from server.arm.setup import DEFAULT_ROBOT
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.config import Settings
+from server.config_keys import every_setting
 from server.config_loader import load_with_sources
 from server.errors import ConfigurationError, ServerError
 
@@ -110,11 +111,10 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
 
 
-def add_interfaces(parser: argparse.ArgumentParser, dest: str = "interfaces") -> None:
+def add_interfaces(parser: argparse.ArgumentParser) -> None:
     """Describe ``--interfaces``."""
     parser.add_argument(
         "--interfaces",
-        dest=dest,
         type=Path,
         action="append",
         metavar="FOLDER",
@@ -122,12 +122,11 @@ def add_interfaces(parser: argparse.ArgumentParser, dest: str = "interfaces") ->
     )
 
 
-def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT, dest: str = "robot") -> None:
+def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT) -> None:
     """Describe ``--robot``."""
     names = ", ".join(robot_folder.built_in_names())
     parser.add_argument(
         "--robot",
-        dest=dest,
         metavar="NAME_OR_FOLDER",
         default=default,
         help=f"the arm: a built-in one ({names}), or the folder of its robot.toml ({DEFAULT_ROBOT})",
@@ -191,23 +190,31 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
     return ExitCode.FAILED
 
 
-# An option that overrides a setting is kept under the setting's key, as in ``server.port``.
+# Options that override one setting: the option, the setting's key, and the placeholder of its value. Everything else
+# about them comes from the setting. argparse keeps the value under the key.
+_SERVER_OPTIONS = (
+    ("--host", "server.host", "HOST"),
+    ("--port", "server.port", "PORT"),
+    ("--insecure", "access.insecure", ""),
+    ("--interfaces", "server.interfaces", "FOLDER"),
+)
+_FURTHER_OPTIONS = (
+    ("--tcp-port", "server.tcp_port", "PORT"),
+    ("--log-level", "server.log_level", "LEVEL"),
+    ("--serial", "arm.serial", "PORT"),
+    ("--robot", "arm.robot", "NAME_OR_FOLDER"),
+    ("--calibration", "arm.calibration", "NAME_OR_PATH"),
+    ("--urdf", "arm.urdf", "FILE"),
+    ("--srdf", "arm.srdf", "FILE"),
+    ("--package-path", "arm.package_path", "FOLDER"),
+    ("--record", "recording.file", "FILE.mcap"),
+    ("--record-limit-mb", "recording.limit_mb", "MB"),
+)
 
 
 def add_server_options(parser: argparse.ArgumentParser) -> None:
     """Describe the options of a command that serves clients."""
-    parser.add_argument("--host", dest="server.host", metavar="HOST", help="address to listen on (127.0.0.1)")
-    parser.add_argument(
-        "--port", dest="server.port", type=int, metavar="PORT", help="TCP port (9090); 0 takes a free one"
-    )
-    parser.add_argument(
-        "--insecure",
-        dest="access.insecure",
-        action="store_true",
-        default=None,
-        help="serve an address that others can reach without tokens: everybody there may do everything",
-    )
-    add_interfaces(parser, "server.interfaces")
+    _add_options_of_settings(parser, _SERVER_OPTIONS)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
     )
@@ -216,53 +223,7 @@ def add_server_options(parser: argparse.ArgumentParser) -> None:
 def add_setting_options(parser: argparse.ArgumentParser) -> None:
     """Describe the options of a command that needs the settings."""
     add_server_options(parser)
-    parser.add_argument(
-        "--tcp-port",
-        dest="server.tcp_port",
-        type=int,
-        metavar="PORT",
-        help="one more port, for rosbridge over raw TCP (none); 0 takes a free one",
-    )
-    parser.add_argument(
-        "--log-level",
-        dest="server.log_level",
-        choices=("debug", "info", "warning", "error"),
-        help="least level of the log (info)",
-    )
-    parser.add_argument(
-        "--serial",
-        dest="arm.serial",
-        metavar="PORT",
-        help="servo bus of a real arm: a path such as /dev/serial/by-id/..., a USB id, a URL, or auto",
-    )
-    add_robot(parser, None, "arm.robot")
-    parser.add_argument("--calibration", dest="arm.calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
-    parser.add_argument(
-        "--urdf",
-        dest="arm.urdf",
-        type=Path,
-        metavar="FILE",
-        help="a URDF in place of the robot's; without --robot, --serial and --calibration its arm is an ideal one",
-    )
-    parser.add_argument("--srdf", dest="arm.srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
-    parser.add_argument(
-        "--package-path",
-        dest="arm.package_path",
-        type=Path,
-        action="append",
-        metavar="FOLDER",
-        help="where the packages of package:// are looked for, ahead of ROS_PACKAGE_PATH; may be repeated",
-    )
-    parser.add_argument(
-        "--record", dest="recording.file", type=Path, metavar="FILE.mcap", help="record every message to this file"
-    )
-    parser.add_argument(
-        "--record-limit-mb",
-        dest="recording.limit_mb",
-        type=int,
-        metavar="MB",
-        help="size in megabytes from which on the next file is begun",
-    )
+    _add_options_of_settings(parser, _FURTHER_OPTIONS)
     parser.add_argument(
         "--set",
         action="append",
@@ -271,6 +232,20 @@ def add_setting_options(parser: argparse.ArgumentParser) -> None:
         dest="assignments",
         help="any setting, as in --set goals.capacity=4; may be repeated (armbridge config lists them)",
     )
+
+
+def _add_options_of_settings(parser: argparse.ArgumentParser, options: Iterable[tuple[str, str, str]]) -> None:
+    settings = {setting.key: setting for setting in every_setting(Settings)}
+    for option, key, metavar in options:
+        setting = settings[key]
+        text = setting.explanation.replace("%", "%%")
+        if setting.kinds == {bool}:
+            parser.add_argument(option, dest=key, action="store_true", default=None, help=text)
+        elif list in setting.kinds:
+            parser.add_argument(option, dest=key, action="append", metavar=metavar, help=f"{text} May be repeated.")
+        else:
+            default = "" if setting.default is None else f" Default: {setting.default}."
+            parser.add_argument(option, dest=key, metavar=metavar, help=f"{text}{default}")
 
 
 def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]]:

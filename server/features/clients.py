@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from server.access.one_time_tokens import OneTimeTokenService
 from server.features.context import ServerContext
+from server.features.interface import PATH, InterfaceDocument
+from server.gateway import http_goals
 from server.gateway.http import HttpHandler, Route
 from server.gateway.listener import Listener
 from server.lifecycle import Feature
@@ -20,14 +22,16 @@ class Clients(Feature):
     deadline_s = 0.6
 
     def __init__(self, context: ServerContext) -> None:
-        self.routes: dict[str, Route] = {}
-        access = context.access
+        self.routes: dict[str, Route] = {PATH: InterfaceDocument(context).answer}
+        access, stops = context.access, context.settings.goals.on_disconnect == "stop"
+        names = [each.name for each in context.arms if each.name]
+        goals = http_goals.HttpGoals(context.graph, access, names, takes_goals_along=stops)
         self.listener = Listener(
             context.graph,
             context.settings.server,
-            HttpHandler(context.planning.robot, routes=self.routes),
+            HttpHandler(context.planning.robot, routes=self.routes, post_routes={http_goals.PATH: goals.answer}),
             access,
-            takes_goals_along=context.settings.goals.on_disconnect == "stop",
+            takes_goals_along=stops,
         )
         OneTimeTokenService(
             context.graph, access.one_time_tokens, access.tokens, lambda: self.listener.page_urls_elsewhere

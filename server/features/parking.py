@@ -15,17 +15,18 @@ from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
 from planners.problem import MoveItErrorCode, Plan, PlanningProblem
-from robot.arm import Arm
+from robot.arm import CLOSE_LIMIT_S, Arm
 from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arm.services import trigger_response
-from server.arrival import arrival_epoch
+from server.arrival import is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError
+from server.execution.goal import GoalPolicy, GoalRequest
 from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
@@ -84,10 +85,16 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 
 class Parking:
-    """Parking of one arm, and the service for it."""
+    """Parking of one arm, and the service for it.
+
+    Attributes:
+        name: of one of several arms; empty for a lone arm.
+        leads: True for an arm that is moved by hand.
+    """
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
         settings, planning = context.served.settings, context.planning
+        self.name, self.leads = context.served.name, context.served.leads
         self._arm = arm
         self._context = context
         self._robot = context.robot
@@ -97,6 +104,7 @@ class Parking:
         self._scene = planning.scene_state
         self._queue = context.goals.queue
         self._current = CurrentState(arm, context.robot)
+        self._all_joints = planning.current
         self._parks_at_end = EndState.PARK in (settings.on_exit, settings.on_server_lost)
         self._parks_on_exit = settings.on_exit is EndState.PARK
         self._place: _Place | None = None
@@ -129,7 +137,7 @@ class Parking:
             Future of the answer. An arm that does not come to its rest pose goes on holding.
         """
         pose = self._pose
-        refused = self._no_pose if pose is None else STOPPED_SINCE if arrival_epoch() < self._arm.last_stop else ""
+        refused = self._no_pose if pose is None else STOPPED_SINCE if is_stopped(self._arm.last_stop) else ""
         if pose is None or refused:
             answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
             answered.set_result(CommandDone(0, done=False, message=refused))
@@ -147,12 +155,12 @@ class Parking:
         # Motions outside the queue, as of the gripper, end too before the way is planned.
         await self._arm.rest(REST_TIMEOUT_S)
         motion = PlannedMotion((self._problem,), joints)
-        goal = self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch)
+        goal = self._queue.submit(GoalRequest(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch))
         answer = await goal.answered
         if answer.code is not MoveItErrorCode.SUCCESS:
             log.warning("%s: the arm is not parked: %s", source, answer.message)
             return CommandDone(0, done=False, message=f"the arm is not parked: {answer.message}")
-        if epoch < self._arm.last_stop:
+        if is_stopped(self._arm.last_stop, epoch):
             return CommandDone(0, done=False, message=f"the arm is at its rest pose, and holds: {STOPPED_SINCE}")
         relaxed = await self._arm.order(Order.RELAX)
         log.info("%s: the arm is at its rest pose %s; %s", source, pose.state, relaxed.message)
@@ -189,6 +197,11 @@ class Parking:
         if self._is_due:
             await self._plan()
 
+    async def close_arm(self) -> None:
+        """End the process of an arm that is parked at its end, which takes it to its rest pose."""
+        if self._parks_on_exit:
+            await self._arm.close()
+
     @property
     def _is_due(self) -> bool:
         """True when the arm holds where the way was not planned yet in the present scene."""
@@ -206,7 +219,8 @@ class Parking:
         place = self._here()
         if place is None:
             return
-        problem = self._problem(place.held_rad)
+        # Several arms are obstacles to each other.
+        problem = self._problem({**(self._all_joints.positions_rad() or {}), **place.held_rad})
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
         plan = await self._pool.ask(bounded, self._scene.scene)
         if place.version != self._scene.scene.version:
@@ -333,15 +347,27 @@ class Parkings(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         self._parkings: list[Parking] = []
+        self._several = len(context.single_arms) > 1
         self._keeping: list[BackgroundTask] = []
         self.last_clients: list[BackgroundTask] = []
         for each, arm in context.single_arms:
             parking, settings = Parking(arm, each), each.served.settings
             self._parkings.append(parking)
-            self._keeping.append(BackgroundTask("parking", parking.run))
+            # The ways of several arms depend on each other: they are planned at the end alone.
+            if not self._several:
+                self._keeping.append(BackgroundTask("parking", parking.run))
             if settings.on_last_client != "nothing":
                 last_client = LastClient(arm, settings, context.access.drivers, context.goals.queue, parking)
                 self.last_clients.append(BackgroundTask("the last client", last_client.run))
+        if self._several:
+            self.deadline_s = len(self._parkings) * (PREPARING_S + CLOSE_LIMIT_S)
+            context.whole.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
+
+    async def _park_each(self, _request: Message) -> Message:
+        """Park the arms one after the other: on their ways at the same time they could wait for each other."""
+        done = {each.name: await each.park(PARK) for each in self._parkings if not each.leads}
+        said = "; ".join(f"{name}: {one.message}" for name, one in done.items())
+        return {"success": all(one.done for one in done.values()), "message": said}
 
     async def start(self) -> None:
         for each in self._keeping:
@@ -349,4 +375,8 @@ class Parkings(Feature):
 
     async def stop(self) -> None:
         await asyncio.gather(*(each.stop() for each in self._keeping))
-        await asyncio.gather(*(each.prepare_exit() for each in self._parkings))
+        for each in self._parkings:
+            await each.prepare_exit()
+            if self._several:
+                # The next arm's way is planned around this one at its rest pose.
+                await each.close_arm()

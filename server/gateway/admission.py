@@ -181,7 +181,7 @@ class ConnectionLimiter:
 
 
 # Paths that need the right to view. The page itself does not: it is the same everywhere, and asks for a token itself.
-GUARDED = ("metrics", "robot")
+GUARDED = ("armbridge", "goal", "metrics", "robot")
 
 # Any page may read the robot's files, as Foxglove's does: a description and its meshes. Where there are tokens, it has
 # to know one.
@@ -465,7 +465,7 @@ def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insec
         return
     where = host if host == reachable else f"{host or 'every address'} ({reachable})"
     anonymous = tokens.anonymous
-    may_move = anonymous is not None and anonymous.role > Role.VIEW
+    may_move = anonymous is not None and anonymous.role >= Role.OPERATE
     if not insecure and not tokens.any:
         raise ConfigurationError(
             f"server.host: others can reach {where}, and nothing keeps them from moving the arm; set a token, as in"

@@ -1,4 +1,6 @@
-"""Opening handshake in one step, for requests as nearly every client sends them; all others are left to websockets.
+"""Opening handshake in one step, for requests as nearly every client sends them; and requests that may have a body.
+
+All others are left to websockets, which reads no body.
 
 websockets reads a request line by line in a generator, and makes its answer out of parts: together the half of what a
 connection costs. Here one pattern shows that a request is whole, that it has each header once, and that websockets
@@ -32,6 +34,11 @@ _VERSION = "13"
 # A body, which is refused, and what websockets reads more of than its one line.
 _NOT_PLAIN = frozenset(("content-length", "transfer-encoding", "sec-websocket-protocol"))
 
+# POST, PUT, PATCH. HTTP/1.0 is the protocol of old controllers.
+_POST = re.compile(rb"(P[A-Z]{2,8}) (/[!-~]*) HTTP/1\.[01]\r\n((?:" + _HEADER + rb"){1,64})\r\n")
+_END_OF_HEAD = b"\r\n\r\n"
+MAX_HEAD_BYTES = 8192
+
 _ACCEPTED = (
     "HTTP/1.1 101 Switching Protocols\r\nDate: {date}\r\n"
     "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {accept}\r\n\r\n"
@@ -46,15 +53,42 @@ def read_upgrade(data: bytes) -> Request | None:
     """
     if len(data) > MAX_REQUEST_BYTES or (found := _REQUEST.fullmatch(data)) is None:
         return None
-    path, lines = found[1].decode("ascii"), found[2].decode("ascii")
-    fields = [(name, value.strip(" \t")) for name, _, value in (line.partition(":") for line in lines.splitlines())]
+    path, fields = found[1].decode("ascii"), _fields(found[2])
     values = {name.lower(): value for name, value in fields}
     if len(values) != len(fields) or not _is_plain(values):
         return None
+    return Request(path, _headers(fields))
+
+
+def read_post(data: bytes) -> tuple[Request, int] | None:
+    """Return a request that may have a body, and the size of its head; None while its head is incomplete.
+
+    Raises:
+        ValueError: it is no request.
+    """
+    end = data.find(_END_OF_HEAD)
+    if end < 0 and len(data) <= MAX_HEAD_BYTES:
+        return None
+    head_bytes = end + len(_END_OF_HEAD)
+    if end < 0 or head_bytes > MAX_HEAD_BYTES:
+        raise ValueError(f"request line and headers have more than {MAX_HEAD_BYTES} bytes")
+    found = _POST.fullmatch(data[:head_bytes])
+    if found is None:
+        raise ValueError("invalid request line or header")
+    method, path = found[1].decode("ascii"), found[2].decode("ascii")
+    return Request(path, _headers(_fields(found[3])), method), head_bytes
+
+
+def _fields(lines: bytes) -> list[tuple[str, str]]:
+    pairs = (line.partition(":") for line in lines.decode("ascii").splitlines())
+    return [(name, value.strip(" \t")) for name, _, value in pairs]
+
+
+def _headers(fields: list[tuple[str, str]]) -> Headers:
     headers = Headers()
     for name, value in fields:
         headers[name] = value
-    return Request(path, headers)
+    return headers
 
 
 def _is_plain(values: dict[str, str]) -> bool:

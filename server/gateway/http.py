@@ -1,4 +1,4 @@
-"""HTTP on the port of rosbridge: the page at ``/``, the robot's files below ``/robot/``, and routes.
+"""HTTP on the port of rosbridge: the page at ``/``, the robot's files below ``/robot/``, routes, and posted requests.
 
 One request a connection, answered before there is a WebSocket; requests to upgrade pass, whatever path they have. Files
 are read, compressed and named by their content once, and kept while they do not change.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import gzip
 import hashlib
+import json
 import logging
 import re
 from collections import OrderedDict
@@ -18,7 +19,7 @@ from email.utils import formatdate
 from http import HTTPStatus
 from pathlib import Path, PurePath
 from typing import TypeAlias
-from urllib.parse import unquote
+from urllib.parse import parse_qs, unquote
 
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
@@ -27,6 +28,7 @@ from protocol.errors import one_line, shorten
 from robot.description.model import RobotModel
 from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
+from server.graph.permissions import Identity
 from server.installation import PAGE_DIRECTORY
 from server.robot_files import RobotFiles, package_name, with_package_urls
 
@@ -35,7 +37,17 @@ log = logging.getLogger("armbridge.gateway")
 # Answers a request for one path.
 Route: TypeAlias = Callable[[Request], Awaitable["HttpResponse"]]
 
+# Answers a request with a body for one path; cancelled when the client leaves before its answer.
+PostRoute: TypeAlias = Callable[["PostedRequest"], Awaitable["HttpResponse"]]
+
 METHODS = ("GET", "HEAD")
+
+# A goal for 200 joints has 20 kB, and the event loop reads this much JSON within 1 ms.
+MAX_BODY_BYTES = 32_768
+
+# A page of another site can post a form or plain text without asking first, but no JSON (Fetch standard,
+# "CORS-safelisted request-header").
+BODY_TYPE = "application/json"
 
 # What clients may leave unread in all. The meshes of an arm, to a dozen browsers at a time.
 MAX_UNREAD_BYTES = 256 << 20
@@ -66,6 +78,9 @@ POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
+
+# As long as a number may be that is still compared with the limit.
+_LENGTH = re.compile(r"[0-9]{1,18}")
 
 _WEIGHT_OF_NOTHING = re.compile(r"q\s*=\s*0(\.0*)?")
 
@@ -288,6 +303,17 @@ class HttpResponse:
         return cls(status, body, {"Content-Type": media_type, "Cache-Control": "no-store"})
 
     @classmethod
+    def of_json(cls, status: HTTPStatus, value: object, headers: Mapping[str, str] | None = None) -> HttpResponse:
+        """Return an answer with a value as JSON."""
+        about = {"Content-Type": BODY_TYPE, "Cache-Control": "no-store"}
+        return cls(status, json.dumps(value).encode() + b"\n", {**about, **(headers or {})})
+
+    @classmethod
+    def of_failure(cls, status: HTTPStatus, sentence: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
+        """Return the answer to a posted request that failed."""
+        return cls.of_json(status, {"success": False, "message": sentence}, headers)
+
+    @classmethod
     def of_file(
         cls, file: StoredFile, media_type: str, keeping: str, headers: Mapping[str, str] | None = None
     ) -> HttpResponse:
@@ -309,6 +335,27 @@ class HttpResponse:
         else:
             headers["Content-Length"] = str(len(self.body))
         return Response(status, status.phrase, headers, b"" if unchanged or request.method == "HEAD" else self.body)
+
+
+@dataclass(frozen=True, slots=True)
+class PostedRequest:
+    """Request with a body.
+
+    Attributes:
+        address: address and port of the client, as in ``10.0.0.5:50000``.
+        epoch: stop epoch in which the request arrived.
+    """
+
+    request: Request
+    body: bytes
+    identity: Identity
+    address: str
+    epoch: int
+
+    @property
+    def query(self) -> Mapping[str, list[str]]:
+        """Values by name, from behind the question mark."""
+        return parse_qs(self.request.path.partition("?")[2], keep_blank_values=True)
 
 
 def bad_request(sentence: str) -> bytes:
@@ -338,6 +385,7 @@ class HttpHandler:
         robot: robot whose files are served; None for no such files.
         page_directory: the built page; it may come, go and change while the server runs.
         routes: further handlers, by path without its first slash; they come before the page's files.
+        post_routes: handlers of posted requests, likewise.
     """
 
     def __init__(
@@ -345,9 +393,11 @@ class HttpHandler:
         robot: RobotModel | None = None,
         page_directory: Path = PAGE_DIRECTORY,
         routes: Mapping[str, Route] | None = None,
+        post_routes: Mapping[str, PostRoute] | None = None,
     ) -> None:
         self._files = None if robot is None else RobotFiles(robot)
         self._routes = {} if routes is None else routes
+        self._post_routes = {} if post_routes is None else post_routes
         self._page_directory = page_directory
         # Large meshes do not put the page out, nor does their disk hold it up.
         self._page_files = FileCache()
@@ -363,9 +413,10 @@ class HttpHandler:
             request: it does not ask for a WebSocket.
             send: sends the response, and returns when the client has read it.
         """
-        if request.method not in METHODS:
-            text = f"{request.method[:20]} is not for this address: {' and '.join(METHODS)} are"
-            answer = HttpResponse.of_text(HTTPStatus.METHOD_NOT_ALLOWED, text, {"Allow": ", ".join(METHODS)})
+        methods = ("POST",) if _name(request.path) in self._post_routes else METHODS
+        if request.method not in methods or methods is not METHODS:
+            text = f"{request.method[:20]} is not for this address, but {' and '.join(methods)}"
+            answer = HttpResponse.of_text(HTTPStatus.METHOD_NOT_ALLOWED, text, {"Allow": ", ".join(methods)})
         else:
             answer = await self._answer(request)
         if answer.status >= HTTPStatus.BAD_REQUEST:
@@ -385,6 +436,37 @@ class HttpHandler:
             await send(response)
         finally:
             self._unread_bytes -= len(response.body)
+
+    def body_bytes(self, request: Request) -> int | HttpResponse | None:
+        """Return the size of a posted request's body; a response to refuse it with; None for any other request."""
+        if request.method != "POST" or _name(request.path) not in self._post_routes:
+            return None
+        headers = request.headers
+        named = headers.get_all("Content-Type")
+        media_type = named[0].partition(";")[0].strip().lower() if len(named) == 1 else ""
+        if media_type != BODY_TYPE:
+            sentence = (
+                f"the header Content-Type must be {BODY_TYPE}, not {one_line(shorten(', '.join(named) or 'none'))}"
+            )
+            return HttpResponse.of_failure(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, sentence)
+        lengths = headers.get_all("Content-Length")
+        if headers.get_all("Transfer-Encoding"):
+            sentence = "Transfer-Encoding is not supported; send the body as a whole, with Content-Length"
+            return HttpResponse.of_failure(HTTPStatus.LENGTH_REQUIRED, sentence)
+        if not lengths:
+            return HttpResponse.of_failure(HTTPStatus.LENGTH_REQUIRED, "the header Content-Length is missing")
+        if len(lengths) > 1 or not _LENGTH.fullmatch(lengths[0]):
+            sentence = f"the header Content-Length must be one number, not {one_line(shorten(', '.join(lengths)))}"
+            return HttpResponse.of_failure(HTTPStatus.BAD_REQUEST, sentence)
+        if int(lengths[0]) > MAX_BODY_BYTES:
+            sentence = f"the body has {int(lengths[0])} bytes, the limit is {MAX_BODY_BYTES}"
+            return HttpResponse.of_failure(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, sentence)
+        return int(lengths[0])
+
+    async def answer_posted(self, posted: PostedRequest) -> HttpResponse:
+        """Return the answer to a request whose :meth:`body_bytes` are there."""
+        name = _name(posted.request.path)
+        return await self._post_routes[name or ""](posted)
 
     async def _answer(self, request: Request) -> HttpResponse:
         name = _name(request.path)

@@ -266,7 +266,7 @@ class Listener:
         pair = settings.tls_certificate, settings.tls_key
         self._tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
         self._limiter = ConnectionLimiter(settings)
-        self._limits = settings.limits.limits()
+        self._limits = settings.limits
         self._takes_goals_along = takes_goals_along
         self._sockets: list[socket.socket] = []
         self._tcp_sockets: list[socket.socket] = []

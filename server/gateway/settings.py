@@ -7,9 +7,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from protocol.limits import MAX_SERVER_QUEUED_BYTES
+from protocol.limits import MAX_SERVER_QUEUED_BYTES, Limits
 from robot.logs import LogFormat
-from server.access.settings import SessionSettings
 from server.config_keys import SettingsSection
 
 
@@ -21,44 +20,43 @@ class ServerSettings(SettingsSection):
     port: int = Field(default=9090, ge=0, le=65535)
     """TCP port; 0 takes a free one."""
     ros_version: int = Field(default=2, ge=1, le=2)
-    """generation of ROS in whose spelling clients get messages whose URL has no ``ros``: 1 has seq, secs and nsecs."""
+    """spelling of messages for clients whose URL has no ``?ros=``: ROS 1 has seq, secs and nsecs."""
     tcp_port: int | None = Field(default=None, ge=0, le=65535)
-    """one more port, for clients that speak rosbridge over raw TCP; 0 takes a free one, None for no such port."""
+    """one more port, for rosbridge over raw TCP (docs/raw_tcp.md); 0 takes a free one, None for no such port."""
     # That of ROSIntegration's default, and of the rosbridge_tcp for which such clients were written.
     tcp_ros_version: int = Field(default=1, ge=1, le=2)
-    """generation of ROS in whose spelling clients of tcp_port get messages: 1 has seq, secs and nsecs."""
+    """spelling of messages for the clients of tcp_port."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     """least level of the log."""
     log_format: LogFormat = "plain"
-    """lines for people, or a JSON object a line for programs."""
+    """plain: lines for people; json: a JSON object a line, for programs (docs/operations.md)."""
     relay_unknown_types: bool = False
-    """take topics and services whose types the server does not know, and relay them unchecked."""
+    """relay topics and services of unknown types, unchecked."""
     interfaces: list[Path] = Field(default_factory=list)
-    """ROS packages, or folders of them, whose msg, srv and action files the server reads for types of yours."""
+    """ROS packages, or folders of packages, with msg, srv and action files of your own (docs/types.md)."""
     tls_certificate: Path | None = None
-    """PEM file of the certificate, with those that lead to its issuer, for wss and https; None for neither."""
+    """PEM file of the certificate and its chain, for wss and https (docs/security.md); None for neither."""
     tls_key: Path | None = None
-    """PEM file of its key, without a passphrase; with tls_certificate only."""
+    """PEM file of its key, without a passphrase; only together with tls_certificate."""
     max_clients: int = Field(default=1000, ge=1, le=100_000)
-    """connections at a time, including a page's while it loads."""
+    """connections at a time, including the connections of a page that loads."""
     # Behind a container's proxy all clients have one address.
     max_clients_per_address: int = Field(default=800, ge=1, le=100_000)
     """connections at a time from one address."""
     # A page that loads is thirty connections, and a classroom may come from one address.
     connections_per_s: float = Field(default=100.0, ge=1.0, le=10_000.0)
-    """new connections a second from one address, in the long run; ten seconds' worth of them may come at once [1/s]."""
+    """new connections from one address, in the long run; the number of ten seconds may come at once [1/s]."""
     ping_interval_s: float = Field(default=20.0, ge=1.0, le=3600.0)
-    """how often each client is asked whether it is still there [s]."""
+    """time between two pings to each client [s]."""
     ping_timeout_s: float = Field(default=20.0, ge=1.0, le=3600.0)
-    """a client that sends no pong in this time is disconnected [s]."""
+    """a client that sends no pong within this time is disconnected [s]."""
+    # Some clients open a new socket between advertise and publish.
     unregister_timeout_s: float = Field(default=10.0, ge=0.0, le=3600.0)
-    """for how long a topic keeps its type, and what is latched there, after the last one who used it has left: some
-    clients open a new socket between advertise and publish [s].
-    """
+    """time for which an unused topic keeps its type and its latched message [s]."""
     max_queued_bytes: int = Field(default=MAX_SERVER_QUEUED_BYTES, ge=65_536, le=1_000_000_000_000)
-    """all that waits for clients; beyond it, those that have read least recently lose messages of topics [bytes]."""
-    limits: SessionSettings = SessionSettings()
-    """what one client may cost."""
+    """all data that waits for clients; beyond, the clients that read least recently lose messages of topics [bytes]."""
+    limits: Limits = Limits()
+    """limits of one client."""
 
     @model_validator(mode="after")
     def _one_client_has_a_part(self) -> ServerSettings:

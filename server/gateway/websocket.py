@@ -3,7 +3,7 @@
 Control frames, fragments and everything unusual are for ``ServerProtocol``, the documented sans-I/O interface of
 websockets. Whole messages, nearly all that clients send, are read here, which saves a third of the time of a flood
 (docs/architecture.md). Their mask is taken off by ``websockets.speedups.apply_mask``, the one name in use that
-websockets does not document: numpy takes seven times as long for short messages.
+websockets does not document: so pyproject.toml bounds its version, and each new major version has to be tried.
 """
 
 from __future__ import annotations
@@ -24,11 +24,13 @@ from websockets.server import ServerProtocol
 from websockets.speedups import apply_mask
 
 from protocol.errors import one_line, shorten
+from robot.stop_epochs import STOP_EPOCHS
 from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, HandshakeRequest
-from server.gateway.handshake import accept, read_upgrade
-from server.gateway.http import HttpHandler, HttpResponse, bad_request, names
+from server.gateway.handshake import accept, read_post, read_upgrade
+from server.gateway.http import HttpHandler, HttpResponse, PostedRequest, bad_request, names
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import INTERNAL_ERROR, OUT_OF_MEMORY, Transport
+from server.graph.permissions import Identity
 
 # Looking a member of an enumeration up takes as long as calling a function.
 _OPEN, _TEXT, _BINARY, _CONT, _PONG, _CLOSE = (
@@ -58,6 +60,12 @@ SHORT_FRAME_BYTES = 65_536
 _log = logging.getLogger("armbridge.gateway.websockets")
 _log.setLevel(logging.WARNING)
 
+# For a client that waits with its body for it (RFC 9110, 10.1.1).
+_CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
+
+# First byte of the methods whose requests have a body.
+_MAY_HAVE_BODY = b"P"
+
 _END_OF_REQUEST = b"\r\n\r\n"
 
 # First byte of a whole message: its last frame (0x80), text or binary, without reserved bits (RFC 6455, 5.2).
@@ -85,6 +93,9 @@ class WebSocket(Transport):
         self._http = http
         self._protocol = ServerProtocol(state=State.OPEN, max_size=None, logger=_log)
         self._rejection: HttpResponse | None = None
+        # A posted request whose body has yet to come: its sender, the body's size, and the stop epoch of its arrival.
+        self._may_have_body = False
+        self._post: tuple[Request, Identity, int, int] | None = None
         # The end of the wait for the request; later the next ping, or the end of the wait for its answer.
         self._timer: asyncio.TimerHandle | None = None
         self._opened = False
@@ -109,6 +120,7 @@ class WebSocket(Transport):
         self._cancel_timer()
         if self._opened and not self._ending:
             self._failure = self._failure or self._protocol_failure()
+        self._leave_post()
         super().connection_lost(exc)
 
     def _clear(self) -> None:
@@ -132,6 +144,11 @@ class WebSocket(Transport):
                 self._respond(plain, is_plain=True)
                 return
             self._protocol = ServerProtocol(max_size=None, logger=_log)
+            self._may_have_body = data.startswith(_MAY_HAVE_BODY)
+        if self._may_have_body:
+            self._data += data
+            self._read_post()
+            return
         before = self._request_end
         end = (before + data).find(_END_OF_REQUEST)
         length = len(data) if end < 0 else end + len(_END_OF_REQUEST) - len(before)
@@ -164,7 +181,17 @@ class WebSocket(Transport):
             if self._protocol.state is _OPEN:
                 self._open(request)
         else:
-            self._task = asyncio.get_running_loop().create_task(self._answer(request))
+            body_bytes = self._http.body_bytes(request)
+            if isinstance(body_bytes, HttpResponse):
+                self._write((body_bytes.response(request).serialize(),))
+                self._close_after_replies()
+            elif body_bytes is None or admitted is None:
+                self._task = asyncio.get_running_loop().create_task(self._answer(request))
+            else:
+                self._post = request, admitted, body_bytes, STOP_EPOCHS.present
+                self._call_later(REQUEST_TIMEOUT_S, self._end_request, REQUEST_TIMEOUT_S)
+                if request.headers.get("Expect"):
+                    self._write((_CONTINUE,))
 
     def _open(self, request: Request) -> None:
         self._opened = True
@@ -180,6 +207,39 @@ class WebSocket(Transport):
             async with asyncio.timeout(ANSWER_TIMEOUT_S):
                 await self._http.answer(request, self._send_answer)
         self._close_after_replies()
+
+    def _read_post(self) -> None:
+        """Read a request that may have a body, and answer it once it is complete."""
+        if self._post is None:
+            try:
+                found = read_post(self._data)
+            except ValueError as error:
+                self._cancel_timer()
+                self._refuse_request(f"this is no complete HTTP request: {error}")
+                return
+            if found is None:
+                return
+            self._data = self._data[found[1] :]
+            self._respond(found[0])
+        if self._post is None or len(self._data) < self._post[2]:
+            return
+        self._cancel_timer()
+        request, identity, body_bytes, epoch = self._post
+        posted = PostedRequest(request, self._data[:body_bytes], identity, "{}:{}".format(*self.peer), epoch)
+        self._task = asyncio.get_running_loop().create_task(self._answer_posted(posted))
+
+    async def _answer_posted(self, posted: PostedRequest) -> None:
+        try:
+            answer = await self._http.answer_posted(posted)
+            async with asyncio.timeout(ANSWER_TIMEOUT_S):
+                await self._send_answer(answer.response(posted.request))
+        finally:
+            self._close_after_replies()
+
+    def _leave_post(self) -> None:
+        """Give up a posted request whose client has left."""
+        if self._post is not None and self._task is not None:
+            self._task.cancel()
 
     async def _send_answer(self, response: Response) -> None:
         self._transport.set_write_buffer_limits(0)
@@ -199,6 +259,11 @@ class WebSocket(Transport):
         self._close_after_replies(linger=bool(self.received_bytes))
 
     def eof_received(self) -> bool:
+        if self._post is not None and self._task is not None:
+            # The kernel tells a program that has ended from one that only sends no more by nothing.
+            self._at_eof = True
+            self._leave_post()
+            return False
         if self._opened or self._task is not None or self._ending:
             return super().eof_received()
         self._at_eof = True

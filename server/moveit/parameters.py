@@ -52,7 +52,7 @@ class ServoParameters(SettingsSection):
     """speed of a joint for a command of 1 [rad/s]."""
     # A browser that sends 60 commands a second pauses for up to a quarter of a second to collect garbage.
     incoming_command_timeout: float = Field(default=0.25, ge=LEAST_TIMEOUT_S, le=5.0)
-    """time after which a command expires [s]; a client may choose a shorter one for its own commands."""
+    """time after which a command expires; a client may choose a shorter one for its own commands [s]."""
     rate_hz: float = Field(default=50.0, ge=20.0, le=100.0)
     """rate of new joint velocities [Hz]."""
     velocity_scaling: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -105,13 +105,13 @@ class MoveItParameters(SettingsSection):
     planning_frame: str = ""
     """frame of poses with an empty frame_id; empty for the robot's root link."""
     planner_id: str = ""
-    """which search to use, one of those of docs/planning.md; empty for the default."""
+    """a search algorithm of docs/planning.md; empty for RRTConnect."""
     num_planning_attempts: int = Field(default=5, ge=1, le=MAX_PLANNING_ATTEMPTS)
     """searches of which the shortest result is kept."""
     optimization_time: float = Field(default=0.024, ge=0.0, le=10.0)
     """planning time spent on shortening a motion once there is one [s]."""
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
-    """after this a goal is answered TIMED_OUT [s]."""
+    """planning time after which a goal is answered TIMED_OUT [s]."""
     allowed_execution_duration_scaling: float = Field(default=2.2, ge=1.0, le=100.0)
     """a motion that takes longer than this times what it takes as planned is given up; below 2 also one that a hot
     servo slows down.
@@ -133,13 +133,13 @@ class MoveItParameters(SettingsSection):
     # MoveIt's 0.05 s are all used up when there is no solution; here the answer comes as soon as it is known, and a
     # loaded machine may take longer.
     kinematics_solver_timeout: float = Field(default=0.5, ge=0.001, le=MAX_KINEMATICS_TIMEOUT_S)
-    """time for an inverse kinematics whose caller names none [s]."""
+    """time for inverse kinematics if the request names none [s]."""
     publish_planning_scene_hz: float = Field(default=4.0, ge=0.1, le=50.0)
     """rate of ``/monitored_planning_scene``; changes that come faster are published together [Hz]."""
     geometry_directory: Path | None = None
-    """where the services that save and load the scene's geometry have their files; None for nowhere."""
+    """folder of /save_geometry_to_file and /load_geometry_from_file; None for no such services."""
     servo: ServoParameters = ServoParameters()
-    """how the arm is steered."""
+    """steering of the arm."""
 
     @field_validator("planner_id")
     @classmethod

@@ -14,9 +14,10 @@ from server.gateway.turns import Threads
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.topics import Graph
-from server.zenoh.network import Namespace, Network, SharedNames
+from server.zenoh.called_services import CalledServices
+from server.zenoh.network import ACTION_PARTS, Namespace, Network, SharedNames
+from server.zenoh.offered_services import OfferedServices
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
-from server.zenoh.services import CalledServices, OfferedServices
 from server.zenoh.session import SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
 from server.zenoh.topics import IncomingTopics, OutgoingTopics
@@ -115,17 +116,22 @@ class Sharing:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._network = network
-        graph, takes_commands = network.graph, bool(settings.subscribe or settings.offer)
-        # A machine that may command the arm must be able to stop it, by whichever way.
-        self._subscribe = SharedNames(
-            settings.subscribe, lambda name: takes_commands and rule_of_topic(name, graph).stops
-        )
-        offer = SharedNames(settings.offer, lambda name: takes_commands and rule_of_service(name, graph).stops)
-        self._publish = SharedNames(settings.publish, lambda name: name.endswith(STOPS))
+        graph = network.graph
+        # Stops go across in both directions, whatever is listed.
+        self._offer = SharedNames(settings.offer, lambda name: rule_of_service(name, graph).stops)
         self._call = SharedNames(settings.call)
+        self._subscribe = SharedNames(
+            settings.subscribe,
+            lambda name: rule_of_topic(name, graph).stops,
+            # A called action has these topics of its own.
+            never=lambda name: ACTION_PARTS in name and self._call.matches(name),
+        )
+        self._publish = SharedNames(
+            settings.publish, lambda name: name.endswith(STOPS) or (ACTION_PARTS in name and self._offer.matches(name))
+        )
         self._outgoing = OutgoingTopics(network, self._publish)
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)
-        self._offered = OfferedServices(network, offer, authorizer)
+        self._offered = OfferedServices(network, self._offer, authorizer)
         self._called = CalledServices(network, self._call)
         self._clock = clock
         self._seen: tuple[int, int, tuple[Entity, ...]] | None = None
@@ -169,13 +175,15 @@ class Sharing:
             self._entities = entities
             self._foreign = frozenset(each.endpoint.name for each in entities if self._is_foreign(each))
         self._outgoing.refresh(self._foreign)
-        self._offered.refresh()
+        self._offered.refresh(entities)
 
     def _is_relevant(self, entity: Entity) -> bool:
         """Return True for an entity that may be shared; called in a thread of zenoh."""
         name = self._network.namespace.to_local(entity.endpoint.name)
         if entity.kind is EntityKind.SERVICE:
             return self._call.matches(name)
+        if entity.kind is EntityKind.CLIENT:
+            return self._offer.matches(name)
         if entity.kind is EntityKind.PUBLISHER and self._subscribe.matches(name):
             return True
         return self._is_foreign(entity) and self._publish.matches(name)

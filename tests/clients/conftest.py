@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.helpers.server import RunningServer
+from harness.server import RunningServer
 
 
 @pytest.fixture(scope="module")

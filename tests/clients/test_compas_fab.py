@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.clients import heard_by
+from harness.server import RunningServer
+from tests.helpers.programs import heard_by
 from tests.helpers.robots import so101
-from tests.helpers.server import RunningServer
 
 SCENARIO = Path(__file__).with_name("compas_fab_scenario.py")
 PYTHON = Path(__file__).parents[2] / "build" / "compas_fab" / "bin" / "python"

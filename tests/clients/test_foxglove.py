@@ -16,8 +16,8 @@ import cbor2
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
-from tests.helpers.clients import install_with_npm
-from tests.helpers.server import ROOT, RunningServer
+from harness.server import ROOT, RunningServer
+from tests.helpers.programs import install_with_npm
 
 HERE = Path(__file__).parent / "foxglove"
 LAYOUT = json.loads((ROOT / "examples" / "foxglove_layout.json").read_text())

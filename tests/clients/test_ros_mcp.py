@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.clients import heard_by
-from tests.helpers.server import RunningServer
+from harness.server import RunningServer
+from tests.helpers.programs import heard_by
 
 SCENARIO = Path(__file__).with_name("ros_mcp_scenario.py")
 PYTHON = Path(__file__).parents[2] / "build" / "ros_mcp" / "bin" / "python"

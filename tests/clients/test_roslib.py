@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.clients import heard_by, install_with_npm
-from tests.helpers.server import RunningServer
+from harness.server import RunningServer
+from tests.helpers.programs import heard_by, install_with_npm
 
 HERE = Path(__file__).parent
 OLD = "roslibpy==1.8.1"

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.clients import heard_by
-from tests.helpers.server import RunningServer
+from harness.server import RunningServer
+from tests.helpers.programs import heard_by
 
 SCENARIO = Path(__file__).with_name("sparse_goals_scenario.py")
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import ROOT, RunningServer
 from tests.clients.test_wheel import build
-from tests.helpers.server import ROOT, RunningServer
 from tests.test_readme import blocks
 
 UV = Path(sys.executable).with_name("uv")

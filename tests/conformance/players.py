@@ -10,6 +10,7 @@ from typing import Any
 import bson
 from websockets.asyncio.client import ClientConnection, connect
 
+from harness.waiting import until
 from server.access.authorization import Access
 from server.gateway.listener import Listener
 from server.gateway.raw_tcp import TcpStream
@@ -19,7 +20,6 @@ from server.rosapi import RosApi
 from tests.conformance.cases import play
 from tests.helpers.gateway import REGISTRY, TIMEOUT_S, USER_REGISTRY, listening
 from tests.helpers.raw_tcp import RawClient
-from tests.helpers.waiting import until
 
 # The server takes a frame from its queue and sends what comes of it in two or three.
 TURNS = 10

@@ -8,9 +8,9 @@ import shlex
 import pytest
 import yaml
 
+from harness.server import ROOT
 from server import cli
 from server.config import PREFIX, Settings
-from tests.helpers.server import ROOT
 
 PAGE = (ROOT / "docs/docker.md").read_text()
 LINES = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]

@@ -10,9 +10,9 @@ from fnmatch import fnmatch
 
 import pytest
 
+from harness.server import ROOT
 from server import cli
 from server.gateway.settings import ServerSettings
-from tests.helpers.server import ROOT
 
 Instruction = tuple[str, str]
 

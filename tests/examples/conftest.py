@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.server import FAST, ROOT, RunningServer
+from harness.server import FAST, ROOT, RunningServer
 
 EXAMPLES = ROOT / "examples"
 EXAMPLE_TIMEOUT_S = 60

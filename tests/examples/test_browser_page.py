@@ -10,9 +10,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from harness.page import browser_is_missing, chromium
+from harness.server import RunningServer
 from tests.examples.conftest import EXAMPLES
-from tests.helpers.page import browser_is_missing, chromium
-from tests.helpers.server import RunningServer
 
 PATIENCE_MS = 20_000
 

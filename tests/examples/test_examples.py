@@ -16,10 +16,10 @@ from collections.abc import Iterator
 import pytest
 from websockets.sync.client import connect
 
+from harness.clients import call_on
+from harness.server import FAST_ARMS, RunningServer, free_port
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
-from tests.helpers.clients import call_on
-from tests.helpers.server import FAST_ARMS, RunningServer, free_port
 
 SCREEN_LINES = 100
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from websockets.sync.client import connect
 
-from tests.helpers.server import ROOT, RunningServer
+from harness.server import ROOT, RunningServer
 from tests.test_readme import blocks
 
 ANSWER_TIMEOUT_S = 60.0

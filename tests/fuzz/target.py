@@ -39,7 +39,7 @@ from tests.helpers.gateway import AtOnce, UnreadSocket
 REGISTRY = Registry.load()
 
 # Small limits are reached by small inputs.
-LIMITS = Limits(
+LIMITS = Limits.model_construct(
     max_message_bytes=200_000,
     max_fragments=100,
     max_fragmented_messages=4,

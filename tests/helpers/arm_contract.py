@@ -18,6 +18,8 @@ from typing import Any
 
 import pytest
 
+from harness.emulator import RunningEmulator
+from harness.waiting import until
 from robot.arm import Arm
 from robot.calibration import Calibration, find_calibration
 from robot.description.limits import within_calibration
@@ -36,8 +38,7 @@ from tests.helpers import dynamixel
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, recalibrated, so101
 from tests.helpers.scripted_servos import ScriptedServos
-from tests.helpers.terminal_servos import RunningEmulator, ScriptedPeer
-from tests.helpers.waiting import until
+from tests.helpers.terminal_servos import ScriptedPeer
 
 # Without weight on it, and with room to both sides.
 JOINT = "wrist_roll"

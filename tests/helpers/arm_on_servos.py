@@ -7,6 +7,8 @@ import signal
 from dataclasses import replace
 from pathlib import Path
 
+from harness.server import EmulatorControl, read_write_log
+from harness.waiting import until
 from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig
@@ -15,8 +17,6 @@ from robot.processes import RestartDelay
 from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import nominal_calibration, so101
-from tests.helpers.server import EmulatorControl, read_write_log
-from tests.helpers.waiting import until
 
 CALIBRATION = nominal_calibration()
 ROBOT = within_calibration(so101(), CALIBRATION)

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import TIMEOUT_S, until
 from protocol.interface_packages import read_packages
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage, Frame
@@ -37,7 +38,6 @@ from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
 from tests.helpers.rules import with_server_rules
-from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
 USER_REGISTRY = read_packages([INTERFACES]).registry()

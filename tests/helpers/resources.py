@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
+from harness.server import REFERENCE
+
 if TYPE_CHECKING:
     from hypothesis import settings
-
-SHARED = Path(__file__).parents[3] / "shared" / "data"
 
 
 def shared_data() -> Path:
     """The folder of reference data; skips the test where it is absent."""
-    if not SHARED.is_dir():
+    if not REFERENCE.is_dir():
         pytest.skip("the reference data beside the checkout (../shared/data) is absent")
-    return SHARED
+    return REFERENCE
 
 
 class Pair(NamedTuple):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.helpers.server import ROOT
+from harness.server import ROOT
 
 ROOMS = ("server", "planners", "robot", "protocol")
 

@@ -1,14 +1,10 @@
-"""Servos on a pseudo terminal, in real time: an emulator process, and a peer that answers by a script."""
+"""A peer on a pseudo terminal that answers by a script, in real time."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import select
-import socket
-import subprocess
-import sys
 import threading
 import time
 import tty
@@ -20,41 +16,7 @@ from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus
 from tests.helpers.scripted_servos import Script
 
-START_TIMEOUT_S = 10.0
 END_TIMEOUT_S = 5.0
-
-
-class RunningEmulator:
-    """An emulator process and the test's end of its control socket."""
-
-    def __init__(self, *options: str) -> None:
-        ours, theirs = socket.socketpair()
-        with theirs:
-            self.process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "robot.emulator", "--control-fd", str(theirs.fileno()), *options],
-                pass_fds=[theirs.fileno()],
-            )
-        ours.settimeout(START_TIMEOUT_S)
-        self._socket = ours
-        self._lines = ours.makefile("rb")
-        self.port: str = json.loads(self._lines.readline())["port"]
-
-    def command(self, **command: object) -> dict[str, object]:
-        """Send one live command and return the answer."""
-        self._socket.sendall(json.dumps(command).encode() + b"\n")
-        answer: dict[str, object] = json.loads(self._lines.readline())
-        return answer
-
-    def let_go(self) -> None:
-        """Close the control socket."""
-        self._lines.close()
-        self._socket.close()
-
-    def end(self) -> None:
-        """End the process, whatever it does."""
-        self.let_go()
-        self.process.terminate()
-        self.process.wait(END_TIMEOUT_S)
 
 
 class ScriptedPeer:

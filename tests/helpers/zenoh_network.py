@@ -17,6 +17,8 @@ from typing import Any
 import zenoh
 from rosbags.typesys import Stores, get_typestore
 
+from harness.server import free_port
+from harness.waiting import TIMEOUT_S, until
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.access.authorization import Access
@@ -27,8 +29,6 @@ from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings
 from tests.helpers.rules import with_server_rules
-from tests.helpers.server import free_port
-from tests.helpers.waiting import TIMEOUT_S, until
 
 REGISTRY = Registry.load()
 STORE = get_typestore(Stores.ROS2_JAZZY)

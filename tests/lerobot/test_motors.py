@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.emulator import RunningEmulator
 from tests.helpers.kit import KIT
 from tests.helpers.robots import SO101_SERVOS
-from tests.robot.conftest import RunningEmulator, start_terminal  # noqa: F401 - fixture
 
 SCENARIO = Path(__file__).with_name("motors_scenario.py")
 PYTHON = Path(__file__).parents[2] / "build" / "lerobot" / "bin" / "python"
@@ -42,7 +42,7 @@ def driver(port: str) -> Iterator[Callable[[str], object]]:
 
 
 def test_a_kit_is_set_up_and_read_by_lerobot(
-    start_terminal: Callable[..., RunningEmulator],  # noqa: F811
+    start_terminal: Callable[..., RunningEmulator],
     tmp_path: Path,
 ) -> None:
     emulator = start_terminal(*KIT, "--link", str(tmp_path / "port"))

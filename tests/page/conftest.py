@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.page import OpenPage, chromium, opened, what_is_missing
-from tests.helpers.server import RunningServer
+from harness.page import OpenPage, chromium, opened, what_is_missing
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.page import AXE, DESKTOP, FIND_VIOLATIONS, PHONE, RULES, OpenPage, opened
-from tests.helpers.server import RunningServer
+from harness.page import AXE, DESKTOP, FIND_VIOLATIONS, PHONE, RULES, OpenPage, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.page import OpenPage, opened
+from harness.page import OpenPage, opened
+from harness.server import RunningServer
 from tests.helpers.robots import meshed_arm
-from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, WebSocketRoute

@@ -10,9 +10,9 @@ from typing import Any
 from PIL import Image
 from websockets.sync.client import connect
 
-from tests.helpers.clients import call
-from tests.helpers.page import OpenPage
-from tests.helpers.server import RunningServer
+from harness.clients import call
+from harness.page import OpenPage
+from harness.server import RunningServer
 
 TOPIC = "/camera/image/compressed"
 TYPE = "sensor_msgs/CompressedImage"

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from harness.page import OpenPage, opened
+from harness.server import EmulatorControl, ServerOnBus, server_on_bus
 from robot.commissioning.directions import asked_motions
 from server.arm.setup import Description
 from server.config import ArmSettings
-from tests.helpers.page import OpenPage, opened
-from tests.helpers.server import EmulatorControl, ServerOnBus, server_on_bus
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.page import DESKTOP, OpenPage, opened
-from tests.helpers.server import RunningServer
+from harness.page import DESKTOP, OpenPage, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, WebSocketRoute

@@ -7,9 +7,9 @@ import time
 
 from websockets.sync import client as blocking
 
+from harness.page import SHARED, OpenPage
+from harness.server import RunningServer
 from tests.helpers.arm_record import MOVED_RAD, arm_record
-from tests.helpers.page import SHARED, OpenPage
-from tests.helpers.server import RunningServer
 
 SETTINGS = SHARED | {"ARMBRIDGE_GOALS__CONFIRM": "true"}
 

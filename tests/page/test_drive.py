@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
-from tests.helpers.server import RunningServer
+from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

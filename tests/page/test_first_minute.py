@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.page import DESKTOP, PHONE, OpenPage, opened
-from tests.helpers.server import RunningServer
+from harness.page import DESKTOP, PHONE, OpenPage, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.page import PHONE, SHARED, OpenPage, opened
-from tests.helpers.server import RunningServer
+from harness.page import PHONE, SHARED, OpenPage, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 from PIL import Image
 
-from tests.helpers.clients import tip
-from tests.helpers.page import DESKTOP, PHONE, SHARED, OpenPage, opened
-from tests.helpers.server import RunningServer
+from harness.clients import tip
+from harness.page import DESKTOP, PHONE, SHARED, OpenPage, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.clients import tip
-from tests.helpers.page import SHARED, OpenPage, opened
+from harness.clients import tip
+from harness.page import SHARED, OpenPage, opened
+from harness.server import ROOT, RunningServer
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
-from tests.helpers.server import ROOT, RunningServer
 from tests.page.test_drive import hold, press_until
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.clients import call, goal, tip
-from tests.helpers.page import SHARED, OpenPage, opened
-from tests.helpers.server import RunningServer
+from harness.clients import call, goal, tip
+from harness.page import SHARED, OpenPage, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from websockets.sync import client as blocking
 
-from tests.helpers.clients import call_on, tip
-from tests.helpers.page import PHONE, SHARED, OpenPage, at_ready, opened
-from tests.helpers.server import RunningServer
+from harness.clients import call_on, tip
+from harness.page import PHONE, SHARED, OpenPage, at_ready, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

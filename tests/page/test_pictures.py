@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.clients import call, goal
-from tests.helpers.page import DESKTOP, PHONE, SHOTS, OpenPage, opened, page_digest
-from tests.helpers.server import RunningServer
+from harness.clients import call, goal
+from harness.page import DESKTOP, PHONE, SHOTS, OpenPage, opened, page_digest
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -5,8 +5,8 @@ from __future__ import annotations
 import signal
 from typing import TYPE_CHECKING
 
-from tests.helpers.page import opened
-from tests.helpers.server import RunningServer
+from harness.page import opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from websockets.sync.client import connect
 
-from tests.helpers.clients import call
-from tests.helpers.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage, opened
-from tests.helpers.server import FAST, ROOT, RunningServer
+from harness.clients import call
+from harness.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage, opened
+from harness.server import FAST, ROOT, RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

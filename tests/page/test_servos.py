@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.clients import call
-from tests.helpers.page import OpenPage, opened
-from tests.helpers.server import ServerOnBus, server_on_bus
-from tests.helpers.waiting import wait_until
+from harness.clients import call
+from harness.page import OpenPage, opened
+from harness.server import ServerOnBus, server_on_bus
+from harness.waiting import wait_until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tests.helpers.clients import goal
-from tests.helpers.page import PHONE, SHARED, OpenPage, opened
-from tests.helpers.server import RunningServer
+from harness.clients import goal
+from harness.page import PHONE, SHARED, OpenPage, opened
+from harness.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

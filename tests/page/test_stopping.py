@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import pytest
 from websockets.sync import client as blocking
 
+from harness.clients import call, publish, values_of
+from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
+from harness.server import RunningServer
 from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
-from tests.helpers.clients import call, publish, values_of
-from tests.helpers.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
-from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

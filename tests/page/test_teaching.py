@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.clients import call
-from tests.helpers.page import AXE, FIND_VIOLATIONS, RULES, SHARED, OpenPage, opened
+from harness.clients import call
+from harness.page import AXE, FIND_VIOLATIONS, RULES, SHARED, OpenPage, opened
+from harness.server import FAST, ServerOnBus, server_on_bus
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.server import FAST, ServerOnBus, server_on_bus
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

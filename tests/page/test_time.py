@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.helpers.clients import call, goal
-from tests.helpers.page import DESKTOP, OpenPage, opened
-from tests.helpers.server import ROOT, RunningServer
+from harness.clients import call, goal
+from harness.page import DESKTOP, OpenPage, opened
+from harness.server import ROOT, RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -10,10 +10,10 @@ from urllib.parse import quote
 import pytest
 from websockets.sync.client import connect
 
-from tests.helpers.clients import call_on
-from tests.helpers.page import OpenPage, opened
+from harness.clients import call_on
+from harness.page import OpenPage, opened
+from harness.server import RunningServer
 from tests.helpers.robots import meshed_arm, small_stl
-from tests.helpers.server import RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, WebSocket

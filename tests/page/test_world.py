@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.helpers.clients import call
-from tests.helpers.page import PHONE, SHARED, OpenPage, opened
-from tests.helpers.server import FAST, RunningServer
+from harness.clients import call
+from harness.page import PHONE, SHARED, OpenPage, opened
+from harness.server import FAST, RunningServer
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

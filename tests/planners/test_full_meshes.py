@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness.full_meshes import Judge
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
 from tests.helpers import resources
-from tests.helpers.full_meshes import Judge
 from tests.helpers.robots import so101
 
 # Of each list of a file, every so manieth problem: all of them are the benchmark's.
@@ -34,7 +34,7 @@ def fields_of(name: str):
 @cache
 def judged(name: str):
     _, fields = fields_of(name)
-    return fields, Judge(resources.SHARED, fields)
+    return fields, Judge(resources.REFERENCE, fields)
 
 
 def straight(start, goal, duration_s: float):

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
+from harness.waiting import given_up, until
 from planners import budget
 from planners import pool as pool_module
 from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING
@@ -24,7 +25,6 @@ from planners.worker_process import DEADLINE_CHECK_S
 from tests.helpers.fake_workers import CRASHES, DEAF, HARD, IN_VAIN, PLAN, SEARCH_S, SOUND, TIMED_OUT, Farm
 from tests.helpers.motions import EASY, REQUESTS, START, STATE, STILL
 from tests.helpers.robots import so101
-from tests.helpers.waiting import given_up, until
 from tests.planners.scenes import boxes
 
 pytestmark = pytest.mark.stepped_time

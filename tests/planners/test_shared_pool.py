@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
+from harness.waiting import TIMEOUT_S, given_up, until
 from planners import pool_host, shared_pool
 from planners.pool_host import LONGEST_PLANNING_S, PlannerHost, bounded
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure
@@ -22,7 +23,6 @@ from robot import channel
 from tests.helpers.fake_workers import CRASHES, DEAF, SOUND, TOUCHING, FakeWorker, Farm
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
-from tests.helpers.waiting import TIMEOUT_S, given_up, until
 
 Servers = tuple[SharedPlanners, SharedPlanners]
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
+from harness.waiting import given_up
 from planners import worker_process
 from planners.messages import (
     Answered,
@@ -26,7 +27,6 @@ from planners.worker_process import DEADLINE_CHECK_S, WorkerProcess, timeout_aft
 from tests.helpers.fake_workers import PLAN, SOUND, TIMED_OUT
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
-from tests.helpers.waiting import given_up
 from tests.planners.scenes import boxes
 
 pytestmark = pytest.mark.stepped_time

@@ -19,13 +19,13 @@ import numpy as np
 import psutil
 import uvloop
 
+from harness.figures import percentiles, print_table
 from planners import worker_process
 from planners.interface import LOAD_TIMEOUT_S
 from planners.pool import OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
 from robot.description.robot_folder import built_in
 from tests.helpers.broken_planner import FAULTS
-from tests.helpers.figures import percentiles, print_table
 from tests.helpers.motions import EASY, LONG, STATE, broken
 
 MEMORY_LIMIT_BYTES = 300_000_000

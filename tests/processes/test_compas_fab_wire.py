@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
-from tests.helpers.server import RunningServer
+from harness.server import RunningServer
 
 STEPS = json.loads((Path(__file__).parent / "compas_fab_wire.json").read_text())
 ANSWER_TIMEOUT_S = 60.0

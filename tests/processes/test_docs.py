@@ -11,7 +11,7 @@ import sys
 import pytest
 from websockets.sync.client import connect
 
-from tests.helpers.server import ROOT, RunningServer
+from harness.server import ROOT, RunningServer
 from tests.test_docs import EXAMPLES, PAGES
 from tests.test_readme import blocks
 
@@ -28,7 +28,7 @@ ANSWER_TIMEOUT_S = 60
 SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
 
 
-WITH_CODE = ("browser.md", "unity.md", "unreal.md")
+WITH_CODE = ("browser.md",)
 
 
 PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
@@ -55,6 +55,25 @@ def test_a_command_with_an_example_succeeds(command: str, simulated_server: Runn
     arguments = [port if word == SERVER_PORT else word for word in arguments]
     done = run_python(arguments if port in arguments else [*arguments, "--port", port])
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+CURL = [line for line in "".join(blocks(ROOT / "docs" / "http.md", "sh")).splitlines() if line.startswith("curl ")]
+
+
+@pytest.mark.parametrize("command", CURL)
+def test_a_goal_of_the_page_about_http_is_carried_out(command: str, simulated_server: RunningServer) -> None:
+    token = "the-token-of-the-controller"
+    words = shlex.split(command.replace(SERVER_PORT, str(simulated_server.port)).replace("$TOKEN", token))
+    assert words[0] == "curl"
+    done = subprocess.run(
+        [*words, "--silent", "--show-error", "--fail-with-body"],
+        capture_output=True,
+        text=True,
+        timeout=RUN_TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads(done.stdout)["success"]
 
 
 def messages_in_code(page: str) -> list[str]:

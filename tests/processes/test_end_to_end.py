@@ -19,13 +19,13 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from websockets.asyncio.client import connect
 
+from harness.clients import FrameClient, frame_client, goal_is, status_state
+from harness.server import RunningServer, read_write_log
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.installation import PAGE_DIRECTORY
 from server.recording.replay import Recording
-from tests.helpers.clients import FrameClient, frame_client, goal_is, status_state
 from tests.helpers.robots import nominal_calibration, so101
-from tests.helpers.server import RunningServer, read_write_log
 
 # What the Unreal client sends, to the letter.
 SUBSCRIBE = '{"op":"subscribe","topic":"/joint_states","type":"sensor_msgs/JointState"}'

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
+from harness.server import FAST, ROOT, RunningServer
 from robot.description import robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
-from tests.helpers.server import FAST, ROOT, RunningServer
 
 # Each wave is over within this time, or is cancelled.
 DEADLINE_S = 30.0

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient, FrameClient, arm_client, frame_client, status_state
+from harness.server import RunningServer
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from server.moveit.poses import pose_of, write_pose
-from tests.helpers.clients import ArmClient, FrameClient, arm_client, frame_client, status_state
 from tests.helpers.robots import LIFTED_GRIPPER, LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF, folder_arguments
-from tests.helpers.server import RunningServer
 
 LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)
 BENT = dict(LIFTED.named_states["arm"]["bent"])

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import FrameClient, arm_client, frame_client, values_of
+from harness.server import RunningServer
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.moveit.poses import pose_of, write_pose
-from tests.helpers.clients import FrameClient, arm_client, frame_client, values_of
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
-from tests.helpers.server import RunningServer
 
 # The last joint moves the hand along its axis instead of about it.
 TURNS = '<axis xyz="0 0 1"/><limit lower="-2.9" upper="2.9" velocity="4" effort="9"/>'

@@ -6,9 +6,9 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from tests.helpers.clients import FrameClient, arm_client, frame_client
+from harness.clients import FrameClient, arm_client, frame_client
+from harness.server import RunningServer
 from tests.helpers.dynamixel import KOCH
-from tests.helpers.server import RunningServer
 
 # Droop under the links' weight, and backlash of the goal's ticks [rad].
 ARRIVED = 0.03

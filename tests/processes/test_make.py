@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.server import ROOT
+from harness.server import ROOT
 
 # Stands in for python3: answers what make asks, notes what it is called with, and does as the variables say.
 PYTHON = """#!/bin/sh

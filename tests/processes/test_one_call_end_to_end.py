@@ -11,8 +11,8 @@ import cbor2
 import pytest
 from websockets.asyncio.client import connect
 
-from tests.helpers.clients import ArmClient, arm_client
-from tests.helpers.server import RunningServer
+from harness.clients import ArmClient, arm_client
+from harness.server import RunningServer
 
 NAME, ACTION_TYPE = "/moveit_goal", "armbridge_msgs/action/MoveitGoal"
 PAN_RAD = 0.4

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import arm_client, frame_client
+from harness.server import RunningServer
 from robot.description import model
 from robot.description.example_robots import _robots, _urdfs, find_example
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.moveit.poses import pose_of, write_pose
-from tests.helpers.clients import arm_client, frame_client
-from tests.helpers.server import RunningServer
 
 pytestmark = [
     pytest.mark.skipif(find_example("panda") is None, reason="the package example-robot-data is not installed"),

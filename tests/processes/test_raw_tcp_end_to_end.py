@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.server import FAST, ROOT, RunningServer
+from harness.server import FAST, ROOT, RunningServer
 
 SOURCE = ROOT / "tests" / "helpers" / "raw_tcp_client.c"
 TOKEN = "unreal-0123456789abcdef"

@@ -14,8 +14,8 @@ import psutil
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
-from tests.helpers.clients import FrameClient, frame_client, goal_is
-from tests.helpers.server import ROOT, RunningServer, ServerOnBus, free_port, run_command, server_on_bus
+from harness.clients import FrameClient, frame_client, goal_is
+from harness.server import ROOT, RunningServer, ServerOnBus, free_port, run_command, server_on_bus
 
 RESULT = "/moveit_goal_result"
 STATE = "/arm/state"

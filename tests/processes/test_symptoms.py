@@ -18,6 +18,8 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 from websockets.sync.client import ClientConnection, connect
 
+from harness.emulator import RunningEmulator
+from harness.server import ROOT, RunningServer, ServerOnBus, server_on_bus
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
@@ -34,17 +36,7 @@ from tests.helpers.arm_rig import CALIBRATION, ArmRig
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101_SERVOS
-from tests.helpers.server import ROOT, RunningServer, ServerOnBus, server_on_bus
-from tests.helpers.terminal_servos import RunningEmulator
-from tests.robot.conftest import start_terminal  # noqa: F401 - the fixture
-from tests.server.commands.conftest import (  # noqa: F401 - fixtures
-    Run,
-    armbridge,
-    bus,
-    emulator,
-    start_emulator,
-    write_log,
-)
+from tests.server.commands.conftest import Run, armbridge, emulator  # noqa: F401 - fixtures
 
 PAGE = ROOT / "docs" / "hardware.md"
 TABLE = ROOT / "tests" / "TRAPS.md"
@@ -361,7 +353,7 @@ def test_a_bus_that_is_silent_after_a_power_cycle_is_told_with_what_all_servos_s
 
 
 @pytest.fixture
-def kit(start_emulator: Callable[..., SteppedEmulator]) -> SteppedEmulator:  # noqa: F811 - the fixture
+def kit(start_emulator: Callable[..., SteppedEmulator]) -> SteppedEmulator:
     """New servos, all in the chain."""
     return start_emulator("--population", "kit")
 
@@ -401,7 +393,7 @@ def test_an_arm_that_stays_stiff_is_relaxed_without_a_server(
 
 
 def test_a_server_whose_servos_another_program_has_shifted_refuses_to_enable_them(
-    start_terminal: Callable[..., RunningEmulator],  # noqa: F811 - the fixture
+    start_terminal: Callable[..., RunningEmulator],
     tmp_path: Path,
 ) -> None:
     joints = [replace(each, homing_offset=23) if each.joint == "elbow_flex" else each for each in CALIBRATION.joints]

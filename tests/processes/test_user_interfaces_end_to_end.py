@@ -15,11 +15,11 @@ import pytest
 from mcap.reader import make_reader
 from websockets.asyncio.client import ClientConnection, connect
 
+from harness.clients import ANSWER_TIMEOUT_S, ArmClient
+from harness.server import RunningServer
 from protocol.codecs import cdr
 from protocol.interface_packages import read_packages
 from tests.conformance.cases import INTERFACES
-from tests.helpers.clients import ANSWER_TIMEOUT_S, ArmClient
-from tests.helpers.server import RunningServer
 
 REGISTRY = read_packages([INTERFACES]).registry()
 SAMPLE = {

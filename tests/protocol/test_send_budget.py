@@ -142,7 +142,7 @@ def test_a_message_counts_by_its_real_size_once_it_has_been_encoded() -> None:
 
 
 def test_what_turns_out_too_large_when_it_is_encoded_has_older_topic_data_dropped() -> None:
-    queue = SendQueue(Limits(max_queued_bytes=10_000))
+    queue = SendQueue(Limits.model_construct(max_queued_bytes=10_000))
     put(queue, 5)
     queue.put_topic_data(TOPIC, later(8000), 0.0)
     (large,) = queue.take_unready()
@@ -152,7 +152,7 @@ def test_what_turns_out_too_large_when_it_is_encoded_has_older_topic_data_droppe
     assert queue.size_bytes == 10_000
 
 
-LIMITS = Limits(
+LIMITS = Limits.model_construct(
     max_queued_bytes=20_000,
     max_queued_messages=15,
     max_queued_request_bytes=6000,

@@ -12,7 +12,9 @@ from protocol.subscriptions import Subscription
 def send_queue(topic_frames=100, reply_frames=100, frame_bytes=10):
     size_bytes = frame_bytes + FRAME_OVERHEAD_BYTES
     return SendQueue(
-        Limits(max_queued_bytes=topic_frames * size_bytes, max_queued_reply_bytes=reply_frames * size_bytes)
+        Limits.model_construct(
+            max_queued_bytes=topic_frames * size_bytes, max_queued_reply_bytes=reply_frames * size_bytes
+        )
     )
 
 
@@ -138,7 +140,7 @@ steps = st.lists(st.tuples(st.sampled_from("abcdr-"), st.integers(min_value=0, m
 @given(steps)
 def test_order_and_bound_hold_whatever_comes(actions):
     limit_bytes = 2000
-    box = SendQueue(Limits(max_queued_bytes=limit_bytes, max_queued_reply_bytes=1_000_000))
+    box = SendQueue(Limits.model_construct(max_queued_bytes=limit_bytes, max_queued_reply_bytes=1_000_000))
     lanes = {
         "a": Subscription("/a"),
         "b": Subscription("/b", queue_length=2),
@@ -209,14 +211,14 @@ def test_requests_leave_in_order_with_replies():
 
 
 def test_requests_beyond_their_bound_are_refused_until_there_is_room():
-    box = SendQueue(Limits(max_queued_request_bytes=2 * encoded(b"1").size_bytes))
+    box = SendQueue(Limits.model_construct(max_queued_request_bytes=2 * encoded(b"1").size_bytes))
     assert [box.put_request(encoded(frame)) for frame in (b"1", b"2", b"3")] == [True, True, False]
     assert taken(box, 1.0) == [b"1", b"2"]
     assert box.put_request(encoded(b"4"))
 
 
 def test_one_request_and_one_reply_may_have_any_size_and_take_no_room_from_each_other():
-    box = SendQueue(Limits(max_queued_request_bytes=1, max_queued_reply_bytes=1))
+    box = SendQueue(Limits.model_construct(max_queued_request_bytes=1, max_queued_reply_bytes=1))
     assert box.put_request(encoded(b"x" * 1000))
     box.put_reply(encoded(b"x" * 1000))
     assert not box.overflowed
@@ -324,7 +326,7 @@ def test_messages_that_wait_for_the_clients_own_throttle_are_not_late() -> None:
 
 
 def test_no_more_small_messages_wait_than_are_given_up_quickly(free: Subscription) -> None:
-    box = SendQueue(Limits(max_queued_messages=100))
+    box = SendQueue(Limits.model_construct(max_queued_messages=100))
     put_all(box, free, frames(250))
     assert taken(box, 0.0) == frames(100, start=150)
 

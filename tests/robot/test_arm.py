@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
+from harness.waiting import until
 from robot.arm import Arm
 from robot.messages import Mode, Order, Outcome
 from robot.stop_epochs import STOP_EPOCHS
 from tests.helpers.arm_on_servos import SOON_S, ArmOnServos, to
 from tests.helpers.motions import smooth_move
-from tests.helpers.waiting import until
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 

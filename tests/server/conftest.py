@@ -8,11 +8,11 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import ServerOnBus, server_on_bus
 from robot import logs
 from robot.logs import OUR_LOGGER
-from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.server import ServerOnBus, server_on_bus
 
 JOINTS = {joint.joint: joint for joint in nominal_calibration().joints}
 FAST = {"MOVEIT__MAX_VELOCITY_SCALING": "1.0", "MOVEIT__MAX_ACCELERATION_SCALING": "1.0"}

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from protocol.limits import Limits
 from protocol.registry import Registry
-from server.access.settings import SessionSettings
 from server.app import App
 from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
@@ -28,7 +28,7 @@ def test_a_recording_that_cannot_be_written_prevents_the_start(tmp_path: Path) -
 
 
 async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
-    limits = SessionSettings(max_message_bytes=70_000)
+    limits = Limits(max_message_bytes=70_000)
     app = App(
         Settings(server=ServerSettings(unregister_timeout_s=3.0, limits=limits), zenoh=ZenohSettings(mode="peer"))
     )

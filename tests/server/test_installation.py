@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import ROOT
 from server import cli
 from server.installation import PAGE_DIRECTORY, version_line
-from tests.helpers.server import ROOT
 
 
 def test_the_version_names_the_program_and_the_page(tmp_path: Path) -> None:

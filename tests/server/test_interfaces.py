@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import ROOT
 from protocol.registry import Registry
 from server.errors import ConfigurationError
 from server.interfaces import OWN_PACKAGES, load_registry
 from tests.conformance.cases import INTERFACES
-from tests.helpers.server import ROOT
 
 # A type's name in a text: `geometry_msgs/Point`, `moveit_msgs/msg/RobotState`.
 TYPE_NAME = re.compile(r"[\"'`]([a-z][a-z0-9_]*)/(?:(msg|srv|action)/)?([A-Z]\w*)[\"'`]")

@@ -9,10 +9,10 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from harness.waiting import until
 from robot.logs import OUR_LOGGER
 from server import lifecycle
 from server.lifecycle import on_hangup, toggle_debug
-from tests.helpers.waiting import until
 
 
 class Told:

@@ -22,7 +22,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
-from server.arrival import arrival_epoch
+from server.arrival import is_stopped
 from server.errors import RefusedError
 from server.execution.goal import CancelScope
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
@@ -40,6 +40,9 @@ from server.moveit.error_codes import invalid
 log = logging.getLogger("armbridge.gripper")
 
 FEEDBACK_PERIOD_S = 0.1
+
+# A tick of the arm process.
+STEERING_PERIOD_S = 0.01
 
 # Of the arm's clock. A grip takes the goal back from behind the object, a step a tick: half a second for the whole way.
 SQUEEZE_TIMEOUT_S = 1.0
@@ -149,8 +152,8 @@ class Gripper:
 
     def claim(self) -> CancelScope:
         """Claim the gripper for the request in progress; a request that a stop has overtaken replaces no other."""
-        claim = CancelScope(arrival_epoch())
-        if claim.epoch >= self._arm.last_stop:
+        claim = CancelScope()
+        if not is_stopped(self._arm.last_stop, claim.epoch):
             if self._newest is not None:
                 self._newest.cancel("a newer command has come")
             self._newest = claim
@@ -162,9 +165,32 @@ class Gripper:
         """Execute a command; every wait is bounded."""
         async with self._turn:
             await self._arm.until_started(ARM_START_TIMEOUT_S)
-            if claim.reason or claim.epoch < self._arm.last_stop:
+            if claim.reason or is_stopped(self._arm.last_stop, claim.epoch):
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
             return await self._play(claim, command, report)
+
+    async def follow(self, claim: CancelScope, velocities: Callable[[Vector], Vector]) -> MotionEnded:
+        """Follow velocities until the claim is cancelled, or a finger stalls and so grips.
+
+        Args:
+            velocities: velocity of each finger for its goal, both of shape (joints,) [rad/s or m/s; rad or m].
+        """
+        async with self._turn:
+            if claim.reason or is_stopped(self._arm.last_stop, claim.epoch):
+                return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
+            check_ready(self._arm)
+            stream = self._arm.stream(self._names, epoch=claim.epoch, gripping=True)
+            awaited: tuple[asyncio.Future[Any], ...] = (stream.ended, claim.cancelled)
+            try:
+                while not stream.ended.done() and not claim.reason:
+                    goals = self._goals() if stream.commanded is None else stream.commanded.position_rad
+                    stream.steer(velocities(goals))
+                    await asyncio.wait(awaited, timeout=STEERING_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                self._arm.stop(stream.ended)
+            if not await self._arm.wait((stream.ended,), BRAKING_TIMEOUT_S):
+                return MotionEnded(0, Outcome.PROCESS_LOST, "the arm did not end the gripper's motion in time")
+            return stream.ended.result()
 
     def _stop_motion(self) -> None:
         if self._motion is not None and not self._motion.done():

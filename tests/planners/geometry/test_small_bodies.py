@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from harness.meshes import ball
 from planners.geometry import surfaces
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollisionModel
@@ -13,7 +14,6 @@ from planners.geometry.joint_space import JointSpace
 from planners.geometry.plain_urdf import kinematic_urdf
 from planners.scene import AttachedObject, Cylinder, Mesh, Sphere
 from robot.trajectory import Trajectory
-from tests.helpers.meshes import ball
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import scene, thing
 

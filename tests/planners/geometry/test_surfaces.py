@@ -7,13 +7,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from harness.full_meshes import Judge
 from planners.errors import ShapeError
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
 from planners.geometry import surfaces
 from planners.geometry.plain_urdf import kinematic_urdf
 from robot.description.model import LinkSurface
-from tests.helpers.full_meshes import Judge
 
 # Every so manieth problem of the file: all of them are the benchmark's.
 SHARE = 4

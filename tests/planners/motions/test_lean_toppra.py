@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.helpers.server import ROOT
+from harness.server import ROOT
 
 
 def test_no_warning_is_shown_where_toppra_is_compiled(tmp_path: Path) -> None:

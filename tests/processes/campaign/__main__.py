@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
+from harness.figures import print_table
 from robot.emulator.populations import POPULATIONS
-from tests.helpers.figures import print_table
 from tests.processes.campaign.result import Result
 from tests.processes.campaign.scenario import Happening
 from tests.processes.campaign.seed_run import run_seed

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from harness.write_log import Entry
 from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.description.robot_folder import built_in
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
 from tests.helpers.motions import smooth_move
-from tests.helpers.write_log import Entry
 from tests.processes.campaign import checks
 from tests.processes.campaign.emulator import CampaignBus, campaign_bus
 from tests.processes.campaign.result import Result

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from harness.emulator import RunningEmulator
+from harness.write_log import Entry, read_entries
 from robot.hardware.interface import StatusFlag
-from tests.helpers.terminal_servos import RunningEmulator
-from tests.helpers.write_log import Entry, read_entries
 from tests.processes.campaign.scenario import NAMES, START_RAD, Scenario, calm
 
 

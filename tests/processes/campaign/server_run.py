@@ -9,10 +9,10 @@ from pathlib import Path
 
 import psutil
 
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import RunningServer
+from harness.write_log import Entry
 from robot.messages import EndState
-from tests.helpers.clients import ArmClient, arm_client, values_of
-from tests.helpers.server import RunningServer
-from tests.helpers.write_log import Entry
 from tests.processes.campaign import checks
 from tests.processes.campaign.emulator import CampaignBus, campaign_bus
 from tests.processes.campaign.result import Result

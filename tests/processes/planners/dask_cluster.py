@@ -9,8 +9,8 @@ import subprocess
 import sys
 import time
 
+from harness.server import ROOT, free_port
 from tests.helpers.resources import Pair
-from tests.helpers.server import ROOT, free_port
 
 HOST = "127.0.0.1"
 START_TIMEOUT_S = 60.0

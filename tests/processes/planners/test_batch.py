@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import free_port
 from planners.errors import BatchError
 from planners.files import batch, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
 from tests.helpers.resources import make_pair
 from tests.helpers.robots import so101
-from tests.helpers.server import free_port
 from tests.processes.planners.dask_cluster import DaskCluster
 
 distributed = pytest.importorskip("distributed", reason="the extra [dask] is not installed")

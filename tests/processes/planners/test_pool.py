@@ -15,6 +15,7 @@ import psutil
 import pytest
 import pytest_asyncio
 
+from harness.waiting import until, wait_until
 from planners import budget, worker_process
 from planners import pool as pool_module
 from planners.budget import read_run_delay_s
@@ -28,7 +29,6 @@ from tests.helpers.broken_planner import NONE, PLAN, racers
 from tests.helpers.motions import EASY, LONG, REQUESTS, STATE, broken
 from tests.helpers.resources import no_descriptors_left
 from tests.helpers.robots import so101
-from tests.helpers.waiting import until, wait_until
 
 # Workers load for half a second: one pool serves the tests of this file, and so shows that it survives each.
 pytestmark = pytest.mark.asyncio(loop_scope="module")

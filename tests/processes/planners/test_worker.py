@@ -12,9 +12,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from harness.waiting import wait_until
 from planners.budget import read_run_delay_s
 from tests.helpers import broken_planner
-from tests.helpers.waiting import wait_until
 
 ROOT = Path(__file__).parents[3]
 
@@ -43,7 +43,7 @@ from planners import pool as pool_module
 from planners.pool import PlannerPool
 from tests.helpers.motions import broken
 from tests.helpers.robots import so101
-from tests.helpers.waiting import until
+from harness.waiting import until
 async def serve():
     pool_module.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(so101())

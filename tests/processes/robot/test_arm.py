@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import read_write_log
+from harness.waiting import until
 from robot.arm import RESTART_LINES, Arm, start_arm_process
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
 from robot.hardware.config import FeetechConfig
@@ -22,8 +24,6 @@ from robot.processes import RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS
 from tests.helpers.arm_on_servos import CALIBRATION, CONFIG, SOON_S, ArmOnServos, to
 from tests.helpers.resources import no_descriptors_left
-from tests.helpers.server import read_write_log
-from tests.helpers.waiting import until
 
 
 @pytest.fixture

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import TIMEOUT_S, until
 from robot import logs, processes
 from robot.logs import LoggerLevel
 from robot.processes import Child, DescriptorReserve, StartedChild
 from tests.helpers.resources import no_descriptors_left
-from tests.helpers.waiting import TIMEOUT_S, until
 
 ECHO = "tests.helpers.echo_child"
 

@@ -4,6 +4,7 @@ import contextlib
 
 import pytest
 
+from harness.server import read_write_log
 from robot.commissioning.doctor import Verdict
 from robot.commissioning.experiments import (
     EXPERIMENTS,
@@ -14,7 +15,6 @@ from robot.commissioning.experiments import (
 )
 from robot.errors import StartupError
 from robot.hardware.feetech.registers import Register
-from tests.helpers.server import read_write_log
 
 IDS = (1, 2, 3, 4, 5, 6)
 GRIPPER = 6

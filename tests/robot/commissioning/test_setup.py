@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from harness.server import read_write_log
 from robot.commissioning.register_backup import SavedServo
 from robot.commissioning.setup import (
     changes_back,
@@ -22,7 +23,6 @@ from robot.hardware.feetech.profiles import FACTORY, LEROBOT
 from robot.hardware.feetech.registers import Register
 from tests.helpers.kit import KIT, Kit, set_registers
 from tests.helpers.robots import SO101_SERVOS
-from tests.helpers.server import read_write_log
 
 PAN, LIFT, ELBOW, FLEX, ROLL, GRIPPER = SO101_SERVOS
 

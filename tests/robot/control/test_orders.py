@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import read_write_log
 from robot.calibration import Calibration
 from robot.errors import StartupError
 from robot.faults import Fault, FaultCode
@@ -19,7 +20,6 @@ from robot.messages import END_TIMEOUT_S, GuardLimits, Mode, Order, Outcome, Shu
 from tests.helpers.arm_rig import CALIBRATION, ArmRig, run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
-from tests.helpers.server import read_write_log
 
 IDS = [joint.servo_id for joint in CALIBRATION.joints]
 

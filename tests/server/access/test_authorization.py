@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient
+from harness.server import ROOT
 from protocol.operations import Auth, CallService, Publish, SendActionGoal, parse
 from protocol.registry import Registry
 from server.access import authorization
@@ -16,10 +18,8 @@ from server.graph.node import Node
 from server.graph.permissions import ANYONE, WORKING, Identity, Role
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services import transform_republisher
-from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.rules import server_rules, with_server_rules
-from tests.helpers.server import ROOT
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
 

@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 from pydantic import ValidationError
 
-from protocol.limits import Limits
-from server.access.settings import AccessSettings, SessionSettings
+from server.access.settings import AccessSettings
 from server.config_loader import load
 from server.errors import ConfigurationError
 
@@ -48,8 +45,3 @@ def test_names_that_would_look_like_something_else_in_a_log_are_refused(name: st
 def test_settings_do_not_show_tokens() -> None:
     settings = AccessSettings(token=LONG, view_tokens={"screen": LONG + "2"})  # type: ignore[arg-type, dict-item]
     assert LONG not in f"{settings!r} {settings.model_dump(mode='json')}"
-
-
-def test_every_limit_of_a_session_is_a_setting_with_its_default() -> None:
-    assert SessionSettings().limits() == Limits()
-    assert set(SessionSettings.model_fields) == {field.name for field in dataclasses.fields(Limits)}

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient, values_of
 from protocol.registry import Registry
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
@@ -13,7 +14,6 @@ from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.robots import nominal_calibration, so101
 
 ROBOT = so101()

@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient, values_of
+from harness.server import ServerOnBus
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from robot.messages import ChangePace
@@ -12,9 +14,7 @@ from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, 
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.fake_arm import FakeArm
-from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")

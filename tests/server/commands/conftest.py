@@ -21,11 +21,6 @@ from server.commands import calibrate as calibrate_module
 from server.commands import options as command_options
 from server.commands.terminal import Terminal
 from tests.helpers.emulator import SteppedEmulator
-from tests.robot.conftest import (  # noqa: F401 - fixtures
-    bus,
-    start_emulator,
-    write_log,
-)
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -41,7 +36,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture
-def emulator(start_emulator: Callable[..., SteppedEmulator], write_log: Path) -> SteppedEmulator:  # noqa: F811 - fixtures
+def emulator(start_emulator: Callable[..., SteppedEmulator], write_log: Path) -> SteppedEmulator:
     return start_emulator("--write-log", str(write_log))
 
 

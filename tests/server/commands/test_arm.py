@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from harness.server import read_write_log
 from robot.calibration import save
 from robot.commissioning.experiments import EXPERIMENTS
 from robot.hardware.dynamixel import registers as dynamixel_registers
@@ -16,7 +17,6 @@ from server.commands import arm
 from server.commands.terminal import ExitCode
 from tests.helpers.dynamixel import SteppedDynamixels
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.server import read_write_log
 
 
 def test_an_arm_that_is_well_is_a_table_and_exit_0(armbridge):

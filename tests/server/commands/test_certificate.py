@@ -5,6 +5,7 @@ import stat
 
 import pytest
 
+from harness.server import ROOT
 from robot.files import FileLock, FileLockedError, replace
 from server import cli
 from server.access.authentication import Tokens
@@ -14,7 +15,6 @@ from server.commands.certificate import add_certificate_parser, ensure_token
 from server.commands.terminal import ExitCode
 from server.errors import ConfigurationError
 from server.graph.permissions import Role
-from tests.helpers.server import ROOT
 
 
 @pytest.fixture

@@ -3,9 +3,9 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
+from pydantic import Field
 
 from robot.calibration import save
 from robot.errors import PortBusy, PortNotFound
@@ -20,6 +20,8 @@ from server.commands.options import (
     read_settings,
 )
 from server.commands.terminal import ExitCode
+from server.config import Settings
+from server.config_keys import SettingsSection, template
 from server.errors import ConfigurationError
 from tests.helpers.robots import nominal_calibration
 
@@ -72,19 +74,19 @@ def options(*arguments):
 OVERRIDES = {
     "settings by section and key": (
         ("--port", "0", "--serial", "auto", "--log-level", "error"),
-        {"server": {"port": 0, "log_level": "error"}, "arm": {"serial": "auto"}},
+        {"server": {"port": "0", "log_level": "error"}, "arm": {"serial": "auto"}},
     ),
     "a recording": (
         ("--record", "run.mcap", "--record-limit-mb", "200"),
-        {"recording": {"file": Path("run.mcap"), "limit_mb": 200}},
+        {"recording": {"file": "run.mcap", "limit_mb": "200"}},
     ),
     "folders of interfaces one by one": (
         ("--interfaces", "a_msgs", "--interfaces", "ws/src"),
-        {"server": {"interfaces": [Path("a_msgs"), Path("ws/src")]}},
+        {"server": {"interfaces": ["a_msgs", "ws/src"]}},
     ),
     "an option counts more than an assignment": (
         ("--set", "server.port=1", "--port", "2"),
-        {"server": {"port": 2}},
+        {"server": {"port": "2"}},
     ),
     "a table is assigned as TOML": (
         ("--set", "arm.zero_offset_rad={elbow_flex=0.02}"),
@@ -104,6 +106,41 @@ def test_settings_have_what_the_options_say_and_know_it_from_the_command_line():
     assert (settings.access.insecure, settings.moveit.servo.rate_hz, settings.goals.confirm) == (True, 30.0, True)
     assert sources["access.insecure"] == "command line"
     assert read_settings(options())[0].access.insecure is False
+
+
+def test_a_new_setting_is_explained_everywhere_by_its_one_line(monkeypatch, capsys):
+    class Section(SettingsSection):
+        """Section of a test."""
+
+        retry_s: float = Field(default=2.0, ge=1, le=5)
+        """time between two attempts; None for no attempt [s]."""
+
+    class WithSection(Settings):
+        section: Section = Section()
+
+    text = template(WithSection)
+    assert "# Section of a test.\n[section]\n# Time between two attempts; leave it out for no attempt." in text
+    assert " (s, 1 to 5)\nretry_s = 2.0\n" in text
+    monkeypatch.setattr("server.commands.options.Settings", WithSection)
+    monkeypatch.setattr("server.commands.options._FURTHER_OPTIONS", (("--retry", "section.retry_s", "S"),))
+    with pytest.raises(SystemExit):
+        options("--help")
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "--retry S Time between two attempts; leave it out for no attempt. (s, 1 to 5) Default: 2.0." in shown
+
+
+REFUSED_OPTIONS = {
+    "--port": ("many", "server.port: Input should be a valid integer"),
+    "--log-level": ("loud", "server.log_level: Input should be 'debug', 'info', 'warning' or 'error'"),
+    "--record-limit-mb": ("0", "recording.limit_mb: Input should be greater than or equal to 1"),
+}
+
+
+@pytest.mark.parametrize("option", REFUSED_OPTIONS)
+def test_an_option_out_of_range_is_refused_by_its_setting(option):
+    value, words = REFUSED_OPTIONS[option]
+    with pytest.raises(ConfigurationError, match=words):
+        read_settings(options(option, value))
 
 
 @pytest.mark.parametrize(

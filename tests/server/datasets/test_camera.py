@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from harness.waiting import wait_until
 from server.cli import main
 from server.datasets import camera
 from server.datasets.camera import CameraError, NewestImage, OpenCvSource, Pixels, open_source, to_jpeg
-from tests.helpers.waiting import wait_until
 
 
 class Scripted:

@@ -9,6 +9,8 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
+from harness.clients import ArmClient, frame_client, values_of
+from harness.server import RunningServer, ServerOnBus
 from planners.pool import PlannerPool
 from protocol.registry import Registry
 from robot.description.model import RobotModel, parse
@@ -23,10 +25,8 @@ from server.graph.topics import Graph
 from server.moveit.actions.gripper import GripperLimits
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
-from tests.helpers.clients import ArmClient, frame_client, values_of
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.robots import so101
-from tests.helpers.server import RunningServer, ServerOnBus
 
 CANCELED, SUCCEEDED = 5, 4
 MOVE, MOVE_TYPE = "/move_action", "moveit_msgs/action/MoveGroup"
@@ -133,7 +133,7 @@ async def test_settings_reach_their_parts() -> None:
     gripper = context.whole.gripper
     assert gripper is not None
     limits = TimeLimits(3.0, 4.0, 5.0)
-    assert context.goals.executors.executor(frozenset())._player._time_limits == limits
+    assert context.goals.executors.time_limits == limits
     assert gripper._limits == GripperLimits(0.3, 0.3, 0.3, limits)
     assert MoveGroup(context)._transforms._period_s == 0.1
     assert PlanningScene(context)._interface._publisher._period_s == 0.5

@@ -174,7 +174,9 @@ def test_after_many_wrong_tokens_even_the_right_one_is_refused_for_a_while() -> 
     assert policy.check(right) == ALICE
 
 
-@pytest.mark.parametrize("path", ["/metrics", "/robot/description.urdf", "/%6detrics", "/robot", "/metrics?x=1"])
+@pytest.mark.parametrize(
+    "path", ["/metrics", "/goal", "/armbridge/x", "/robot/description.urdf", "/%6detrics", "/robot", "/metrics?x=1"]
+)
 def test_paths_that_tell_of_the_robot_need_a_token(path: str) -> None:
     status, text = refused(AdmissionPolicy(LOCKED).check(request_for(path, upgrade=False)))
     assert status == 401

@@ -48,7 +48,7 @@ async def test_a_client_that_leaves_takes_all_with_it(world: InProcess) -> None:
 
 
 async def test_messages_that_were_dropped_are_told_when_the_client_leaves(caplog: pytest.LogCaptureFixture) -> None:
-    world = InProcess(Limits(max_queued_bytes=1000))
+    world = InProcess(Limits.model_construct(max_queued_bytes=1000))
     slow = world.client("slow")
     slow.receive_frame('{"op":"subscribe","topic":"/t","type":"std_msgs/String"}')
     talker = world.client("talker")

@@ -10,7 +10,7 @@ TYPE = "control_msgs/GripperCommand"
 
 @pytest.fixture
 def world() -> InProcess:
-    made = InProcess(Limits(max_offers=2, max_calls_in_flight=2, max_queued_bytes=10_000))
+    made = InProcess(Limits.model_construct(max_offers=2, max_calls_in_flight=2, max_queued_bytes=10_000))
     made.say("p", op="advertise_action", action="/grip", type=TYPE)
     return made
 
@@ -67,7 +67,7 @@ def test_a_goal_without_an_id_is_not_cancelled_by_others_when_its_sender_has_lef
 
 
 def test_goals_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> None:
-    world = InProcess(Limits(max_queued_request_bytes=1000))
+    world = InProcess(Limits.model_construct(max_queued_request_bytes=1000))
     world.say("p", op="advertise_action", action="/grip", type=TYPE)
     sender, provider = world.client("c"), world.client("p")
     goal = '{"op":"send_action_goal","action":"/grip","action_type":"control_msgs/GripperCommand"}'

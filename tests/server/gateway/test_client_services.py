@@ -16,7 +16,7 @@ TYPE = "std_srvs/SetBool"
 
 @pytest.fixture
 def world() -> InProcess:
-    made = InProcess(Limits(max_offers=2, max_calls_in_flight=2))
+    made = InProcess(Limits.model_construct(max_offers=2, max_calls_in_flight=2))
     made.say("p", op="advertise_service", service="/s", type=TYPE)
     return made
 
@@ -72,7 +72,7 @@ def test_a_late_response_is_never_taken_for_the_next_call(world: InProcess) -> N
 
 
 def test_calls_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> None:
-    world = InProcess(Limits(max_queued_request_bytes=10_000))
+    world = InProcess(Limits.model_construct(max_queued_request_bytes=10_000))
     world.say("p", op="advertise_service", service="/s", type="tf2_msgs/FrameGraph")
     world.say("p", op="advertise_service", service="/long", type="rosapi_msgs/SetParam")
     caller, provider = world.client("c"), world.client("p")
@@ -94,7 +94,7 @@ def test_a_broken_response_under_an_id_that_nobody_has_does_nothing(world: InPro
 
 
 async def test_a_service_that_does_not_answer_in_the_time_that_is_set_fails() -> None:
-    world = InProcess(Limits(call_timeout_s=3.0))
+    world = InProcess(Limits.model_construct(call_timeout_s=3.0))
     world.say("p", op="advertise_service", service="/s", type=TYPE)
     world.say("c", op="call_service", service="/s", id="x", args={})
     await world.advance(2.9)
@@ -151,7 +151,7 @@ def test_a_client_that_has_left_is_answered_nothing() -> None:
 
 
 def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
-    world = InProcess(Limits(max_calls_in_flight=1))
+    world = InProcess(Limits.model_construct(max_calls_in_flight=1))
     started: list[Call] = []
     world.graph.services.offer_calls(
         Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append, limits=None

@@ -18,7 +18,7 @@ from tests.helpers.gateway import InProcess
 
 @pytest.fixture
 def world() -> InProcess:
-    return InProcess(Limits(max_subscriptions=2, max_publications=2))
+    return InProcess(Limits.model_construct(max_subscriptions=2, max_publications=2))
 
 
 @pytest.mark.parametrize("op", ["subscribe", "advertise"])
@@ -104,6 +104,19 @@ class TestMisspeltTopics:
     def test_other_topics_pass_without_a_word(self, world: InProcess, topic: str) -> None:
         world.say("x", op="subscribe", topic=topic, type="std_msgs/String")
         assert world.heard("x") == []
+
+
+def test_a_remark_on_a_topic_reaches_clients_that_publish_there_already(world: InProcess) -> None:
+    world.say("x", op="set_level", level="warning")
+    publish = {"op": "publish", "topic": "/a", "msg": {"data": "text"}}
+    world.say("x", op="advertise", topic="/a", type="std_msgs/String")
+    world.say("x", **publish)
+    world.graph.remark({"/a": "topic /a stays here"})
+    assert world.client("x").read_strictly(json.dumps(publish)) is not None
+    world.say("x", **publish)
+    world.graph.remark({})
+    world.say("x", **publish)
+    assert [each["msg"] for each in world.heard("x")] == ["publish: topic /a stays here"]
 
 
 class TestLatching:

@@ -11,9 +11,11 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
+from harness.waiting import until
+from protocol.limits import Limits
 from protocol.registry import Registry
 from server.access.authorization import Access
-from server.access.settings import AccessSettings, SessionSettings
+from server.access.settings import AccessSettings
 from server.gateway import connection
 from server.gateway.connection import Traffic, TrafficCounts
 from server.gateway.listener import Listener
@@ -21,7 +23,6 @@ from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import TIMEOUT_S, listening, warnings_of
-from tests.helpers.waiting import until
 
 TALKER = Node("talker")
 
@@ -55,7 +56,7 @@ SUBSCRIBE = json.dumps({"op": "subscribe", "topic": "/t"})
 async def test_a_client_that_never_reads_costs_others_nothing_and_a_bounded_amount(
     graph: Graph, caplog: pytest.LogCaptureFixture
 ) -> None:
-    settings = ServerSettings(port=0, limits=SessionSettings(max_queued_bytes=500_000))
+    settings = ServerSettings(port=0, limits=Limits(max_queued_bytes=500_000))
     async with listening(settings, graph=graph) as listener, connect(listener.url) as reading:
         await reading.send(SUBSCRIBE)
         deaf = await connect(listener.url)

@@ -7,6 +7,7 @@ from http import HTTPStatus
 import pytest
 from websockets.asyncio.client import connect
 
+from harness.waiting import until
 from server.gateway import admission as admission_module
 from server.gateway.admission import (
     ANSWERS_PER_S,
@@ -17,7 +18,6 @@ from server.gateway.admission import (
 )
 from server.gateway.settings import ServerSettings
 from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
-from tests.helpers.waiting import until
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 MANY = 100_000

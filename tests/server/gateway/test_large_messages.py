@@ -10,16 +10,16 @@ from collections.abc import AsyncIterator
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
+from harness.waiting import until
+from protocol.limits import Limits
 from protocol.publication import EncodedMessage
 from protocol.registry import Registry
-from server.access.settings import SessionSettings
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import Transport
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import listening
-from tests.helpers.waiting import until
 
 TALKER = Node("talker")
 TIMEOUT_S = 60.0
@@ -66,12 +66,10 @@ async def numbers(client: ClientConnection, count: int) -> list[int]:
 
 
 @contextlib.asynccontextmanager
-async def world_with(
-    limits: SessionSettings | None = None, max_queued_bytes: int = 256_000_000
-) -> AsyncIterator[World]:
+async def world_with(limits: Limits | None = None, max_queued_bytes: int = 256_000_000) -> AsyncIterator[World]:
     graph = Graph(Registry.load())
     graph.advertise(TALKER, "/t", "std_msgs/String")
-    settings = ServerSettings(port=0, limits=limits or SessionSettings(), max_queued_bytes=max_queued_bytes)
+    settings = ServerSettings(port=0, limits=limits or Limits(), max_queued_bytes=max_queued_bytes)
     async with listening(settings, graph=graph) as listener:
         world = World(listener, graph)
         async with world.clients:
@@ -119,7 +117,7 @@ async def test_a_large_answer_counts_until_it_has_been_read() -> None:
 
 
 async def test_a_client_that_stands_still_gives_its_memory_back_though_nothing_more_comes() -> None:
-    async with world_with(SessionSettings(max_topic_delay_s=0.2)) as world:
+    async with world_with(Limits(max_topic_delay_s=0.2)) as world:
         await world.deaf()
         world.publish(50, 400_000)
         await until(lambda: world.used_bytes > 10_000_000)
@@ -128,9 +126,7 @@ async def test_a_client_that_stands_still_gives_its_memory_back_though_nothing_m
 
 
 async def test_a_full_budget_takes_nothing_from_a_client_that_reads() -> None:
-    limits = SessionSettings(
-        max_queued_bytes=4_000_000, max_queued_request_bytes=100_000, max_queued_reply_bytes=100_000
-    )
+    limits = Limits(max_queued_bytes=4_000_000, max_queued_request_bytes=100_000, max_queued_reply_bytes=100_000)
     async with world_with(limits, max_queued_bytes=8_000_000) as world:
         for _ in range(6):
             await world.deaf()
@@ -169,7 +165,7 @@ async def test_a_message_that_has_waited_for_many_clients_is_in_memory_once(monk
 
 
 async def test_answers_that_stay_in_the_sockets_of_clients_that_do_not_read_close_them_and_nobody_else() -> None:
-    limits = SessionSettings(max_queued_bytes=8_000_000, max_topic_delay_s=0.2)
+    limits = Limits(max_queued_bytes=8_000_000, max_topic_delay_s=0.2)
     async with world_with(limits, max_queued_bytes=30_000_000) as world:
         world.graph.services.offer(TALKER, "/s", "std_srvs/Trigger", lambda _: {"message": "x" * 7_000_000})
         reader = await world.connect()

@@ -20,7 +20,7 @@ from websockets.typing import Origin
 from protocol.limits import Limits
 from protocol.registry import Registry
 from server.access.authorization import Access
-from server.access.settings import AccessSettings, SessionSettings
+from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
@@ -330,7 +330,7 @@ async def test_a_message_in_1024_byte_frames_is_one_message(listener: Listener) 
 
 @pytest.mark.parametrize("limit", [None, 100_000], ids=["default", "set"])
 async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(limit: int | None) -> None:
-    limits = SessionSettings() if limit is None else SessionSettings(max_message_bytes=limit)
+    limits = Limits() if limit is None else Limits(max_message_bytes=limit)
     limit = limit or Limits().max_message_bytes
     async with listening(ServerSettings(port=0, limits=limits)) as made, connect(made.url, max_size=None) as websocket:
         await websocket.send(json.dumps({"op": "set_level", "level": "error"}))

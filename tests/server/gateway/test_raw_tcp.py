@@ -14,10 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from protocol.limits import Limits
 from protocol.publication import EncodedMessage, Frame
 from protocol.stream import StreamSplitter
 from server.access.authorization import Access
-from server.access.settings import AccessSettings, SessionSettings
+from server.access.settings import AccessSettings
 from server.errors import StartError
 from server.gateway import connection, transport
 from server.gateway.admission import ConnectionLimiter
@@ -414,7 +415,7 @@ async def test_with_a_certificate_the_port_is_encrypted(tmp_path: Path, graph: G
 
 
 async def test_the_limit_of_a_message_is_that_of_the_settings() -> None:
-    chosen = SessionSettings(max_message_bytes=100_000)
+    chosen = Limits(max_message_bytes=100_000)
     async with (
         serving(Graph(REGISTRY), limits=chosen) as listener,
         await RawClient.connect(port_of(listener)) as client,

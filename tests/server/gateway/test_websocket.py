@@ -15,6 +15,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
+from harness.waiting import until
 from protocol.publication import EncodedMessage
 from protocol.publication import Frame as Payload
 from protocol.registry import Registry
@@ -41,7 +42,6 @@ from tests.helpers.gateway import (
     until_empty,
     warnings_of,
 )
-from tests.helpers.waiting import until
 
 TALKER = Node("talker")
 NUMBERS = [str(number) for number in range(1000)]

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import arm_client, values_of
+from harness.server import ServerOnBus, server_on_bus
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.monitoring.fault_files import FAST_SAMPLES, LEAST_INTERVAL_S, SLOW_SAMPLES, FaultFiles
 from server.monitoring.log_ring import LogRing
-from tests.helpers.clients import arm_client, values_of
 from tests.helpers.cost import count_calls
-from tests.helpers.server import ServerOnBus, server_on_bus
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 START_S = 1_000_000.0

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient
 from protocol.registry import Registry
 from robot import logs
 from robot.logs import MAX_LINE_CHARACTERS, LogLine
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.log_ring import MAX_CHARACTERS, MAX_LINES, SERVICE, LogRing, shown
-from tests.helpers.clients import ArmClient
 
 LOG = logging.getLogger("armbridge.test")
 

@@ -21,6 +21,9 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
+from harness.clients import ArmClient, values_of
+from harness.server import ServerOnBus
+from harness.waiting import wait_until
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
 from robot.messages import Mode
@@ -48,11 +51,8 @@ from server.monitoring.monitor import (
     zenoh_metrics,
 )
 from server.monitoring.systemd import SystemdNotifier
-from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.clock import SteppedLoop
 from tests.helpers.cost import count_calls
-from tests.helpers.server import ServerOnBus
-from tests.helpers.waiting import wait_until
 from tests.server.monitoring.watched_parts import (
     NOW_S,
     WatchedArm,

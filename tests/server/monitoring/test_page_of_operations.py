@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
+from harness.server import ROOT
 from robot.faults import FaultCode
 from server.commands.config import unit
 from server.monitoring.monitor import Metrics
-from tests.helpers.server import ROOT
 from tests.server.monitoring.watched_parts import arm_health, watched_sources
 from tests.test_readme import blocks
 

@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient, values_of
+from harness.server import ServerOnBus
+from harness.waiting import until
 from protocol.registry import Registry
 from robot import logs as changed
 from robot.advice import ServoAlert, ServoWarning
@@ -29,9 +32,6 @@ from server.monitoring.ros_topics import (
     diagnostic_array,
     offer_level_services,
 )
-from tests.helpers.clients import ArmClient, values_of
-from tests.helpers.server import ServerOnBus
-from tests.helpers.waiting import until
 
 WARM = ServoWarning(ServoAlert.WARM, "warm: 56 degC")
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)

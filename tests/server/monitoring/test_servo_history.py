@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient
 from protocol.registry import Registry
 from robot.advice import ServoAlert, ServoWarning
 from robot.faults import Fault, FaultCode
@@ -12,7 +13,6 @@ from robot.messages import ArmState, Mode
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.servo_history import MAX_EVENTS, MAX_SAMPLES, SERVICE, ServoHistory
-from tests.helpers.clients import ArmClient
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 NAN = float("nan")

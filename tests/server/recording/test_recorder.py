@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.waiting import wait_until
 from protocol.codecs.cdr import deserialize
 from protocol.messages import Stamp, complete
 from protocol.publication import PublishedMessage
@@ -17,7 +18,6 @@ from server.recording import recorder as recorder_module
 from server.recording.files import RecordedMessage, RecordingSeries
 from server.recording.recorder import QueuedMessage, Recorder, WriterThread
 from server.recording.replay import Recording
-from tests.helpers.waiting import wait_until
 from tests.server.recordings import REGISTRY, recorded_messages
 
 TALKER = Node("talker")

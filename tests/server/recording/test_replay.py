@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from mcap.writer import CompressionType, Writer
 
+from harness.clients import frame_client
+from harness.waiting import until
 from server.access.settings import AccessSettings
 from server.errors import RecordingError
 from server.gateway.settings import ServerSettings
@@ -20,8 +22,6 @@ from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
 from server.recording.replay import RecordedTopic, Recording, RecordingPlayer, ReplayOptions, ReplayServer
 from tests.conformance.cases import INTERFACES
-from tests.helpers.clients import frame_client
-from tests.helpers.waiting import until
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
 CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.waiting import until
 from robot.messages import ArmState, Mode
 from server.graph.permissions import Role
 from server.teaching.motion_files import MotionFiles
@@ -19,7 +20,6 @@ from server.teaching.taught_motion import MAX_DURATION_S
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import BENT, ROBOT, ServiceRig, box, diff, pose
 from tests.helpers.rules import server_rules
-from tests.helpers.waiting import until
 
 START = np.array(list(BENT.values()))
 RELAXED = ArmState(1.0, Mode.RELAXED, JOINTS, position_rad=START)

@@ -10,10 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import zenoh
 
+from harness.waiting import until
 from server.zenoh import session as session_module
 from server.zenoh.session import ReceiveQueue, SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
-from tests.helpers.waiting import until
 
 # The threads; sessions are real ones, none of which connects anywhere.
 

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from harness.server import ROOT
 from server.config_loader import load
 from server.errors import ConfigurationError
 from server.zenoh.settings import ZenohSettings, check_installed, exposed_endpoint, session_config
-from tests.helpers.server import ROOT
 from tests.test_readme import blocks
 
 # Settings.

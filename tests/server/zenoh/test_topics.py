@@ -11,11 +11,11 @@ import pytest
 import zenoh
 import zenoh.ext
 
+from harness.waiting import TIMEOUT_S, until
 from protocol.publication import PublishedMessage
 from server.access.settings import AccessSettings
 from server.graph.topics import Subscriber
 from server.zenoh import topics
-from tests.helpers.waiting import TIMEOUT_S, until
 from tests.helpers.zenoh_network import RosMachine, Site, free_port, networked
 
 # Published topics.

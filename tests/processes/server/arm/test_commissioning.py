@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import ServerOnBus, server_on_bus
 from robot.calibration import Calibration, save
 from server.arm.commissioning import ANSWER, BEGIN, CANCEL, STATE_TOPIC
-from tests.helpers.clients import ArmClient, arm_client, values_of
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
-from tests.helpers.server import ServerOnBus, server_on_bus
 from tests.helpers.systemd import Systemd
 from tests.server.conftest import FAST
 

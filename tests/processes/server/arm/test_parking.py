@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient, arm_client
+from harness.server import RunningServer, ServerOnBus, read_write_log, server_on_bus
 from robot.description.robot_folder import built_in
-from tests.helpers.clients import ArmClient, arm_client
-from tests.helpers.server import RunningServer, ServerOnBus, read_write_log, server_on_bus
 from tests.server.conftest import FAST, JOINTS
 
 REST = built_in("so101").model.named_states["arm"]["rest"]

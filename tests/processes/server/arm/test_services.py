@@ -12,8 +12,8 @@ from typing import Any
 
 from websockets.asyncio.client import connect
 
-from tests.helpers.clients import ArmClient, arm_client, values_of
-from tests.helpers.server import ServerOnBus, read_write_log, server_on_bus
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import ServerOnBus, read_write_log, server_on_bus
 from tests.server.conftest import FAST
 
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")

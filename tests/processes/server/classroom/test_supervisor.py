@@ -13,10 +13,10 @@ from pathlib import Path
 import psutil
 import pytest
 
+from harness.server import ROOT
+from harness.waiting import wait_until
 from server.classroom import supervisor as supervisor_module
 from server.classroom.supervisor import Member
-from tests.helpers.server import ROOT
-from tests.helpers.waiting import wait_until
 
 SOON_S = 30.0
 

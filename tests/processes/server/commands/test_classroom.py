@@ -19,9 +19,9 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from harness.clients import ArmClient, arm_client
+from harness.server import FAST, ROOT
 from server import cli
-from tests.helpers.clients import ArmClient, arm_client
-from tests.helpers.server import FAST, ROOT
 
 STUDENTS = 3
 START_TIMEOUT_S = 120.0

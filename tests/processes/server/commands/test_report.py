@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import free_port, read_write_log, server_on_bus
 from robot.calibration import save
 from server import cli
 from server.commands.terminal import ExitCode
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.server import free_port, read_write_log, server_on_bus
 from tests.server.commands.conftest import Run
 
 TOKENS = {name: f"{name}-0123456789abcdef" for name in ("own", "admin", "filed", "variable")}

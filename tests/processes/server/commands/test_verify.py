@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
+from harness.server import ServerOnBus, free_port, server_on_bus
 from server import cli
 from server.commands.terminal import ExitCode
 from server.commands.verification_client import ANSWER_TIMEOUT_S
-from tests.helpers.server import ServerOnBus, free_port, server_on_bus
 
 TOKEN = "only-the-admin-knows-it"
 

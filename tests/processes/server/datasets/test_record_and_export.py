@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.clients import arm_client
+from harness.server import server_on_bus
 from server.cli import main
-from tests.helpers.clients import arm_client
-from tests.helpers.server import server_on_bus
 from tests.server.datasets.conftest import jpeg
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra [datasets] is not installed: no pyarrow")

@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
-from server.access.settings import SessionSettings
+from harness.waiting import until
+from protocol.limits import Limits
 from server.gateway import connection
-from tests.helpers.waiting import until
 from tests.server.gateway.test_large_messages import TALKER, numbers, world_with
 
 
@@ -27,7 +27,7 @@ async def test_a_client_that_reads_one_large_message_slowly_keeps_those_behind_i
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 0.3)
-    async with world_with(SessionSettings(max_topic_delay_s=0.3)) as world:
+    async with world_with(Limits(max_topic_delay_s=0.3)) as world:
         reader = await world.deaf()
         world.publish(1, 30_000_000)
         await until(lambda: world.listener.traffic.counts().sent_messages > 0)

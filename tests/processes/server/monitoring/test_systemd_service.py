@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.server import RunningServer
+from harness.server import RunningServer
 from tests.helpers.systemd import Systemd
 
 # On a busy machine [s].

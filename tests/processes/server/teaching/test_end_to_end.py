@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient, arm_client
+from harness.server import ServerOnBus, server_on_bus
 from robot.trajectory import Vector
-from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.moveit import box, pose
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.server import ServerOnBus, server_on_bus
 from tests.server.conftest import FAST
 
 STATE, STATE_TYPE = "/teach/state", "armbridge_msgs/TeachState"

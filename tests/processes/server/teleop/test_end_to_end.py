@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.clients import ArmClient, arm_client, values_of
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import EmulatorControl, RunningServer
 from tests.helpers.moveit import box, pose
 from tests.helpers.robots import so101
-from tests.helpers.server import EmulatorControl, RunningServer
 
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
 TIMEOUT_S = 60.0

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.helpers.clients import ArmClient, arm_client, values_of
+from harness.clients import ArmClient, arm_client, values_of
+from harness.server import FAST_ARMS, ROOT, EmulatorControl, RunningServer
 from tests.helpers.robots import so101
-from tests.helpers.server import FAST_ARMS, ROOT, EmulatorControl, RunningServer
 
 STATE, CONTROLLER = "/teleop/state", "/follower/arm_controller/controller_state"
 TIMEOUT_S = 60.0

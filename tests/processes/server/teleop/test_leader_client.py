@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient, arm_client
+from harness.server import FAST, ROOT, EmulatorControl, ServerOnBus, free_port, server_on_bus
 from server.teleop.teleoperation import START, STATE_TOPIC, STOP
-from tests.helpers.clients import ArmClient, arm_client
 from tests.helpers.robots import nominal_calibration
-from tests.helpers.server import FAST, ROOT, EmulatorControl, ServerOnBus, free_port, server_on_bus
 
 JOINTS = {joint.joint: joint for joint in nominal_calibration().joints}
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.clients import ArmClient, arm_client
-from tests.helpers.server import FAST_ARMS, EmulatorControl, RunningServer
+from harness.clients import ArmClient, arm_client
+from harness.server import FAST_ARMS, EmulatorControl, RunningServer
 
 CONFIG = """
 [arms.left]

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from harness.server import read_write_log
 from robot.calibration import Calibration
 from robot.commissioning.scan import scan
 from robot.errors import RobotError
@@ -14,7 +15,6 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
-from tests.helpers.server import read_write_log
 
 IDS = tuple(spec.servo_id for spec in SO101_SERVOS)
 

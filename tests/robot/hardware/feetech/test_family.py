@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness.server import read_write_log
 from robot.advice import ServoAlert
 from robot.errors import StartupError
 from robot.hardware.feetech.bus import Bus
@@ -21,7 +22,6 @@ from robot.hardware.servos.survey import survey
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.feetech import FeetechsInUse
-from tests.helpers.server import read_write_log
 
 FAMILY = Feetech()
 IDS = [joint.servo_id for joint in CALIBRATION.joints]

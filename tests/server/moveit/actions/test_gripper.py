@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient
+from harness.server import ServerOnBus
 from robot.arm import Arm
 from robot.description.model import parse
 from robot.description.urdf import Joint
@@ -35,11 +37,9 @@ from server.moveit.actions.gripper import (
     ParallelGripperCommandMessages,
     fingers_together,
 )
-from tests.helpers.clients import ArmClient
 from tests.helpers.fake_arm import StubbornArm, settle
 from tests.helpers.moveit import REGISTRY
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, nominal_calibration, so101
-from tests.helpers.server import ServerOnBus
 from tests.server.conftest import JOINTS
 
 SUCCEEDED, CANCELED = 4, 5

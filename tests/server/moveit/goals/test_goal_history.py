@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient, values_of
 from planners.goals import JointGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
 from robot.trajectory import Trajectory
 from server import cli
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
-from tests.helpers.clients import ArmClient, values_of
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import REGISTRY, ROBOT
 
@@ -70,7 +70,7 @@ def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
     """A goal that moves the base joint to one position after the other [rad]."""
     made = [lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to})) for to in steps]
     request = PlannedMotion(tuple(made), frozenset({"shoulder_pan"})) if steps else None
-    return Goal(0, goal_id, "/moveit_goal_named", request, message=NAMED, only_for=only_for)
+    return Goal(goal_id, GoalRequest("/moveit_goal_named", request, NAMED, only_for=only_for))
 
 
 def answer(

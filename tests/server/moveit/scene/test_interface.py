@@ -12,6 +12,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from harness.clients import ArmClient
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
@@ -40,7 +41,6 @@ from server.moveit.scene.interface import (
     subscribe_to_scene_topics,
 )
 from server.moveit.scene.scene_state import AT_ONCE_ELEMENTS, AssumedStates, SceneChange, SceneState
-from tests.helpers.clients import ArmClient
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import (

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from harness.clients import ArmClient
 from planners.problem import PLANNER_IDS, MoveItErrorCode
 from robot.description import model
 from server.moveit.requests.planning_problems import PILZ
 from server.moveit.services.move_group_services import SERVICES, group_urdf
-from tests.helpers.clients import ArmClient
 from tests.helpers.fake_arm import HOME
 from tests.helpers.messages import made_up
 from tests.helpers.moveit import REGISTRY, ROBOT, TIP, ServiceRig, ball, joint, point, turned

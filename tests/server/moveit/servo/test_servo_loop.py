@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from planners.servo.question import (
@@ -42,7 +43,6 @@ from server.moveit.servo.servo_loop import (
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm
 from tests.helpers.moveit import outcome
-from tests.helpers.waiting import until
 
 REGISTRY = Registry.load()
 UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0.5)

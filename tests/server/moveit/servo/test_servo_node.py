@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import until
 from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from robot.stop_epochs import STOP_EPOCHS
@@ -41,7 +42,6 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm, settle
 from tests.helpers.gateway import REGISTRY
 from tests.helpers.moveit import planning_of
-from tests.helpers.waiting import until
 
 NORTH = {"twist": {"linear": {"x": 0.5}}}
 TYPES = {

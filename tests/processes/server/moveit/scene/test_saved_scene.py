@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.clients import arm_client
+from harness.clients import arm_client
+from harness.server import RunningServer
 from tests.helpers.moveit import box, pose
-from tests.helpers.server import RunningServer
 
 
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])

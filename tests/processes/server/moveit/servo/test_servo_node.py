@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient
 from planners.servo.question import ServoStatus
 from server.moveit.servo.servo_node import STATUS_TOPIC, TWIST_TOPIC
-from tests.helpers.clients import ArmClient
 
 TIMEOUT_S = 30.0
 

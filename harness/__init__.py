@@ -1,0 +1,1 @@
+"""Starts servers, connects clients, opens the page and judges motions, for tests and benchmarks alike."""

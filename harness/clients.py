@@ -1,0 +1,235 @@
+"""Rosbridge clients of a running server, with and without an event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.sync import client as blocking
+
+# A bound of what takes milliseconds on a quiet machine.
+ANSWER_TIMEOUT_S = 20.0
+
+GOAL_TYPES = {
+    "/moveit_goal_named": "std_msgs/String",
+    "/moveit_goal_joints": "sensor_msgs/JointState",
+    "/moveit_goal_pose": "geometry_msgs/PoseStamped",
+}
+
+LATCHED = {
+    "/arm/state": "diagnostic_msgs/DiagnosticStatus",
+    "/arm/joint_limits": "moveit_msgs/KinematicSolverInfo",
+    "/diagnostics": "diagnostic_msgs/DiagnosticArray",
+    "/joint_states": "sensor_msgs/JointState",
+    "/moveit_goal_result": "moveit_msgs/MoveItErrorCodes",
+}
+
+
+class FrameClient:
+    """Sends frames, keeps what comes back by topic."""
+
+    def __init__(self, websocket: ClientConnection) -> None:
+        self.websocket = websocket
+        self.received: dict[str, list[dict[str, Any]]] = {}
+        self._news = asyncio.Condition()
+        self._reader = asyncio.create_task(self._read())
+
+    async def send(self, frame: str | dict[str, Any]) -> None:
+        await self.websocket.send(frame if isinstance(frame, str) else json.dumps(frame))
+
+    async def subscribe(self, topic: str, type_name: str) -> None:
+        await self.send({"op": "subscribe", "topic": topic, "type": type_name})
+
+    async def open_goals(self) -> None:
+        """Subscribe to the answers and advertise the goal topics."""
+        await self.subscribe("/moveit_goal_result", "moveit_msgs/MoveItErrorCodes")
+        await self.subscribe("/moveit_goal_status", "diagnostic_msgs/DiagnosticStatus")
+        for topic, type_name in GOAL_TYPES.items():
+            await self.send({"op": "advertise", "topic": topic, "type": type_name})
+
+    async def publish(self, topic: str, msg: dict[str, Any]) -> None:
+        await self.send({"op": "publish", "topic": topic, "msg": msg})
+
+    async def goal(self, topic: str, msg: dict[str, Any], timeout_s: float = 60.0) -> dict[str, Any]:
+        """Publish a goal and wait for the next result."""
+        seen = len(self.messages("/moveit_goal_result"))
+        await self.publish(topic, msg)
+        return (await self.wait_for("/moveit_goal_result", lambda all_: len(all_) > seen, timeout_s))[seen]
+
+    def messages(self, topic: str) -> list[dict[str, Any]]:
+        return self.received.get(topic, [])
+
+    async def wait_for(
+        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = 60.0
+    ) -> list[dict[str, Any]]:
+        async with asyncio.timeout(timeout_s), self._news:
+            await self._news.wait_for(lambda: condition(self.messages(topic)))
+        return self.messages(topic)
+
+    async def positions(self) -> dict[str, float]:
+        """Return the position of every joint [rad or m], by a state that comes from now on."""
+        seen = len(self.messages("/joint_states"))
+        state = (await self.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
+        return dict(zip(state["name"], state["position"], strict=True))
+
+    async def _read(self) -> None:
+        async for frame in self.websocket:
+            operation = json.loads(frame)
+            operation["msg"]["_at_s"] = time.monotonic()
+            async with self._news:
+                self.received.setdefault(operation["topic"], []).append(operation["msg"])
+                self._news.notify_all()
+
+    async def close(self) -> None:
+        await self.websocket.close()
+        await asyncio.gather(self._reader, return_exceptions=True)
+
+
+@asynccontextmanager
+async def frame_client(url: str) -> AsyncIterator[FrameClient]:
+    websocket = await connect(url, max_size=None)
+    client = FrameClient(websocket)
+    try:
+        yield client
+    finally:
+        await client.close()
+
+
+def status_state(status: dict[str, Any]) -> str:
+    """``state`` of a goal's status."""
+    return str(next(pair["value"] for pair in status["values"] if pair["key"] == "state"))
+
+
+def goal_is(state: str) -> Callable[[list[dict[str, Any]]], bool]:
+    """Condition on the messages of /moveit_goal_status: the latest tells this state."""
+    return lambda messages: bool(messages) and status_state(messages[-1]) == state
+
+
+class ArmClient:
+    """A rosbridge client that knows which answer belongs to which request."""
+
+    def __init__(self, websocket: ClientConnection) -> None:
+        self.websocket = websocket
+        self.topics: dict[str, list[dict[str, Any]]] = {}
+        self.feedback: dict[str, list[dict[str, Any]]] = {}
+        self._answers: dict[str, asyncio.Future[dict[str, Any]]] = {}
+        self._ids = map(str, itertools.count(1))
+        self._news = asyncio.Condition()
+        self.reader = asyncio.create_task(self._read())
+
+    async def say(self, op: str, **fields: Any) -> None:
+        await self.websocket.send(json.dumps({"op": op, **fields}))
+
+    async def call(self, service: str, **request: Any) -> dict[str, Any]:
+        """Call a service; returns its response."""
+        answer = self._expect(request_id := next(self._ids))
+        await self.say("call_service", service=service, id=request_id, args=request)
+        values: dict[str, Any] = (await asyncio.wait_for(answer, ANSWER_TIMEOUT_S))["values"]
+        return values
+
+    async def send_goal(self, action: str, type_name: str, args: dict[str, Any]) -> str:
+        """Send an action goal; returns its id."""
+        self._expect(goal_id := next(self._ids))
+        await self.say("send_action_goal", action=action, action_type=type_name, id=goal_id, args=args, feedback=True)
+        return goal_id
+
+    async def result(self, goal_id: str) -> dict[str, Any]:
+        """The ``action_result`` of a goal."""
+        return await asyncio.wait_for(self._answers[goal_id], ANSWER_TIMEOUT_S)
+
+    async def goal(self, topic: str, type_name: str, msg: dict[str, Any]) -> None:
+        await self.say("advertise", topic=topic, type=type_name)
+        await self.say("publish", topic=topic, msg=msg)
+
+    async def until(
+        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = ANSWER_TIMEOUT_S
+    ) -> list[dict[str, Any]]:
+        """The messages of a topic, once they fulfil a condition."""
+        async with asyncio.timeout(timeout_s), self._news:
+            await self._news.wait_for(lambda: bool(self.topics.get(topic)) and condition(self.topics[topic]))
+        return self.topics[topic]
+
+    async def until_mode(self, mode: str) -> dict[str, Any]:
+        """The state, once the arm is in a mode."""
+        return (await self.until("/arm/state", lambda states: values_of(states[-1])["mode"] == mode))[-1]
+
+    def _expect(self, request_id: str) -> asyncio.Future[dict[str, Any]]:
+        answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self._answers[request_id] = answer
+        return answer
+
+    async def _read(self) -> None:
+        async for frame in self.websocket:
+            operation = json.loads(frame)
+            async with self._news:
+                if operation["op"] == "publish":
+                    self.topics.setdefault(operation["topic"], []).append(operation["msg"])
+                elif operation["op"] == "action_feedback":
+                    self.feedback.setdefault(operation["id"], []).append(operation["values"])
+                elif operation.get("id") in self._answers and not self._answers[operation["id"]].done():
+                    self._answers[operation["id"]].set_result(operation)
+                self._news.notify_all()
+
+
+def values_of(status: dict[str, Any]) -> dict[str, str]:
+    """The values of a diagnostic_msgs/DiagnosticStatus."""
+    return {pair["key"]: pair["value"] for pair in status["values"]}
+
+
+@asynccontextmanager
+async def arm_client(url: str) -> AsyncIterator[ArmClient]:
+    """A client that has subscribed to all that is told of the arm."""
+    websocket = await connect(url, max_size=None)
+    client = ArmClient(websocket)
+    for topic, type_name in LATCHED.items():
+        await client.say("subscribe", topic=topic, type=type_name)
+    try:
+        yield client
+    finally:
+        await websocket.close()
+        await asyncio.gather(client.reader, return_exceptions=True)
+
+
+def call(url: str, service: str, args: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Call a service and wait for its values."""
+    with blocking.connect(url) as websocket:
+        return call_on(websocket, service, args)
+
+
+def call_on(websocket: blocking.ClientConnection, service: str, args: dict[str, Any] | None = None) -> dict[str, Any]:
+    """As :func:`call`, on a connection that stays."""
+    websocket.send(json.dumps({"op": "call_service", "service": service, "args": args or {}}))
+    answer = json.loads(websocket.recv(timeout=ANSWER_TIMEOUT_S))
+    assert answer["result"], answer
+    values: dict[str, Any] = answer["values"]
+    return values
+
+
+def publish(url: str, topic: str, type_name: str, msg: dict[str, Any]) -> None:
+    """Publish one message."""
+    with blocking.connect(url) as websocket:
+        websocket.send(json.dumps({"op": "publish", "topic": topic, "type": type_name, "msg": msg}))
+
+
+def goal(url: str, topic: str, msg: dict[str, Any]) -> dict[str, Any]:
+    """Send a goal and wait for its answer."""
+    with blocking.connect(url) as websocket:
+        websocket.send(
+            json.dumps({"op": "subscribe", "topic": "/moveit_goal_result", "type": "moveit_msgs/MoveItErrorCodes"})
+        )
+        websocket.send(json.dumps({"op": "publish", "topic": topic, "msg": msg}))
+        answer: dict[str, Any] = json.loads(websocket.recv(timeout=ANSWER_TIMEOUT_S))["msg"]
+    return answer
+
+
+def tip(url: str, link: str = "gripper_frame_link") -> tuple[float, float, float]:
+    """Return the position of the tip of the arm, in the root link's frame [m]."""
+    answer = call(url, "/compute_fk", {"fk_link_names": [link]})
+    position = answer["pose_stamped"][0]["pose"]["position"]
+    return float(position["x"]), float(position["y"]), float(position["z"])

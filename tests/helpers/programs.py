@@ -1,0 +1,44 @@
+"""Clients of other people: programs in interpreters of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+def install_with_npm(folder: Path) -> None:
+    """Install what the package.json of a folder names; skips the test where that cannot be had."""
+    if shutil.which("npm") is None or shutil.which("node") is None:
+        pytest.skip("node and npm are not installed")
+    command = ["npm", "install", "--no-audit", "--no-fund"]
+    installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    if installed.returncode != 0:
+        pytest.skip(f"npm cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
+
+
+def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = 120.0) -> dict[str, Any]:
+    """Return the messages that a scenario heard, step by step.
+
+    Args:
+        python: the interpreter with the client in it; this checkout is not on its path.
+        scenario: the program.
+        arguments: its arguments.
+        timeout_s: how long it may take [s].
+    """
+    done = subprocess.run(
+        [str(python), str(scenario), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+    heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return heard

@@ -1,0 +1,73 @@
+"""Fixtures: emulated servos in the test's own time or as a process, and a scripted peer."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from harness.emulator import RunningEmulator
+from robot.hardware.feetech.bus import Bus
+from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.scripted_servos import Script
+from tests.helpers.terminal_servos import ScriptedPeer
+
+
+@pytest.fixture
+def start_emulator() -> Iterator[Callable[..., SteppedEmulator]]:
+    """Starts emulated servos in the test's own process and time."""
+    with contextlib.ExitStack() as running:
+
+        def start(*options: str) -> SteppedEmulator:
+            emulator = SteppedEmulator(*options)
+            running.callback(emulator.end)
+            return emulator
+
+        yield start
+
+
+@pytest.fixture
+def emulator(start_emulator: Callable[..., SteppedEmulator]) -> SteppedEmulator:
+    return start_emulator()
+
+
+@pytest.fixture
+def start_terminal() -> Iterator[Callable[..., RunningEmulator]]:
+    """Starts emulated servos as a process on a pseudo terminal, in real time."""
+    with contextlib.ExitStack() as running:
+
+        def start(*options: str) -> RunningEmulator:
+            emulator = RunningEmulator(*options)
+            running.callback(emulator.end)
+            return emulator
+
+        yield start
+
+
+@pytest.fixture
+def terminal(start_terminal: Callable[..., RunningEmulator]) -> RunningEmulator:
+    return start_terminal()
+
+
+@pytest.fixture
+def write_log(tmp_path: Path) -> Path:
+    return tmp_path / "writes.jsonl"
+
+
+@pytest.fixture
+def bus(emulator: SteppedEmulator) -> Bus:
+    return emulator.open_bus()
+
+
+@pytest.fixture
+def scripted_peer() -> Iterator[Callable[[Script], ScriptedPeer]]:
+    with contextlib.ExitStack() as running:
+
+        def start(script: Script) -> ScriptedPeer:
+            peer = ScriptedPeer(script)
+            running.callback(peer.end)
+            return peer
+
+        yield start

@@ -1,0 +1,279 @@
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+from pydantic import SecretStr
+
+from harness.waiting import until
+from robot.stop_epochs import STOP_EPOCHS
+from server.access.authorization import Access
+from server.access.settings import AccessSettings
+from server.arrival import arrival_epoch
+from server.gateway.http import MAX_BODY_BYTES, HttpHandler
+from server.gateway.http_goals import GRIPPER_ACTION, GRIPPER_TYPE, HttpGoals
+from server.gateway.listener import Listener
+from server.graph.actions import Goal, GoalStatus
+from server.graph.node import Node
+from server.graph.permissions import ANYONE, CALLED_GOAL, GOAL, STOPPING
+from server.graph.services import Call, Response
+from server.graph.topics import Graph
+from tests.helpers.gateway import REGISTRY, TIMEOUT_S, listening, until_empty
+
+OPERATOR, VIEWER = "operator-0123456789", "viewer-0123456789ab"
+READY = {"named": "ready"}
+
+
+class Arm:
+    """The services and the action that goals by HTTP lead to; each request waits to be ended by its test."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.node = Node("arm")
+        self.calls: list[Call] = []
+        self.epochs: list[int] = []
+        self.ends: list[Response] = []
+        self.gripper: list[Goal] = []
+        graph.services.offer_calls(
+            self.node, "/moveit_goal", "armbridge_msgs/srv/MoveitGoal", self._call, rule=CALLED_GOAL
+        )
+        graph.services.offer(
+            self.node,
+            "/arm/stop",
+            "std_srvs/srv/Trigger",
+            lambda _: {"success": True, "message": "stopped"},
+            rule=STOPPING,
+        )
+        graph.actions.offer(self.node, GRIPPER_ACTION, GRIPPER_TYPE, self.gripper.append, rule=GOAL)
+
+    def _call(self, call: Call) -> None:
+        self.epochs.append(arrival_epoch())
+        self.calls.append(call)
+        call.when_ended(self.ends.append)
+
+    async def call(self) -> Call:
+        await until(lambda: bool(self.calls))
+        return self.calls[-1]
+
+
+class Door:
+    """A listener with one way in, ``POST /goal``."""
+
+    def __init__(self, listener: Listener, arm: Arm, access: Access) -> None:
+        self.listener, self.arm, self.access = listener, arm, access
+
+    async def open(self, body: object, *lines: str, path: str = "/goal", token: str = OPERATOR) -> asyncio.StreamReader:
+        """Send a request and leave the connection open; ``self.writer`` is its other side."""
+        data = body if isinstance(body, bytes) else json.dumps(body).encode()
+        sent = {"Host": "localhost", "Content-Type": "application/json", "Content-Length": str(len(data))}
+        sent |= {"Authorization": f"Bearer {token}"} if token else {}
+        for line in lines:
+            name, _, value = line.partition(": ")
+            sent[name] = value
+        head = "".join(f"{name}: {value}\r\n" for name, value in sent.items() if value)
+        reader, self.writer = await asyncio.open_connection("127.0.0.1", self.listener.port)
+        self.writer.write(f"POST {path} HTTP/1.1\r\n{head}\r\n".encode() + data)
+        return reader
+
+    async def answer(self, reader: asyncio.StreamReader) -> tuple[int, Any]:
+        async with asyncio.timeout(TIMEOUT_S):
+            head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+        self.writer.close()
+        return int(head.split(b" ")[1]), json.loads(body) if b"application/json" in head else body.decode()
+
+    async def post(self, body: object, *lines: str, path: str = "/goal", token: str = OPERATOR) -> tuple[int, Any]:
+        return await self.answer(await self.open(body, *lines, path=path, token=token))
+
+
+@pytest.fixture
+async def door() -> AsyncIterator[Door]:
+    graph = Graph(REGISTRY)
+    tokens = {"operate_tokens": {"plc": SecretStr(OPERATOR)}, "view_tokens": {"screen": SecretStr(VIEWER)}}
+    access = Access(AccessSettings.model_validate(tokens))
+    goals = HttpGoals(graph, access, ("left",), takes_goals_along=False)
+    arm = Arm(graph)
+    async with listening(http=HttpHandler(post_routes={"goal": goals.answer}), graph=graph, access=access) as listener:
+        yield Door(listener, arm, access)
+        await until_empty(listener)
+
+
+@pytest.mark.parametrize(
+    ("ended", "status"),
+    [
+        ({"success": True, "code": 1, "code_name": "SUCCESS", "message": "the arm is there"}, 200),
+        ({"code": -31, "code_name": "NO_IK_SOLUTION", "message": "out of reach"}, 422),
+        ({"code": -7, "code_name": "PREEMPTED", "message": "stopped"}, 409),
+        ({"code": 99999, "code_name": "FAILURE", "message": "the queue is full"}, 503),
+    ],
+)
+async def test_a_goal_gets_the_one_answer_of_its_service(door: Door, ended: dict[str, Any], status: int) -> None:
+    reader = await door.open({**READY, "velocity_scaling": 0.1})
+    call = await door.arm.call()
+    assert (call.request["named"], call.request["velocity_scaling"], str(call.caller)[:5]) == ("ready", 0.1, "plc (")
+    call.succeed(ended)
+    assert await door.answer(reader) == (status, call_values(call, door))
+    # As of a client that has left: the arm is free for others.
+    assert door.access.lease.holder is None
+    assert not door.access.drivers
+
+
+def call_values(call: Call, door: Door) -> object:
+    assert call.ended
+    return door.arm.ends[0].values
+
+
+async def test_a_stop_needs_no_more_than_the_right_to_look(door: Door) -> None:
+    assert await door.post({"stop": True}, token=VIEWER) == (200, {"success": True, "message": "stopped"})
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "message"),
+    [
+        (lambda goal: goal.finish(GoalStatus.SUCCEEDED, {"reached_goal": True}), 200, "the gripper is there"),
+        (lambda goal: goal.finish(GoalStatus.SUCCEEDED, {"stalled": True}), 200, "the gripper holds an object"),
+        (lambda goal: goal.finish(GoalStatus.CANCELED, {}), 409, "the goal of the gripper was cancelled"),
+        (lambda goal: goal.fail("the arm is relaxed"), 422, "the arm is relaxed"),
+    ],
+)
+async def test_the_gripper_is_a_goal_of_its_own(door: Door, end: Any, status: int, message: str) -> None:
+    reader = await door.open({"gripper": {"position": 0.5, "max_effort": 0.3}})
+    await until(lambda: bool(door.arm.gripper))
+    assert door.arm.gripper[0].request["command"] == {"position": 0.5, "max_effort": 0.3}
+    end(door.arm.gripper[0])
+    got, answer = await door.answer(reader)
+    assert (got, answer["success"], answer["message"][: len(message)]) == (status, status == 200, message)
+
+
+@pytest.mark.parametrize(
+    ("body", "lines", "status", "message"),
+    [
+        (b"{", (), 400, "the body is no JSON"),
+        (b"", (), 400, "the body is no JSON"),
+        (b'{"gripper":{"position":NaN}}', (), 400, "the body is no JSON"),
+        (b"[" * 20_000, (), 400, "the body is no JSON"),
+        ([1], (), 400, "the body must be a JSON object, not a list of 1"),
+        ({}, (), 400, "exactly one of named, joints, pose, gripper, stop must be given, not none of them"),
+        ({**READY, "stop": True}, (), 400, "not named and stop"),
+        ({**READY, "speed": 1}, (), 400, "field speed: unknown here; known: named, joints, pose, group"),
+        ({"stop": 1}, (), 400, "field stop: must be true, not 1"),
+        ({"gripper": 0.5}, (), 400, "field gripper: must be an object with position, not 0.5"),
+        ({"gripper": {"position": 0, "speed": 1}}, (), 400, "field gripper.speed: unknown here"),
+        ({"gripper": {"position": "wide"}}, (), 422, "command.position"),
+        ({**READY, "arm": "right"}, (), 400, "field arm: 'right' is unknown; known: left"),
+        ({**READY, "velocity_scaling": "fast"}, (), 422, "velocity_scaling"),
+        ({"joints": {"name": ["a"] * 40_000}}, (), 413, f"the limit is {MAX_BODY_BYTES}"),
+        (READY, ("Content-Type: text/plain",), 415, "must be application/json, not text/plain"),
+        (READY, ("Content-Type: ",), 415, "must be application/json, not none"),
+        (READY, ("Content-Length: ",), 411, "the header Content-Length is missing"),
+        (READY, ("Content-Length: -1",), 400, "the header Content-Length must be one number, not -1"),
+    ],
+)
+async def test_a_mistake_is_one_sentence_that_names_it(
+    door: Door, body: object, lines: tuple[str, ...], status: int, message: str
+) -> None:
+    got, answer = await door.post(body, *lines)
+    assert (got, answer["success"]) == (status, False)
+    assert message in answer["message"]
+    assert not door.arm.calls
+    assert not door.arm.gripper
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "nan", "3601", "soon"])
+async def test_the_deadline_is_within_its_limits(door: Door, text: str) -> None:
+    got, answer = await door.post(READY, path=f"/goal?timeout={text}")
+    assert (got, answer["message"]) == (400, f"timeout must be above 0 and at most 3600 s, not {text!r}")
+
+
+async def test_a_goal_that_outlasts_its_deadline_is_cancelled(door: Door) -> None:
+    got, answer = await door.post(READY, path="/goal?timeout=0.01")
+    assert (got, answer["message"]) == (504, "the goal did not end within 0.01 s (?timeout=), so it is cancelled")
+    call = await door.arm.call()
+    assert (call.ended, call.caller_left, call.caller.takes_goals_along) == (True, True, True)
+
+
+async def test_who_may_not_gets_the_reason_and_the_status(door: Door) -> None:
+    got, answer = await door.post(READY, token=VIEWER)
+    assert (got, "needs the role propose, this client has view" in answer["message"]) == (403, True)
+    assert (await door.post(READY, token=""))[0] == 401
+    assert (await door.post(READY, token="nobody-0123456789"))[0] == 401
+    door.access.lease.drive(Node("alice", remote=True, identity=ANYONE), door.access.clock())
+    got, answer = await door.post(READY)
+    assert (got, "alice has controlled the arm" in answer["message"]) == (409, True)
+    assert not door.arm.calls
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "null"])
+async def test_a_page_of_another_site_cannot_move_the_arm(door: Door, origin: str) -> None:
+    got, answer = await door.post(READY, f"Origin: {origin}")
+    assert (got, "may not connect" in answer) == (403, True)
+    assert not door.arm.calls
+
+
+@pytest.mark.parametrize(
+    ("request_line", "allowed"),
+    [("GET /goal", "POST"), ("OPTIONS /goal", "POST"), ("PUT /goal", "POST"), ("POST /", "GET, HEAD")],
+)
+async def test_other_methods_are_refused(door: Door, request_line: str, allowed: str) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", door.listener.port)
+    head = f"Host: localhost\r\nAuthorization: Bearer {OPERATOR}\r\n\r\n"
+    writer.write(f"{request_line} HTTP/1.1\r\n{head}".encode())
+    async with asyncio.timeout(TIMEOUT_S):
+        answer = (await reader.read()).decode()
+    writer.close()
+    assert answer.startswith("HTTP/1.1 405 ")
+    assert f"Allow: {allowed}\r\n" in answer
+
+
+@pytest.mark.parametrize("asked", ["", "?on_disconnect=stop"])
+@pytest.mark.parametrize("broken", [False, True])
+async def test_the_goal_of_a_client_that_leaves_goes_on_or_stops_as_over_websocket(
+    door: Door, asked: str, broken: bool
+) -> None:
+    await door.open(READY, path=f"/goal{asked}")
+    call = await door.arm.call()
+    if broken:
+        door.writer.transport.abort()
+    else:
+        door.writer.close()
+    await until(lambda: bool(door.arm.ends))
+    # The service cancels the motion of such a call, and lets any other go on.
+    assert (call.caller_left, call.caller.takes_goals_along) == (True, bool(asked))
+    assert door.access.lease.holder is None
+
+
+async def test_a_body_comes_in_pieces_and_with_what_nobody_asked_for(door: Door) -> None:
+    data = json.dumps(READY).encode()
+    reader = await door.open(b"", f"Content-Length: {len(data)}", "Expect: 100-continue")
+    async with asyncio.timeout(TIMEOUT_S):
+        assert await reader.readuntil(b"\r\n\r\n") == b"HTTP/1.1 100 Continue\r\n\r\n"
+    for octet in data:
+        door.writer.write(bytes([octet]))
+        await door.writer.drain()
+        await asyncio.sleep(0)
+    door.writer.write(b"GET / HTTP/1.1\r\n\r\n")
+    (await door.arm.call()).succeed({"success": True})
+    assert (await door.answer(reader))[0] == 200
+
+
+async def test_a_body_that_does_not_come_is_not_waited_for(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.gateway.websocket.REQUEST_TIMEOUT_S", 0.05)
+    got, answer = await door.post(READY, "Content-Length: 1000")
+    assert (got, answer) == (400, "the request was not complete within 0.05 s\n")
+    reader = await door.open(READY, "Content-Length: 1000")
+    door.writer.write_eof()
+    assert (await door.answer(reader))[0] == 400
+
+
+async def test_a_stop_while_the_body_is_on_its_way_is_later_than_the_goal(door: Door) -> None:
+    data = json.dumps(READY).encode()
+    reader = await door.open(b"", f"Content-Length: {len(data)}", "Expect: 100-continue")
+    async with asyncio.timeout(TIMEOUT_S):
+        await reader.readuntil(b"\r\n\r\n")
+    before = STOP_EPOCHS.present
+    STOP_EPOCHS.begin()
+    door.writer.write(data)
+    (await door.arm.call()).succeed({})
+    assert door.arm.epochs == [before]
+    await door.answer(reader)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from protocol.limits import Limits
 from protocol.messages import Stamp
-from protocol.operations import OPERATIONS, Operation, Publish
+from protocol.operations import MAX_NAME_CHARACTERS, OPERATIONS, Operation, Publish
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.send_queue import BEHIND_S, BULKY_BYTES
@@ -87,6 +87,14 @@ def test_a_refusal_carries_no_id_that_could_not_be_sent_back(mark):
     assert receive(Session(), op="subscribe", topic="/a", id=mark).id is None
 
 
+@pytest.mark.parametrize("field", ["service", "action"])
+def test_a_refusal_names_the_service_or_action_unless_the_name_is_too_long(field):
+    for characters, named in ((MAX_NAME_CHARACTERS, True), (MAX_NAME_CHARACTERS + 1, False)):
+        name = "x" * characters
+        refusal = receive(Session(), op="call_service", id={}, **{field: name})
+        assert refusal.called == (name if named else ""), characters
+
+
 def test_a_message_is_taken_up_to_the_limit_in_bytes_and_not_beyond():
     frame = '{"op":"publish","topic":"/ä"}'
     size_bytes = len(frame.encode())
@@ -120,7 +128,31 @@ def test_nothing_that_comes_raises(frame):
         assert isinstance(item, (Operation, Refusal))
 
 
+def test_a_frame_is_read_by_itself_where_nothing_before_it_matters():
+    frame = '{"op":"unsubscribe","topic":"/a"}'
+    limits = Limits.model_construct(max_message_bytes=len(frame))
+    assert Session(limits).reads_by_itself(frame)
+    assert not Session(limits).reads_by_itself(frame + " ")
+    assert not Session(limits, "ros1").reads_by_itself(frame)
+    amid = Session(limits)
+    assert read(amid, '{"op":') == []
+    assert not amid.reads_by_itself(frame)
+
+
 # What goes to the client
+
+
+@pytest.mark.parametrize("kind", ["reply", "ask"])
+def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(kind):
+    session, left = Session(), []
+    send = getattr(session, kind)
+    for text in ("first", "second"):
+        send({"op": "x", "text": text}, lambda encoded: left.append(encoded.frames[0].data) or True)
+    assert [json.loads(data)["text"] for data in left] == ["first", "second"]
+    assert sent(session) == []
+    send({"op": "x", "text": "third"}, lambda _: False)
+    send({"op": "x", "text": "fourth"}, lambda _: pytest.fail("it would overtake the third"))
+    assert [json.loads(data)["text"] for data in sent(session)] == ["third", "fourth"]
 
 
 def test_a_throttle_without_a_queue_drops_what_comes_too_early_and_does_not_count_it():

@@ -132,6 +132,7 @@ def test_a_frame_is_read_by_itself_where_nothing_before_it_matters():
     frame = '{"op":"unsubscribe","topic":"/a"}'
     limits = Limits.model_construct(max_message_bytes=len(frame))
     assert Session(limits).reads_by_itself(frame)
+    assert Session().reads_by_itself(frame)
     assert not Session(limits).reads_by_itself(frame + " ")
     assert not Session(limits, "ros1").reads_by_itself(frame)
     amid = Session(limits)

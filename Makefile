@@ -31,8 +31,9 @@ $(VENV)/.installed: requirements.lock pyproject.toml | $(BIN)/pip
 	touch $@
 
 # The lock is complete. Without --no-deps pip 23 takes the newest coverage for pytest-cov's coverage[toml], and refuses it.
-$(VENV)/.installed-dev: requirements-dev.lock $(VENV)/.installed
+$(VENV)/.installed-dev: requirements-dev.lock clients/python/pyproject.toml $(VENV)/.installed
 	$(PIP) install --quiet --no-deps --require-hashes -r requirements-dev.lock
+	$(PIP) install --quiet --no-deps --editable clients/python
 	touch $@
 
 run: install page-if-npm

@@ -22,10 +22,10 @@ from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, MotionEnded
 from robot.trajectory import Trajectory
 from server.execution.executor import ExecutionContext, GoalExecutor, GoalExecutors
-from server.execution.goal import Answer, Goal
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest
 from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.moveit.scene.scene_state import SceneState
 
 STARTING_TIMEOUT_S = 30.0
@@ -154,7 +154,7 @@ async def _round(
     arm.begin_round()
     queue.start()
     for number in range(GOALS):
-        queue.submit("/goal", _goal(robot, poses[number % len(poses)]))
+        queue.submit(GoalRequest("/goal", _goal(robot, poses[number % len(poses)])))
     await all_answered.wait()
     failed = [answer.message for answer in answers if answer.code is not MoveItErrorCode.SUCCESS]
     assert not failed, failed

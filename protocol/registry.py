@@ -114,8 +114,9 @@ _KIND_WORDS: dict[str, str] = {"msg": "a message type", "srv": "a service type",
 # Name of a member's message type behind its service or action -> key of the member in the tables.
 _MEMBERS = {member.title(): member for member in ("request", "response", "goal", "result", "feedback")}
 
-# Ending of the type of an action's feedback topic, and the type of a goal's id in it.
-_FEEDBACK_MESSAGE, _UUID = "_FeedbackMessage", "unique_identifier_msgs/msg/UUID"
+# Types of an action's feedback topic and services, and the type of a goal's id in them.
+_DERIVED_PATTERN = re.compile(r"(?P<action>.+)_(?:FeedbackMessage|(?:SendGoal|GetResult)(?:_Request|_Response)?)")
+_UUID = "unique_identifier_msgs/msg/UUID"
 
 # Types that have another name in ROS 1 or in a port to ROS 2, each the same type to the server.
 _RENAMED = {
@@ -286,17 +287,23 @@ class Registry:
 
     def _find(self, canonical: str) -> Definition | None:
         return (
-            _definition(self._table, canonical)
-            or _definition(self._ros1_table, canonical)
-            or self._feedback_message(canonical)
+            _definition(self._table, canonical) or _definition(self._ros1_table, canonical) or self._derived(canonical)
         )
 
-    def _feedback_message(self, canonical: str) -> Definition | None:
-        """Return the message of an action's topic ``_action/feedback``, as rosidl derives it from the action."""
-        action = canonical.removesuffix(_FEEDBACK_MESSAGE)
-        if action == canonical or _UUID not in self._table or not self.knows(f"{action}_Feedback"):
+    def _derived(self, canonical: str) -> Definition | None:
+        """Return a type that rosidl derives from an action (rosidl_parser, definition.py, Action)."""
+        found = _DERIVED_PATTERN.fullmatch(canonical)
+        if found is None or _UUID not in self._table or not self.knows(f"{found['action']}_Feedback"):
             return None
-        return {"kind": "msg", **_message([["goal_id", _UUID], ["feedback", f"{action}_Feedback"]])}
+        action, goal_id = found["action"], ["goal_id", _UUID]
+        send_goal = [goal_id, ["goal", f"{action}_Goal"]], [["accepted", "bool"], ["stamp", "builtin_interfaces/Time"]]
+        get_result = [goal_id], [["status", "int8"], ["result", f"{action}_Result"]]
+        derived: dict[str, Definition] = {
+            f"{action}_{name}": {"kind": "srv", "request": _message(request), "response": _message(response)}
+            for name, (request, response) in (("SendGoal", send_goal), ("GetResult", get_result))
+        }
+        feedback = {"kind": "msg", **_message([goal_id, ["feedback", f"{action}_Feedback"]])}
+        return _definition({**derived, f"{action}_FeedbackMessage": feedback}, canonical)
 
     def _look_up(self, name: str, kind: Kind) -> tuple[str, Definition]:
         canonical = _canonical(name, kind)

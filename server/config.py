@@ -15,7 +15,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from robot.messages import MIN_SPEED_LIMIT, EmergencyPolicy, EndState, GuardLimits
 from server.access.settings import AccessSettings
 from server.config_keys import SettingsSection
-from server.execution.queue import GoalPolicy
+from server.execution.goal import GoalPolicy
 from server.gateway.settings import ServerSettings
 from server.moveit.parameters import MoveItParameters
 from server.zenoh.settings import ZenohSettings

@@ -87,6 +87,19 @@ def test_a_room_imports_only_the_rooms_below_it() -> None:
     assert found == [], "move the code to a folder that may import this; the folders are in ALLOWED of this file"
 
 
+def test_a_client_and_the_program_import_nothing_of_each_other() -> None:
+    packages = {path.parent.name for path in (ROOT / "clients").glob("*/*/__init__.py")}
+    assert "armbridge_client" in packages
+    found = importing(ROOMS, lambda name, _room: name.split(".")[0] in packages)
+    found += [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in paths("clients", "*.py")
+        for name in sorted(imports(path).names)
+        if path.parent.name in packages and name.split(".")[0] in ROOMS
+    ]
+    assert found == [], "a client speaks to the server over its port alone"
+
+
 def test_asyncio_and_websockets_stay_in_the_server() -> None:
     ours = {"asyncio", "websockets", "uvloop", "pydantic_settings"}
     found = importing(("planners", "robot", "protocol"), lambda name, _room: name.split(".")[0] in ours)

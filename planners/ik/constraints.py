@@ -163,6 +163,10 @@ class JointCondition:
         upper_rad = self.position_rad + share * (self.upper_rad - self.position_rad) + ROUNDING
         return min(max(value, lower_rad), upper_rad) - value
 
+    def holds(self, q: Vector) -> bool:
+        """Return true if the joint is in its range in a configuration, shape (n,) [rad]."""
+        return self.violation_rad(q[self.column]) == 0.0
+
 
 LinkCondition = PointCondition | TurnCondition | AxisCondition
 Condition = LinkCondition | JointCondition
@@ -258,7 +262,7 @@ class ConditionSet:
 
     def holds(self, q: Vector) -> bool:
         """Tell whether all conditions hold."""
-        if any(condition.violation_rad(q[condition.column]) for condition in self._of_joints):
+        if not all(condition.holds(q) for condition in self._of_joints):
             return False
         return not any(violation.any() for _, _, violation in self._measured(q))
 
@@ -270,11 +274,7 @@ class ConditionSet:
 
     def violations(self, q: Vector) -> list[Violation]:
         """Return the violated conditions."""
-        found = [
-            _joint_violation(joint, float(q[joint.column]))
-            for joint in self._of_joints
-            if joint.violation_rad(q[joint.column])
-        ]
+        found = [_joint_violation(joint, float(q[joint.column])) for joint in self._of_joints if not joint.holds(q)]
         found += [
             _link_violation(condition, norm(error), norm(violation))
             for condition, error, violation in self._measured(q)

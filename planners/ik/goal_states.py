@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planners.budget import Budget
 from planners.geometry.collision import CollidingPair, CollisionModel
@@ -39,8 +40,14 @@ FRUITLESS_RESTARTS = 6
 HOPELESS_RESTARTS = 20
 NEARER_M = 0.001
 
-# Solutions closer than this to a known one in every joint are the same.
+# Solutions closer than this to a known one in every joint, whole turns apart, are the same.
 DISTINCT_RAD = 0.1
+
+# A whole turn of a joint leaves the robot where it is, so each solution is also a goal with joints turned once around
+# where their limits allow it. The nearest of these goals is reached soonest; where it is blocked, as by the floor below
+# a shoulder, the way to another one leads to the other side. UR5's joints would have 32 a solution.
+TURN_RAD = 2.0 * math.pi
+TURNED_A_SOLUTION = 4
 
 # More goals than this hardly shorten the motion.
 MAX_SOLUTIONS = 6
@@ -67,8 +74,8 @@ ALREADY_THERE_RAD = 1e-6
 class SearchResult:
     """Configurations that the descents of one search found."""
 
-    # Free configurations in which the required conditions hold and the preferred ones hold best, least time from the
-    # seed first.
+    # Free configurations in which the required conditions hold and the preferred ones hold best, and their whole turns,
+    # least time from the seed first.
     solutions: tuple[Vector, ...]
     # Contacts in the first configuration in which the required conditions hold, if all of them have some.
     colliding: tuple[CollidingPair, ...]
@@ -92,12 +99,17 @@ class _End:
 
 
 class DescentResults:
-    """Results of the descents of one search so far."""
+    """Results of the descents of one search so far; ``turning`` marks joints that may turn once around, shape (n,)."""
 
     def __init__(
-        self, forward: ForwardKinematics, collision: CollisionModel | None, goal_conditions: GoalConditions
+        self,
+        forward: ForwardKinematics,
+        collision: CollisionModel | None,
+        goal_conditions: GoalConditions,
+        turning: NDArray[np.bool_],
     ) -> None:
         self._collision = collision
+        self._turning = turning
         self._required = ConditionSet(forward, goal_conditions.required)
         self._preferred = ConditionSet(forward, goal_conditions.preferred)
         self._both = ConditionSet(forward, (*goal_conditions.required, *goal_conditions.preferred))
@@ -133,7 +145,7 @@ class DescentResults:
     def add(self, q: Vector) -> None:
         """Take the end of one descent."""
         self._fruitless += 1
-        if any(end.solves and np.max(np.abs(q - end.q)) < DISTINCT_RAD for end in self._ends):
+        if any(end.solves and self._apart_rad(q, end.q) < DISTINCT_RAD for end in self._ends):
             return
         end = self._judged(q)
         self._ends.append(end)
@@ -144,8 +156,8 @@ class DescentResults:
                 self._fruitless = 0
             self._least_preference_error_m = min(self._least_preference_error_m, end.preference_error_m)
 
-    def result(self, move_time_s: Callable[[Vector], float]) -> SearchResult:
-        """Return the solutions, or the nearest configuration; ``move_time_s`` is the time of a move to one [s]."""
+    def result(self, arrange: Callable[[list[Vector]], tuple[Vector, ...]]) -> SearchResult:
+        """Return the solutions in the arrangement that a function gives them, or the nearest configuration."""
         nearest = min(self._ends, key=lambda end: (end.collides, end.violation_m, end.preference_error_m))
         deviation = self._both.deviation(nearest.q)
         solving = [end for end in self._ends if end.solves]
@@ -156,7 +168,13 @@ class DescentResults:
         roomy = [end for end in solving if not end.tight] or solving
         most_m = min(end.preference_error_m for end in roomy) + ROTATION_ARM_M * PREFERENCE_SLACK_RAD
         preferred = [end.q for end in roomy if end.preference_error_m <= most_m]
-        return SearchResult(tuple(sorted(preferred, key=move_time_s)), (), nearest.q, deviation)
+        return SearchResult(arrange(preferred), (), nearest.q, deviation)
+
+    def _apart_rad(self, q: Vector, other_q: Vector) -> float:
+        """Return the greatest difference of a joint, whole turns apart where a joint may turn once around [rad]."""
+        apart = np.abs(q - other_q)
+        turns = np.where(self._turning, np.rint(apart / TURN_RAD), 0.0)
+        return float(np.max(np.abs(apart - TURN_RAD * turns)))
 
     def _judged(self, q: Vector) -> _End:
         tight = self._collision is not None and self._collision.in_collision(q)
@@ -198,6 +216,9 @@ class GoalStates:
         self._kinematics = Kinematics(robot, self.forward, collision.joint_names)
         self._max_velocity = np.array([robot.joints[name].max_velocity for name in collision.joint_names])
         limits = collision.lower_rad, collision.upper_rad
+        followed = {joint.mimic.joint for joint in robot.joints.values() if joint.mimic}
+        angular = [robot.joints[name].unit == "rad" and name not in followed for name in collision.joint_names]
+        self._turning = np.array(angular) & (collision.upper_rad - collision.lower_rad >= TURN_RAD)
         self._samples = np.random.default_rng(SAMPLE_SEED).uniform(*limits, (SAMPLES, len(collision.joint_names)))
         self._placements: dict[str, Placements] = {}
 
@@ -318,7 +339,7 @@ class GoalStates:
     def search(self, goal_conditions: GoalConditions, query: GoalQuery) -> SearchResult:
         """Find configurations in which conditions hold, or as nearly as possible; descents begin at the start."""
         collision = self._collision if query.avoid_collisions else None
-        results = DescentResults(self.forward, collision, goal_conditions)
+        results = DescentResults(self.forward, collision, goal_conditions, self._turning)
         required = GoalConditions(goal_conditions.required)
         self._descend(results, goal_conditions, self._starts(goal_conditions, query), query)
         if goal_conditions.preferred and not results.any_solution:
@@ -330,7 +351,30 @@ class GoalStates:
         if results.only_colliding:
             # Every descent ended in a contact: the nearest free point is then known to a few centimetres only.
             results.add(next(self._free_samples_near(goal_conditions, query), query.start_q))
-        return results.result(lambda q: self._move_time_s(query.start_q, q))
+        return results.result(lambda solutions: self._with_turns(solutions, required, query))
+
+    def _with_turns(self, solutions: list[Vector], required: GoalConditions, query: GoalQuery) -> tuple[Vector, ...]:
+        """Return solutions and their whole turns within the limits, least time from the start first."""
+        columns = [self._joints.names.index(name) for name in query.group.joints]
+        columns = [column for column in columns if self._turning[column]]
+        in_range = [condition for condition in required.required if isinstance(condition, JointCondition)]
+        found: list[Vector] = []
+        for solution in solutions if columns else ():
+            turned = [q for q in self._turns(solution, columns, query.start_q) if all(c.holds(q) for c in in_range)]
+            found += turned[:TURNED_A_SOLUTION]
+        return tuple(sorted(found or solutions, key=lambda q: self._move_time_s(query.start_q, q)))
+
+    def _turns(self, solution: Vector, columns: Sequence[int], start_q: Vector) -> list[Vector]:
+        """Return a solution with each joint as it is nearest to the start or next to that, the nearest first."""
+        choices = []
+        for column in columns:
+            turned = solution[column] + TURN_RAD * np.arange(-2, 3)
+            turned = turned[(turned >= self._joints.lower_rad[column]) & (turned <= self._joints.upper_rad[column])]
+            choices.append(turned[np.argsort(np.abs(turned - start_q[column]), kind="stable")][:2])
+        found = np.tile(solution, (math.prod(map(len, choices)), 1))
+        found[:, columns] = list(product(*choices))
+        times_s = np.sum(np.abs(found - start_q) / self._max_velocity, axis=1)
+        return list(found[np.argsort(times_s, kind="stable")])
 
     def _move_time_s(self, start_q: Vector, goal_q: Vector) -> float:
         """Least time between configurations at the joints' velocity limits [s]."""

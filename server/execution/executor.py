@@ -35,6 +35,8 @@ from server.execution.monitors import (
     check_ready,
 )
 from server.execution.motions import (
+    HORIZON_S,
+    SENDING_S,
     START_TOLERANCE_RAD,
     ExternalTrajectory,
     Joints,
@@ -42,6 +44,7 @@ from server.execution.motions import (
     PlannedMotion,
     PlannedSequence,
     Positions,
+    SplicePoint,
     plan_sequence,
     with_lead_in,
 )
@@ -75,6 +78,9 @@ UNCHECKED = -1
 GIVEN_DURATION = "the duration of the trajectory"
 PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
+
+# A trajectory takes over from another one in motion after this multiple of the time that the last check took.
+CHECKS_AHEAD = 1.5
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
@@ -147,12 +153,13 @@ class GoalExecutor:
         self._show = context.show
         self._confirm = context.confirm
         self._current = context.current
-        self._time_limits = context.time_limits
         self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
-        self._player = Player(arm, self._robot, self._scene_monitor, self._time_limits, in_progress, self._clock)
+        self._player = Player(arm, self._robot, self._scene_monitor, in_progress, self._clock)
         self._goal: Goal | None = None
         self._ahead = PlannedAhead(context.pool)
+        # Time that the last check of a trajectory in motion took [s].
+        self._check_s = HORIZON_S
         # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
         self._end_rad: Positions | None = None
 
@@ -163,10 +170,10 @@ class GoalExecutor:
         self._goal = goal
         goal.cancelled.add_done_callback(lambda _reason: self._ahead.cancel())
         try:
-            if isinstance(goal.motion, PlannedMotion):
-                answer = await self._plan_and_play(goal, goal.motion)
-            elif goal.motion is not None:
-                answer = await _answered(self._play_external(goal, goal.motion))
+            if isinstance(goal.request.motion, PlannedMotion):
+                answer = await self._plan_and_play(goal, goal.request.motion)
+            elif goal.request.motion is not None:
+                answer = await _answered(self._play_external(goal, goal.request.motion))
             else:
                 raise AssertionError("a rejected goal was queued")
             if answer.code is not MoveItErrorCode.SUCCESS:
@@ -182,13 +189,13 @@ class GoalExecutor:
         if self._goal is None or self._goal.reason or self._end_rad is None or held_rad is None:
             return
         # Beside motions of other joints it is not known where those are when the goal's turn comes.
-        if following.motion is not None and not self._in_progress.beside(following.joints):
-            self._ahead.begin(following.motion, held_rad, self._end_rad, self._scene.scene, left_s)
+        if following.request.motion is not None and not self._in_progress.beside(following.request.joints):
+            self._ahead.begin(following.request.motion, held_rad, self._end_rad, self._scene.scene, left_s)
 
     def forget(self, goal: Goal) -> None:
         """Drop the plan that was made in advance for a goal whose turn will not come."""
-        if goal.motion is not None:
-            self._ahead.forget(goal.motion)
+        if goal.request.motion is not None:
+            self._ahead.forget(goal.request.motion)
 
     # Attempts: from a motion to an answer.
 
@@ -205,14 +212,15 @@ class GoalExecutor:
     async def _replace_outgoing(self, goal: Goal, request: PlannedMotion) -> Answer | None:
         """Replace the motion of a preempted goal without a stop; None where that is impossible."""
         outgoing = self._player.outgoing
-        if outgoing is None or outgoing.splice_point is None or outgoing.ended.done():
+        point = None if outgoing is None else outgoing.splice_point(self._clock(), HORIZON_S)
+        if outgoing is None or point is None:
             return None
         if len(request.steps) != 1 or request.scene is not None or request.confirm:
             return None
         # There is no time to check contacts with another motion in progress.
         if self._in_progress.beside(request.joints):
             return None
-        point, scene = outgoing.splice_point, self._scene.scene
+        scene = self._scene.scene
         try:
             problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
         except RefusedError:
@@ -223,19 +231,25 @@ class GoalExecutor:
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         ask = functools.partial(self._pool.ask, moving, scene)
         plan = await goal.unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
-        if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > self._time_limits.trajectory_s:
+        if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
+        # A scene that has changed since the lead was found free is checked on the way.
+        version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
+        checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
+        return await self._play_spliced(goal, planned, checked, point)
+
+    async def _play_spliced(
+        self, goal: Goal, planned: PlannedSequence, motion: CheckedMotion, point: SplicePoint
+    ) -> Answer | None:
+        """Play a motion in the place of the outgoing one; None where the arm has passed the splice point."""
         self._show_soon(planned)
         self._end_rad = planned.end_rad
         goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
-        # A scene that has changed since the lead was found free is checked on the way.
-        version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
-        checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
-        answer = await self._player.play(goal, checked, self._questions(checked), from_s=point.from_s)
-        executed = self.recorder.finish(whole.trajectory.joint_names)
+        answer = await self._player.play(goal, motion, self._questions(motion), from_s=point.from_s)
+        executed = self.recorder.finish(motion.trajectory.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
         return replace(answer, performed=replace(planned.performed, executed=executed))
@@ -253,18 +267,46 @@ class GoalExecutor:
         planned = await self._plan(goal, request)
         if planned.failure is not None:
             return Answer.of(planned.failure, planned.performed)
-        self._time_limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
+        goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
         self._show_soon(planned)
         discarded = await self._confirmed(goal, planned) if request.confirm else None
         return discarded or await self._play(goal, planned, version)
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
+        return await self._splice_external(goal, request) or await self._start_external(goal, request)
+
+    async def _splice_external(self, goal: Goal, request: ExternalTrajectory) -> Answer | None:
+        """Have a trajectory take over from the setpoints of the motion of a preempted goal; None if that is impossible.
+
+        As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
+        before, which takes some milliseconds: it takes over that much later.
+        """
+        outgoing, asked_s = self._player.outgoing, self._clock()
+        if outgoing is None or frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
+            return None
+        horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, HORIZON_S)
+        point = outgoing.splice_point(asked_s, horizon_s)
+        if point is None:
+            return None
+        held_rad = self._held_rad()
+        motion = request.trajectory({**held_rad, **point.positions_rad}, asked_s + horizon_s, point)
+        whole = point.splice(motion)
+        goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+        planned = PlannedSequence(Performed({**held_rad, **point.start_rad}, (whole,)))
+        checked = CheckedMotion(_group_of(self._robot, whole), whole, self._scene.scene.version, planned.summary)
+        goal.defer_replacement()
+        await goal.unless_cancelled(self._scene_monitor.check(lambda: self._questions(checked)(0.0)))
+        self._check_s = self._clock() - asked_s
+        return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
+
+    async def _start_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         await self._until_ready(goal)
         held_rad = self._held_rad()
-        motion = request.trajectory(held_rad)
-        self._time_limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+        motion = request.trajectory(held_rad, self._clock(), None)
+        goal.deadline.limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         planned = PlannedSequence(Performed(held_rad, (motion,)))
         self._show_soon(planned)
+        goal.defer_replacement()
         return await self._play(goal, planned, UNCHECKED)
 
     # Steps of an attempt.
@@ -273,7 +315,7 @@ class GoalExecutor:
         """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal."""
         await self._player.stop_outgoing()
         # Motions of preempted goals of other groups with some of the same joints.
-        preempted = [motion.ended for motion in self._in_progress.of(goal.joints)]
+        preempted = [motion.ended for motion in self._in_progress.of(goal.request.joints)]
         for ended in preempted:
             self._arm.stop(ended)
         await self._arm.wait(preempted, BRAKING_TIMEOUT_S)
@@ -369,6 +411,7 @@ class GoalExecutor:
             in_the_way = await goal.unless_cancelled(self._first_meeting(whole, beside))
             goal.check("before the motion began")
             if in_the_way is not None:
+                goal.allow_replacement()
                 goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
                 await goal.unless_cancelled(asyncio.wait([in_the_way.ended]))
             elif all(one in beside for one in self._in_progress.beside(joints)):
@@ -448,6 +491,7 @@ class GoalExecutors:
         self._arm = arm
         self._context = context
         self._kind = kind
+        self.time_limits = context.time_limits
         self.in_progress = MotionsInProgress()
         self._executors: dict[Joints, GoalExecutor] = {}
 

@@ -6,17 +6,16 @@ import asyncio
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.motions import Joints, Motion, Performed
+from server.execution.time_limits import ExecutionDeadline
 from server.graph.node import Node
 
 Result = TypeVar("Result")
-
-NO_MESSAGE: Mapping[str, Any] = MappingProxyType({})
 
 
 class GoalState(StrEnum):
@@ -68,7 +67,7 @@ class CancelScope:
         replaced: True where another request may replace the motion without a stop; else the motion brakes.
     """
 
-    epoch: int
+    epoch: int = field(default_factory=arrival_epoch, kw_only=True)
     cancelled: asyncio.Future[str] = field(init=False, default_factory=_future)
     replaced: bool = field(init=False, default=False)
 
@@ -105,39 +104,103 @@ class CancelScope:
         return None if task.cancelled() else task.result()
 
 
-@dataclass(eq=False)
-class Goal(CancelScope):
-    """Goal of a client.
+class GoalPolicy(StrEnum):
+    """Treatment of a goal that arrives while another one of its joints is active."""
+
+    QUEUE = "queue"
+    REJECT = "reject"
+    PREEMPT = "preempt"
+
+
+@dataclass(frozen=True)
+class GoalRequest:
+    """Request of a motion, as it arrived.
 
     Attributes:
         source: topic or action of its client.
-        motion: None when the goal was rejected before it was queued.
+        motion: None for a request that is rejected.
         message: the message of its client; empty when there is none, or none that can be read.
-        only_for: the one client that is informed; None for all.
-        progress: the latest; None before the first.
-        answered: its answer, once there is one.
+        client: its client, who is named to those who wait for the goal's end; empty when it is unknown.
+        policy: None for the queue's own policy.
+        on_progress: called with its progress, besides the queue's own listener.
+        on_answer: called once, likewise, perhaps before the goal is submitted.
+        only_for: the one client that is informed of its rejection; None for all.
+        epoch: stop epoch in which it arrived.
+        streamed: True for one of many in a row.
+        repeated: True where the one before it in the row was refused.
     """
 
-    goal_id: str
     source: str
-    motion: Motion | None
-    report: Callable[[Progress], None] = lambda _progress: None
-    on_answer: Callable[[Answer], None] = lambda _answer: None
+    motion: Motion | None = None
     message: Mapping[str, Any] = field(default_factory=dict)
-    client: str = ""
+    client: object = ""
+    policy: GoalPolicy | None = None
+    on_progress: Callable[[Progress], None] = lambda _progress: None
+    on_answer: Callable[[Answer], None] = lambda _answer: None
     only_for: Node | None = None
-    progress: Progress | None = field(init=False, default=None)
-    answered: asyncio.Future[Answer] = field(init=False, default_factory=_future)
+    epoch: int = field(default_factory=arrival_epoch)
+    streamed: bool = False
+    repeated: bool = False
 
     @property
     def joints(self) -> Joints:
         """Joints that it moves."""
         return frozenset() if self.motion is None else self.motion.joints
 
+
+@dataclass(eq=False)
+class Goal(CancelScope):
+    """Goal of a client.
+
+    Attributes:
+        deadline: time limits of its motions, and the time that they have used.
+        progress: the latest; None before the first.
+        answered: its answer, once there is one.
+    """
+
+    goal_id: str
+    request: GoalRequest
+    report: Callable[[Progress], None] = lambda _progress: None
+    deadline: ExecutionDeadline = field(default_factory=ExecutionDeadline)
+    _deferring: bool = field(init=False, default=False)
+    _successor: str = field(init=False, default="")
+    progress: Progress | None = field(init=False, default=None)
+    answered: asyncio.Future[Answer] = field(init=False, default_factory=_future)
+
+    def __post_init__(self) -> None:
+        self.epoch = self.request.epoch
+
+    @property
+    def unlogged(self) -> bool:
+        """True for a goal of a stream whose end is no news: it was replaced, or refused as the one before it."""
+        return self.request.streamed and (self.replaced or self.request.repeated)
+
+    def cancel(self, reason: str, *, replaced: bool = False) -> None:
+        """End the work; a replacement is deferred between the two calls below."""
+        if replaced and self._deferring:
+            self._successor = reason
+        else:
+            super().cancel(reason, replaced=replaced)
+
+    def defer_replacement(self) -> None:
+        """Have no other goal replace it until its motion has begun.
+
+        Else none of a stream of trajectories would begin where it takes longer to check one than the next takes to
+        come.
+        """
+        self._deferring = True
+
+    def allow_replacement(self) -> None:
+        """Have other goals replace it from now on, also those that came meanwhile."""
+        self._deferring = False
+        if self._successor:
+            super().cancel(self._successor, replaced=True)
+
     @property
     def title(self) -> str:
         """Its number, its client and its way in, for people."""
-        return f"goal {self.goal_id}{f' of {self.client}' if self.client else ''} from {self.source}"
+        client = f" of {self.request.client}" if self.request.client else ""
+        return f"goal {self.goal_id}{client} from {self.request.source}"
 
     @property
     def remaining_s(self) -> float | None:

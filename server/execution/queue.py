@@ -10,28 +10,18 @@ import contextlib
 import itertools
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.stop_epochs import STOPPED_SINCE
-from server.arrival import arrival_epoch
+from server.arrival import is_stopped
 from server.execution.executor import GoalExecutors
-from server.execution.goal import NO_MESSAGE, Answer, Goal, GoalState, Progress
-from server.execution.motions import Joints, Motion
-from server.graph.node import Node
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.motions import Joints
+from server.execution.time_limits import ExecutionDeadline
 
 log = logging.getLogger("armbridge.goals")
-
-
-class GoalPolicy(StrEnum):
-    """Treatment of a goal that arrives while another one is being worked on."""
-
-    QUEUE = "queue"
-    REJECT = "reject"
-    PREEMPT = "preempt"
 
 
 @dataclass(frozen=True)
@@ -131,44 +121,19 @@ class GoalQueue:
         """Number of goals that wait for their turn."""
         return len(self._waiting)
 
-    def submit(
-        self,
-        source: str,
-        motion: Motion,
-        *,
-        policy: GoalPolicy | None = None,
-        on_progress: Callable[[Progress], None] = lambda _progress: None,
-        on_answer: Callable[[Answer], None] = lambda _answer: None,
-        message: Mapping[str, Any] = NO_MESSAGE,
-        client: object = None,
-        epoch: int | None = None,
-    ) -> Goal:
-        """Queue a goal. A goal that arrived before the arm's last stop is answered PREEMPTED at once.
-
-        Args:
-            policy: its treatment while another goal of its joints is active; None for the queue's own policy.
-            on_progress: called with its progress, besides the queue's own.
-            on_answer: called once, likewise, perhaps before this returns.
-            client: its client, who is named to those who wait for the goal's end; None when it is unknown.
-            epoch: stop epoch in which it was requested; None for the epoch of the request in progress.
-        """
-        name = "" if client is None else str(client)
-        epoch = arrival_epoch() if epoch is None else epoch
-
-        def report(progress: Progress) -> None:
-            self._report(goal, progress, on_progress)
-
-        goal = Goal(epoch, next(self._ids), source, motion, report, on_answer, message, name)
-        policy = policy or self._policy
-        in_the_way = self._moving(motion.joints)
-        if epoch < self._executors.last_stop(motion.joints):
+    def submit(self, request: GoalRequest) -> Goal:
+        """Queue a goal; a goal that arrived before the arm's last stop is answered PREEMPTED at once."""
+        goal = self._goal(request)
+        policy = request.policy or self._policy
+        in_the_way = self._moving(request.joints)
+        if is_stopped(self._executors.last_stop(request.joints), request.epoch):
             self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, STOPPED_SINCE))
         elif policy is GoalPolicy.REJECT and in_the_way:
             text = f"goal {in_the_way[0].goal_id} is still being worked on"
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, text))
         elif policy is GoalPolicy.PREEMPT:
-            reason = f"preempted by goal {goal.goal_id} from {source}"
-            self._clear(reason, motion.joints)
+            reason = f"preempted by goal {goal.goal_id} from {request.source}"
+            self._clear(reason, request.joints, replaced=True)
             for active in in_the_way:
                 active.cancel(reason, replaced=True)
             self._enqueue(goal)
@@ -179,20 +144,17 @@ class GoalQueue:
             self._enqueue(goal)
         return goal
 
-    def reject(
-        self,
-        source: str,
-        failure: PlanningFailure,
-        message: Mapping[str, Any] = NO_MESSAGE,
-        only_for: Node | None = None,
-    ) -> Goal:
-        """Answer a goal that cannot be executed, at once and past the queue.
-
-        Args:
-            only_for: the one client that is informed; None for all.
-        """
-        goal = Goal(arrival_epoch(), next(self._ids), source, None, message=message, only_for=only_for)
+    def reject(self, request: GoalRequest, failure: PlanningFailure) -> Goal:
+        """Answer a goal that cannot be executed, at once and past the queue."""
+        goal = self._goal(request)
         self._finish(goal, Answer.of(failure))
+        return goal
+
+    def _goal(self, request: GoalRequest) -> Goal:
+        def report(progress: Progress) -> None:
+            self._report(goal, progress)
+
+        goal = Goal(next(self._ids), request, report, ExecutionDeadline(self._executors.time_limits))
         return goal
 
     def cancel(self, goal_id: str, reason: str) -> None:
@@ -226,24 +188,25 @@ class GoalQueue:
         self._executors.stop(joints)
 
     def _moving(self, joints: Joints) -> list[Goal]:
-        return [goal for goal in self._active if goal.joints & joints]
+        return [goal for goal in self._active if goal.request.joints & joints]
 
-    def _clear(self, reason: str, joints: Joints | None = None) -> None:
+    def _clear(self, reason: str, joints: Joints | None = None, *, replaced: bool = False) -> None:
         """Answer the waiting goals that move any of some joints; None for all."""
-        cleared = [goal for goal in self._waiting if joints is None or goal.joints & joints]
+        cleared = [goal for goal in self._waiting if joints is None or goal.request.joints & joints]
         self._waiting = deque(goal for goal in self._waiting if goal not in cleared)
         for goal in cleared:
+            goal.replaced = replaced
             self._leave(goal, reason)
 
     def _leave(self, goal: Goal, reason: str) -> None:
-        self._executors.executor(goal.joints).forget(goal)
+        self._executors.executor(goal.request.joints).forget(goal)
         self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, f"{reason} before this goal's turn came"))
 
     def _enqueue(self, goal: Goal) -> None:
-        ahead = sum(1 for other in (*self._active, *self._waiting) if other.joints & goal.joints)
+        ahead = sum(1 for other in (*self._active, *self._waiting) if other.request.joints & goal.request.joints)
         self._waiting.append(goal)
         goal.report(Progress(GoalState.QUEUED, f"{ahead} goals ahead" if ahead else "next"))
-        for active in self._moving(goal.joints):
+        for active in self._moving(goal.request.joints):
             self._look_ahead(active)
         self._begin_soon()
 
@@ -255,28 +218,28 @@ class GoalQueue:
     def _begin(self) -> None:
         if not self._started:
             return
-        taken: Joints = frozenset().union(*(active.joints for active in self._active))
+        taken: Joints = frozenset().union(*(active.request.joints for active in self._active))
         for goal in list(self._waiting):
             # A goal that waits keeps its joints for itself: none overtakes it.
-            if not goal.joints & taken:
+            if not goal.request.joints & taken:
                 self._waiting.remove(goal)
                 self._idle.clear()
                 self._active[goal] = asyncio.create_task(self._work(goal), name=f"goal {goal.goal_id}")
-            taken |= goal.joints
+            taken |= goal.request.joints
 
     def _look_ahead(self, active: Goal) -> None:
         """Have the next goal planned in advance while a motion is in progress, if it waits for that motion alone."""
-        following = next((goal for goal in self._waiting if goal.joints & active.joints), None)
-        if active.remaining_s is None or following is None or following.joints != active.joints:
+        following = next((goal for goal in self._waiting if goal.request.joints & active.request.joints), None)
+        if active.remaining_s is None or following is None or following.request.joints != active.request.joints:
             return
         with _contained(following):
-            self._executors.executor(active.joints).plan_ahead(following, active.remaining_s)
+            self._executors.executor(active.request.joints).plan_ahead(following, active.remaining_s)
 
     async def _work(self, goal: Goal) -> None:
         try:
-            answer = await self._executors.executor(goal.joints).run(goal)
+            answer = await self._executors.executor(goal.request.joints).run(goal)
         except Exception as error:  # a bug must cost this goal only, and never its answer
-            log.exception("goal %s from %s failed", goal.goal_id, goal.source)
+            log.exception("goal %s from %s failed", goal.goal_id, goal.request.source)
             answer = Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
         if self._active.pop(goal, None) is None:
             return
@@ -285,20 +248,20 @@ class GoalQueue:
             self._idle.set()
         self._begin_soon()
 
-    def _report(self, goal: Goal, progress: Progress, listener: Callable[[Progress], None]) -> None:
+    def _report(self, goal: Goal, progress: Progress) -> None:
         goal.progress = progress
         if goal in self._active:
             self._look_ahead(goal)
         with _contained(goal):
             self._on_progress(goal, progress)
         with _contained(goal):
-            listener(progress)
+            goal.request.on_progress(progress)
 
     def _finish(self, goal: Goal, answer: Answer) -> None:
         with _contained(goal):
             self._on_answer(goal, answer)
         with _contained(goal):
-            goal.on_answer(answer)
+            goal.request.on_answer(answer)
         goal.answered.set_result(answer)
 
 
@@ -308,8 +271,8 @@ def _contained(goal: Goal) -> Iterator[None]:
     try:
         yield
     except Exception:
-        log.exception("goal %s from %s could not be reported", goal.goal_id, goal.source)
+        log.exception("goal %s from %s could not be reported", goal.goal_id, goal.request.source)
 
 
 def _worked_on(goal: Goal) -> str:
-    return f"goal {goal.goal_id} from {goal.source} is worked on"
+    return f"goal {goal.goal_id} from {goal.request.source} is worked on"

@@ -23,7 +23,7 @@ class TimeLimits:
         scaling: multiple of the planned duration; 2.2 is MoveIt's allowed_execution_duration_scaling of 1.1 at the
             half speed of a hot arm.
         margin_s: time on top, in which the arm settles [s].
-        paused_s: limit of the time that a motion is paused or moves backwards, in total [s].
+        paused_s: limit of the time that a goal's motions are paused or move backwards, in total [s].
         trajectory_s: limit of the planned duration of a goal's motions together [s].
     """
 
@@ -68,13 +68,15 @@ class ArmClock:
 
 
 class ExecutionDeadline:
-    """Deadline of one motion, counted in the motion's own time."""
+    """Deadline of the motions of one goal, one after the other, counted in their own time."""
 
-    def __init__(self, duration_s: float, limits: TimeLimits) -> None:
-        self._allowed_s = limits.allowed_s(duration_s)
-        self._allowed_paused_s = limits.paused_s
-        self._used_s = 0.0
-        self._paused_s = 0.0
+    def __init__(self, limits: TimeLimits | None = None) -> None:
+        self.limits = limits or TimeLimits()
+        self._allowed_s = self._used_s = self._paused_s = 0.0
+
+    def begin(self, duration_s: float) -> None:
+        """Begin a motion of a planned duration [s]; pauses of all motions count together."""
+        self._allowed_s, self._used_s = self.limits.allowed_s(duration_s), 0.0
 
     def pass_time(self, elapsed_s: float, pace: Pace) -> None:
         """Count time."""
@@ -91,7 +93,7 @@ class ExecutionDeadline:
         """Sentence that names the exceeded limit; None while there is time left."""
         if self._used_s > self._allowed_s:
             return f"the arm did not end the motion within {self._allowed_s:.1f} s"
-        if self._paused_s > self._allowed_paused_s:
-            paused_s, limit_s = self._paused_s, self._allowed_paused_s
+        if self._paused_s > self.limits.paused_s:
+            paused_s, limit_s = self._paused_s, self.limits.paused_s
             return f"the motion was paused or going back for {paused_s:.0f} s (limit {limit_s:g} s)"
         return None

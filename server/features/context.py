@@ -19,7 +19,7 @@ from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
-from server.execution.goal import Answer, Goal, Progress
+from server.execution.goal import Answer, Goal, GoalRequest, Progress
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue, RunningGoal
@@ -89,7 +89,7 @@ class Goals:
             listener.on_progress(goal, progress)
 
     def _on_answer(self, goal: Goal, answer: Answer) -> None:
-        self.counters.count(goal.source, answer)
+        self.counters.count(goal.request.source, answer)
         for listener in self.listeners:
             listener.on_answer(goal, answer)
 
@@ -167,7 +167,7 @@ class ArmContext:
         """
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
         motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
-        return self.goals.queue.submit("the server", motion, message=message)
+        return self.goals.queue.submit(GoalRequest("the server", motion, message))
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,8 +194,8 @@ class _GoalsOfArm:
 
     def _is_here(self, goal: Goal) -> bool:
         """Return True for a goal that moves the arm, or was sent to it and refused."""
-        arm = self._arm
-        return not arm.name or bool(goal.joints & arm.joints) or goal.source.startswith(arm.graph.resolve("/"))
+        arm, request = self._arm, goal.request
+        return not arm.name or bool(request.joints & arm.joints) or request.source.startswith(arm.graph.resolve("/"))
 
 
 class GoalQueueing(Feature):

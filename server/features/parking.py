@@ -20,12 +20,13 @@ from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arm.services import trigger_response
-from server.arrival import arrival_epoch
+from server.arrival import is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError
+from server.execution.goal import GoalPolicy, GoalRequest
 from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
@@ -129,7 +130,7 @@ class Parking:
             Future of the answer. An arm that does not come to its rest pose goes on holding.
         """
         pose = self._pose
-        refused = self._no_pose if pose is None else STOPPED_SINCE if arrival_epoch() < self._arm.last_stop else ""
+        refused = self._no_pose if pose is None else STOPPED_SINCE if is_stopped(self._arm.last_stop) else ""
         if pose is None or refused:
             answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
             answered.set_result(CommandDone(0, done=False, message=refused))
@@ -147,12 +148,12 @@ class Parking:
         # Motions outside the queue, as of the gripper, end too before the way is planned.
         await self._arm.rest(REST_TIMEOUT_S)
         motion = PlannedMotion((self._problem,), joints)
-        goal = self._queue.submit(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch)
+        goal = self._queue.submit(GoalRequest(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch))
         answer = await goal.answered
         if answer.code is not MoveItErrorCode.SUCCESS:
             log.warning("%s: the arm is not parked: %s", source, answer.message)
             return CommandDone(0, done=False, message=f"the arm is not parked: {answer.message}")
-        if epoch < self._arm.last_stop:
+        if is_stopped(self._arm.last_stop, epoch):
             return CommandDone(0, done=False, message=f"the arm is at its rest pose, and holds: {STOPPED_SINCE}")
         relaxed = await self._arm.order(Order.RELAX)
         log.info("%s: the arm is at its rest pose %s; %s", source, pose.state, relaxed.message)

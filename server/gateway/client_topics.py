@@ -111,6 +111,7 @@ class ClientTopics:
         lost = self._graph.publish(self._node, topic, received, latch=latch, lifespan_s=LIFESPAN_S)
         if operation.latch and not latch:
             lost = NO_LATCH
+        lost = lost or self._graph.remarks.get(topic)
         if lost is not None:
             self._client.status.tell("warning", operation, lost)
         if not operation.latch:

@@ -68,13 +68,14 @@ class Goal(PendingRequest[Result]):
         message_types: MessageTypes,
         on_feedback: Callable[[dict[str, Any]], None] | None,
         sender: Node,
+        goal_id: bytes | None = None,
     ) -> None:
         super().__init__()
         self.sender = sender
         self.action = action
         self.type_name = type_name
         self.request = request
-        self.goal_id = uuid.uuid4().bytes
+        self.goal_id = goal_id or uuid.uuid4().bytes
         self.sender_id: Mark = None
         self.cancel_requested = False
         self.sender_left = False
@@ -234,24 +235,26 @@ class Actions(Providers[ActionProvider]):
         arguments: object,
         on_result: Callable[[Result], None],
         on_feedback: Callable[[dict[str, Any]], None] | None = None,
+        goal_id: bytes | None = None,
     ) -> Goal | None:
         """Send a goal.
 
         Args:
             on_result: called once, perhaps before this returns; not if the sender leaves before.
+            goal_id: sixteen octets by which the sender knows the goal; None for new ones.
 
         Returns:
             The goal, to be cancelled perhaps; None when it was not taken on.
         """
         try:
-            offer = self._offer(name, type_name)
+            offer = self._offer(name, type_name, goal_id)
             if offer.check_lists is not None:
                 offer.check_lists(arguments)
             request = self._message_types.complete_arguments(f"{offer.type_name}_Goal", arguments)
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
-        goal = Goal(name, offer.type_name, request, self._message_types, on_feedback, sender)
+        goal = Goal(name, offer.type_name, request, self._message_types, on_feedback, sender, goal_id)
         self._start(goal, offer, on_result)
         return goal
 
@@ -262,12 +265,14 @@ class Actions(Providers[ActionProvider]):
             if goal.sender_left and goal.sender_id == sender_id:
                 goal.cancel()
 
-    def _offer(self, name: str, type_name: str) -> ActionProvider:
+    def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> ActionProvider:
         offer = self._offers.get(name)
         if offer is None:
             raise GraphError("action", name, "does not exist")
         if self._message_types.canonical(type_name, "action") != offer.type_name:
             raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
+        if goal_id is not None and b64encode(goal_id).decode() in offer.goals:
+            raise GraphError("action", name, f"has a goal of the id {goal_id.hex()} already")
         return offer
 
     def _start(self, goal: Goal, offer: ActionProvider, on_result: Callable[[Result], None]) -> None:

@@ -120,6 +120,7 @@ class Graph:
 
     Attributes:
         rules: rules of publishing on the topics that local parts subscribe to, by name.
+        remarks: sentences for the clients that publish on a topic, by name.
         revision: number of changes in who publishes, latches or subscribes to which topic.
     """
 
@@ -149,7 +150,14 @@ class Graph:
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
         self.rules: dict[str, Rule] = {}
+        self.remarks: Mapping[str, str] = {}
         self.revision = 0
+
+    def remark(self, remarks: Mapping[str, str]) -> None:
+        """Have clients that publish on these topics, and on no others, get the sentences as warnings."""
+        if remarks != self.remarks:
+            self.remarks = remarks
+            self.revision += 1
 
     def watch(self, watcher: Watcher) -> None:
         """Call ``watcher`` with every message from now on; nobody sees it in the graph."""
@@ -340,7 +348,7 @@ class Graph:
         The function is valid until the `revision` changes; latched messages take the general way.
         """
         topic = self._topics.get(name)
-        if topic is None or node not in topic.publishers or topic.latching:
+        if topic is None or node not in topic.publishers or topic.latching or name in self.remarks:
             return None
         if any(subscriber.check_lists is not None for subscriber in topic.subscribers.values()):
             return None

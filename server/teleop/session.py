@@ -14,7 +14,7 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
-from server.arrival import arrival_epoch
+from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError
 from server.execution.goal import Answer, CancelScope, Goal
 from server.execution.monitors import check_ready
@@ -205,7 +205,7 @@ class FollowingSession:
     def _obstacle(self, now_s: float) -> str:
         """Return the reason for which the follower cannot go on; empty if there is none."""
         follower = self._follower
-        if follower.arm.last_stop > self._epoch:
+        if is_stopped(follower.arm.last_stop, self._epoch):
             return "the arm was stopped"
         try:
             check_ready(follower.arm)

@@ -17,7 +17,7 @@ from protocol.publication import PublishedMessage
 from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.answers import Work, telling
-from server.arrival import arrival_epoch
+from server.arrival import is_stopped
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
 from server.graph.node import Node
@@ -268,7 +268,7 @@ class Teleoperation:
 
     def _check_not_stopped(self, follower: Follower) -> None:
         """Refuse a start that a stop of the arm, or of its following, has overtaken."""
-        if arrival_epoch() < max(follower.arm.last_stop, self._last_stops.get(follower.name, 0)):
+        if is_stopped(max(follower.arm.last_stop, self._last_stops.get(follower.name, 0))):
             raise ServiceError(f"{follower.name} does not follow: a stop came after {START} was called")
 
     def _stop(self, names: Sequence[str]) -> list[str]:

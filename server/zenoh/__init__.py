@@ -1,1 +1,1 @@
-"""Topics and services shared with other machines over zenoh, in the way of rmw_zenoh."""
+"""Topics, services and actions shared with other machines over zenoh, in the way of rmw_zenoh."""

@@ -14,9 +14,10 @@ from server.gateway.turns import Threads
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.topics import Graph
-from server.zenoh.network import Namespace, Network, SharedNames
+from server.zenoh.called_services import CalledServices
+from server.zenoh.network import ACTION_PARTS, Namespace, Network, SharedNames
+from server.zenoh.offered_services import OfferedServices
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
-from server.zenoh.services import CalledServices, OfferedServices
 from server.zenoh.session import SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
 from server.zenoh.topics import IncomingTopics, OutgoingTopics
@@ -115,14 +116,19 @@ class Sharing:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._network = network
-        graph, takes_commands = network.graph, bool(settings.subscribe or settings.offer)
-        # A machine that may command the arm must be able to stop it, by whichever way.
-        self._subscribe = SharedNames(
-            settings.subscribe, lambda name: takes_commands and rule_of_topic(name, graph).stops
-        )
-        offer = SharedNames(settings.offer, lambda name: takes_commands and rule_of_service(name, graph).stops)
-        self._publish = SharedNames(settings.publish, lambda name: name.endswith(STOPS))
+        graph = network.graph
+        # Stops go across in both directions, whatever is listed.
+        offer = SharedNames(settings.offer, lambda name: rule_of_service(name, graph).stops)
         self._call = SharedNames(settings.call)
+        self._subscribe = SharedNames(
+            settings.subscribe,
+            lambda name: rule_of_topic(name, graph).stops,
+            # A called action has these topics of its own.
+            never=lambda name: ACTION_PARTS in name and self._call.matches(name),
+        )
+        self._publish = SharedNames(
+            settings.publish, lambda name: name.endswith(STOPS) or (ACTION_PARTS in name and offer.matches(name))
+        )
         self._outgoing = OutgoingTopics(network, self._publish)
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)
         self._offered = OfferedServices(network, offer, authorizer)

@@ -8,7 +8,7 @@ import logging
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
 
 from protocol import type_descriptions
 from protocol.codecs import cdr
@@ -29,8 +29,10 @@ log = logging.getLogger("armbridge.zenoh")
 
 SharedKind: TypeAlias = Literal["msg", "srv"]
 
-# Called in the event loop with the message, or with the reason why there is none.
-Decoded: TypeAlias = Callable[[ReceivedMessage | MessageError], None]
+Completed = TypeVar("Completed")
+
+# Between the name of an action and the names of its services and topics (rcl_action, names.c).
+ACTION_PARTS = "/_action/"
 
 _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
     "msg": type_descriptions.message_hash,
@@ -48,16 +50,23 @@ MAX_SHARED = 1_000
 
 
 class SharedNames:
-    """Patterns of names; a shared name matches one of them.
+    """Patterns of names; a shared name matches one of them. An action's services and topics go with its name.
 
     Args:
         patterns: ``*`` stands for any text, also with slashes in it, as in the globs of ``access``.
         always: returns True for further names that match, whatever the patterns are.
+        never: returns True for names that do not match.
     """
 
-    def __init__(self, patterns: Iterable[str], always: Callable[[str], bool] = lambda _name: False) -> None:
+    def __init__(
+        self,
+        patterns: Iterable[str],
+        always: Callable[[str], bool] = lambda _name: False,
+        never: Callable[[str], bool] = lambda _name: False,
+    ) -> None:
         self._expressions = [re.compile(fnmatch.translate(pattern)) for pattern in patterns]
         self._always = always
+        self._never = never
         self._cache: dict[str, bool] = {}
 
     def matches(self, name: str) -> bool:
@@ -70,7 +79,10 @@ class SharedNames:
         return matches
 
     def _match(self, name: str) -> bool:
-        return is_name(name) and (self._always(name) or any(each.match(name) for each in self._expressions))
+        if not is_name(name) or self._never(name):
+            return False
+        base = name.partition(ACTION_PARTS)[0]
+        return self._always(name) or any(each.match(base) for each in self._expressions)
 
 
 class Namespace:
@@ -175,23 +187,45 @@ class Network:
         """Return True if the server itself publishes a topic of the graph."""
         return any(not node.remote for node in self.graph.publishers(topic))
 
-    def decode(self, type_name: str, octets: bytes, decoded: Decoded) -> None:
-        """Decode a message of another machine: a small one at once, a large one by a thread, which delays nobody."""
+    def decode(self, type_name: str, octets: bytes, decoded: Callable[[ReceivedMessage | MessageError], None]) -> None:
+        """Decode a message of another machine: a small one at once, a large one by a thread, which delays nobody.
+
+        Args:
+            decoded: called in the event loop with the message, or with the reason why there is none.
+        """
+        self._decode(type_name, octets, lambda message: self._received(type_name, message, octets), decoded)
+
+    def decode_member(
+        self, type_name: str, member: str, octets: bytes, decoded: Callable[[dict[str, Any] | MessageError], None]
+    ) -> None:
+        """Decode a message as :meth:`decode`, with a `ReceivedMessage` in the field ``member``."""
+        (member_type,) = (field.base for field in self.registry.message(type_name).fields if field.name == member)
+
+        def with_member(message: dict[str, Any]) -> dict[str, Any]:
+            return {**message, member: self._received(member_type, message[member], octets)}
+
+        self._decode(type_name, octets, with_member, decoded)
+
+    def _decode(
+        self,
+        type_name: str,
+        octets: bytes,
+        complete: Callable[[dict[str, Any]], Completed],
+        decoded: Callable[[Completed | MessageError], None],
+    ) -> None:
+        def read() -> Completed | MessageError:
+            try:
+                return complete(cdr.deserialize(self.registry, type_name, octets))
+            except MessageError as error:
+                return error
+
         if len(octets) <= BYTES_AT_ONCE:
-            decoded(self._completed(type_name, octets))
+            decoded(read())
             return
         failed = MessageError(type_name, "a message that cannot be decoded")
-        self.background.run(
-            lambda: self._completed(type_name, octets),
-            lambda message, _cost_s: decoded(message),
-            lambda: decoded(failed),
-        )
+        self.background.run(read, lambda message, _cost_s: decoded(message), lambda: decoded(failed))
 
-    def _completed(self, type_name: str, octets: bytes) -> ReceivedMessage | MessageError:
-        try:
-            message = cdr.deserialize(self.registry, type_name, octets)
-        except MessageError as error:
-            return error
+    def _received(self, type_name: str, message: dict[str, Any], octets: bytes) -> ReceivedMessage:
         received = ReceivedMessage(message, len(octets))
         received.complete(self.graph.message_types, type_name)
         return received

@@ -30,7 +30,7 @@ _QOS_VOLATILE, _QOS_LATCHED = "::,10:,:,:,,", ":1:,1:,:,:,,"
 _TRANSIENT_LOCAL = "1"
 
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-_DDS_TYPE = re.compile(r"(?P<package>\w+)::(?P<kind>msg|srv)::dds_::(?P<name>\w+)_")
+_DDS_TYPE = re.compile(r"(?P<package>\w+)::(?P<kind>msg|srv|action)::dds_::(?P<name>\w+)_")
 _ENDPOINT_PARTS = 13
 
 # zenoh's own serialization: two int64 in little-endian order, and the sender's id behind its length.

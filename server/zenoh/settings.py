@@ -44,7 +44,7 @@ STATE_TOPICS = (
 
 
 class ZenohSettings(SettingsSection):
-    """Topics and services to share with other machines over zenoh; see docs/zenoh.md."""
+    """Topics, services and actions to share with other machines over zenoh; see docs/zenoh.md."""
 
     mode: Literal["off", "peer", "client", "router"] = "off"
     """off, or the server's role in the network: peer, client of a router, or router."""
@@ -68,9 +68,9 @@ class ZenohSettings(SettingsSection):
     subscribe: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
     """patterns of topics to subscribe to, as this server names them; empty for none."""
     offer: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
-    """patterns of services of this server to offer; empty for none."""
+    """patterns of services and actions of this server to offer; empty for none."""
     call: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
-    """patterns of services of other machines that clients of this server may call; empty for none."""
+    """patterns of services and actions of other machines that clients of this server may call; empty for none."""
     role: Literal["view", "operate", "admin"] = "operate"
     """role of other machines here."""
     insecure: bool = False

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from protocol.codecs import cdr
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
+from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer
+from server.arrival import arrived_in
 from server.errors import GraphError
 from server.graph.message_types import ReceivedMessage
 from server.graph.topics import Subscriber
-from server.zenoh.network import MAX_SHARED, Declared, Network, SharedNames
+from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of, is_name
 from server.zenoh.session import ReceiveQueue
 
@@ -114,22 +116,30 @@ class OutgoingTopics:
 
     def _wanted(self, foreign: frozenset[str]) -> dict[str, tuple[Endpoint, bool]]:
         graph, found = self._network.graph, {}
+        kept: list[str] = []
         for name, type_name in graph.topic_types().items():
             if not set(graph.publishers(name)) - {self._network.node}:
                 continue
             if not self._names.matches(name):
-                self._warn_of(name)
+                kept.append(name)
             else:
                 endpoint = self._endpoint(name, type_name, foreign)
                 if endpoint is not None:
                     found[name] = endpoint, graph.is_latched(name)
+        self._warn_of([name for name in kept if self._is_of_clients(name)])
         return found
 
-    def _warn_of(self, name: str) -> None:
-        """Warn that a topic does not go out, unless this server itself publishes it or subscribes to it."""
-        network = self._network
-        if is_name(name) and not (network.is_own_publication(name) or network.is_own_subscription(name)):
-            network.warn(f"{name} of a client does not go to other machines; zenoh.publish does not list it")
+    def _is_of_clients(self, name: str) -> bool:
+        """Return True for a topic that this server itself neither publishes nor subscribes to."""
+        is_own = self._network.is_own_publication(name) or self._network.is_own_subscription(name)
+        return is_name(name) and ACTION_PARTS not in name and not is_own
+
+    def _warn_of(self, kept: list[str]) -> None:
+        """Warn of topics of clients that do not go out: in the log, and each client that publishes there."""
+        reason = "of a client does not go to other machines; zenoh.publish does not list it"
+        self._network.graph.remark({name: f"topic {name} {reason}" for name in kept})
+        for name in kept:
+            self._network.warn(f"{name} {reason}")
 
     def _endpoint(self, name: str, type_name: str, foreign: frozenset[str]) -> Endpoint | None:
         # A client may publish to another server's topic, by its name there.
@@ -161,12 +171,10 @@ class IncomingTopic:
         GraphError: this server has a topic of that name and another type.
     """
 
-    def __init__(
-        self, network: Network, name: str, source: Source, received: ReceiveQueue[tuple[IncomingTopic, bytes]]
-    ) -> None:
+    def __init__(self, network: Network, name: str, source: Source, received: ReceiveQueue[IncomingMessage]) -> None:
         self.name = name
         self.source = source
-        self.waiting: deque[bytes] = deque(maxlen=MAX_WAITING)
+        self.waiting: deque[IncomingMessage] = deque(maxlen=MAX_WAITING)
         self.decoding = False
         self._network = network
         self._received = received
@@ -216,7 +224,19 @@ class IncomingTopic:
             self._network.warn(f"a message on {self.source.endpoint.name} is left out, it has {reason}")
             return
         octets = bytes(sample.payload)
-        self._received.put((self, octets), len(octets))
+        self._received.put(IncomingMessage(self, octets, STOP_EPOCHS.present), len(octets))
+
+
+class IncomingMessage(NamedTuple):
+    """Message of another machine as CDR.
+
+    Attributes:
+        epoch: stop epoch in which it arrived.
+    """
+
+    topic: IncomingTopic
+    octets: bytes
+    epoch: int
 
 
 class IncomingTopics:
@@ -226,7 +246,7 @@ class IncomingTopics:
         self._network = network
         self._names = names
         self._authorizer = authorizer
-        self._received = ReceiveQueue[tuple[IncomingTopic, bytes]](network.loop, self._publish)
+        self._received = ReceiveQueue[IncomingMessage](network.loop, self._publish)
         self._topics: dict[str, IncomingTopic] = {}
         self._dropped_waiting = 0
         self._entities: tuple[Entity, ...] = ()
@@ -295,23 +315,24 @@ class IncomingTopics:
             )
         return is_taken
 
-    def _publish(self, item: tuple[IncomingTopic, bytes]) -> None:
-        topic, octets = item
+    def _publish(self, received: IncomingMessage) -> None:
+        topic = received.topic
         if self._topics.get(topic.name) is not topic:
             return
         if topic.decoding:
             self._dropped_waiting += len(topic.waiting) == MAX_WAITING
-            topic.waiting.append(octets)
+            topic.waiting.append(received)
             return
         topic.decoding = True
 
         def take(message: ReceivedMessage | MessageError) -> None:
             topic.decoding = False
-            self._deliver(topic, message)
+            with arrived_in(received.epoch):
+                self._deliver(topic, message)
             if topic.waiting:
-                self._publish((topic, topic.waiting.popleft()))
+                self._publish(topic.waiting.popleft())
 
-        self._network.decode(topic.source.endpoint.type_name, octets, take)
+        self._network.decode(topic.source.endpoint.type_name, received.octets, take)
 
     def _deliver(self, topic: IncomingTopic, message: ReceivedMessage | MessageError) -> None:
         if self._topics.get(topic.name) is not topic:

@@ -8,6 +8,7 @@ from typing import Any, Self
 
 from planners.problem import MoveItErrorCode
 from server.execution.goal import Answer, Goal, Progress
+from server.execution.time_limits import TimeLimits
 
 THERE = Answer(MoveItErrorCode.SUCCESS, "the arm is there")
 
@@ -33,6 +34,8 @@ class GoalRunner:
 
     # Called by the queue.
 
+    time_limits = TimeLimits()
+
     def last_stop(self, _joints: frozenset[str]) -> int:
         return 0
 
@@ -40,7 +43,7 @@ class GoalRunner:
         return self
 
     async def run(self, goal: Goal) -> Answer:
-        self.asked.append(goal.motion)
+        self.asked.append(goal.request.motion)
         self.report = goal.report
         self._end = asyncio.get_running_loop().create_future()
         goal.cancelled.add_done_callback(lambda _reason: (self.preempt if goal.replaced else self.cancel)(goal.reason))
@@ -53,10 +56,10 @@ class GoalRunner:
         self.cancel(reason)
 
     def plan_ahead(self, following: Goal, left_s: float) -> None:
-        self.ahead.append((following.motion, left_s))
+        self.ahead.append((following.request.motion, left_s))
 
     def forget(self, goal: Goal) -> None:
-        self.forgotten.append(goal.motion)
+        self.forgotten.append(goal.request.motion)
 
     def stop(self, joints: Iterable[str] | None = None) -> None:
         self.stopped.append(joints)

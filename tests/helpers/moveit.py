@@ -20,9 +20,9 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution import goal as execution
-from server.execution.goal import Answer
+from server.execution.goal import Answer, GoalPolicy
 from server.execution.monitors import CurrentState
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.graph.actions import Goal, Result
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -300,7 +300,7 @@ class ActionDesk(ServiceRig, GoalRunner):
         self.results: list[Result] = []
 
     def _answered(self, goal: execution.Goal, answer: Answer) -> None:
-        if goal.motion is None:
+        if goal.request.motion is None:
             self.refused.append(answer.message)
 
     async def send(self, action: str, **goal: Any) -> Goal | None:

@@ -8,12 +8,14 @@ from importlib import metadata
 import numpy as np
 import pytest
 
+from planners.budget import Budget, never
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.goals import JointGoal, PoseGoal
+from planners.ik.goal_states import DISTINCT_RAD, TURN_RAD, TURNED_A_SOLUTION, GoalQuery, GoalStates
 from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem
-from planners.scene import Pose
+from planners.scene import Box, Pose, Scene, SceneObject
 from robot.description import model
 from robot.description.example_robots import PACKAGE, find_example
 from tests.helpers.resources import in_proportion
@@ -118,3 +120,53 @@ def test_the_tip_follows_a_line_of_eight_centimetres(arm):
         if isinstance(answer, CartesianPlan) and answer.fraction == 1.0:
             return
     raise AssertionError("no line of twenty could be followed")
+
+
+UR5_START = np.array([-3.53, 3.83, -0.58, -3.33, 4.76, 0.0])
+UR5_GOAL = PoseGoal("tool0", Pose((0.35, 0.1, 0.6), (-0.5, 0.5, -0.5, 0.5)), 0.001, (0.01, 0.01, 0.01), strict=True)
+
+
+@pytest.fixture(scope="module")
+def ur5_on_floor():
+    """UR5 on a floor, past which the shoulder cannot turn."""
+    arm = Arm("ur5")
+    floor = SceneObject("floor", ((Box((3.0, 3.0, 0.1)), Pose((0.0, 0.0, -0.06))),))
+    assert arm.planner.set_scene(Scene(1, (floor,))) is None
+    assert arm.collision.set_scene(Scene(1, (floor,))) is None
+    return arm
+
+
+# With these seeds the floor is between the start and the first six solutions, whole turns apart.
+@pytest.mark.parametrize("seed", [9, 71])
+def test_a_pose_is_reached_though_most_whole_turns_of_its_solutions_cannot_be(ur5_on_floor, seed):
+    arm, rng = ur5_on_floor, np.random.default_rng(seed)
+    shoulder = arm.names.index("shoulder_lift_joint")
+
+    def state():
+        while True:
+            q = rng.uniform(arm.collision.lower_rad, arm.collision.upper_rad)
+            q[shoulder] = rng.uniform(np.pi + 0.3, 2.0 * np.pi - 0.3)
+            if not arm.collision.in_collision(q):
+                return q
+
+    start_q, pose = state(), pose_of(arm.forward, state(), arm.tip)
+    goal = PoseGoal(arm.tip, pose, 0.001, (0.01, 0.01, 0.01), strict=True)
+    reached = pose_of(arm.forward, arm.plan(start_q, goal), arm.tip)
+    np.testing.assert_allclose(reached.position_m, pose.position_m, atol=0.001)
+
+
+def test_solutions_are_distinct_branches_with_their_nearest_whole_turns(ur5_on_floor):
+    query = GoalQuery(
+        ur5_on_floor.robot.groups[ur5_on_floor.group], UR5_START, None, Budget(time.process_time, 5.0, never)
+    )
+    states = GoalStates(ur5_on_floor.robot, ur5_on_floor.collision).find(UR5_GOAL, query)
+    branches = []
+    for q in (state.q for state in states):
+        turns = [np.rint((q - branch) / TURN_RAD) for branch in branches]
+        apart_rad = [np.max(np.abs(q - branch - TURN_RAD * n)) for branch, n in zip(branches, turns, strict=True)]
+        if not apart_rad or min(apart_rad) > DISTINCT_RAD:
+            branches.append(q)
+    assert len(branches) > 2
+    assert len(states) == TURNED_A_SOLUTION * len(branches)
+    # The first is a branch at its nearest: no joint that may turn once around is further off than half a turn.
+    assert np.max(np.abs(states[0].q - UR5_START)) <= 0.5 * TURN_RAD

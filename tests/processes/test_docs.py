@@ -28,7 +28,7 @@ ANSWER_TIMEOUT_S = 60
 SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
 
 
-WITH_CODE = ("browser.md", "unity.md", "unreal.md")
+WITH_CODE = ("browser.md",)
 
 
 PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]

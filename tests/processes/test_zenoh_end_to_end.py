@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from websockets.asyncio.client import connect
 
-from harness.clients import frame_client
+from harness.clients import arm_client, frame_client
 from harness.server import RunningServer
 from harness.waiting import until, wait_until
 from protocol.codecs import json
@@ -24,6 +24,10 @@ from tests.helpers.zenoh_network import RosMachine, free_port
 STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 ERROR_CODES = "moveit_msgs::msg::dds_::MoveItErrorCodes_"
 SUCCESS, PREEMPTED = 1, -7
+
+# Goals of the gripper [rad], and the final status of an action that has succeeded.
+OPEN, CLOSED = {"command": {"position": 1.0}}, {"command": {"position": 0.2}}
+SUCCEEDED = 4
 
 # A server ends within a second, and on a starved machine by its arm's clock.
 END_TIMEOUT_S = 60.0
@@ -61,7 +65,10 @@ def lab() -> Iterator[Lab]:
     port = free_port()
     endpoint = f'["tcp/127.0.0.1:{port}"]'
     arm_settings = zenoh_settings(
-        LISTEN=endpoint, NAMESPACE="/arm1", SUBSCRIBE='["/moveit_goal_*"]', OFFER='["/arm/*"]'
+        LISTEN=endpoint,
+        NAMESPACE="/arm1",
+        SUBSCRIBE='["/moveit_goal_*"]',
+        OFFER='["/arm/*", "/execute_trajectory", "*_controller/*"]',
     )
     viewer_settings = zenoh_settings(
         CONNECT=endpoint, PUBLISH='["/arm1/moveit_goal_*"]', SUBSCRIBE='["/arm1/*"]', CALL='["/arm1/*"]'
@@ -121,6 +128,18 @@ async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: L
         await client.publish("/arm1/moveit_goal_named", {"data": "rest"})
         results = await client.wait_for("/arm1/moveit_goal_result", bool)
     assert results[0]["val"] == SUCCESS, results[0]
+
+
+async def test_a_client_of_another_server_moves_the_gripper_by_an_action(ready_arm: Lab) -> None:
+    action, gripper = "/arm1/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand"
+    async with arm_client(ready_arm.viewer.url) as client:
+        async with asyncio.timeout(30.0):
+            while action not in (await client.call("/rosapi/action_servers"))["action_servers"]:
+                await asyncio.sleep(0.05)
+        results = [await client.result(await client.send_goal(action, gripper, goal)) for goal in (OPEN, CLOSED)]
+        assert client.feedback
+    assert [result["status"] for result in results] == [SUCCEEDED, SUCCEEDED]
+    assert results[1]["values"]["reached_goal"]
 
 
 async def test_a_client_of_another_server_stops_the_arm_by_a_topic_that_is_listed_nowhere(ready_arm: Lab) -> None:

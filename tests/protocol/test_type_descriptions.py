@@ -4,7 +4,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from protocol.errors import InterfaceError
-from protocol.registry import Registry
+from protocol.registry import Registry, read_ros2
 from protocol.type_descriptions import full_text, message_hash, service_hash, typedefs
 
 REGISTRY = Registry.load()
@@ -128,6 +128,7 @@ PUBLISHED_SERVICES = {
     "std_srvs/Trigger": "eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
     "std_srvs/SetBool": "abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
     "std_srvs/Empty": "5888399dedec5ccc85ea6451949fd2c9f97bfdf963f9a588821639fcd31b5d19",
+    "action_msgs/CancelGoal": "573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a",
     "example_interfaces/AddTwoInts": "e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a",
 }
 
@@ -135,6 +136,24 @@ PUBLISHED_SERVICES = {
 def test_messages_and_services_have_the_hashes_that_ros_publishes() -> None:
     for hash_of, published in ((message_hash, PUBLISHED), (service_hash, PUBLISHED_SERVICES)):
         assert {name: hash_of(REGISTRY, name).removeprefix("RIHS01_") for name in published} == published
+
+
+# test_msgs/Fibonacci of ROS 2 Kilted as rosidl hashed it (share/test_msgs/action/Fibonacci.json), and its definition.
+FIBONACCI = {
+    "SendGoal": "d807633803e38e164276573cd97e9fbd71e109c290bbf4cc312a0a1c9da7bbd9",
+    "GetResult": "5d30fdeb21d20e117aa5f36c7b4f0b6874f1a8cf7a9c038d58f1156c5737b209",
+    "FeedbackMessage": "37487bae8cea358366b97003c1ef1ca7ce7c08df36f9e8cca496624226aee64e",
+}
+SEQUENCE = {"fields": [["sequence", "int32[]"]], "consts": []}
+ORDER = {"fields": [["order", "int32"]], "consts": []}
+
+
+def test_what_goes_with_an_action_has_the_hashes_that_rosidl_writes() -> None:
+    action = {"kind": "action", "goal": ORDER, "result": SEQUENCE, "feedback": SEQUENCE}
+    registry = Registry({**read_ros2(), "test_msgs/action/Fibonacci": action})
+    for part, digest in FIBONACCI.items():
+        hash_of = message_hash if part == "FeedbackMessage" else service_hash
+        assert hash_of(registry, f"test_msgs/action/Fibonacci_{part}") == f"RIHS01_{digest}"
 
 
 def test_every_message_that_rosbags_knows_too_has_the_same_hash_there() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from server.config_loader import load, load_with_sources
 from server.errors import ConfigurationError
-from server.execution.queue import GoalPolicy
+from server.execution.goal import GoalPolicy
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Motion
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.graph.actions import Goal, GoalStatus
 from server.moveit.error_codes import error_code
 from server.moveit.poses import Message
@@ -37,12 +37,14 @@ def submit_goal(
         finish_goal(goal, answer, result)
 
     queued = queue.submit(
-        goal.action,
-        request,
-        policy=GoalPolicy.PREEMPT,
-        on_progress=send_feedback,
-        on_answer=end,
-        client=goal.sender,
+        GoalRequest(
+            goal.action,
+            request,
+            client=goal.sender,
+            policy=GoalPolicy.PREEMPT,
+            on_progress=send_feedback,
+            on_answer=end,
+        )
     )
     cancel_with_goal(goal, lambda reason: queue.cancel(queued.goal_id, reason))
 
@@ -63,7 +65,7 @@ def reject_goal(
     result: Callable[[Answer], Message],
 ) -> None:
     """End a goal that cannot be submitted; the arm's motion continues."""
-    queue.reject(goal.action, failure)
+    queue.reject(GoalRequest(goal.action), failure)
     finish_goal(goal, Answer.of(failure), result)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
@@ -141,7 +141,7 @@ class GoalCalls:
             message, translate = self._goal_of(request)
             motion = translate(message, self._translator.options(request))
         except RefusedError as error:
-            rejected = self._queue.reject(self._name, error.failure, message)
+            rejected = self._queue.reject(GoalRequest(self._name, message=message), error.failure)
             end(self._result(message, Answer.of(error.failure), rejected.goal_id))
             return None
         for warning in motion.warnings:
@@ -169,7 +169,7 @@ class GoalCalls:
         end: Callable[[Mapping[str, Any]], None],
         report: Callable[[Progress], None] = lambda _progress: None,
     ) -> str:
-        queued = self._queue.submit(self._name, goal.motion, on_progress=report, message=goal.message, client=client)
+        queued = self._queue.submit(GoalRequest(self._name, goal.motion, goal.message, client, on_progress=report))
         queued.answered.add_done_callback(
             lambda answered: end(self._result(goal.message, answered.result(), queued.goal_id))
         )

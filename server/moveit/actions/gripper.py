@@ -22,7 +22,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
-from server.arrival import arrival_epoch
+from server.arrival import is_stopped
 from server.errors import RefusedError
 from server.execution.goal import CancelScope
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
@@ -149,8 +149,8 @@ class Gripper:
 
     def claim(self) -> CancelScope:
         """Claim the gripper for the request in progress; a request that a stop has overtaken replaces no other."""
-        claim = CancelScope(arrival_epoch())
-        if claim.epoch >= self._arm.last_stop:
+        claim = CancelScope()
+        if not is_stopped(self._arm.last_stop, claim.epoch):
             if self._newest is not None:
                 self._newest.cancel("a newer command has come")
             self._newest = claim
@@ -162,7 +162,7 @@ class Gripper:
         """Execute a command; every wait is bounded."""
         async with self._turn:
             await self._arm.until_started(ARM_START_TIMEOUT_S)
-            if claim.reason or claim.epoch < self._arm.last_stop:
+            if claim.reason or is_stopped(self._arm.last_stop, claim.epoch):
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
             return await self._play(claim, command, report)
 

@@ -15,7 +15,7 @@ from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
 from server.errors import RefusedError
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph.local_graph import LocalGraph
@@ -124,26 +124,31 @@ class GoalStatusTopics:
         status = final_status(goal, answer, self._robot)
         level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
-        if goal.only_for is None and not logged:
-            fields = {"goal": goal.goal_id, "client": goal.client, "code": answer.code.name}
+        if goal.request.only_for is None and not logged and not goal.unlogged:
+            fields = {
+                "goal": goal.goal_id,
+                "client": str(goal.request.client),
+                "code": answer.code.name,
+            }
             sentence = "goal %s from %s: %s: %s"
-            log.log(level, sentence, goal.goal_id, goal.source, answer.code.name, status["message"], extra=fields)
+            values = goal.goal_id, goal.request.source, answer.code.name, status["message"]
+            log.log(level, sentence, *values, extra=fields)
         self._publish(goal, STATUS_TOPIC, status)
-        if goal.source in self._sources:
-            source = f"{goal.source}#{goal.goal_id}"
+        if goal.request.source in self._sources:
+            source = f"{goal.request.source}#{goal.goal_id}"
             self._publish(goal, RESULT_TOPIC, {"val": int(answer.code), "message": status["message"], "source": source})
 
     def _publish(self, goal: Goal, topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.
-        if goal.only_for is None:
+        if goal.request.only_for is None:
             self._graph.publish(self._node, topic, message)
         else:
-            self._graph.tell(goal.only_for, topic, message)
+            self._graph.tell(goal.request.only_for, topic, message)
 
 
 def final_status(goal: Goal, answer: Answer, robot: RobotModel) -> Message:
     """Return the final status of a goal, with the goal that would have worked where one was found."""
-    instead = suggestion(goal.message, answer.details, robot)
+    instead = suggestion(goal.request.message, answer.details, robot)
     message = answer.message if instead is None else instead.added_to(answer.message)
     succeeded = answer.code is MoveItErrorCode.SUCCESS
     details = {"code": str(int(answer.code)), **details_as_json(answer)}
@@ -159,12 +164,12 @@ def _status(goal: Goal, progress: Progress, level: int, details: Mapping[str, st
         "fraction": f"{progress.fraction:.3f}",
         "seconds_left": f"{progress.remaining_s:.2f}",
     }
-    if "header" in goal.message:
-        stamp = goal.message["header"]["stamp"]
+    if "header" in goal.request.message:
+        stamp = goal.request.message["header"]["stamp"]
         values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
     return {
         "level": level,
-        "name": goal.source,
+        "name": goal.request.source,
         "message": progress.message,
         "hardware_id": goal.goal_id,
         "values": key_values({**values, **details}),
@@ -217,19 +222,20 @@ class GoalTopics:
             try:
                 motion = translate(message)
             except RefusedError as error:
-                self._queue.reject(source, error.failure, message)
+                self._queue.reject(GoalRequest(source, message=message), error.failure)
                 return
             for warning in motion.warnings:
                 log.warning("%s: %s", source, warning)
             motion = replace(motion, confirm=self._confirmation.enabled)
-            self._queue.submit(source, motion, message=message, client=published.publisher)
+            self._queue.submit(GoalRequest(source, motion, message, published.publisher))
 
         def reject_invalid(error: MessageError) -> None:
-            self._queue.reject(source, PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error)))
+            failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error))
+            self._queue.reject(GoalRequest(source), failure)
 
         def reject_unauthorized(message: Message, sender: Node, reason: str) -> None:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
-            self._queue.reject(source, failure, message, only_for=sender)
+            self._queue.reject(GoalRequest(source, message=message, only_for=sender), failure)
 
         subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized, rule=GOAL)
         self._graph.subscribe(self._node, topic, type_name, subscriber)
@@ -241,7 +247,8 @@ class GoalTopics:
         try:
             self._translator.select_group(published.msg["data"])
         except RefusedError as error:
-            self._queue.reject(self._graph.resolve(GROUP_TOPIC), error.failure, published.msg)
+            request = GoalRequest(self._graph.resolve(GROUP_TOPIC), message=published.msg)
+            self._queue.reject(request, error.failure)
         self._publish_group()
 
     def _publish_group(self) -> None:

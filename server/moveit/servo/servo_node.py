@@ -16,7 +16,7 @@ from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
-from server.arrival import arrival_epoch
+from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, UnsuccessfulError
 from server.execution.monitors import check_ready
 from server.graph.local_graph import LocalGraph
@@ -202,13 +202,13 @@ class CommandGate:
             return CommandRejection(f"{client} cannot steer the arm: {self._owner} does", from_owner=False)
         self._owner = client
         silence_s, self._heard_s = now_s - self._heard_s, now_s
-        last_stop, epoch = self._arm.last_stop, arrival_epoch()
-        pressed = self._presses.get(client, epoch) >= last_stop
-        if silence_s > self._timeout_s and epoch >= last_stop and pressed:
+        stopped, last_stop = is_stopped(self._arm.last_stop), self._arm.last_stop
+        pressed = not is_stopped(last_stop, self._presses.get(client))
+        if silence_s > self._timeout_s and pressed and not stopped:
             self._interrupted = ""
-        elif min(epoch, self._heard_epoch) < last_stop:
+        elif stopped or is_stopped(last_stop, self._heard_epoch):
             self._interrupted = "the arm was stopped"
-        self._heard_epoch = epoch
+        self._heard_epoch = arrival_epoch()
         message = self._reason(client, kind)
         return CommandRejection(message) if message else None
 

@@ -19,7 +19,7 @@ from server.arm.commissioning import IDLE_TIMEOUT_S, Dialogue, ProcedureFailed
 from server.arm.first_motions import FirstMotions
 from server.arm.verifying import SLOWLY, VerificationProcedure
 from server.config import ArmSettings
-from server.execution.goal import Answer, Goal
+from server.execution.goal import Answer, Goal, GoalRequest
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.robots import so101
 
@@ -38,7 +38,7 @@ class Goals:
     def go_to(self, positions_rad: Mapping[str, float], scaling: float) -> Goal:
         self.asked.append(positions_rad)
         self.scalings.add(scaling)
-        goal = Goal(0, str(len(self.asked)), "the server", None)
+        goal = Goal(str(len(self.asked)), GoalRequest("the server"))
         if self._codes:
             code = self._codes.pop(0) if len(self._codes) > 1 else self._codes[0]
             goal.answered.set_result(Answer(code, f"it ended as {code.name}"))

@@ -38,12 +38,12 @@ from robot.messages import ArmConfig, ArmState, ChangePace, Mode, MotionEnded, O
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, GoalExecutors, MotionRecorder
 from server.execution.failures import FailedGoals
-from server.execution.goal import Goal, GoalState, Progress
+from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
+from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.queue import GoalPolicy, GoalQueue
-from server.execution.time_limits import TimeLimits
+from server.execution.queue import GoalQueue
+from server.execution.time_limits import ExecutionDeadline, TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, settle
@@ -76,7 +76,7 @@ class Rig:
     news: list[Progress] = field(default_factory=list)
 
     async def run(self, **positions_rad: float) -> Any:
-        self.goal = Goal(0, "1", "/goal", to(**positions_rad), self.news.append)
+        self.goal = Goal("1", GoalRequest("/goal", to(**positions_rad)), self.news.append)
         return await self.executor.run(self.goal)
 
 
@@ -156,7 +156,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
     arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     executor = executor_of(arm, robot, PlannerPool(robot))
-    answer = await executor.run(Goal(0, "1", "/goal", to(shoulder_pan=0.5)))
+    answer = await executor.run(Goal("1", GoalRequest("/goal", to(shoulder_pan=0.5))))
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
     assert "starting" in answer.message
 
@@ -235,8 +235,8 @@ class Stage:
         self.ahead.append(self.problems.pop())
         return answer
 
-    async def begin(self, motion: PlannedMotion | ExternalTrajectory) -> None:
-        self.goal = Goal(0, "1", "/goal", motion, self.news.append)
+    async def begin(self, motion: PlannedMotion | ExternalTrajectory, limits: TimeLimits | None = None) -> None:
+        self.goal = Goal("1", GoalRequest("/goal", motion), self.news.append, ExecutionDeadline(limits))
         self.running = asyncio.create_task(self.executor.run(self.goal))
         await settle()
 
@@ -250,7 +250,7 @@ class Stage:
         assert (await self.answer()).code is MoveItErrorCode.SUCCESS
 
     async def plan_ahead(self, motion: PlannedMotion) -> None:
-        self.executor.plan_ahead(Goal(0, "2", "/goal", motion), 60.0)
+        self.executor.plan_ahead(Goal("2", GoalRequest("/goal", motion)), 60.0)
         await settle()
 
 
@@ -267,18 +267,11 @@ async def stage() -> Stage:
 
 def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
     motion = smooth_move(dict.fromkeys(ARM, (start_rad, end_rad)), 2.0)
-    return ExternalTrajectory(lambda _held_rad: motion, frozenset(ARM))
-
-
-def limited(stage: Stage, trajectory_s: float) -> None:
-    """Give the stage an executor with a limit of the motions' duration [s]."""
-    limits = TimeLimits(trajectory_s=trajectory_s)
-    stage.executor = GoalExecutor(stage.arm.as_arm, stage.context(time_limits=limits), MotionsInProgress())
+    return ExternalTrajectory(lambda *_start: motion, frozenset(ARM))
 
 
 async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_anew(stage: Stage) -> None:
-    limited(stage, 0.9)
-    await stage.begin(replace(to(shoulder_pan=0.4), attempts=5))
+    await stage.begin(replace(to(shoulder_pan=0.4), attempts=5), TimeLimits(trajectory_s=0.9))
     answer = await stage.answer()
     assert answer.code is MoveItErrorCode.FAILURE
     assert answer.message == (
@@ -289,8 +282,7 @@ async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_a
 
 
 async def test_a_given_trajectory_that_takes_too_long_is_refused(stage: Stage) -> None:
-    limited(stage, 1.9)
-    await stage.begin(given(0.0, 0.2))
+    await stage.begin(given(0.0, 0.2), TimeLimits(trajectory_s=1.9))
     answer = await stage.answer()
     assert answer.code is MoveItErrorCode.INVALID_MOTION_PLAN
     assert "the duration of the trajectory is 2 s, longer than" in answer.message
@@ -410,7 +402,7 @@ async def test_a_goal_is_cancelled_during_planning(stage: Stage) -> None:
 
 
 async def test_a_goal_cancelled_before_its_work_begins_moves_nothing_and_the_next_one_moves(stage: Stage) -> None:
-    goal = Goal(0, "1", "/goal", to(shoulder_pan=0.4))
+    goal = Goal("1", GoalRequest("/goal", to(shoulder_pan=0.4)))
     goal.cancel("ended by a test")
     answer = await stage.executor.run(goal)
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "ended by a test before the motion began")
@@ -458,8 +450,7 @@ async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop(s
 
 async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stage) -> None:
     await under_way(stage)
-    stage.executor._time_limits = TimeLimits(trajectory_s=0.9)
-    await stage.begin(to(shoulder_pan=-0.2))
+    await stage.begin(to(shoulder_pan=-0.2), TimeLimits(trajectory_s=0.9))
     answer = await stage.answer()
     assert "longer than goals.max_trajectory_duration_s = 0.9" in answer.message
     assert len(stage.arm.played) == 1
@@ -469,7 +460,7 @@ async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stag
 def be_nowhere_to_leave(stage: Stage) -> None:
     outgoing = stage.executor._player.outgoing
     assert outgoing is not None
-    stage.executor._player.outgoing = replace(outgoing, splice_point=None)
+    stage.executor._player.outgoing = replace(outgoing, path_time=PathTime(0.0, 0.0, 0.0))
 
 
 OTHERWISE: dict[str, Callable[[Stage], object]] = {
@@ -511,7 +502,7 @@ async def test_a_goal_that_is_cancelled_as_its_replacement_is_to_be_planned_asks
         if progress.message == "planning in motion":
             goal.cancel("cancelled by a test")
 
-    goal = Goal(0, "2", "/goal", to(shoulder_pan=-0.2), report)
+    goal = Goal("2", GoalRequest("/goal", to(shoulder_pan=-0.2)), report)
     answer = await asyncio.wait_for(stage.executor.run(goal), TIMEOUT_S)
     # A question that is never awaited is an error of the test run.
     gc.collect()
@@ -632,7 +623,7 @@ async def test_a_goal_is_planned_after_those_that_came_before_for_where_they_end
     stage.planners_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
     other = stage.executing()
-    second = asyncio.create_task(other.run(Goal(0, "2", "/goal", fingers())))
+    second = asyncio.create_task(other.run(Goal("2", GoalRequest("/goal", fingers()))))
     await settle()
     assert len(stage.problems) == 1
     stage.planners_answer.set()
@@ -827,7 +818,7 @@ class Burst:
         self.queue.start()
 
     def submit(self, motion: PlannedMotion) -> None:
-        self.queue.submit("/goal", motion)
+        self.queue.submit(GoalRequest("/goal", motion))
 
     async def answered(self, count: int) -> None:
         await until(lambda: len(self.answers) == count)

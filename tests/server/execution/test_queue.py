@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.goal import Answer, Goal, GoalState, Progress
-from server.execution.queue import GoalPolicy, GoalQueue, RunningGoal
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.queue import GoalQueue, RunningGoal
+from server.execution.time_limits import TimeLimits
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
 
@@ -39,8 +40,8 @@ class BrokenError(ValueError):
 class ScriptedRunner(GoalRunner):
     async def run(self, goal: Goal) -> Answer:
         goal.report(Progress(GoalState.PLANNING, "planning"))
-        if isinstance(goal.motion, Exception):
-            raise goal.motion
+        if isinstance(goal.request.motion, Exception):
+            raise goal.request.motion
         return await super().run(goal)
 
 
@@ -59,7 +60,7 @@ class Desk:
     async def submit(self, *requests: object) -> None:
         """Submit goals; each is begun, or waits, before the next one comes."""
         for request in requests:
-            self.queue.submit("/goal", request if isinstance(request, Exception) else self.move(request))
+            self.queue.submit(GoalRequest("/goal", request if isinstance(request, Exception) else self.move(request)))
             await settle()
 
     async def finish(self) -> None:
@@ -92,7 +93,7 @@ async def desk_of(policy: GoalPolicy, *requests: str) -> Desk:
 
 async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
     for name in "abc":
-        desk.queue.submit("/goal", desk.move(name))
+        desk.queue.submit(GoalRequest("/goal", desk.move(name)))
     for count in (1, 2, 3):
         await settle()
         assert len(desk.runner.asked) == count
@@ -103,10 +104,10 @@ async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
 
 async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:
     assert desk.queue.running is None
-    desk.queue.submit("/goals", desk.move("first"), client="unity")
+    desk.queue.submit(GoalRequest("/goals", desk.move("first"), client="unity"))
     await settle()
     assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", None, 0)
-    desk.queue.submit("/goals", desk.move("second"))
+    desk.queue.submit(GoalRequest("/goals", desk.move("second")))
     desk.runner.report(Progress(GoalState.EXECUTING, "", 0.25, 3.0))
     assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", 3.0, 1)
     await desk.finish()
@@ -122,7 +123,7 @@ async def test_a_goal_over_the_capacity_is_rejected_with_the_limit(desk: Desk) -
 
 async def test_a_rejected_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
     await desk.submit("a")
-    goal = desk.queue.reject("/goal", PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
+    goal = desk.queue.reject(GoalRequest("/goal"), PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
     assert desk.codes() == [(goal.goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
     assert desk.runner.asked == ["a"]
 
@@ -160,7 +161,7 @@ async def test_policy_preempt_ends_the_active_goal_and_runs_the_new_one() -> Non
 
 
 async def test_a_bug_in_the_runner_costs_its_goal_only(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
-    desk.queue.submit("/goal", BrokenError("broken"))
+    desk.queue.submit(GoalRequest("/goal", BrokenError("broken")))
     await desk.submit("b")
     await desk.finish()
     assert desk.codes() == [("1", MoveItErrorCode.FAILURE), ("2", MoveItErrorCode.SUCCESS)]
@@ -202,7 +203,7 @@ async def test_closing_that_is_cut_short_answers_the_active_goal() -> None:
 
 async def test_a_waiting_goal_reports_how_many_are_ahead(desk: Desk) -> None:
     await desk.submit("a")
-    desk.queue.submit("/goal", desk.move("b"))
+    desk.queue.submit(GoalRequest("/goal", desk.move("b")))
     assert desk.states == [("1", GoalState.QUEUED), ("1", GoalState.PLANNING), ("2", GoalState.QUEUED)]
 
 
@@ -218,7 +219,7 @@ async def test_a_bug_in_a_listener_costs_no_other_goal(desk: Desk, caplog: pytes
     def broken(_news: object) -> None:
         raise ValueError("broken listener")
 
-    desk.queue.submit("/goal", desk.move("a"), on_progress=broken, on_answer=broken)
+    desk.queue.submit(GoalRequest("/goal", desk.move("a"), on_progress=broken, on_answer=broken))
     await desk.submit("b")
     await desk.finish()
     assert desk.runner.asked == ["a", "b"]
@@ -230,6 +231,7 @@ class TwoArms:
     """Runners of goals that name their joints in a word: ``left``, ``right`` or ``left right``."""
 
     def __init__(self) -> None:
+        self.time_limits = TimeLimits()
         self.runners: dict[frozenset[str], ScriptedRunner] = {}
         self.stopped: list[Any] = []
 
@@ -318,7 +320,7 @@ async def test_the_goals_of_some_joints_are_cancelled_alone() -> None:
 async def test_a_goal_preempts_waiting_goals_of_its_joints_alone() -> None:
     desk = ArmsDesk()
     await desk.submit("left", "right", "left", "right")
-    desk.queue.submit("/goal", desk.move("left"), policy=GoalPolicy.PREEMPT)
+    desk.queue.submit(GoalRequest("/goal", desk.move("left"), policy=GoalPolicy.PREEMPT))
     await settle()
     assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
     assert desk.queue.waiting_count == 1
@@ -332,14 +334,14 @@ def move(runner: ScriptedRunner, left_s: float = 3.0) -> None:
 async def test_a_goal_that_comes_during_a_motion_is_planned_ahead_at_once(desk: Desk) -> None:
     await desk.submit("a")
     move(desk.runner)
-    desk.queue.submit("/goal", desk.move("b"))
+    desk.queue.submit(GoalRequest("/goal", desk.move("b")))
     assert desk.runner.ahead == [("b", 3.0)]
 
 
 async def test_a_bug_of_planning_ahead_harms_no_goal(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(desk.runner, "ahead", None)
     for name in "ab":
-        desk.queue.submit("/goal", desk.move(name))
+        desk.queue.submit(GoalRequest("/goal", desk.move(name)))
         await settle()
         move(desk.runner)
     for _ in "ab":

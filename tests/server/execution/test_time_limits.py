@@ -29,7 +29,8 @@ def test_a_motion_that_takes_too_long_is_refused_with_field_limit_and_value(dura
 
 
 def test_the_way_back_is_credited() -> None:
-    deadline = ExecutionDeadline(DURATION_S, LIMITS)
+    deadline = ExecutionDeadline(LIMITS)
+    deadline.begin(DURATION_S)
     deadline.pass_time(ALLOWED_S, Pace())
     deadline.pass_time(2.0, Pace(1.0, PlaybackDirection.BACK))
     deadline.pass_time(1.9, Pace())
@@ -40,7 +41,8 @@ def test_the_way_back_is_credited() -> None:
     "pace", [Pace(1.0, PlaybackDirection.PAUSED), Pace(1.0, PlaybackDirection.BACK), Pace(MIN_SPEED_FACTOR / 2)]
 )
 def test_the_time_of_paused_and_reversed_motions_is_limited(pace: Pace) -> None:
-    deadline = ExecutionDeadline(DURATION_S, LIMITS)
+    deadline = ExecutionDeadline(LIMITS)
+    deadline.begin(DURATION_S)
     deadline.pass_time(50.0, pace)
     assert deadline.exceeded is None
     deadline.pass_time(1.0, pace)

@@ -133,7 +133,7 @@ async def test_settings_reach_their_parts() -> None:
     gripper = context.whole.gripper
     assert gripper is not None
     limits = TimeLimits(3.0, 4.0, 5.0)
-    assert context.goals.executors.executor(frozenset())._player._time_limits == limits
+    assert context.goals.executors.time_limits == limits
     assert gripper._limits == GripperLimits(0.3, 0.3, 0.3, limits)
     assert MoveGroup(context)._transforms._period_s == 0.1
     assert PlanningScene(context)._interface._publisher._period_s == 0.5

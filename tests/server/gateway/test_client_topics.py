@@ -106,6 +106,19 @@ class TestMisspeltTopics:
         assert world.heard("x") == []
 
 
+def test_a_remark_on_a_topic_reaches_clients_that_publish_there_already(world: InProcess) -> None:
+    world.say("x", op="set_level", level="warning")
+    publish = {"op": "publish", "topic": "/a", "msg": {"data": "text"}}
+    world.say("x", op="advertise", topic="/a", type="std_msgs/String")
+    world.say("x", **publish)
+    world.graph.remark({"/a": "topic /a stays here"})
+    assert world.client("x").read_strictly(json.dumps(publish)) is not None
+    world.say("x", **publish)
+    world.graph.remark({})
+    world.say("x", **publish)
+    assert [each["msg"] for each in world.heard("x")] == ["publish: topic /a stays here"]
+
+
 class TestLatching:
     """What is told to clients of messages that are not latched."""
 

@@ -25,9 +25,9 @@ from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
 from robot.messages import MotionEnded, Setpoint, Stream
 from server.execution.executor import GoalExecutors
-from server.execution.goal import Answer, Goal
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest
 from server.execution.motions import Positions
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop.joint_map import joint_map
 from server.teleop.leader import JitterBuffer, LeaderSample
@@ -136,7 +136,7 @@ class Trial:
         self.session.take_sample()
 
     def _go_to(self, _positions: Positions, _scaling: float) -> Goal:
-        goal = Goal(0, "1", "/goal", None)
+        goal = Goal("1", GoalRequest("/goal"))
         goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
         return goal
 

@@ -11,9 +11,9 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
 from server.execution.executor import GoalExecutors
-from server.execution.goal import Answer, Goal
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest
 from server.execution.motions import Positions
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop import session as sessions
 from server.teleop.following import Phase
@@ -65,7 +65,7 @@ class Rig:
                 await asyncio.sleep(0)
 
     def _go_to(self, _positions: Positions, _scaling: float) -> Goal:
-        goal = Goal(0, "1", "/goal", None)
+        goal = Goal("1", GoalRequest("/goal"))
         goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
         return goal
 

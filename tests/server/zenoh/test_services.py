@@ -9,7 +9,7 @@ import zenoh
 from harness.waiting import until
 from server.access.settings import AccessSettings
 from server.errors import ServiceError
-from server.zenoh import services
+from server.zenoh import called_services, offered_services
 from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port, networked
 
 TRIGGER = "std_srvs/srv/Trigger"
@@ -112,8 +112,12 @@ async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
     assert "client has controlled the arm since" in failure(reply)
 
 
-async def test_of_too_many_calls_at_a_time_those_beyond_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(services, "MAX_INCOMING_CALLS", 2)
+async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(offered_services, "MAX_INCOMING_CALLS", 2)
+    monkeypatch.setattr(offered_services, "MAX_INCOMING_STOPS", 1)
+    enable = "/arm/enable"
     go_on = asyncio.Event()
 
     async def answer(_request: dict[str, Any]) -> dict[str, Any]:
@@ -121,15 +125,17 @@ async def test_of_too_many_calls_at_a_time_those_beyond_are_refused(monkeypatch:
         return {"success": True, "message": "done"}
 
     async with networked(offer=("/arm/*",)) as (site, machine):
-        site.graph.services.offer(site.part, "/arm/stop", TRIGGER, answer)
-        first = [asyncio.create_task(replies(machine)) for _ in range(2)]
-        await until(lambda: len(site.calls_of("/arm/stop")) == 2)
-        (refused,) = await replies(machine)
+        site.graph.services.offer(site.part, enable, TRIGGER, answer)
+        offered(site)
+        first = [asyncio.create_task(replies(machine, enable)) for _ in range(2)]
+        await until(lambda: len(site.calls_of(enable)) == 2)
+        (refused,) = await replies(machine, enable)
+        (stopped,) = await replies(machine)
         go_on.set()
         answered = [(await call)[0] for call in first]
-        (later,) = await replies(machine)
-    assert failure(refused) == "Service /arm/stop: 2 calls are on their way already"
-    assert all(reply.ok is not None for reply in (*answered, later))
+        (later,) = await replies(machine, enable)
+    assert failure(refused) == "Service /arm/enable: 2 calls are on their way already"
+    assert all(reply.ok is not None for reply in (*answered, stopped, later))
 
 
 async def test_a_service_that_is_withdrawn_is_taken_back() -> None:
@@ -241,7 +247,7 @@ async def test_services_that_fit_no_pattern_are_not_there() -> None:
 
 
 async def test_of_too_many_calls_at_a_time_those_beyond_fail_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(services, "MAX_OUTGOING_CALLS", 1)
+    monkeypatch.setattr(called_services, "MAX_OUTGOING_CALLS", 1)
     async with networked(call=("/lamp/*",)) as (site, machine):
         offering = Offering(machine, response=None)
         await found_by(site)

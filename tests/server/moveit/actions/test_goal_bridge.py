@@ -7,9 +7,8 @@ from collections.abc import AsyncIterator
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
-from server.execution.queue import GoalPolicy
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
@@ -82,7 +81,7 @@ async def test_a_goal_that_is_over_takes_its_motion_along(desk: Desk) -> None:
 
 
 async def test_a_goal_that_is_over_before_its_turn_never_moves(desk: Desk) -> None:
-    desk.queue.submit("/moveit_goal_pose", PlannedMotion((), frozenset(JOINTS)), policy=GoalPolicy.QUEUE)
+    desk.queue.submit(GoalRequest("/moveit_goal_pose", PlannedMotion((), frozenset(JOINTS)), policy=GoalPolicy.QUEUE))
     await settle()
     desk.hold = True
     goal = await desk.send(ACTION)

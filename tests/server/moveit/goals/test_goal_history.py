@@ -17,7 +17,7 @@ from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
 from robot.trajectory import Trajectory
 from server import cli
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -70,7 +70,7 @@ def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
     """A goal that moves the base joint to one position after the other [rad]."""
     made = [lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to})) for to in steps]
     request = PlannedMotion(tuple(made), frozenset({"shoulder_pan"})) if steps else None
-    return Goal(0, goal_id, "/moveit_goal_named", request, message=NAMED, only_for=only_for)
+    return Goal(goal_id, GoalRequest("/moveit_goal_named", request, NAMED, only_for=only_for))
 
 
 def answer(

@@ -11,9 +11,9 @@ from harness.clients import values_of
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalState, Progress
 from server.execution.motions import PlannedMotion
-from server.execution.queue import GoalPolicy, GoalQueue
+from server.execution.queue import GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -45,7 +45,7 @@ class Obedient(GoalRunner):
         self.answer = Answer(MoveItErrorCode.SUCCESS, "there")
 
     async def run(self, goal: Goal) -> Answer:
-        self.asked.append(goal.motion)
+        self.asked.append(goal.request.motion)
         goal.cancelled.add_done_callback(lambda reason: self.cancel(reason.result()))
         goal.report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
         await self.go_on.wait()

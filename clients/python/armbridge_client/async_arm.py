@@ -1,0 +1,304 @@
+"""An arm on an armbridge server, for programs with an event loop; `armbridge_client.arm` has the same without one."""
+
+from __future__ import annotations
+
+import json
+import ssl
+import xml.etree.ElementTree as ET
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Literal, TypeVar
+
+from armbridge_client.async_gripper import AsyncGripper
+from armbridge_client.connection import CALL_TIMEOUT_S, Address, Connection, ServerInfo, Subscription
+from armbridge_client.errors import ArmError, refusal
+from armbridge_client.messages import (
+    CheckGoalsRequest,
+    DiagnosticStatus,
+    GetMotionPlanRequest,
+    GetPositionFKRequest,
+    GoalCheck,
+    JointState,
+    MotionPlanRequest,
+    MoveItErrorCode,
+    MoveitGoalFeedback,
+    MoveitGoalGoal,
+    MoveitGoalRequest,
+    MoveitGoalResult,
+    PoseStamped,
+    String,
+    TriggerRequest,
+)
+from armbridge_client.motion import MOTION_TIMEOUT_S, AsyncPlan, Motion, check_code, motion_of
+from armbridge_client.targets import State, Target, constraints, goal_target, pose, state_of
+from armbridge_client.wire import Message, Response, Service, from_wire
+
+M = TypeVar("M", bound=Message)
+
+PLAN_TIMEOUT_S = 30.0
+# The server answers a stop when the arm stands, at the latest after 6 s (docs/goals.md); parking is a motion.
+SWITCH_TIMEOUT_S = 8.0
+
+
+async def connect_async(
+    url: str = "ws://127.0.0.1:9090",
+    *,
+    token: str | None = None,
+    arm: str = "",
+    tls: ssl.SSLContext | None = None,
+    on_disconnect: Literal["stop", "continue"] = "stop",
+    timeout_s: float = 5.0,
+) -> AsyncArm:
+    """Connect to a server, for programs with an event loop.
+
+    To be used with ``async with await connect_async() as arm``; arguments and errors are `armbridge_client.connect`'s.
+    """
+    connection = Connection(Address(url, token, tls, on_disconnect, timeout_s))
+    await connection.open()
+    return AsyncArm(connection, arm)
+
+
+class AsyncArm:
+    """One arm of a server. Several arms of a server share the connection (:meth:`other`).
+
+    Every method has a deadline, after which it raises DeadlineExceeded. A motion that is cancelled, or exceeds its
+    deadline, is braked along its path.
+
+    Args:
+        name: of the arm, on a server with several; empty for the only arm, or the first.
+
+    Attributes:
+        gripper: the arm's gripper.
+    """
+
+    def __init__(self, connection: Connection, name: str = "") -> None:
+        self.name = name
+        self.connection = connection
+        self._prefix = f"/{name}" if name else ""
+        self.gripper = AsyncGripper(connection, self._prefix)
+
+    async def __aenter__(self) -> AsyncArm:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    @property
+    def server(self) -> ServerInfo:
+        """This client as the server knows it, and the server's version."""
+        return self.connection.server
+
+    def other(self, name: str) -> AsyncArm:
+        """Return another arm of the same server, over the same connection."""
+        return AsyncArm(self.connection, name)
+
+    async def close(self) -> None:
+        """Disconnect; motions in progress are stopped, unless ``on_disconnect="continue"``."""
+        await self.connection.close()
+
+    async def wait_connected(self, timeout_s: float = CALL_TIMEOUT_S) -> None:
+        """Wait until a lost connection is back."""
+        await self.connection.wait_connected(timeout_s)
+
+    # Motions.
+
+    async def move_to(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        *,
+        frame: str = "",
+        orientation: Sequence[float] | None = None,
+        speed: float = 0.0,
+        timeout_s: float = MOTION_TIMEOUT_S,
+    ) -> Motion:
+        """Move the tip to a position [m] around the planning scene, and return when it is there.
+
+        Args:
+            frame: link, object or subframe in whose axes the position is; empty for the planning frame.
+            orientation: unit quaternion x, y, z, w; only arms with six joints or more use it.
+            speed: share of the velocity limits, above 0 to 1; 0 for the server's setting.
+
+        Raises:
+            GoalRefused: the motion is impossible, or ended before its goal.
+            NotPermitted: the token's role is below operate.
+            ControlledByOther: another client controls the arm.
+        """
+        return await self.move(pose(x, y, z, frame=frame, orientation=orientation), speed=speed, timeout_s=timeout_s)
+
+    async def move_joints(
+        self, position_rad: Mapping[str, float], *, speed: float = 0.0, timeout_s: float = MOTION_TIMEOUT_S
+    ) -> Motion:
+        """Move joints to positions [rad, or m for joints that slide]; the other joints stay. As :meth:`move_to`."""
+        return await self.move(position_rad, speed=speed, timeout_s=timeout_s)
+
+    async def move_named(self, name: str, *, speed: float = 0.0, timeout_s: float = MOTION_TIMEOUT_S) -> Motion:
+        """Move to a named state, such as home, ready or a saved one. As :meth:`move_to`."""
+        return await self.move(name, speed=speed, timeout_s=timeout_s)
+
+    async def move(
+        self,
+        target: Target,
+        *,
+        speed: float = 0.0,
+        group: str = "",
+        on_progress: Callable[[MoveitGoalFeedback], None] | None = None,
+        timeout_s: float = MOTION_TIMEOUT_S,
+    ) -> Motion:
+        """Move to a target of any kind, such as the suggestion of a GoalRefused. As :meth:`move_to`.
+
+        Args:
+            group: planning group; empty for the chosen one, or for joints the smallest group that has them.
+            on_progress: called with each report, in the event loop's thread.
+        """
+        goal = goal_target(target)
+        request = MoveitGoalGoal(
+            goal.named, goal.joints, goal.pose, group, velocity_scaling=speed, acceleration_scaling=speed
+        )
+        feedback = None if on_progress is None else lambda values: on_progress(from_wire(MoveitGoalFeedback, values))
+        values = await self.connection.perform(f"{self._prefix}/moveit_goal", request, timeout_s, feedback)
+        return motion_of(from_wire(MoveitGoalResult, values))
+
+    async def plan(
+        self, target: Target, *, speed: float = 0.0, group: str = "", timeout_s: float = PLAN_TIMEOUT_S
+    ) -> AsyncPlan:
+        """Plan a motion to a target from where the arm is, show it to all clients, and move nothing.
+
+        Raises:
+            GoalRefused: there is no such motion.
+        """
+        goal = goal_target(target)
+        named = await self._named_rad(goal.named) if goal.named else {}
+        tip = "" if goal.named or goal.joints.name else await self.tip_link()
+        request = MotionPlanRequest([constraints(goal, named, tip)], group, speed, speed)
+        answer = await self.connection.call("/plan_kinematic_path", GetMotionPlanRequest(request), timeout_s)
+        response = answer.motion_plan_response
+        if response.error_code.val != MoveItErrorCode.SUCCESS:
+            # The simple goal has details and a suggestion for the same failure.
+            simple = MoveitGoalRequest(goal.named, goal.joints, goal.pose, group, plan_only=True)
+            simple_response = await self.connection.call(f"{self._prefix}/moveit_goal", simple, timeout_s)
+            motion_of(simple_response)
+            check_code(response.error_code)
+        return AsyncPlan(self.connection, response.trajectory)
+
+    async def check(
+        self, *targets: PoseStamped | Mapping[str, float], timeout_s: float = CALL_TIMEOUT_S
+    ) -> list[GoalCheck]:
+        """Check poses and joint positions, at most 100, without planning or moving; one result a target."""
+        goals = [goal_target(target) for target in targets]
+        poses = [index for index, goal in enumerate(goals) if not goal.joints.name]
+        joints = [index for index, goal in enumerate(goals) if goal.joints.name]
+        request = CheckGoalsRequest([goals[index].pose for index in poses], [goals[index].joints for index in joints])
+        results = (await self.connection.call("/check_goals", request, timeout_s)).results
+        return [result for _, result in sorted(zip((*poses, *joints), results), key=lambda pair: pair[0])]
+
+    # State.
+
+    async def states(self, rate_hz: float = 30.0, *, timeout_s: float = 5.0) -> AsyncIterator[State]:
+        """Go over the arm's states, at most ``rate_hz`` a second; a slow reader gets the newest.
+
+        Raises:
+            DeadlineExceeded: no state for ``timeout_s``, also while the connection is lost.
+        """
+        async with (
+            self.topic("/arm/state", DiagnosticStatus, timeout_s=timeout_s) as arms,
+            self.topic("/joint_states", JointState, rate_hz, timeout_s=timeout_s) as joints,
+        ):
+            arm = await arms.__anext__()
+            async for message in joints:
+                arm = arms.newest() or arm
+                yield state_of(message, arm)
+
+    async def state(self, timeout_s: float = 5.0) -> State:
+        """Return the arm's state."""
+        states = self.states(timeout_s=timeout_s)
+        try:
+            return await states.__anext__()
+        finally:
+            await states.aclose()  # type: ignore[attr-defined]
+
+    async def link_poses(self, timeout_s: float = CALL_TIMEOUT_S) -> dict[str, PoseStamped]:
+        """Return the poses of all links, by link, in the planning frame."""
+        answer = await self.connection.call("/compute_fk", GetPositionFKRequest(), timeout_s)
+        return dict(zip(answer.fk_link_names, answer.pose_stamped))
+
+    async def tip(self, timeout_s: float = CALL_TIMEOUT_S) -> PoseStamped:
+        """Return the pose of the tip in the planning frame."""
+        return (await self.link_poses(timeout_s))[await self.tip_link()]
+
+    async def tip_link(self) -> str:
+        """Return the link that pose goals move: the end of the chain of the arm's first planning group."""
+        srdf = ET.fromstring(await self._latched("/robot_description_semantic"))
+        for group in srdf.iterfind("group"):
+            chain = group.find("chain")
+            if chain is not None and group.get("name", "").startswith(f"{self.name}_" if self.name else ""):
+                return chain.get("tip_link", "")
+        raise ArmError(f"the robot has no planning group of {self.name or 'an arm'} with a tip")
+
+    # Switches.
+
+    async def stop(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Stop the arm along its path, and end the goals of all clients; return when the arm stands still.
+
+        Every role may stop.
+        """
+        return await self._trigger("/arm/stop", timeout_s)
+
+    def stop_soon(self) -> None:
+        """Send a stop from the event loop's thread, without waiting: for signal handlers of ``loop``."""
+        self.connection.send_soon({"op": "call_service", "service": f"{self._prefix}/arm/stop"})
+
+    async def emergency_stop(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Switch torque off at once: the arm falls, or holds by the server's setting ``arm.on_emergency_stop``."""
+        return await self._trigger("/arm/emergency_stop", timeout_s)
+
+    async def enable(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Make a relaxed arm hold its position."""
+        return await self._trigger("/arm/enable", timeout_s)
+
+    async def relax(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Lower the torque, so that the arm sinks and can be moved by hand: hold the arm."""
+        return await self._trigger("/arm/relax", timeout_s)
+
+    async def park(self, timeout_s: float = MOTION_TIMEOUT_S) -> str:
+        """Move to the rest pose around the scene, and relax the arm there."""
+        return await self._trigger("/arm/park", timeout_s)
+
+    async def reset_fault(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Clear a fault whose cause is gone."""
+        return await self._trigger("/arm/reset_fault", timeout_s)
+
+    async def call(self, service: str, request: Service[Response], timeout_s: float = CALL_TIMEOUT_S) -> Response:
+        """Call any service, below the arm's name, with a request of :mod:`armbridge_client.messages`."""
+        return await self.connection.call(f"{self._prefix}{service}", request, timeout_s)
+
+    def topic(
+        self, topic: str, message_class: type[M], rate_hz: float = 0.0, *, length: int = 1, timeout_s: float = 5.0
+    ) -> Subscription[M]:
+        """Subscribe to any topic, below the arm's name: ``async with arm.topic(...) as messages``.
+
+        Args:
+            rate_hz: most messages a second; 0 for all.
+            length: most messages that wait for their reader; older ones are dropped.
+            timeout_s: longest wait for a message.
+        """
+        return self.connection.subscribe(f"{self._prefix}{topic}", message_class, rate_hz, length, timeout_s)
+
+    async def _trigger(self, service: str, timeout_s: float) -> str:
+        answer = await self.call(service, TriggerRequest(), timeout_s)
+        if not answer.success:
+            raise refusal(answer.message)
+        return answer.message
+
+    async def _latched(self, topic: str) -> str:
+        async with self.connection.subscribe(topic, String) as texts:
+            return (await texts.__anext__()).data
+
+    async def _named_rad(self, name: str) -> dict[str, float]:
+        states = json.loads(await self._latched("/named_states"))
+        # The server ignores case and blanks as well; an unknown name is refused by the server, with a suggestion.
+        found = states.get(name) or states.get(name.strip().lower()) or {"joints": {}}
+        return {joint: float(position) for joint, position in found["joints"].items()}

@@ -1,0 +1,75 @@
+"""The gripper of an arm, for programs with an event loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from armbridge_client.connection import Connection
+from armbridge_client.errors import ArmError
+from armbridge_client.messages import (
+    GripperCommand,
+    GripperCommandGoal,
+    GripperCommandResult,
+    JointTrajectoryControllerState,
+    KinematicSolverInfo,
+)
+from armbridge_client.wire import from_wire
+
+GRIPPER_TIMEOUT_S = 15.0
+
+
+@dataclass(frozen=True)
+class Grip:
+    """End of a gripper's motion: its position [rad or m], and True if an object stopped it, which it now holds."""
+
+    position: float
+    holds: bool
+
+
+class AsyncGripper:
+    """Gripper of an arm; a new motion replaces the one in progress.
+
+    Args:
+        prefix: the arm's name behind a slash; empty for the only arm.
+    """
+
+    def __init__(self, connection: Connection, prefix: str) -> None:
+        self._connection = connection
+        self._prefix = prefix
+        self._range: tuple[float, float] | None = None
+
+    async def open(self, force: float = 0.0, *, timeout_s: float = GRIPPER_TIMEOUT_S) -> Grip:
+        """Open the gripper to its limit. As :meth:`move`."""
+        return await self.move((await self.range())[1], force, timeout_s=timeout_s)
+
+    async def close(self, force: float = 0.0, *, timeout_s: float = GRIPPER_TIMEOUT_S) -> Grip:
+        """Close the gripper until an object or its limit stops it. As :meth:`move`."""
+        return await self.move((await self.range())[0], force, timeout_s=timeout_s)
+
+    async def move(self, position: float, force: float = 0.0, *, timeout_s: float = GRIPPER_TIMEOUT_S) -> Grip:
+        """Move the gripper to a position [rad, or m between sliding fingers].
+
+        Args:
+            force: share of the full motor duty, 0 to 0.5; 0 for the most that the server allows.
+
+        Raises:
+            RequestRefused: the position is beyond the limits, a fault or a stop ended the motion.
+        """
+        goal = GripperCommandGoal(GripperCommand(position, force))
+        values = await self._connection.perform(f"{self._prefix}/gripper_controller/gripper_cmd", goal, timeout_s)
+        result = from_wire(GripperCommandResult, values)
+        return Grip(result.position, result.stalled)
+
+    async def range(self) -> tuple[float, float]:
+        """Return the closed and the open position [rad, or m between sliding fingers]."""
+        if self._range is None:
+            topic = f"{self._prefix}/gripper_controller/controller_state"
+            async with self._connection.subscribe(topic, JointTrajectoryControllerState) as states:
+                fingers = (await states.__anext__()).joint_names
+            async with self._connection.subscribe(f"{self._prefix}/arm/joint_limits", KinematicSolverInfo) as infos:
+                limits = [each for each in (await infos.__anext__()).limits if each.joint_name in fingers]
+            if not limits:
+                raise ArmError("the arm has no gripper")
+            # The position of two sliding fingers is the gap between them, the sum of both (docs/goals.md).
+            self._range = sum(each.min_position for each in limits), sum(each.max_position for each in limits)
+        return self._range

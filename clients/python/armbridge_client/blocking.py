@@ -1,0 +1,122 @@
+"""The synchronous face: an event loop on a thread of its own, and methods that wait for its answers.
+
+``move_to = blocking(AsyncArm.move_to)`` in a subclass of `Face` makes a method with the same arguments, documentation
+and result, which returns when the coroutine has ended.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import enum
+import functools
+import threading
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from typing import Any, Concatenate, Generic, Literal, ParamSpec, TypeVar
+
+from armbridge_client.errors import ConnectionLost
+
+A = TypeVar("A")
+T = TypeVar("T")
+P = ParamSpec("P")
+
+
+class _End(enum.Enum):
+    """End of an iterator; its values may be anything, None too."""
+
+    END = enum.auto()
+
+
+# On Windows a wait without a timeout lets no Ctrl-C through.
+POLL_S = 0.5
+END_TIMEOUT_S = 2.0
+
+_CLOSED = "this client has closed the connection"
+
+
+class LoopThread:
+    """Event loop on a daemon thread; any thread and any signal handler may wait for it."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._serve, name="armbridge_client", daemon=True)
+        self._thread.start()
+
+    def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
+        """Run a coroutine to its end; an exception here, such as KeyboardInterrupt, cancels it."""
+        try:
+            future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+        except RuntimeError as error:
+            coroutine.close()
+            raise ConnectionLost(_CLOSED) from error
+        try:
+            while not concurrent.futures.wait([future], POLL_S).done:
+                if not self._thread.is_alive():
+                    raise ConnectionLost(_CLOSED)
+            return future.result()
+        except concurrent.futures.CancelledError as error:
+            raise ConnectionLost(_CLOSED) from error
+        finally:
+            future.cancel()
+
+    def end(self) -> None:
+        """End the thread and its loop."""
+        if self._thread.is_alive() and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join(END_TIMEOUT_S)
+
+    def _serve(self) -> None:
+        self._loop.run_forever()
+        for task in asyncio.all_tasks(self._loop):
+            task.cancel()
+        self._loop.run_until_complete(self._loop.shutdown_asyncgens())
+        self._loop.close()
+
+
+class Face(Generic[A]):
+    """Object whose methods wait for the methods of an asynchronous object."""
+
+    def __init__(self, asynchronous: A, loop: LoopThread) -> None:
+        self.asynchronous = asynchronous
+        self.loop = loop
+
+
+class blocking(Generic[A, P, T]):  # noqa: N801 - used as a decorator
+    """Method that waits for a coroutine of the asynchronous object."""
+
+    def __init__(self, method: Callable[Concatenate[A, P], Coroutine[Any, Any, T]]) -> None:
+        self._method = method
+        self.__doc__ = method.__doc__
+
+    def __get__(self, face: Face[A], owner: type[Face[A]]) -> Callable[P, T]:
+        @functools.wraps(self._method)
+        def wait(*arguments: P.args, **named: P.kwargs) -> T:
+            return face.loop.run(self._method(face.asynchronous, *arguments, **named))
+
+        return wait
+
+
+class iterating(Generic[A, P, T]):  # noqa: N801 - used as a decorator
+    """Method that returns an iterator over an asynchronous iterator of the asynchronous object."""
+
+    def __init__(self, method: Callable[Concatenate[A, P], AsyncIterator[T]]) -> None:
+        self._method = method
+        self.__doc__ = method.__doc__
+
+    def __get__(self, face: Face[A], owner: type[Face[A]]) -> Callable[P, Iterator[T]]:
+        @functools.wraps(self._method)
+        def iterate(*arguments: P.args, **named: P.kwargs) -> Iterator[T]:
+            values = self._method(face.asynchronous, *arguments, **named)
+            try:
+                while (value := face.loop.run(_next(values))) is not _End.END:
+                    yield value
+            finally:
+                face.loop.run(values.aclose())  # type: ignore[attr-defined]
+
+        return iterate
+
+
+async def _next(values: AsyncIterator[T]) -> T | Literal[_End.END]:
+    async for value in values:
+        return value
+    return _End.END

@@ -1,0 +1,305 @@
+"""Services and actions of other machines that clients of this server may call."""
+
+from __future__ import annotations
+
+import time
+from base64 import b64decode, b64encode
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from protocol.codecs import cdr
+from protocol.errors import MessageError
+from protocol.type_descriptions import message_hash, service_hash
+from server.errors import GraphError
+from server.graph.actions import MAX_GOAL_S, Goal, GoalStatus
+from server.graph.message_types import ReceivedMessage
+from server.graph.services import LOCAL_TIMEOUT_S, Call
+from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
+from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of
+from server.zenoh.session import ReceiveQueue, call_in_loop
+
+if TYPE_CHECKING:
+    import zenoh
+
+# Calls of one service of another machine in progress; the others would wait there.
+MAX_OUTGOING_CALLS = 64
+
+# Service by which an action is known, and the ending of its type.
+SEND_GOAL, SEND_GOAL_TYPE = f"{ACTION_PARTS}send_goal", "_SendGoal"
+
+# Final statuses of goals (action_msgs/GoalStatus).
+FINAL = frozenset((GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED))
+
+
+class RemoteService:
+    """Service of another machine, as its client on the network.
+
+    Args:
+        title: of the service, or of the action that it belongs to, in sentences.
+    """
+
+    def __init__(self, network: Network, title: str, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self._network = network
+        self._title = title
+        self._token = network.tokens.entity(EntityKind.CLIENT, endpoint)
+        self._gid = gid_of(self._token)
+        self._sent = 0
+        self._in_progress = 0
+        self._declaration = network.declare(lambda session: [session.liveliness().declare_token(self._token)])
+
+    def close(self) -> None:
+        """Leave the service."""
+        self._declaration.undeclare()
+
+    def call(
+        self,
+        request: Mapping[str, Any],
+        take: Callable[[bytes], None],
+        fail: Callable[[str], None],
+        timeout_s: float = LOCAL_TIMEOUT_S,
+    ) -> None:
+        """Call the service.
+
+        Args:
+            request: a complete message.
+            take: called in the event loop with the response as CDR.
+            fail: called in the event loop with the reason for which there is none.
+        """
+        if self._in_progress >= MAX_OUTGOING_CALLS:
+            fail(f"{self._title}: {MAX_OUTGOING_CALLS} calls are on their way already")
+            return
+        network, loop, limit = self._network, self._network.loop, self._network.max_message_bytes
+        self._sent += 1
+        attachment = Attachment(self._sent, time.time_ns(), self._gid).encode()
+        unanswered = [fail]
+
+        def answer(function: Callable[..., None], value: bytes | str) -> None:
+            unanswered.clear()
+            function(value)
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None and len(reply.ok.payload) > limit:
+                call_in_loop(loop, answer, fail, f"{self._title} gave a response of more than {limit} bytes")
+            elif reply.ok is not None:
+                call_in_loop(loop, answer, take, bytes(reply.ok.payload))
+            elif reply.err is not None:
+                call_in_loop(loop, answer, fail, bytes(reply.err.payload).decode(errors="replace"))
+
+        def end() -> None:
+            self._in_progress -= 1
+            for waiting in unanswered:
+                waiting(f"{self._title} has not answered")
+
+        def on_end() -> None:
+            call_in_loop(loop, end)
+
+        def get(session: zenoh.Session) -> None:
+            import zenoh
+
+            octets = cdr.serialize(network.registry, f"{self.endpoint.type_name}_Request", request)
+            session.get(
+                self.endpoint.key(network.domain_id),
+                zenoh.handlers.Callback(on_reply, on_end, indirect=False),
+                target=zenoh.QueryTarget.ALL_COMPLETE,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.DROP,
+                payload=octets,
+                attachment=attachment,
+            )
+
+        if network.thread.submit_call(get):
+            self._in_progress += 1
+        else:
+            fail(f"{self._title}: the network stands still")
+
+
+class CalledService:
+    """Service of another machine, offered to clients of this server.
+
+    Raises:
+        GraphError: another service has its name.
+    """
+
+    def __init__(self, network: Network, name: str, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self._network = network
+        self._name = name
+        network.graph.services.offer_calls(network.node, name, endpoint.type_name, self._start, limits=None)
+        self._remote = RemoteService(network, f"Service {name}", endpoint)
+
+    def close(self) -> None:
+        """Withdraw the service; calls in progress fail."""
+        self._network.graph.services.withdraw(self._network.node, self._name)
+        self._remote.close()
+
+    def _start(self, call: Call) -> None:
+        def take(response: ReceivedMessage | MessageError) -> None:
+            try:
+                if isinstance(response, MessageError):
+                    raise response
+                call.succeed(response)
+            except MessageError as error:
+                call.fail(f"Service {self._name} gave a response that does not fit {call.type_name}: {error}")
+
+        response_type = f"{call.type_name}_Response"
+        self._remote.call(call.request, lambda octets: self._network.decode(response_type, octets, take), call.fail)
+
+
+class CalledAction:
+    """Action of another machine, offered to clients of this server (rcl_action, action_client.c).
+
+    Args:
+        endpoint: its service ``send_goal``.
+
+    Raises:
+        GraphError: another action has its name.
+    """
+
+    def __init__(self, network: Network, name: str, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self._network = network
+        self._name = name
+        self._type_name = type_name = endpoint.type_name.removesuffix(SEND_GOAL_TYPE)
+        self._goals: dict[bytes, Goal] = {}
+        self._received = ReceiveQueue[bytes](network.loop, self._take_feedback)
+        network.graph.actions.offer(network.node, name, type_name, self._start)
+        parts, title = f"{endpoint.name.removesuffix(SEND_GOAL)}{ACTION_PARTS}", f"Action {name}"
+        self._send_goal, self._get_result, self._cancel_goal = (
+            RemoteService(network, title, Endpoint(f"{parts}{part}", service, service_hash(network.registry, service)))
+            for part, service in (
+                ("send_goal", endpoint.type_name),
+                ("get_result", f"{type_name}_GetResult"),
+                ("cancel_goal", "action_msgs/srv/CancelGoal"),
+            )
+        )
+        feedback = f"{type_name}_FeedbackMessage"
+        self._feedback = Endpoint(f"{parts}feedback", feedback, message_hash(network.registry, feedback))
+        self._declaration = network.declare(self._declare)
+
+    def close(self) -> None:
+        """Withdraw the action; goals in progress fail."""
+        self._network.graph.actions.withdraw(self._network.node, self._name)
+        for service in (self._send_goal, self._get_result, self._cancel_goal):
+            service.close()
+        self._declaration.undeclare()
+
+    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
+        import zenoh
+
+        network, handler = self._network, zenoh.handlers.Callback(self._on_feedback, indirect=False)
+        key = self._feedback.key(network.domain_id)
+        yield session.declare_subscriber(key, handler, allowed_origin=zenoh.Locality.REMOTE)
+        yield session.liveliness().declare_token(network.tokens.entity(EntityKind.SUBSCRIPTION, self._feedback))
+
+    def _on_feedback(self, sample: zenoh.Sample) -> None:
+        is_own_key = str(sample.key_expr) == self._feedback.key(self._network.domain_id)
+        if is_own_key and len(sample.payload) <= self._network.max_message_bytes:
+            self._received.put(bytes(sample.payload), len(sample.payload))
+
+    def _take_feedback(self, octets: bytes) -> None:
+        def take(message: dict[str, Any] | MessageError) -> None:
+            try:
+                if isinstance(message, MessageError):
+                    raise message
+                goal = self._goals.get(b64decode(message["goal_id"]["uuid"]))
+                if goal is not None:
+                    goal.feedback(message["feedback"])
+            except MessageError as error:
+                self._network.warn(f"feedback of {self._name} is left out: {error}")
+
+        self._network.decode_member(self._feedback.type_name, "feedback", octets, take)
+
+    def _start(self, goal: Goal) -> None:
+        network, goal_id = self._network, {"uuid": b64encode(goal.goal_id).decode()}
+
+        def take_acceptance(octets: bytes) -> None:
+            try:
+                response = cdr.deserialize(network.registry, f"{self._type_name}_SendGoal_Response", octets)
+            except MessageError as error:
+                fail(error)
+                return
+            if not response["accepted"]:
+                goal.fail(f"Action {self._name}: its provider has rejected the goal", GoalStatus.UNKNOWN)
+                return
+            self._get_result.call({"goal_id": goal_id}, decode_result, goal.fail, MAX_GOAL_S)
+            # Not before: the provider does not know the goal yet.
+            goal.when_canceled(cancel)
+
+        def decode_result(octets: bytes) -> None:
+            network.decode_member(f"{self._type_name}_GetResult_Response", "result", octets, take_result)
+
+        def take_result(response: dict[str, Any] | MessageError) -> None:
+            try:
+                if isinstance(response, MessageError):
+                    fail(response)
+                elif response["status"] in FINAL:
+                    goal.finish(GoalStatus(response["status"]), response["result"])
+                else:
+                    goal.fail(f"Action {self._name}: its provider does not know the goal any more")
+            except MessageError as error:
+                fail(error)
+
+        def fail(error: MessageError) -> None:
+            goal.fail(f"Action {self._name} gave a response that does not fit {self._type_name}: {error}")
+
+        def cancel() -> None:
+            info = {"goal_id": goal_id, "stamp": {"sec": 0, "nanosec": 0}}
+            self._cancel_goal.call({"goal_info": info}, lambda _octets: None, network.warn)
+
+        self._goals[goal.goal_id] = goal
+        goal.when_ended(lambda _result: self._goals.pop(goal.goal_id))
+        self._send_goal.call({"goal_id": goal_id, "goal": goal.request}, take_acceptance, goal.fail)
+
+
+class CalledServices:
+    """All services and actions of other machines that clients of this server may call."""
+
+    def __init__(self, network: Network, names: SharedNames) -> None:
+        self._network = network
+        self._names = names
+        # An action by its service send_goal.
+        self._services: dict[str, CalledService | CalledAction] = {}
+        self._entities: tuple[Entity, ...] = ()
+        self._announced: dict[str, Endpoint] = {}
+
+    def refresh(self, entities: tuple[Entity, ...]) -> None:
+        """Let clients call the services that exist now, and no others."""
+        if entities is not self._entities:
+            self._entities, self._announced = entities, self._endpoints(entities)
+        wanted = {name: endpoint for name, endpoint in self._announced.items() if not self._is_taken(name)}
+        for name, service in list(self._services.items()):
+            if wanted.get(name) != service.endpoint:
+                self._services.pop(name).close()
+        for name, endpoint in wanted.items():
+            if name not in self._services and len(self._services) < MAX_SHARED:
+                self._offer(name, endpoint)
+
+    def _offer(self, name: str, endpoint: Endpoint) -> None:
+        made, _, part = name.partition(ACTION_PARTS)
+        try:
+            self._services[name] = (CalledAction if part else CalledService)(self._network, made, endpoint)
+        except GraphError as error:
+            self._network.warn(f"{endpoint.name} cannot be called: {error}")
+
+    def _endpoints(self, entities: Iterable[Entity]) -> dict[str, Endpoint]:
+        network, found = self._network, dict[str, Endpoint]()
+        for entity in entities:
+            endpoint, name = entity.endpoint, network.namespace.to_local(entity.endpoint.name)
+            # The other services of an action go with it.
+            is_whole = ACTION_PARTS not in name or endpoint.type_name.endswith(SEND_GOAL_TYPE)
+            is_called = entity.kind is EntityKind.SERVICE and is_whole and self._names.matches(name)
+            if is_called and network.agrees(endpoint, "srv"):
+                found.setdefault(name, endpoint)
+        return found
+
+    def _is_taken(self, name: str) -> bool:
+        """Return True if this server or a client offers a service or action of this name, and keeps it."""
+        made, _, part = name.partition(ACTION_PARTS)
+        offers = self._network.graph.actions if part else self._network.graph.services
+        is_taken = offers.provider(made) not in (None, self._network.node)
+        if is_taken:
+            kind = "an action" if part else "a service"
+            self._network.warn(f"{made} of another machine cannot be called, {kind} of that name is offered here")
+        return is_taken

@@ -1,0 +1,184 @@
+"""Services of this server that other machines may call, with the services of its actions."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+from protocol.codecs import cdr
+from protocol.errors import MessageError
+from robot.stop_epochs import STOP_EPOCHS
+from server.access.authorization import Authorizer, rule_of_service
+from server.arrival import arrived_in
+from server.graph.message_types import ReceivedMessage
+from server.graph.services import Response
+from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
+from server.zenoh.offered_goals import GOAL_SERVICES, OfferedGoals
+from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, EntityKind
+from server.zenoh.session import call_in_loop
+
+if TYPE_CHECKING:
+    import zenoh
+
+# Calls of all other machines in progress; at worst each is a plan or a motion, which takes its time.
+MAX_INCOMING_CALLS = 64
+
+# Further calls that stop an arm or cancel a goal: calls that wait for a motion must not keep them out.
+MAX_INCOMING_STOPS = 64
+
+
+class IncomingCall(NamedTuple):
+    """Call of a service of this server.
+
+    Attributes:
+        epoch: stop epoch in which it arrived.
+    """
+
+    service: OfferedService
+    query: zenoh.Query
+    octets: bytes
+    sender: Attachment | None
+    epoch: int
+
+
+class OfferedService:
+    """Service of this server that other machines may call.
+
+    Attributes:
+        max_calls: calls of all services in progress from which on this one is refused.
+    """
+
+    def __init__(
+        self, network: Network, name: str, endpoint: Endpoint, receive: Callable[[IncomingCall], None]
+    ) -> None:
+        self.name = name
+        self.endpoint = endpoint
+        stops = rule_of_service(name, network.graph).stops
+        self.max_calls = MAX_INCOMING_CALLS + stops * MAX_INCOMING_STOPS
+        self._network = network
+        self._receive = receive
+        self._key = endpoint.key(network.domain_id)
+        self._token = network.tokens.entity(EntityKind.SERVICE, endpoint)
+        self._declaration = network.declare(self._declare)
+
+    def close(self) -> None:
+        """Stop offering the service."""
+        self._declaration.undeclare()
+
+    def reply(self, call: IncomingCall, response: Response) -> None:
+        """Send the response, or the sentence of a failed call; in the session's thread."""
+        try:
+            if not response.ok:
+                call.query.reply_err(str(response.values).encode())
+                return
+            octets = cdr.serialize(self._network.registry, f"{self.endpoint.type_name}_Response", response.values)
+            # rmw_zenoh matches response and call by the attachment of the request.
+            sender = call.sender or Attachment(0, 0, bytes(GID_BYTES))
+            attachment = sender._replace(source_timestamp_ns=time.time_ns()).encode()
+            call.query.reply(self._key, octets, attachment=attachment)
+        finally:
+            # Ends the query: no further reply follows.
+            call.query.drop()
+
+    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
+        import zenoh
+
+        handler = zenoh.handlers.Callback(self._on_query, indirect=False)
+        yield session.declare_queryable(self._key, handler, complete=True)
+        yield session.liveliness().declare_token(self._token)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        # Tools query all keys that match a pattern to list them, which must not call anything.
+        if query.payload is None or str(query.key_expr) != self._key:
+            query.drop()
+            return
+        size_bytes = len(query.payload)
+        # A request that is too large is not even copied; empty, it is answered as unreadable.
+        octets = bytes(query.payload) if size_bytes <= self._network.max_message_bytes else b""
+        sender = None if query.attachment is None else Attachment.decode(bytes(query.attachment))
+        self._receive(IncomingCall(self, query, octets, sender, STOP_EPOCHS.present))
+
+
+class OfferedServices:
+    """All services of this server that other machines may call."""
+
+    def __init__(self, network: Network, names: SharedNames, authorizer: Authorizer) -> None:
+        self._network = network
+        self._names = names
+        self._authorizer = authorizer
+        self._services: dict[str, OfferedService] = {}
+        self._goals = OfferedGoals(network, authorizer)
+        self._lock = threading.Lock()
+        self._in_progress = 0
+
+    def refresh(self) -> None:
+        """Offer the services that exist now, and no others."""
+        wanted = self._wanted()
+        for name, service in list(self._services.items()):
+            if wanted.get(name) != service.endpoint:
+                self._services.pop(name).close()
+        for name, endpoint in wanted.items():
+            if name not in self._services and len(self._services) < MAX_SHARED:
+                self._services[name] = OfferedService(self._network, name, endpoint, self._receive)
+
+    def _wanted(self) -> dict[str, Endpoint]:
+        network, graph, found = self._network, self._network.graph, {}
+        services = graph.services.types() | {
+            f"{action}{ACTION_PARTS}{part}": f"{type_name}{ending}"
+            for action, type_name in graph.actions.types().items()
+            for part, ending in GOAL_SERVICES.items()
+            if network.registry.knows(type_name, "action")
+        }
+        for name, type_name in services.items():
+            action = name.partition(ACTION_PARTS)[0]
+            provider = graph.actions.provider(action) or graph.services.provider(name)
+            if self._names.matches(name) and provider is not network.node:
+                endpoint = network.endpoint(network.namespace.to_network(name), type_name, "srv")
+                if endpoint is not None:
+                    found[name] = endpoint
+        return found
+
+    def _receive(self, call: IncomingCall) -> None:
+        with self._lock:
+            is_accepted = self._in_progress < call.service.max_calls
+            self._in_progress += is_accepted
+        if is_accepted:
+            call_in_loop(self._network.loop, self._call, call)
+        else:
+            self._fail(call, f"{call.service.max_calls} calls are on their way already")
+
+    def _call(self, call: IncomingCall) -> None:
+        network, name = self._network, call.service.name
+        action, _, part = name.partition(ACTION_PARTS)
+
+        def respond(response: Response) -> None:
+            with self._lock:
+                self._in_progress -= 1
+            network.thread.submit_call(lambda _session: call.service.reply(call, response))
+
+        if part == "send_goal":
+            self._goals.send(action, call.octets, call.epoch, respond)
+            return
+        if part == "get_result":
+            self._goals.get_result(action, call.octets, respond)
+            return
+        refusal = self._authorizer.calling(name, None)
+        if refusal is not None:
+            network.warn(refusal)
+            respond(Response(ok=False, values=refusal))
+            return
+
+        def take(request: ReceivedMessage | MessageError) -> None:
+            if isinstance(request, MessageError):
+                respond(Response(ok=False, values=f"Service {name}: {request}"))
+            else:
+                with arrived_in(call.epoch):
+                    network.graph.services.call(network.node, name, request, respond)
+
+        network.decode(f"{call.service.endpoint.type_name}_Request", call.octets, take)
+
+    def _fail(self, call: IncomingCall, reason: str) -> None:
+        response = Response(ok=False, values=f"Service {call.service.name}: {reason}")
+        self._network.thread.submit_call(lambda _session: call.service.reply(call, response))

@@ -1,0 +1,88 @@
+"""A stop by a thread, a signal, a deadline, a lost server and the end of a program: each brakes the motion."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from types import FrameType
+
+import pytest
+
+from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect
+from harness.server import RunningServer
+
+PREEMPTED = -7
+
+
+def once_moving(arm: Arm, then: threading.Thread) -> None:
+    """Move slowly, and begin a thread once the arm moves."""
+
+    def on_progress(progress: object) -> None:
+        if getattr(progress, "state", "") == "executing" and not then.is_alive():
+            then.start()
+
+    arm.move_named("home")
+    arm.move("rest", speed=0.05, on_progress=on_progress)
+
+
+def test_another_thread_stops_the_arm_while_this_one_waits(arm: Arm) -> None:
+    sentences: list[str] = []
+    stopper = threading.Thread(target=lambda: sentences.append(arm.stop()))
+    with pytest.raises(GoalRefused) as caught:
+        once_moving(arm, stopper)
+    stopper.join(10.0)
+    assert caught.value.code == PREEMPTED
+    assert sentences
+
+
+def test_a_signal_handler_stops_the_arm_while_the_program_waits(arm: Arm) -> None:
+    sentences: list[str] = []
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        sentences.append(arm.stop())
+
+    before = signal.signal(signal.SIGUSR1, stop)
+    try:
+        with pytest.raises(GoalRefused) as caught:
+            once_moving(arm, threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGUSR1)))
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert caught.value.code == PREEMPTED
+    assert sentences
+
+
+def test_ctrl_c_cancels_the_motion(arm: Arm) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        once_moving(arm, threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGINT)))
+    # Answered when the arm stands; nothing of the motion is left.
+    arm.stop()
+    assert arm.state().mode == "holding"
+
+
+def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
+    arm.move_named("home")
+    with pytest.raises(DeadlineExceeded, match=r"not done within 0\.2 s"):
+        arm.move_named("rest", speed=0.05, timeout_s=0.2)
+    assert arm.state().mode == "holding"
+
+
+def test_a_motion_stops_when_its_program_leaves(server: RunningServer, arm: Arm) -> None:
+    left = connect(server.url)
+    leaver = threading.Thread(target=left.close)
+    with pytest.raises((ConnectionLost, GoalRefused)):
+        once_moving(left, leaver)
+    leaver.join(10.0)
+    for state in arm.states():
+        if state.mode == "holding":
+            break
+    assert arm.state().position_rad["shoulder_lift"] > -1.4
+
+
+def test_a_closed_arm_refuses_everything(server: RunningServer) -> None:
+    arm = connect(server.url)
+    arm.close()
+    arm.close()
+    for request in (arm.stop, arm.state):
+        with pytest.raises(ConnectionLost, match="has closed the connection"):
+            request()

@@ -128,6 +128,17 @@ def test_nothing_that_comes_raises(frame):
         assert isinstance(item, (Operation, Refusal))
 
 
+def test_every_operation_of_a_frame_is_read_in_order():
+    topics = ["/a", "/b", "/c"]
+    frame = "".join(json.dumps({"op": "unsubscribe", "topic": topic}) for topic in topics)
+    assert [operation.topic for operation in read(Session(), frame)] == topics
+
+
+@pytest.mark.parametrize("frame", ["{", '{"op":"fly"}', b"\xff", bson.encode({"op": "fly"})])
+def test_a_frame_that_is_not_one_operation_is_not_read_ahead(frame):
+    assert Session().peek(frame) is None
+
+
 def test_a_frame_is_read_by_itself_where_nothing_before_it_matters():
     frame = '{"op":"unsubscribe","topic":"/a"}'
     limits = Limits.model_construct(max_message_bytes=len(frame))
@@ -143,17 +154,30 @@ def test_a_frame_is_read_by_itself_where_nothing_before_it_matters():
 # What goes to the client
 
 
-@pytest.mark.parametrize("kind", ["reply", "ask"])
+@pytest.mark.parametrize("kind", ["reply", "ask", "deliver"])
 def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(kind):
-    session, left = Session(), []
-    send = getattr(session, kind)
+    session, left = subscribed(), []
+
+    def send(text, send_at_once):
+        if kind == "deliver":
+            return session.deliver(message(text), 1.0, send_at_once)
+        return getattr(session, kind)({"op": "x", "msg": {"data": text}}, send_at_once)
+
+    # A call is accepted either way; the others tell what is queued.
     for text in ("first", "second"):
-        send({"op": "x", "text": text}, lambda encoded: left.append(encoded.frames[0].data) or True)
-    assert [json.loads(data)["text"] for data in left] == ["first", "second"]
+        assert send(text, lambda encoded: left.append(encoded.frames[0].data) or True) == (kind == "ask")
+    assert received_data(left) == ["first", "second"]
     assert sent(session) == []
-    send({"op": "x", "text": "third"}, lambda _: False)
-    send({"op": "x", "text": "fourth"}, lambda _: pytest.fail("it would overtake the third"))
-    assert [json.loads(data)["text"] for data in sent(session)] == ["third", "fourth"]
+    assert send("third", lambda _: False)
+    assert send("fourth", lambda _: pytest.fail("it would overtake the third"))
+    assert received_data(sent(session)) == ["third", "fourth"]
+
+
+def test_nothing_is_queued_of_a_topic_without_a_subscription_or_before_its_time():
+    session = subscribed(throttle_rate=1000)
+    assert not session.deliver(message("x", topic="/b"), 1.0)
+    assert session.deliver(message("x"), 1.0)
+    assert not session.deliver(message("x"), 1.5)
 
 
 def test_a_throttle_without_a_queue_drops_what_comes_too_early_and_does_not_count_it():
@@ -281,6 +305,9 @@ def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
         session.reply({"op": "service_response", "values": "y" * 100_000})
         congested.append(session.congested)
     assert congested == [False, False, True]
+    session = Session(Limits.model_construct(max_queued_reply_bytes=100_000))
+    session.reply({"op": "service_response", "values": "y" * 90_000})
+    assert session.congested
 
 
 def test_a_result_does_not_overtake_feedback_however_large():

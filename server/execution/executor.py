@@ -55,7 +55,7 @@ from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")
 
-Confirm: TypeAlias = Callable[[], Coroutine[Any, Any, Answer | None]]
+Confirm: TypeAlias = Callable[[Goal, PlannedSequence], Coroutine[Any, Any, Answer | None]]
 Result = TypeVar("Result")
 
 # Codes after which another plan may do better, as in MoveIt's plan_execution.
@@ -372,11 +372,14 @@ class GoalExecutor:
         asyncio.get_running_loop().call_soon(self._show, planned.performed)
 
     async def _confirmed(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
-        """Wait for the confirmation of a plan; return None when it is given, or the goal was cancelled."""
+        """Wait for the confirmation of a plan; return None when it is given."""
         if self._confirm is None:
             return None
-        goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; waits to be confirmed", 0.0, planned.duration_s))
-        answer = await goal.unless_cancelled(self._confirm())
+        proposed = isinstance(goal.request.motion, PlannedMotion) and goal.request.motion.proposed
+        waits = f"{goal.request.client} asks for your approval" if proposed else "waits to be confirmed"
+        goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
+        answer = await goal.unless_cancelled(self._confirm(goal, planned))
+        goal.check("before the motion began")
         return None if answer is None else replace(answer, performed=planned.performed)
 
     async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:

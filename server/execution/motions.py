@@ -49,6 +49,8 @@ class PlannedMotion:
     Attributes:
         steps: each makes its problem from the end of the one before.
         scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
+        confirm: True for a plan that waits for a user's confirmation.
+        proposed: True for a plan whose confirmation must name the goal, because its client may not move the arm.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
     """
 
@@ -59,6 +61,7 @@ class PlannedMotion:
     delay_s: float = 0.0
     warnings: tuple[str, ...] = ()
     confirm: bool = False
+    proposed: bool = False
 
 
 @dataclass(frozen=True)

@@ -154,6 +154,21 @@ class OpenPage:
         self.goto(port, rest)
         self.until("window.armbridge?.drawn.arm_ms > 0")
 
+    def leave(self) -> None:
+        """Leave the server; the next page begins as new, but with the scripts and meshes that the browser has.
+
+        A page in a context of its own takes half as long again to open.
+        """
+        origin = self.page.evaluate("location.origin")
+        self.page.goto("about:blank")
+        if origin != "null":
+            session = self.page.context.new_cdp_session(self.page)
+            session.send("Storage.clearDataForOrigin", {"origin": origin, "storageTypes": "local_storage"})
+            session.detach()
+        self.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+        self.errors.clear()
+        self.hosts.clear()
+
     def goto(self, port: int, rest: str = "") -> None:
         """Open the page of a server, with the rest of its address."""
         self.page.goto(f"http://127.0.0.1:{port}/{rest}")

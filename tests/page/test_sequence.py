@@ -16,11 +16,11 @@ import pytest
 from websockets.sync.client import connect
 
 from harness.clients import call
-from harness.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage, opened
+from harness.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage
 from harness.server import FAST, ROOT, RunningServer
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    pass
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 
@@ -44,15 +44,13 @@ SETTINGS = {**FAST, **SHARED}
 
 
 @pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+def page(tab: OpenPage, server: RunningServer) -> OpenPage:
     """The panel, with an empty scene."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
-    with opened(browser) as page:
-        page.open(server.port)
-        page.until_state("s.link.connected && s.identity !== null && s.actions !== null")
-        page.open_panel("sequence")
-        yield page
-        assert page.errors == []
+    tab.open(server.port)
+    tab.until_state("s.link.connected && s.identity !== null && s.actions !== null")
+    tab.open_panel("sequence")
+    return tab
 
 
 def move(server: RunningServer, place: Positions) -> None:

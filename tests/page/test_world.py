@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,13 +26,11 @@ SETTINGS = {**FAST, **SHARED}
 
 
 @pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+def page(tab: OpenPage, server: RunningServer) -> OpenPage:
     """The panel, with an empty scene."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
-    with opened(browser) as page:
-        open_world(page, server)
-        yield page
-        assert page.errors == []
+    open_world(tab, server)
+    return tab
 
 
 def open_world(page: OpenPage, server: RunningServer) -> None:

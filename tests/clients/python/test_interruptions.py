@@ -106,3 +106,23 @@ async def test_a_signal_handler_of_the_event_loop_stops_the_arm(server: RunningS
 def signal_once(state: str) -> None:
     if state == "executing":
         os.kill(os.getpid(), signal.SIGUSR1)
+
+
+def test_a_stop_ends_the_gripper_and_the_program_knows(arm: Arm) -> None:
+    arm.gripper.close()
+    ends: list[Exception] = []
+
+    def open_gripper() -> None:
+        try:
+            arm.gripper.open()
+        except GoalRefused as refused:
+            ends.append(refused)
+
+    opening = threading.Thread(target=open_gripper)
+    opening.start()
+    for state in arm.states(rate_hz=50):
+        if state.position_rad["gripper"] > 0.1:
+            break
+    arm.stop()
+    opening.join(10.0)
+    assert "PREEMPTED (-7): the gripper was stopped" in str(ends[0])

@@ -12,6 +12,7 @@ import pytest
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect, connect_async
 from harness.server import RunningServer
+from harness.waiting import wait_until
 
 PREEMPTED = -7
 
@@ -58,7 +59,7 @@ def test_ctrl_c_cancels_the_motion(arm: Arm) -> None:
         once_moving(arm, threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGINT)))
     # Answered when the arm stands; nothing of the motion is left.
     arm.stop()
-    assert arm.state().mode == "holding"
+    wait_until(lambda: arm.state().mode == "holding")
 
 
 def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
@@ -66,7 +67,7 @@ def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
     with pytest.raises(DeadlineExceeded, match=r"not done within 0\.2 s"):
         arm.move_named("rest", speed=0.05, timeout_s=0.2)
     arm.stop()
-    assert arm.state().mode == "holding"
+    wait_until(lambda: arm.state().mode == "holding")
 
 
 def test_a_motion_stops_when_its_program_leaves(server: RunningServer, arm: Arm) -> None:

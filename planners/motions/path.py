@@ -29,9 +29,9 @@ NOMINAL_CHECKS_PER_S = 30_000
 # On longer pieces than this something is nearly always near: only their middle is checked.
 WIDEST_MARGIN_M = 0.05
 
-# Longer tree edges mean fewer nodes, but most of them are blocked in narrow passages. Of 1.7, 1.0 and 0.7 rad the last
-# had the least p95 on Panda, UR5 and Fetch in MotionBenchMaker's problems, and the same p50.
-TREE_EDGE_RAD = 1.0
+# No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
+# is there, but past this most are blocked: SO-101, of 0.4 m, and arms of 1 m have the same best length.
+TREE_EDGE_M = 1.3
 
 RRT_CONNECT = "RRTConnect"
 
@@ -165,7 +165,7 @@ class TreeSearch:
             information.setMotionValidator(_Edges(information, query))
         if name in TREES:
             tree = TREES[name](information)
-            tree.setRange(TREE_EDGE_RAD)
+            tree.setRange(TREE_EDGE_M / _travel_m_per_rad(query))
             setup.setPlanner(tree)
         else:
             setup.setPlanner(og.BITstar(information))
@@ -220,10 +220,14 @@ def _ompl_space(query: Query) -> ob.RealVectorStateSpace:
         bounds.setLow(i, float(lower))
         bounds.setHigh(i, float(upper))
     space.setBounds(bounds)
-    # OMPL measures lines by their Euclidean length; no point travels more than |travel| times that.
-    step_rad = query.step_m / float(np.linalg.norm(query.space.travel_m_per_rad))
+    step_rad = query.step_m / _travel_m_per_rad(query)
     space.setLongestValidSegmentFraction(min(1.0, step_rad / space.getMaximumExtent()))
     return space
+
+
+def _travel_m_per_rad(query: Query) -> float:
+    """Return the most that a point travels by the Euclidean length of a line, which is how OMPL measures them."""
+    return float(np.linalg.norm(query.space.travel_m_per_rad))
 
 
 def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateType:

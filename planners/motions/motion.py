@@ -80,6 +80,9 @@ BLOCKED_PATHS_A_STEP = 3
 SEARCHES = 2
 CHECKS_A_TURN = 3000
 
+# A search that has found nothing by then, in some 10 s, is given up for another: trees would grow without a bound.
+TURNS_A_SEARCH = 100
+
 
 @dataclass(frozen=True)
 class MotionTask:
@@ -271,7 +274,7 @@ class _Searching:
         running = self._searches.pop(number % SEARCHES, None) or self._search(query, self._task.seed + number)
         most = self._space.checks + CHECKS_A_TURN
         path = running.run(lambda: self._space.checks >= most or self._enough())
-        if path is None:
+        if path is None and (number // SEARCHES + 1) % TURNS_A_SEARCH:
             self._searches[number % SEARCHES] = running
         return path
 

@@ -270,11 +270,12 @@ class Teaching:
             speed = read_speed(request["speed"])
         except RefusedError as error:
             raise ServiceError(str(error)) from error
-        answer = await self._planned(await self._motions.load(request["name"]), speed)
+        motion = await self._motions.load(request["name"])
+        answer = await self._planned(motion, speed)
         if isinstance(answer, str):
             raise ServiceError(answer)
-        duration_s = answer.trajectory.duration_s
-        return {"success": True, "message": _touches_nothing(duration_s), "duration_s": duration_s}
+        message = self._touches_nothing(motion, speed, answer)
+        return {"success": True, "message": message, "duration_s": answer.trajectory.duration_s}
 
     async def _save(self, request: Message) -> dict[str, Any]:
         name = request["name"]
@@ -303,7 +304,12 @@ class Teaching:
 
     async def _checked(self, motion: TaughtMotion) -> str:
         answer = await self._planned(motion, 1.0)
-        return answer if isinstance(answer, str) else _touches_nothing(answer.trajectory.duration_s)
+        return answer if isinstance(answer, str) else self._touches_nothing(motion, 1.0, answer)
+
+    def _touches_nothing(self, motion: TaughtMotion, speed: float, plan: Plan) -> str:
+        text = f"it touches nothing, and a replay takes {plan.trajectory.duration_s:.2f} s"
+        slowed = motion.slowed(speed, plan.trajectory, self._robot)
+        return f"{text}, {slowed}" if slowed else text
 
     async def _planned(self, motion: TaughtMotion, speed: float) -> Plan | str:
         """Return the plan of a replay in the present scene, or why there is none."""
@@ -337,7 +343,3 @@ class Teaching:
                 "message": self._told,
             },
         )
-
-
-def _touches_nothing(duration_s: float) -> str:
-    return f"it touches nothing, and a replay takes {duration_s:.2f} s"

@@ -95,7 +95,7 @@ pictures: install-dev page
 	$(BIN)/python -m pytest tests/page/test_pictures.py -n 0
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
-# The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
+# The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed
 	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
@@ -150,7 +150,7 @@ bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)
 
 bench-planning: install-dev
-	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth
+	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth planning_passages
 
 campaign-planners: install-dev
 	mkdir -p build

@@ -40,6 +40,8 @@ FLAGS = (
     "--disable-accelerated-2d-canvas",
 )
 
+PANELS = ("move", "drive", "sequence", "world", "plots", "goals", "arm", "cameras", "log", "settings")
+
 DESKTOP = (1280, 800)
 PHONE = (390, 844)
 
@@ -207,12 +209,12 @@ class OpenPage:
         return self.page.evaluate(f"window.armbridge.state().{path}")
 
     def open_panel(self, panel: str, *sections: str) -> None:
-        """Show a panel by its tab, or by its column's list while it is closed, and open sections of it."""
+        """Open a panel by its button on the rail, or in the rail's menu, and open sections of it."""
         tab = self.part(f"tab-{panel}")
-        if tab.count():
+        if not self.part(f"panel-{panel}").is_visible():
+            if not tab.is_visible():
+                self.part("more-panels").click()
             tab.click()
-        else:
-            self.part("open-panel-first").select_option(panel)
         self.part(f"panel-{panel}").wait_for()
         for section in sections:
             details = self.part(f"section-{section}")
@@ -221,7 +223,7 @@ class OpenPage:
 
     def open_panels(self) -> Iterator[str]:
         """Show one panel after the other, each with all its sections open."""
-        for panel in self.state("layout.panels.first"):
+        for panel in PANELS:
             self.open_panel(panel)
             self.page.evaluate(f"document.querySelectorAll('#panel-{panel} details').forEach(each => each.open = true)")
             yield panel
@@ -229,6 +231,20 @@ class OpenPage:
     def part(self, test_id: str) -> Locator:
         """The element of that ``data-testid``."""
         return self.page.get_by_test_id(test_id)
+
+    def until_offered(self, action: str) -> Locator:
+        """Wait until the primary button offers an action, which is plan, go, pause or resume; returns the button."""
+        primary = self.page.locator(f"[data-testid=primary][data-action={action}]:enabled")
+        primary.wait_for()
+        return primary
+
+    def press(self, action: str) -> None:
+        """Press the primary button once it offers an action."""
+        self.until_offered(action).click()
+
+    def offers(self, action: str) -> bool:
+        """Whether the primary button offers an action now."""
+        return self.page.locator(f"[data-testid=primary][data-action={action}]:enabled").count() > 0
 
     def box(self, test_id: str) -> dict[str, float]:
         """Where an element is on the screen: x, y, width and height [px]."""

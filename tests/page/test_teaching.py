@@ -126,6 +126,7 @@ def test_a_motion_is_cut_renamed_and_deleted(page: OpenPage, arm: ServerOnBus) -
     page.until_state("s.teaching.motions.includes('short') && !s.teaching.motions.includes('long')")
     page.part("edit-motion-short").click()
     page.part("delete-motion").click()
+    page.part("delete-motion").click()
     page.until_state("!s.teaching.motions.includes('short')")
 
 

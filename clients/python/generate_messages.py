@@ -67,7 +67,7 @@ ACTIONS = (
     "moveit_msgs/ExecuteTrajectory",
 )
 ONLY = {
-    "control_msgs/msg/JointTrajectoryControllerState": ("joint_names",),
+    "control_msgs/msg/JointTrajectoryControllerState": ("joint_names", "reference"),
     "moveit_msgs/msg/AttachedCollisionObject": ("link_name", "object", "touch_links"),
     "moveit_msgs/msg/CollisionObject": (
         "header",

@@ -69,11 +69,33 @@ class JointJog(Message):
 
 
 @dataclass(repr=False)
+class Duration(Message):
+    """builtin_interfaces/msg/Duration."""
+
+    TYPE: ClassVar[str] = "builtin_interfaces/msg/Duration"
+    sec: int = 0
+    nanosec: int = 0
+
+
+@dataclass(repr=False)
+class JointTrajectoryPoint(Message):
+    """trajectory_msgs/msg/JointTrajectoryPoint."""
+
+    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectoryPoint"
+    positions: list[float] = field(default_factory=list[float])
+    velocities: list[float] = field(default_factory=list[float])
+    accelerations: list[float] = field(default_factory=list[float])
+    effort: list[float] = field(default_factory=list[float])
+    time_from_start: Duration = field(default_factory=Duration)
+
+
+@dataclass(repr=False)
 class JointTrajectoryControllerState(Message):
     """control_msgs/msg/JointTrajectoryControllerState."""
 
     TYPE: ClassVar[str] = "control_msgs/msg/JointTrajectoryControllerState"
     joint_names: list[str] = field(default_factory=list[str])
+    reference: JointTrajectoryPoint = field(default_factory=JointTrajectoryPoint)
 
 
 @dataclass(repr=False)
@@ -747,27 +769,6 @@ class DeleteRobotStateFromWarehouseRequest(Service[DeleteRobotStateFromWarehouse
     TYPE: ClassVar[str] = "moveit_msgs/srv/DeleteRobotStateFromWarehouse"
     name: str = ""
     robot: str = ""
-
-
-@dataclass(repr=False)
-class Duration(Message):
-    """builtin_interfaces/msg/Duration."""
-
-    TYPE: ClassVar[str] = "builtin_interfaces/msg/Duration"
-    sec: int = 0
-    nanosec: int = 0
-
-
-@dataclass(repr=False)
-class JointTrajectoryPoint(Message):
-    """trajectory_msgs/msg/JointTrajectoryPoint."""
-
-    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectoryPoint"
-    positions: list[float] = field(default_factory=list[float])
-    velocities: list[float] = field(default_factory=list[float])
-    accelerations: list[float] = field(default_factory=list[float])
-    effort: list[float] = field(default_factory=list[float])
-    time_from_start: Duration = field(default_factory=Duration)
 
 
 @dataclass(repr=False)

@@ -17,7 +17,13 @@ from server.config_keys import every_field, flattened, is_table, unknown
 from server.errors import ConfigurationError, sentence_of
 
 # What may be secret, and must not get into logs by a refusal.
-_SECRET = ("access.token", "access.admin_tokens", "access.operate_tokens", "access.view_tokens")
+_SECRET = (
+    "access.token",
+    "access.admin_tokens",
+    "access.operate_tokens",
+    "access.propose_tokens",
+    "access.view_tokens",
+)
 
 
 def load(file: Path | None, overrides: dict[str, Any]) -> Settings:

@@ -12,12 +12,7 @@ from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchr
 
 from robot.description.limits import JointBounds
 from robot.messages import Commanded, MotionEnded, Outcome, Stream
-from robot.trajectory import Vector
-
-# Acceleration reaches its limit within two ticks. Joints that reverse then follow their velocities so closely that what
-# steering keeps away from stays away: with 0.06 s, random sticks drove a Koch v1.1 3 mm into a table that is kept 5 mm
-# away (40 runs of 3.2 s, 10 of them nearer than 5 mm); with 0.02 s no run came nearer than 7.2 mm.
-TIME_TO_FULL_ACCELERATION_S = 0.02
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, Vector
 
 # Slower targets count as rest: this is a servo's tick in two seconds.
 LEAST_SPEED_RAD_S = 1e-3

@@ -25,7 +25,12 @@ log = logging.getLogger("armbridge.access")
 # Name of the owner of `access.token`, which has no name of its own.
 TOKEN_NAME = "admin"  # noqa: S105 - a name
 
-_ROLES = {"admin_tokens": Role.ADMIN, "operate_tokens": Role.OPERATE, "view_tokens": Role.VIEW}
+_ROLES = {
+    "admin_tokens": Role.ADMIN,
+    "operate_tokens": Role.OPERATE,
+    "propose_tokens": Role.PROPOSE,
+    "view_tokens": Role.VIEW,
+}
 _IN_FILE = frozenset({"token", *_ROLES})
 
 # As in rosauth: difference of the clocks, and age of a proof [s].

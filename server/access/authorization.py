@@ -50,6 +50,7 @@ _NO_TOKEN = (
 
 _WHAT_TO_SHOW = {
     Role.VIEW: "a token",
+    Role.PROPOSE: "a token of access.propose_tokens, access.operate_tokens or access.admin_tokens",
     Role.OPERATE: "a token of access.operate_tokens or access.admin_tokens",
     Role.ADMIN: "a token of access.admin_tokens",
 }
@@ -239,7 +240,9 @@ class Authorizer:
                 f"{name}: this client sends more than {self._goals.burst} goals at once (access.goal_burst) and "
                 f"{self._goals.per_s:g} a second (access.goals_per_s)"
             )
-        if not rule.drives or plans_only(rule, goal):
+        # Of a goal that is proposed, the client that approves it is the driver.
+        proposes = self._node.only_looks and rule.role is Role.PROPOSE
+        if not rule.drives or proposes or plans_only(rule, goal):
             return None
         refusal = self._access.lease_of(rule).drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"

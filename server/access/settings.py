@@ -33,11 +33,13 @@ class AccessSettings(SettingsSection):
     """tokens of clients that may do everything, by name: { ada = "..." }."""
     operate_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may move the arm and change the scene, by name."""
+    propose_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
+    """tokens of clients whose goals wait for the approval of a client that may operate, by name."""
     view_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may subscribe, plan and stop the arm, by name."""
     token_file: Path | None = None
-    """TOML file with the four settings above, apart from the configuration; None for no such file."""
-    without_token: Literal["auto", "none", "view", "operate", "admin"] = "auto"  # noqa: S105 - a role
+    """TOML file with the five settings above, apart from the configuration; None for no such file."""
+    without_token: Literal["auto", "none", "view", "propose", "operate", "admin"] = "auto"  # noqa: S105 - a role
     """role of a client without a token; auto is admin if no tokens are set, else none."""
     insecure: bool = False
     """serve an address that others can reach, without tokens."""
@@ -69,7 +71,7 @@ class AccessSettings(SettingsSection):
             check_token(value.get_secret_value())
         return value
 
-    @field_validator("admin_tokens", "operate_tokens", "view_tokens")
+    @field_validator("admin_tokens", "operate_tokens", "propose_tokens", "view_tokens")
     @classmethod
     def _tokens_are_long(cls, value: dict[str, SecretStr]) -> dict[str, SecretStr]:
         check_tokens({name: token.get_secret_value() for name, token in value.items()})

@@ -35,7 +35,8 @@ pretend to be any website to these phones. Remove the authority from a phone tha
 
 # The file of the setting access.token_file, and the name of the one whose token is made.
 TOKEN_FILE, OWNER = "tokens.toml", "owner"
-FILE_HEADER = "Tokens of clients, by name: [admin_tokens], [operate_tokens], [view_tokens]; see docs/security.md."
+TABLES = "[admin_tokens], [operate_tokens], [propose_tokens], [view_tokens]"
+FILE_HEADER = f"Tokens of clients, by name: {TABLES}; see docs/security.md."
 TOKEN_BYTES = 16
 
 

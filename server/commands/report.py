@@ -126,7 +126,7 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
 def _secrets(settings: Settings) -> Iterator[str]:
     """Yield the tokens in settings and environment, even if the settings contradict each other."""
     access = settings.access
-    tables = access.admin_tokens, access.operate_tokens, access.view_tokens
+    tables = access.admin_tokens, access.operate_tokens, access.propose_tokens, access.view_tokens
     for token in (access.token, *(token for table in tables for token in table.values())):
         if token is not None:
             yield token.get_secret_value()

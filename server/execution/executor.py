@@ -35,6 +35,8 @@ from server.execution.monitors import (
     check_ready,
 )
 from server.execution.motions import (
+    HORIZON_S,
+    SENDING_S,
     START_TOLERANCE_RAD,
     ExternalTrajectory,
     Joints,
@@ -42,6 +44,7 @@ from server.execution.motions import (
     PlannedMotion,
     PlannedSequence,
     Positions,
+    SplicePoint,
     plan_sequence,
     with_lead_in,
 )
@@ -52,7 +55,7 @@ from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")
 
-Confirm: TypeAlias = Callable[[], Coroutine[Any, Any, Answer | None]]
+Confirm: TypeAlias = Callable[[Goal, PlannedSequence], Coroutine[Any, Any, Answer | None]]
 Result = TypeVar("Result")
 
 # Codes after which another plan may do better, as in MoveIt's plan_execution.
@@ -75,6 +78,9 @@ UNCHECKED = -1
 GIVEN_DURATION = "the duration of the trajectory"
 PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
+
+# A trajectory takes over from another one in motion after this multiple of the time that the last check took.
+CHECKS_AHEAD = 1.5
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
@@ -152,6 +158,8 @@ class GoalExecutor:
         self._player = Player(arm, self._robot, self._scene_monitor, in_progress, self._clock)
         self._goal: Goal | None = None
         self._ahead = PlannedAhead(context.pool)
+        # Time that the last check of a trajectory in motion took [s].
+        self._check_s = HORIZON_S
         # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
         self._end_rad: Positions | None = None
 
@@ -204,14 +212,15 @@ class GoalExecutor:
     async def _replace_outgoing(self, goal: Goal, request: PlannedMotion) -> Answer | None:
         """Replace the motion of a preempted goal without a stop; None where that is impossible."""
         outgoing = self._player.outgoing
-        if outgoing is None or outgoing.splice_point is None or outgoing.ended.done():
+        point = None if outgoing is None else outgoing.splice_point(self._clock(), HORIZON_S)
+        if outgoing is None or point is None:
             return None
         if len(request.steps) != 1 or request.scene is not None or request.confirm:
             return None
         # There is no time to check contacts with another motion in progress.
         if self._in_progress.beside(request.joints):
             return None
-        point, scene = outgoing.splice_point, self._scene.scene
+        scene = self._scene.scene
         try:
             problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
         except RefusedError:
@@ -226,15 +235,21 @@ class GoalExecutor:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
         planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
+        # A scene that has changed since the lead was found free is checked on the way.
+        version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
+        checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
+        return await self._play_spliced(goal, planned, checked, point)
+
+    async def _play_spliced(
+        self, goal: Goal, planned: PlannedSequence, motion: CheckedMotion, point: SplicePoint
+    ) -> Answer | None:
+        """Play a motion in the place of the outgoing one; None where the arm has passed the splice point."""
         self._show_soon(planned)
         self._end_rad = planned.end_rad
         goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
-        # A scene that has changed since the lead was found free is checked on the way.
-        version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
-        checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
-        answer = await self._player.play(goal, checked, self._questions(checked), from_s=point.from_s)
-        executed = self.recorder.finish(whole.trajectory.joint_names)
+        answer = await self._player.play(goal, motion, self._questions(motion), from_s=point.from_s)
+        executed = self.recorder.finish(motion.trajectory.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
         return replace(answer, performed=replace(planned.performed, executed=executed))
@@ -258,12 +273,40 @@ class GoalExecutor:
         return discarded or await self._play(goal, planned, version)
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
+        return await self._splice_external(goal, request) or await self._start_external(goal, request)
+
+    async def _splice_external(self, goal: Goal, request: ExternalTrajectory) -> Answer | None:
+        """Have a trajectory take over from the setpoints of the motion of a preempted goal; None if that is impossible.
+
+        As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
+        before, which takes some milliseconds: it takes over that much later.
+        """
+        outgoing, asked_s = self._player.outgoing, self._clock()
+        if outgoing is None or frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
+            return None
+        horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, HORIZON_S)
+        point = outgoing.splice_point(asked_s, horizon_s)
+        if point is None:
+            return None
+        held_rad = self._held_rad()
+        motion = request.trajectory({**held_rad, **point.positions_rad}, asked_s + horizon_s, point)
+        whole = point.splice(motion)
+        goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+        planned = PlannedSequence(Performed({**held_rad, **point.start_rad}, (whole,)))
+        checked = CheckedMotion(_group_of(self._robot, whole), whole, self._scene.scene.version, planned.summary)
+        goal.defer_replacement()
+        await goal.unless_cancelled(self._scene_monitor.check(lambda: self._questions(checked)(0.0)))
+        self._check_s = self._clock() - asked_s
+        return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
+
+    async def _start_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         await self._until_ready(goal)
         held_rad = self._held_rad()
-        motion = request.trajectory(held_rad)
+        motion = request.trajectory(held_rad, self._clock(), None)
         goal.deadline.limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         planned = PlannedSequence(Performed(held_rad, (motion,)))
         self._show_soon(planned)
+        goal.defer_replacement()
         return await self._play(goal, planned, UNCHECKED)
 
     # Steps of an attempt.
@@ -329,11 +372,14 @@ class GoalExecutor:
         asyncio.get_running_loop().call_soon(self._show, planned.performed)
 
     async def _confirmed(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
-        """Wait for the confirmation of a plan; return None when it is given, or the goal was cancelled."""
+        """Wait for the confirmation of a plan; return None when it is given."""
         if self._confirm is None:
             return None
-        goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; waits to be confirmed", 0.0, planned.duration_s))
-        answer = await goal.unless_cancelled(self._confirm())
+        proposed = isinstance(goal.request.motion, PlannedMotion) and goal.request.motion.proposed
+        waits = f"{goal.request.client} asks for your approval" if proposed else "waits to be confirmed"
+        goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
+        answer = await goal.unless_cancelled(self._confirm(goal, planned))
+        goal.check("before the motion began")
         return None if answer is None else replace(answer, performed=planned.performed)
 
     async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
@@ -368,6 +414,7 @@ class GoalExecutor:
             in_the_way = await goal.unless_cancelled(self._first_meeting(whole, beside))
             goal.check("before the motion began")
             if in_the_way is not None:
+                goal.allow_replacement()
                 goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
                 await goal.unless_cancelled(asyncio.wait([in_the_way.ended]))
             elif all(one in beside for one in self._in_progress.beside(joints)):

@@ -126,6 +126,8 @@ class GoalRequest:
         on_answer: called once, likewise, perhaps before the goal is submitted.
         only_for: the one client that is informed of its rejection; None for all.
         epoch: stop epoch in which it arrived.
+        streamed: True for one of many in a row.
+        repeated: True where the one before it in the row was refused.
     """
 
     source: str
@@ -137,6 +139,8 @@ class GoalRequest:
     on_answer: Callable[[Answer], None] = lambda _answer: None
     only_for: Node | None = None
     epoch: int = field(default_factory=arrival_epoch)
+    streamed: bool = False
+    repeated: bool = False
 
     @property
     def joints(self) -> Joints:
@@ -158,11 +162,39 @@ class Goal(CancelScope):
     request: GoalRequest
     report: Callable[[Progress], None] = lambda _progress: None
     deadline: ExecutionDeadline = field(default_factory=ExecutionDeadline)
+    _deferring: bool = field(init=False, default=False)
+    _successor: str = field(init=False, default="")
     progress: Progress | None = field(init=False, default=None)
     answered: asyncio.Future[Answer] = field(init=False, default_factory=_future)
 
     def __post_init__(self) -> None:
         self.epoch = self.request.epoch
+
+    @property
+    def unlogged(self) -> bool:
+        """True for a goal of a stream whose end is no news: it was replaced, or refused as the one before it."""
+        return self.request.streamed and (self.replaced or self.request.repeated)
+
+    def cancel(self, reason: str, *, replaced: bool = False) -> None:
+        """End the work; a replacement is deferred between the two calls below."""
+        if replaced and self._deferring:
+            self._successor = reason
+        else:
+            super().cancel(reason, replaced=replaced)
+
+    def defer_replacement(self) -> None:
+        """Have no other goal replace it until its motion has begun.
+
+        Else none of a stream of trajectories would begin where it takes longer to check one than the next takes to
+        come.
+        """
+        self._deferring = True
+
+    def allow_replacement(self) -> None:
+        """Have other goals replace it from now on, also those that came meanwhile."""
+        self._deferring = False
+        if self._successor:
+            super().cancel(self._successor, replaced=True)
 
     @property
     def title(self) -> str:

@@ -25,7 +25,6 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from robot.description.model import RobotModel
-from robot.messages import MotionProgress, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 
@@ -50,6 +49,8 @@ class PlannedMotion:
     Attributes:
         steps: each makes its problem from the end of the one before.
         scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
+        confirm: True for a plan that waits for a user's confirmation.
+        proposed: True for a plan whose confirmation must name the goal, because its client may not move the arm.
         attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
     """
 
@@ -60,13 +61,19 @@ class PlannedMotion:
     delay_s: float = 0.0
     warnings: tuple[str, ...] = ()
     confirm: bool = False
+    proposed: bool = False
 
 
 @dataclass(frozen=True)
 class ExternalTrajectory:
-    """Trajectory that a client has planned."""
+    """Trajectory that a client has planned.
 
-    trajectory: Callable[[Positions], Trajectory]
+    Attributes:
+        trajectory: makes it from the position of every joint at its start [rad], the monotonic time of that [s], and
+            the splice point at which it begins, or None at rest; or raises RefusedError.
+    """
+
+    trajectory: Callable[[Positions, float, SplicePoint | None], Trajectory]
     joints: Joints
 
 
@@ -238,22 +245,31 @@ class SplicePoint:
         )
 
 
-def splice_point_of(
-    motion: Trajectory, progress: MotionProgress | None, pace: Pace, age_s: float
-) -> SplicePoint | None:
-    """Return the point at which a motion can be replaced; None if it is paused, reverses or ends soon.
+@dataclass(frozen=True)
+class PathTime:
+    """Time on the path of a motion at one moment.
 
-    Args:
-        progress: its progress by the arm's latest state; None where it is not in progress.
+    Attributes:
+        at_s: the moment, monotonic [s].
+        rate: path time a second; 0 where the motion waits or goes back.
     """
-    if progress is None or pace.direction is not PlaybackDirection.FORWARD:
+
+    at_s: float
+    path_s: float
+    rate: float
+
+    def at(self, now_s: float) -> float:
+        """Return the time on the path at a later moment [s]."""
+        return self.path_s + (now_s - self.at_s) * self.rate
+
+
+def splice_point_of(motion: Trajectory, path_time: PathTime, now_s: float, horizon_s: float) -> SplicePoint | None:
+    """Return the point, a horizon ahead or at its end, at which a motion can be replaced; None if it waits or ends."""
+    reached_s = path_time.at(now_s)
+    leave_s = min(reached_s + horizon_s * path_time.rate, motion.duration_s)
+    from_s = max(reached_s - STATE_AGE_S, 0.0)
+    if path_time.rate == 0.0 or reached_s > motion.duration_s or leave_s - from_s < MIN_PIECE_S:
         return None
-    rate = min(pace.speed_factor, progress.rate)
-    now_s = progress.fraction * motion.duration_s + age_s * rate
-    leave_s = now_s + HORIZON_S * rate
-    if rate == 0.0 or leave_s >= motion.duration_s:
-        return None
-    from_s = max(now_s - STATE_AGE_S, 0.0)
     return SplicePoint(_between(motion, from_s, leave_s), from_s)
 
 

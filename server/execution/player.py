@@ -21,7 +21,7 @@ from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
-from server.execution.motions import HORIZON_S, SENDING_S, STATE_AGE_S, Positions, SplicePoint, splice_point_of
+from server.execution.motions import HORIZON_S, SENDING_S, PathTime, Positions, SplicePoint, splice_point_of
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.time_limits import ArmClock
 
@@ -63,14 +63,19 @@ class OutgoingMotion:
     """Motion that goes on for a moment after its goal was preempted, so that another can replace it.
 
     Attributes:
-        splice_point: the point at which another can replace it; None if there is none.
         until_s: monotonic time by which the other has to be sent [s].
     """
 
     motion: CheckedMotion
     ended: asyncio.Future[MotionEnded]
-    splice_point: SplicePoint | None
+    path_time: PathTime
     until_s: float
+
+    def splice_point(self, now_s: float, horizon_s: float) -> SplicePoint | None:
+        """Return the point, so far ahead [s], at which another motion can replace it; None if there is none."""
+        if self.ended.done():
+            return None
+        return splice_point_of(self.motion.trajectory, self.path_time, now_s, horizon_s)
 
 
 class Player:
@@ -94,7 +99,7 @@ class Player:
         self._in_progress = in_progress
         self._clock = clock
         self._motion: asyncio.Future[MotionEnded] | None = None
-        self._began_s = self._began_by_arm_s = 0.0
+        self._begun = PathTime(0.0, 0.0, 1.0)
         self._end: Answer | None = None
         self.outgoing: OutgoingMotion | None = None
 
@@ -117,10 +122,13 @@ class Player:
             to_come_s: duration of the goal's motions after this one [s].
         """
         self._end = None
-        self._began_s, self._began_by_arm_s = self._clock(), self._arm.clock_s
-        outgoing = self.outgoing
-        continues = None if outgoing is None or from_s is None else (outgoing.ended, from_s)
+        outgoing, now_s, continues = self.outgoing, self._clock(), None
+        self._begun = PathTime(now_s, 0.0, 1.0)
+        if outgoing is not None and from_s is not None:
+            continues = outgoing.ended, from_s
+            self._begun = PathTime(now_s, outgoing.path_time.at(now_s) - from_s, outgoing.path_time.rate)
         ended = self._arm.execute(motion.trajectory, continues=continues, epoch=goal.epoch)
+        goal.allow_replacement()
         self._motion = ended
         self._in_progress.add(motion.trajectory, ended)
         self._scene_monitor.start(
@@ -152,15 +160,9 @@ class Player:
     def _played_s(self, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> float:
         """Return the part of the motion that is played for good [s]; on the way back all of it may be played again."""
         progress = self._arm.progress(ended)
-        if progress is None or self._just_begun or self._arm.state.pace.direction is PlaybackDirection.BACK:
+        if progress is None or self._arm.state.pace.direction is PlaybackDirection.BACK:
             return 0.0
         return progress.fraction * motion.trajectory.duration_s
-
-    @property
-    def _just_begun(self) -> bool:
-        """True while the arm's state may still be of the motion before: it is late where arm or server are starved."""
-        passed_s = min(self._clock() - self._began_s, self._arm.clock_s - self._began_by_arm_s)
-        return passed_s < STATE_AGE_S
 
     async def _until_ended(
         self, goal: Goal, ended: asyncio.Future[MotionEnded], motion: CheckedMotion, to_come_s: float
@@ -192,12 +194,20 @@ class Player:
         return self._answer(ended.result())
 
     def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
-        progress = None if self._just_begun else self._arm.progress(ended)
-        point = splice_point_of(motion.trajectory, progress, self._arm.state.pace, self._arm.state_age_s)
-        self.outgoing = OutgoingMotion(motion, ended, point, self._clock() + HORIZON_S - SENDING_S)
+        path_time = self._path_time(motion.trajectory, ended)
+        self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + HORIZON_S - SENDING_S)
         # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
         asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
         return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
+
+    def _path_time(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> PathTime:
+        """Return the time on the path by the arm's latest state, or since the beginning, which it does not show yet."""
+        progress, pace, now_s = self._arm.progress(ended), self._arm.state.pace, self._clock()
+        rate = pace.speed_factor if pace.direction is PlaybackDirection.FORWARD else 0.0
+        if progress is None:
+            return PathTime(now_s, self._begun.at(now_s), min(rate, self._begun.rate))
+        rate = min(rate, progress.rate)
+        return PathTime(now_s, progress.fraction * trajectory.duration_s + self._arm.state_age_s * rate, rate)
 
     def _answer(self, ended: MotionEnded) -> Answer:
         if ended.outcome is not Outcome.STOPPED:

@@ -133,7 +133,7 @@ class GoalQueue:
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, text))
         elif policy is GoalPolicy.PREEMPT:
             reason = f"preempted by goal {goal.goal_id} from {request.source}"
-            self._clear(reason, request.joints)
+            self._clear(reason, request.joints, replaced=True)
             for active in in_the_way:
                 active.cancel(reason, replaced=True)
             self._enqueue(goal)
@@ -190,11 +190,12 @@ class GoalQueue:
     def _moving(self, joints: Joints) -> list[Goal]:
         return [goal for goal in self._active if goal.request.joints & joints]
 
-    def _clear(self, reason: str, joints: Joints | None = None) -> None:
+    def _clear(self, reason: str, joints: Joints | None = None, *, replaced: bool = False) -> None:
         """Answer the waiting goals that move any of some joints; None for all."""
         cleared = [goal for goal in self._waiting if joints is None or goal.request.joints & joints]
         self._waiting = deque(goal for goal in self._waiting if goal not in cleared)
         for goal in cleared:
+            goal.replaced = replaced
             self._leave(goal, reason)
 
     def _leave(self, goal: Goal, reason: str) -> None:

@@ -465,7 +465,7 @@ def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insec
         return
     where = host if host == reachable else f"{host or 'every address'} ({reachable})"
     anonymous = tokens.anonymous
-    may_move = anonymous is not None and anonymous.role > Role.VIEW
+    may_move = anonymous is not None and anonymous.role >= Role.OPERATE
     if not insecure and not tokens.any:
         raise ConfigurationError(
             f"server.host: others can reach {where}, and nothing keeps them from moving the arm; set a token, as in"

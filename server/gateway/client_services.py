@@ -14,7 +14,7 @@ from server.graph.services import Call, Response
 
 # Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,
 # each for up to seconds.
-MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.OPERATE: 64, Role.ADMIN: 64}
+MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.PROPOSE: 16, Role.OPERATE: 64, Role.ADMIN: 64}
 
 
 class ClientServices:

@@ -261,7 +261,7 @@ class Connection:
         identity, limit_bytes = self._client.node.identity, self._max_message_bytes
         if identity is None:
             limit_bytes = MAX_UNKNOWN_BYTES
-        elif identity.role is Role.VIEW:
+        elif identity.role < Role.OPERATE:
             limit_bytes = min(MAX_VIEW_BYTES, limit_bytes)
         self._transport.max_message_bytes = limit_bytes
 

@@ -31,7 +31,7 @@ class Node:
 
     @property
     def only_looks(self) -> bool:
-        """True for a client that may only look, and for a client without an identity yet."""
+        """True for a client that moves and changes nothing by itself, and for a client without an identity yet."""
         return self.identity is None or self.identity.role < Role.OPERATE
 
     def __repr__(self) -> str:

@@ -12,12 +12,14 @@ from fnmatch import translate
 class Role(IntEnum):
     """Rights of a client; each role includes the roles before it.
 
-    VIEW reads, plans and stops; OPERATE moves the arm and changes the scene; ADMIN configures.
+    VIEW reads, plans and stops; PROPOSE sends goals, each of which waits for the approval of a client that may OPERATE,
+    which moves the arm and changes the scene; ADMIN configures.
     """
 
     VIEW = 1
-    OPERATE = 2
-    ADMIN = 3
+    PROPOSE = 2
+    OPERATE = 3
+    ADMIN = 4
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ WORKING = Rule(Role.OPERATE)
 SWITCHING = Rule(Role.OPERATE, drives=True)
 GOAL = Rule(Role.OPERATE, drives=True, goal=True)
 PLANNING_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("planning_options", "plan_only"))
-CALLED_GOAL = Rule(Role.OPERATE, drives=True, goal=True, plan_only=("plan_only",), plans=True)
+CALLED_GOAL = Rule(Role.PROPOSE, drives=True, goal=True, plan_only=("plan_only",), plans=True)
 CONFIGURING = Rule(Role.ADMIN)
 COMMISSIONING = Rule(Role.ADMIN, drives=True)
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from ruckig import RuckigError
 
 from planners.problem import MoveItErrorCode
 from protocol.messages import Stamp
 from robot.control.checks import VELOCITY_TOLERANCE, refusal
 from robot.description.limits import JointBounds
 from robot.description.model import Group, RobotModel
-from robot.trajectory import Trajectory, Vector
+from robot.trajectory import Trajectory, Vector, bridge
 from server.errors import RefusedError
-from server.execution.motions import ExternalTrajectory, Positions
+from server.execution.motions import ExternalTrajectory, Positions, SplicePoint
 from server.moveit.error_codes import invalid, refused
 from server.moveit.poses import Message
 
@@ -50,12 +52,108 @@ def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]
     }
 
 
-def external_motion(message: Message, robot: RobotModel) -> ExternalTrajectory:
-    """Make the motion of a trajectory_msgs/JointTrajectory, read once the arm's position at its start is known."""
+@dataclass(frozen=True)
+class TrajectoryTiming:
+    """Time of a client's trajectory, and limits of the way to its first point.
+
+    Attributes:
+        begins_s: monotonic time of its time 0, by its stamp or of its arrival [s].
+        stamped: True where the client has chosen that time.
+        bridged: True to take the first point later where the limits do not allow it in time; else it is refused.
+        speed_limit: share of the velocity limits for the way to the first point.
+    """
+
+    begins_s: float
+    stamped: bool
+    bridged: bool
+    speed_limit: float
+
+
+def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTiming | None = None) -> ExternalTrajectory:
+    """Make the motion of a trajectory_msgs/JointTrajectory, read once the state at its start is known.
+
+    Args:
+        timing: None for a trajectory that begins at rest alone, when its turn comes.
+    """
     names = tuple(message["joint_names"])
     group = smallest_group(robot, names)
     joints = frozenset(names if group is None else group.joints)
-    return ExternalTrajectory(lambda held_rad: external_trajectory(message, robot, held_rad), joints)
+
+    def make(held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
+        if timing is None:
+            return external_trajectory(message, robot, held_rad)
+        if point is None and not timing.stamped and not (timing.bridged and _is_immediate(message)):
+            try:
+                return external_trajectory(message, robot, held_rad)
+            except RefusedError:
+                if not timing.bridged:
+                    raise
+            at_s = timing.begins_s
+        return _joined_trajectory(message, robot, held_rad, at_s - timing.begins_s, point, timing.speed_limit)
+
+    return ExternalTrajectory(make, joints)
+
+
+def _is_immediate(message: Message) -> bool:
+    """Return True for a trajectory whose one point is to be reached at once, as fast as the limits allow."""
+    duration = message["points"][-1]["time_from_start"]
+    return len(message["points"]) == 1 and not duration["sec"] and not duration["nanosec"]
+
+
+def _joined_trajectory(
+    message: Message,
+    robot: RobotModel,
+    held_rad: Positions,
+    passed_s: float,
+    point: SplicePoint | None,
+    speed_limit: float,
+) -> Trajectory:
+    """Join the state at the start and the points of a trajectory_msgs/JointTrajectory that are still to come.
+
+    Points whose time has passed are dropped, except the last, as in ros2_control's joint_trajectory_controller, which
+    jumps where this moves within the limits: the first point is reached in time or, where the limits do not allow
+    that, later, and the others as much later. Joints of the group that it does not name come to rest.
+    https://control.ros.org/rolling/doc/ros2_controllers/joint_trajectory_controller/doc/trajectory.html
+
+    Args:
+        passed_s: time from the trajectory's time 0 to the start, below 0 where it begins later [s].
+    """
+    names, time_s, positions, velocities = _read_points(message, robot)[:4]
+    group = _group_of(robot, names)
+    columns, bounds = np.array([group.joints.index(name) for name in names]), JointBounds.of(robot, group.joints)
+    first = min(int(np.searchsorted(time_s, passed_s, side="right")), len(time_s) - 1)
+    time_s, positions = np.maximum(time_s[first:] - passed_s, 0.0), positions[first:]
+    still = np.zeros(len(group.joints))
+    start = (np.array([held_rad[name] for name in group.joints]), still, still)
+    if point is not None:
+        start = point.lead.sample(point.lead.duration_s)
+    if velocities is None and time_s[0] > 0.0:
+        here = start[0][columns]
+        velocities = knot_velocities(np.insert(time_s, 0, 0.0), np.vstack((here, positions)))[1:]
+    else:
+        velocities = np.zeros_like(positions) if velocities is None else velocities[first:].copy()
+    velocities[-1] = 0.0
+    end, end_velocity = np.full(len(still), np.nan), still.copy()
+    end[columns], end_velocity[columns] = positions[0], velocities[0]
+    limits = speed_limit * bounds.max_velocity, bounds.max_acceleration
+    try:
+        way = bridge(group.joints, start, (end, end_velocity), limits, float(time_s[0]))
+    except RuckigError as error:
+        text = f"points[{first}] cannot be reached from where the joints are: {error}"
+        raise _invalid(text, index=first) from error
+    if len(time_s) == 1:
+        joined = way
+    else:
+        wide = np.repeat(way.positions_rad[-1:], len(time_s) - 1, axis=0), np.zeros((len(time_s) - 1, len(still)))
+        wide[0][:, columns], wide[1][:, columns] = positions[1:], velocities[1:]
+        joined_s = np.concatenate((way.time_s, time_s[1:] - time_s[0] + way.duration_s))
+        joined_rad = np.vstack((way.positions_rad, wide[0]))
+        joined_rad_s = np.vstack((way.velocities_rad_s, wide[1]))
+        accelerations = knot_accelerations(joined_s, joined_rad, joined_rad_s)
+        joined = Trajectory(group.joints, joined_s, joined_rad, joined_rad_s, accelerations)
+    if reason := refusal(joined, group.joints, bounds, start[0], in_motion=True):
+        raise refused(MoveItErrorCode.INVALID_MOTION_PLAN, reason)
+    return joined
 
 
 def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions) -> Trajectory:
@@ -64,12 +162,7 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
     Joints of the group that it does not name keep the position that the arm holds.
     """
     named = read_joint_trajectory(message, robot, held_rad)
-    group = smallest_group(robot, named.joint_names)
-    if group is None:
-        groups = "; ".join(f"{name}: {', '.join(group.joints)}" for name, group in robot.groups.items())
-        joints = list(named.joint_names)
-        raise _invalid(f"joint_names {joints} are not all of one group; the groups are {groups}", joints=joints)
-    trajectory = for_group(named, group, held_rad)
+    trajectory = for_group(named, _group_of(robot, named.joint_names), held_rad)
     bounds = JointBounds.of(robot, trajectory.joint_names)
     reason = refusal(trajectory, trajectory.joint_names, bounds, trajectory.positions_rad[0])
     if reason:
@@ -77,9 +170,17 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
     return trajectory
 
 
-def check_speed(message: Message, robot: RobotModel, held_rad: Positions, limit: float) -> None:
-    """Check a trajectory_msgs/JointTrajectory against the arm's speed limit, with the tolerance that plans have."""
-    trajectory = read_joint_trajectory(message, robot, held_rad)
+def _group_of(robot: RobotModel, joint_names: tuple[str, ...]) -> Group:
+    group = smallest_group(robot, joint_names)
+    if group is None:
+        groups = "; ".join(f"{name}: {', '.join(group.joints)}" for name, group in robot.groups.items())
+        joints = list(joint_names)
+        raise _invalid(f"joint_names {joints} are not all of one group; the groups are {groups}", joints=joints)
+    return group
+
+
+def check_speed(trajectory: Trajectory, robot: RobotModel, limit: float) -> None:
+    """Check a trajectory against the arm's speed limit, with the tolerance that plans have."""
     for name, speed_rad_s in zip(trajectory.joint_names, trajectory.peak_speed_rad_s.tolist(), strict=True):
         limit_rad_s = limit * robot.joints[name].max_velocity
         if speed_rad_s > limit_rad_s * VELOCITY_TOLERANCE:
@@ -128,6 +229,21 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     Points without velocities are joined by a monotone cubic spline. The last point is at rest, whatever its velocity.
     Efforts are ignored.
     """
+    names, time_s, positions, velocities, accelerations = _read_points(message, robot)
+    if time_s[0] > 0.0:
+        time_s = np.insert(time_s, 0, 0.0)
+        positions = np.vstack(([start_rad[name] for name in names], positions))
+        velocities, accelerations = (_after_rest(array) for array in (velocities, accelerations))
+    return _to_rest(names, time_s, positions, velocities, accelerations)
+
+
+def _read_points(
+    message: Message, robot: RobotModel
+) -> tuple[tuple[str, ...], Vector, Vector, Vector | None, Vector | None]:
+    """Read joint names, times, positions, velocities and accelerations; None for the last two where a point lacks them.
+
+    A point that repeats the one before is dropped.
+    """
     names, points = tuple(message["joint_names"]), message["points"]
     _check_names(names, robot)
     if not 1 <= len(points) <= MAX_POINTS:
@@ -142,11 +258,7 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     _check_times(time_s, kept)
     time_s, positions = time_s[kept], positions[kept]
     velocities, accelerations = (None if array is None else array[kept] for array in (velocities, accelerations))
-    if time_s[0] > 0.0:
-        time_s = np.insert(time_s, 0, 0.0)
-        positions = np.vstack(([start_rad[name] for name in names], positions))
-        velocities, accelerations = (_after_rest(array) for array in (velocities, accelerations))
-    return _to_rest(names, time_s, positions, velocities, accelerations)
+    return names, time_s, positions, velocities, accelerations
 
 
 def _to_rest(

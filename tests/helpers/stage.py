@@ -18,9 +18,11 @@ from planners.interface import Planners
 from planners.problem import Answer, Request
 from planners.scene import EMPTY_SCENE, Scene
 from protocol.registry import Registry
-from robot.arm import Arm
+from robot.arm import Arm, ArmProcess
+from robot.control.pacing import PERIOD_S
 from robot.description.servo_table import HardwareTable
-from robot.messages import ArmState
+from robot.hardware.config import IdealConfig
+from robot.messages import ArmState, Command, Mode, Order
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.config import Settings
@@ -35,6 +37,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.teaching.taught_motion import TaughtMotion
 from server.teleop.teleoperation import Teleoperation
+from tests.helpers.arm_rig import ArmRig
 from tests.helpers.moveit import ROBOT, DirectPool
 
 # The planners' time for each question [s].
@@ -83,6 +86,10 @@ class ServerStage:
         clock = asyncio.get_running_loop().time
         self.teleoperation._clock = servo.nodes[""]._session._clock = clock
         self.teleoperation._context = replace(self.teleoperation._context, clock=clock)
+        executors = self.context.goals.executors
+        executors._context = replace(executors._context, clock=clock)
+        for controller in (each for goals_of in goals[1]._goals_of.values() for each in goals_of._controllers):
+            controller._context = replace(controller._context, clock=clock)
         self.client = Node("client", remote=True)
         self.answers: list[Any] = []
 
@@ -115,6 +122,48 @@ class ServerStage:
         for feature in reversed(self._features):
             if not isinstance(feature, Parkings):
                 await feature.stop()
+
+
+class RigProcess:
+    """The process of :class:`RigArm`."""
+
+    launched = configured = True
+    pid = 7
+
+    def __init__(self, rig: ArmRig) -> None:
+        self._rig = rig
+
+    def send(self, message: object) -> None:
+        self._rig.supervisor.handle(message)  # type: ignore[arg-type]
+
+    def order(self, command: Command) -> bool:
+        self.send(command)
+        return True
+
+
+class RigArm(Arm):
+    """The arm as the server has it, whose process is a supervisor in the same event loop."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0))
+        super().__init__(self.rig.config, lambda state: self.stage.take_state(state))
+        self._process = cast("ArmProcess", RigProcess(self.rig))
+        self.stage = ServerStage(self, settings)
+        self.rig.until(lambda: self.rig.mode in (Mode.RELAXED, Mode.HOLDING))
+        self.rig.order(Order.ENABLE)
+
+    async def run(self) -> None:
+        """Have the arm's time pass with that of the event loop."""
+        while True:
+            sent, self.rig.sent[:] = [*self.rig.sent], []
+            for message in sent:
+                self._received(message)
+            await asyncio.sleep(PERIOD_S)
+            self.rig.tick()
+
+    @property
+    def state_age_s(self) -> float:
+        return 0.0
 
 
 def at_once(work: Coroutine[Any, Any, None]) -> None:

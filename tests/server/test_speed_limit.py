@@ -8,24 +8,21 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextvars import Context
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from robot.arm import Arm, ArmProcess
 from robot.control.pacing import PERIOD_S
-from robot.hardware.config import IdealConfig
 from robot.hardware.ideal import IdealArm
-from robot.messages import Command, Mode, Order
 from robot.trajectory import Vector
 from server.config import Settings
 from server.moveit.parameters import MoveItParameters
 from server.teaching.taught_motion import TaughtMotion
-from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig
+from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.moveit import FORWARD, ROBOT
-from tests.helpers.stage import ARM_JOINTS, DEFAULTS, ServerStage, inline_threads
+from tests.helpers.stage import ARM_JOINTS, DEFAULTS, RigArm, ServerStage, inline_threads
 
 pytestmark = pytest.mark.stepped_time
 
@@ -40,44 +37,6 @@ TRIAL_S = 8.0
 READY = ROBOT.named_states["arm"]["ready"]
 REACH = {"joint_names": list(ARM_JOINTS), "points": [{"positions": [0.8, 0.0, 0.0, 0.0, 0.0]}]}
 SWING = TaughtMotion(ARM_JOINTS, np.arange(6) * 0.2, np.linspace(0.0, 0.9, 6)[:, np.newaxis] * np.eye(5)[0])
-
-
-class RigProcess:
-    """The process of :class:`RigArm`."""
-
-    launched = configured = True
-    pid = 7
-
-    def __init__(self, rig: ArmRig) -> None:
-        self._rig = rig
-
-    def send(self, message: object) -> None:
-        self._rig.supervisor.handle(message)  # type: ignore[arg-type]
-
-    def order(self, command: Command) -> bool:
-        self.send(command)
-        return True
-
-
-class RigArm(Arm):
-    """The arm as the server has it, whose process is a supervisor in the same event loop."""
-
-    def __init__(self, settings: Settings) -> None:
-        self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0))
-        super().__init__(self.rig.config, lambda state: self.stage.take_state(state))
-        self._process = cast("ArmProcess", RigProcess(self.rig))
-        self.stage = ServerStage(self, settings)
-        self.rig.until(lambda: self.rig.mode in (Mode.RELAXED, Mode.HOLDING))
-        self.rig.order(Order.ENABLE)
-
-    async def run(self) -> None:
-        """Have the arm's time pass with that of the event loop."""
-        while True:
-            sent, self.rig.sent[:] = [*self.rig.sent], []
-            for message in sent:
-                self._received(message)
-            await asyncio.sleep(PERIOD_S)
-            self.rig.tick()
 
 
 def repeatedly(publish: Callable[[int], None], period_s: float = 0.02) -> None:

@@ -6,6 +6,7 @@ class ControlInterface(Enum):
 
 class Synchronization(Enum):
     No = ...
+    Time = ...
 
 class Result(Enum):
     Working = ...
@@ -23,12 +24,22 @@ class InputParameter:
     max_velocity: list[float]
     max_acceleration: list[float]
     max_jerk: list[float]
+    minimum_duration: float
     synchronization: Synchronization
+    per_dof_synchronization: list[Synchronization]
     per_dof_control_interface: list[ControlInterface]
     def __init__(self, dofs: int) -> None: ...
 
+class BrakeProfile:
+    t: tuple[float, float]
+
+class Profile:
+    brake: BrakeProfile
+    t: tuple[float, ...]
+
 class Trajectory:
     duration: float
+    profiles: list[list[Profile]]
     def __init__(self, dofs: int) -> None: ...
     def at_time(self, time: float) -> tuple[list[float], list[float], list[float]]: ...
 

@@ -13,10 +13,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, PlanningFailure
 from server.diagnostic_values import key_values
 from server.errors import RefusedError
-from server.execution.goal import Answer, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Goal as QueuedGoal
 from server.execution.motions import Performed, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
@@ -83,7 +84,7 @@ class GoalCalls:
     def _call(self, call: Call) -> None:
         """Carry out a call; it ends with its goal, and the goal with it."""
         with services.failure_told(call):
-            goal = self._read(call.request, lambda values: call.succeed(values))
+            goal = self._read(call.request, call.caller, lambda values: call.succeed(values))
             if goal is None:
                 return
             if goal.plan_only:
@@ -107,7 +108,7 @@ class GoalCalls:
         def report(progress: Progress) -> None:
             goal.feedback(_feedback(progress))
 
-        read = self._read(goal.request, end)
+        read = self._read(goal.request, goal.sender, end)
         if read is None:
             return
         if read.plan_only:
@@ -134,10 +135,13 @@ class GoalCalls:
 
     # Both.
 
-    def _read(self, request: Message, end: Callable[[Mapping[str, Any]], None]) -> ReadGoal | None:
+    def _read(self, request: Message, client: Node, end: Callable[[Mapping[str, Any]], None]) -> ReadGoal | None:
         """Read a request; end a request that cannot be carried out, and return None."""
         message: Message = {}
+        proposed = client.only_looks and not request["plan_only"]
         try:
+            if proposed and self._confirmation.proposal is not None:
+                raise _second_proposal(self._confirmation.proposal)
             message, translate = self._goal_of(request)
             motion = translate(message, self._translator.options(request))
         except RefusedError as error:
@@ -146,7 +150,8 @@ class GoalCalls:
             return None
         for warning in motion.warnings:
             log.warning("%s: %s", self._name, warning)
-        return ReadGoal(message, replace(motion, confirm=self._confirmation.enabled), request["plan_only"])
+        confirm = proposed or self._confirmation.enabled
+        return ReadGoal(message, replace(motion, confirm=confirm, proposed=proposed), request["plan_only"])
 
     def _goal_of(self, request: Message) -> tuple[Message, Callable[..., PlannedMotion]]:
         """Return the one goal of a request as the message of its topic, and its translation."""
@@ -169,7 +174,13 @@ class GoalCalls:
         end: Callable[[Mapping[str, Any]], None],
         report: Callable[[Progress], None] = lambda _progress: None,
     ) -> str:
-        queued = self._queue.submit(GoalRequest(self._name, goal.motion, goal.message, client, on_progress=report))
+        # A proposal neither preempts a motion nor is refused for one.
+        policy = GoalPolicy.QUEUE if goal.motion.proposed else None
+        queued = self._queue.submit(
+            GoalRequest(self._name, goal.motion, goal.message, client, policy=policy, on_progress=report)
+        )
+        if goal.motion.proposed:
+            self._confirmation.propose(queued)
         queued.answered.add_done_callback(
             lambda answered: end(self._result(goal.message, answered.result(), queued.goal_id))
         )
@@ -200,6 +211,12 @@ class GoalCalls:
             "suggested": {} if instead is None else instead.as_target(),
             "details": key_values(details_as_json(answer)),
         }
+
+
+def _second_proposal(first: QueuedGoal) -> RefusedError:
+    state = "is carried out" if first.remaining_s is not None else "waits for approval"
+    sentence = f"{first.title} {state}; one proposed goal is taken at a time: wait for its answer, or cancel it"
+    return RefusedError(PlanningFailure(MoveItErrorCode.CONTROL_FAILED, sentence))
 
 
 def _is_given(pose: Message) -> bool:

@@ -20,10 +20,11 @@ from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
-from robot.trajectory import Vector
+from robot.trajectory import Trajectory, Vector
+from server.arrival import arrival_epoch, is_stopped
 from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
-from server.execution.motions import Positions
+from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
@@ -36,7 +37,7 @@ from server.moveit.error_codes import refused
 from server.moveit.poses import Message
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.trajectories import check_speed, external_motion, external_trajectory, read_seconds
+from server.moveit.trajectories import TrajectoryTiming, check_speed, external_motion, read_seconds
 
 log = logging.getLogger("armbridge.actions")
 
@@ -48,6 +49,15 @@ STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
 
 # Name of the same action in ROS-Industrial's drivers.
 INDUSTRIAL_ACTION = "/joint_trajectory_action"
+
+# A stream that was stopped has ended when the topic is silent for this time: clients publish at 10 Hz and more.
+STREAM_PAUSE_S = 0.5
+
+# A trajectory whose stamp is this near to now starts now: networks and clocks differ by some tens of milliseconds.
+SAME_STAMP_S = 0.1
+
+# Duration in refusals.
+DURATION = "the time from now to the last point of the trajectory"
 
 # A joint that has not arrived by then does not arrive.
 MAX_GOAL_TIME_TOLERANCE_S = 10.0
@@ -92,12 +102,13 @@ class TrajectoryContext:
     planning: PlanningContext
     queue: GoalQueue
     time_limits: TimeLimits
+    clock: Callable[[], float] = time.monotonic
 
-    def check_speed(self, trajectory: Message, joint_names: Sequence[str], present_rad: Positions | None) -> None:
+    def check_speed(self, trajectory: Trajectory) -> None:
         """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
         planning = self.planning
-        if present_rad is not None and planning.parameters.configured.faster_trajectories == "refuse":
-            check_speed(trajectory, planning.robot, present_rad, planning.current.speed_limit(joint_names))
+        if planning.parameters.configured.faster_trajectories == "refuse":
+            check_speed(trajectory, planning.robot, planning.current.speed_limit(trajectory.joint_names))
 
 
 class JointTrajectoryController:
@@ -126,8 +137,11 @@ class JointTrajectoryController:
         self._queue = context.queue
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
-        # Publisher whose latest trajectory was refused.
+        # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
         self._refused: object = None
+        self._failed: object = None
+        # Time of the topic's latest message, and stop epoch of the first message of its stream.
+        self._heard_s, self._stream_epoch = -math.inf, 0
         name = group.name if name is None else name
         self._topic = f"/{name}_controller/joint_trajectory"
         action = f"/{name}_controller/follow_joint_trajectory"
@@ -170,7 +184,7 @@ class JointTrajectoryController:
     def _start(self, goal: Goal) -> None:
         try:
             tolerances = read_segment_tolerances(goal.request, self._group)
-            self._check(goal.request["trajectory"])
+            motion = self._motion(goal.request["trajectory"], streamed=False)
         except RefusedError as error:
             self._queue.reject(GoalRequest(goal.action), error.failure)
             goal.finish(GoalStatus.ABORTED, result(rejection_code(error), error.failure.message))
@@ -186,7 +200,7 @@ class JointTrajectoryController:
         queued = self._queue.submit(
             GoalRequest(
                 goal.action,
-                external_motion(goal.request["trajectory"], self._robot),
+                motion,
                 client=goal.sender,
                 policy=GoalPolicy.PREEMPT,
                 on_progress=send_feedback,
@@ -203,27 +217,67 @@ class JointTrajectoryController:
 
         The publisher hears of every refusal. All clients hear of the first one in a row: streams come at 30 Hz.
         """
-        trajectory = published.msg
+        trajectory, publisher = published.msg, published.publisher
         if not trajectory["points"]:
             self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}", self._group.joints)
             return
         try:
-            self._check(trajectory)
+            self._check_not_stopped()
+            motion = self._motion(trajectory, streamed=True)
         except RefusedError as error:
-            if published.publisher is not self._refused:
+            if publisher is not self._refused:
                 self._queue.reject(GoalRequest(self._topic), error.failure)
-            self._refused = published.publisher
+            self._refused = publisher
             raise GraphError("topic", self._topic, error.failure.message) from error
         self._refused = None
-        motion = external_motion(trajectory, self._robot)
-        request = GoalRequest(self._topic, motion, client=published.publisher, policy=GoalPolicy.PREEMPT)
-        self._queue.submit(request)
 
-    def _check(self, trajectory: Message) -> None:
-        check_duration(trajectory, self._context.time_limits)
-        present_rad = self._context.planning.current.positions_rad()
-        check_trajectory(trajectory, self._group, self._robot, present_rad, time.time())
-        self._context.check_speed(trajectory, self._group.joints, present_rad)
+        def take_answer(answer: Answer) -> None:
+            if answer.code is not MoveItErrorCode.PREEMPTED:
+                self._failed = None if answer.code is MoveItErrorCode.SUCCESS else publisher
+
+        self._queue.submit(
+            GoalRequest(
+                self._topic,
+                motion,
+                client=publisher,
+                policy=GoalPolicy.PREEMPT,
+                on_answer=take_answer,
+                streamed=True,
+                repeated=self._failed is publisher,
+            )
+        )
+
+    def _check_not_stopped(self) -> None:
+        """Refuse messages of a stream that a stop has ended, until the topic was silent for a moment."""
+        now_s = self._context.clock()
+        silence_s, self._heard_s = now_s - self._heard_s, now_s
+        if silence_s > STREAM_PAUSE_S:
+            self._stream_epoch = arrival_epoch()
+        elif is_stopped(self._arm.part(self._group.joints).last_stop, self._stream_epoch):
+            text = f"the arm was stopped: publish nothing on {self._topic} for {STREAM_PAUSE_S:g} s to move it again"
+            raise refused(MoveItErrorCode.PREEMPTED, text)
+
+    def _motion(self, trajectory: Message, *, streamed: bool) -> ExternalTrajectory:
+        """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
+        context, now_s = self._context, self._context.clock()
+        check_duration(trajectory, context.time_limits)
+        starts_in_s = check_trajectory(trajectory, self._group, time.time())
+        # A client without a stamp has the stamp of its arrival.
+        stamped = abs(starts_in_s) > SAME_STAMP_S
+        moving = bool(self._queue.busy_with(self._group.joints))
+        timing = TrajectoryTiming(
+            now_s + starts_in_s,
+            stamped=stamped,
+            bridged=streamed or stamped or moving,
+            speed_limit=context.planning.current.speed_limit(self._group.joints),
+        )
+        motion = external_motion(trajectory, self._robot, timing)
+        present_rad = context.planning.current.positions_rad()
+        if present_rad is not None:
+            made = motion.trajectory(present_rad, now_s, None)
+            context.time_limits.check_duration(made.duration_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+            context.check_speed(made)
+        return motion
 
 
 class TrajectoryGoal:
@@ -333,10 +387,8 @@ def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions, r
     return ""
 
 
-def check_trajectory(
-    trajectory: Message, group: Group, robot: RobotModel, present_rad: Positions | None, now_s: float
-) -> None:
-    """Check that a trajectory can be played.
+def check_trajectory(trajectory: Message, group: Group, now_s: float) -> float:
+    """Check a trajectory's joints and time; return the time until its start by its stamp [s], 0 without a stamp.
 
     Raises:
         TrajectoryRefusedError: it names another joint, or its time is over.
@@ -347,12 +399,16 @@ def check_trajectory(
     if unknown:
         text = f"trajectory.joint_names has {unknown[0]!r}; the controller has {', '.join(group.joints)}"
         raise TrajectoryRefusedError(FollowCode.INVALID_JOINTS, text)
-    late_s = now_s - _end_s(trajectory)
-    if read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp") > 0.0 and late_s > 0.0:
+    stamp_s = read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp")
+    if not stamp_s:
+        return 0.0
+    last = len(trajectory["points"]) - 1
+    last_s = read_seconds(trajectory["points"][last]["time_from_start"], f"trajectory.points[{last}].time_from_start")
+    late_s = now_s - stamp_s - last_s
+    if late_s > 0.0:
         text = f"by trajectory.header.stamp the motion would have ended {late_s:.1f} s ago; the stamp 0 starts it now"
         raise TrajectoryRefusedError(FollowCode.OLD_HEADER_TIMESTAMP, text)
-    if present_rad is not None:
-        external_trajectory(trajectory, robot, present_rad)
+    return stamp_s - now_s
 
 
 def check_duration(trajectory: Message, limits: TimeLimits) -> None:
@@ -389,13 +445,6 @@ def result(code: FollowCode, message: str) -> Message:
 def point(positions_rad: Vector) -> dict[str, Any]:
     """Write a trajectory_msgs/JointTrajectoryPoint with nothing but positions."""
     return {"positions": positions_rad.tolist()}
-
-
-def _end_s(trajectory: Message) -> float:
-    """Return the end of a trajectory by its stamp [s since the epoch]."""
-    last = len(trajectory["points"]) - 1
-    last_s = read_seconds(trajectory["points"][last]["time_from_start"], f"trajectory.points[{last}].time_from_start")
-    return read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp") + last_s
 
 
 def _invalid(message: str, **details: Any) -> RefusedError:

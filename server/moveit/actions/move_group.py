@@ -356,8 +356,7 @@ class ExecuteTrajectory:
         check_duration(message, self._context.time_limits)
         present_rad = self._context.planning.current.positions_rad()
         if present_rad is not None:
-            external_trajectory(message, self._robot, present_rad)
-            self._context.check_speed(message, message["joint_names"], present_rad)
+            self._context.check_speed(external_trajectory(message, self._robot, present_rad))
 
 
 def _execution_result(answer: Answer) -> Message:

@@ -83,10 +83,10 @@ class GoalHistory:
             self._summaries.setdefault(goal.goal_id, progress.message)
 
     def take_answer(self, goal: Goal, answer: Answer, status: Message) -> None:
-        """Keep the record of a goal; one whose answer is for one client alone is left out."""
+        """Keep the record of a goal, unless its answer is for one client alone, or no news of a stream."""
         scene = self._planned_in.pop(goal.goal_id, None) or self._scene()
         summary = self._summaries.pop(goal.goal_id, "")
-        if goal.request.only_for is not None:
+        if goal.request.only_for is not None or goal.unlogged:
             return
         performed = answer.performed or Performed({})
         self._records[goal.goal_id] = GoalRecord(

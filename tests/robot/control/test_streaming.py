@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from robot.control.streaming import (
     LEAST_SPEED_RAD_S,
     SETPOINT_LASTS_S,
-    TIME_TO_FULL_ACCELERATION_S,
     Streaming,
     VelocityTracking,
 )
 from robot.description.limits import JointBounds
 from robot.messages import Outcome, Stream
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
 from tests.helpers.arm_rig import NAMES
 from tests.helpers.robots import so101
 

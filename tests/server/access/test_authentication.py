@@ -118,7 +118,10 @@ class TestFile:
             ('token = "my-secret"', "token: must have 16 to 256 characters, not 9"),
             ('[view_tokens]\nscreen = "my-secret"', "view_tokens: .*the token of screen must have 16"),
             ("view_tokens = 3", "view_tokens: "),
-            ('insecure = "my-secret"', "has insecure; it may have admin_tokens, operate_tokens, token, view_tokens"),
+            (
+                'insecure = "my-secret"',
+                "has insecure; it may have admin_tokens, operate_tokens, propose_tokens, token, view_tokens",
+            ),
             ('token = "my-secret', "is not TOML"),
         ],
     )

@@ -40,7 +40,7 @@ from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecuto
 from server.execution.failures import FailedGoals
 from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PlannedMotion, Positions
+from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.queue import GoalQueue
 from server.execution.time_limits import ExecutionDeadline, TimeLimits
@@ -267,7 +267,7 @@ async def stage() -> Stage:
 
 def given(start_rad: float, end_rad: float) -> ExternalTrajectory:
     motion = smooth_move(dict.fromkeys(ARM, (start_rad, end_rad)), 2.0)
-    return ExternalTrajectory(lambda _held_rad: motion, frozenset(ARM))
+    return ExternalTrajectory(lambda *_start: motion, frozenset(ARM))
 
 
 async def test_a_planned_motion_that_takes_too_long_is_refused_and_not_planned_anew(stage: Stage) -> None:
@@ -460,7 +460,7 @@ async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stag
 def be_nowhere_to_leave(stage: Stage) -> None:
     outgoing = stage.executor._player.outgoing
     assert outgoing is not None
-    stage.executor._player.outgoing = replace(outgoing, splice_point=None)
+    stage.executor._player.outgoing = replace(outgoing, path_time=PathTime(0.0, 0.0, 0.0))
 
 
 OTHERWISE: dict[str, Callable[[Stage], object]] = {

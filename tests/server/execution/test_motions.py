@@ -20,12 +20,12 @@ from planners.problem import (
 from planners.scene import EMPTY_SCENE, Scene
 from robot.control.checks import refusal
 from robot.description.limits import JointBounds
-from robot.messages import MotionProgress, Pace, PlaybackDirection
 from server.errors import RefusedError
 from server.execution.motions import (
     HORIZON_S,
     LEAD_IN_SCALING,
     START_TOLERANCE_RAD,
+    PathTime,
     Positions,
     SplicePoint,
     Step,
@@ -98,7 +98,6 @@ async def test_a_step_without_a_problem_is_not_planned() -> None:
 
 
 UNDER_WAY = smooth_move({"a": (0.0, 1.0), "b": (0.5, -0.5)}, 2.0)
-HALF_WAY = MotionProgress(1, 0.5, 1.0)
 
 ROBOT = so101()
 JOINTS = ROBOT.groups["arm"].joints
@@ -115,7 +114,8 @@ NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
 def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
     fraction: float, share: float, speed: float
 ) -> None:
-    splice_point = splice_point_of(UNDER_WAY, MotionProgress(1, fraction, 1.0), Pace(speed), 0.0)
+    path_time = PathTime(5.0, fraction * UNDER_WAY.duration_s, speed)
+    splice_point = splice_point_of(UNDER_WAY, path_time, 5.0, HORIZON_S)
     assert splice_point is not None
     time_s = share * splice_point.lead.duration_s
     # Each derivative of a short piece has more of the rounding.
@@ -128,22 +128,19 @@ def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
     assert left_s == pytest.approx(HORIZON_S * speed)
 
 
-STILL: dict[str, tuple[MotionProgress | None, Pace]] = {
-    "not moving": (None, Pace()),
-    "paused": (HALF_WAY, Pace(direction=PlaybackDirection.PAUSED)),
-    "going back": (HALF_WAY, Pace(direction=PlaybackDirection.BACK)),
-    "at speed 0": (HALF_WAY, Pace(0.0)),
-    "about to end": (MotionProgress(1, 0.95, 0.1), Pace()),
-}
+@pytest.mark.parametrize("path_time", [PathTime(0.0, 1.0, 0.0), PathTime(0.0, 2.01, 1.0)], ids=["waits", "has ended"])
+def test_a_motion_that_cannot_be_replaced_has_no_splice_point(path_time: PathTime) -> None:
+    assert splice_point_of(UNDER_WAY, path_time, 0.0, HORIZON_S) is None
 
 
-@pytest.mark.parametrize(("progress", "pace"), STILL.values(), ids=STILL.keys())
-def test_a_motion_that_cannot_be_replaced_has_no_splice_point(progress: MotionProgress | None, pace: Pace) -> None:
-    assert splice_point_of(UNDER_WAY, progress, pace, 0.0) is None
+def test_a_motion_about_to_end_is_replaced_at_its_end() -> None:
+    splice_point = splice_point_of(UNDER_WAY, PathTime(0.0, 1.9, 1.0), 0.05, HORIZON_S)
+    assert splice_point is not None
+    assert splice_point.positions_rad == {"a": 1.0, "b": -0.5}
 
 
 def test_the_next_motion_begins_where_the_lead_ends() -> None:
-    splice_point = splice_point_of(UNDER_WAY, HALF_WAY, Pace(), 0.0)
+    splice_point = splice_point_of(UNDER_WAY, PathTime(0.0, 1.0, 1.0), 0.0, HORIZON_S)
     assert isinstance(splice_point, SplicePoint)
     start = splice_point.positions_rad
     whole = splice_point.splice(smooth_move({"a": (start["a"], 2.0), "b": (start["b"], 0.0)}, 1.0))

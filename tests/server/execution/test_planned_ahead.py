@@ -162,7 +162,7 @@ def broken(_start_rad: Positions) -> PlanningProblem:
 
 
 NOT_AHEAD: dict[str, Motion] = {
-    "a trajectory": ExternalTrajectory(lambda _held_rad: plan_of(1.0).trajectory, frozenset(ARM)),
+    "a trajectory": ExternalTrajectory(lambda *_start: plan_of(1.0).trajectory, frozenset(ARM)),
     "several motions": PlannedMotion((problem_from, problem_from), frozenset(ARM)),
     "a scene of its own": replace(goal(), scene=lambda _positions_rad: Scene(7)),
     "a user confirms it": replace(goal(), confirm=True),

@@ -15,6 +15,7 @@ from server.execution import player
 from server.execution import player as player_module
 from server.execution.goal import Answer, Goal, GoalRequest, Progress
 from server.execution.monitors import Questions
+from server.execution.motions import HORIZON_S
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, Player
 from server.execution.time_limits import ExecutionDeadline, TimeLimits
@@ -207,16 +208,6 @@ class Worn(ExecutionDeadline):
     exceeded = "the arm did not end the motion"
 
 
-@pytest.mark.parametrize(("machine_s", "arm_s"), [(1.0, 0.05), (0.05, 1.0)])
-async def test_with_a_starved_arm_or_server_the_state_may_be_of_the_motion_before_for_longer(
-    stage: Stage, machine_s: float, arm_s: float
-) -> None:
-    stage.clock.advance(machine_s)
-    stage.arm.pass_time(arm_s)
-    stage.arm.state = replace(stage.arm.state, fraction=0.25)
-    assert stage.scene_monitor.questions()[0].from_s == 0.0
-
-
 async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.show(0.4)
@@ -224,13 +215,12 @@ async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")
     outgoing = stage.player.outgoing
     assert outgoing is not None
-    assert outgoing.splice_point is not None
+    point = outgoing.splice_point(stage.clock(), HORIZON_S)
+    assert point is not None
     assert stage.arm.stops == []
-    stage.running = asyncio.create_task(
-        stage.player.play(stage.next_goal(), MOTION, questions, from_s=outgoing.splice_point.from_s)
-    )
+    stage.running = asyncio.create_task(stage.player.play(stage.next_goal(), MOTION, questions, from_s=point.from_s))
     await settle()
-    assert stage.arm.continued == [outgoing.splice_point.from_s]
+    assert stage.arm.continued == [point.from_s]
     assert outgoing.ended.done()
 
 

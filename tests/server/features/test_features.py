@@ -32,7 +32,15 @@ def test_what_one_arm_can_do_each_of_several_can() -> None:
     left = {name.removeprefix("/left") for name in of_arms["left"]}
     assert left == {name.removeprefix("/right") for name in of_arms["right"]}
     # All that has a rule here and is no matter of the scene, of planning or of files.
-    shared = ("/rosapi/", "/armbridge/", "/teach/", "/dataset/", "/arm/scenes/", "/moveit_goal_confirm")
+    shared = (
+        "/rosapi/",
+        "/armbridge/",
+        "/teach/",
+        "/dataset/",
+        "/arm/scenes/",
+        "/moveit_goal_confirm",
+        "/moveit_goal_approv",
+    )
     arms_own = ("/arm/", "/servo_node/", "/moveit_goal", "/stop", "/emergency_stop", "/teleop/", "/trajectory_exec")
     wanted = {name for name in one if name.startswith(arms_own) and not name.startswith(shared)} - {
         "/arm/servo_history"

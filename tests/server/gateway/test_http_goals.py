@@ -195,7 +195,7 @@ async def test_a_goal_that_outlasts_its_deadline_is_cancelled(door: Door) -> Non
 
 async def test_who_may_not_gets_the_reason_and_the_status(door: Door) -> None:
     got, answer = await door.post(READY, token=VIEWER)
-    assert (got, "needs the role operate, this client has view" in answer["message"]) == (403, True)
+    assert (got, "needs the role propose, this client has view" in answer["message"]) == (403, True)
     assert (await door.post(READY, token=""))[0] == 401
     assert (await door.post(READY, token="nobody-0123456789"))[0] == 401
     door.access.lease.drive(Node("alice", remote=True, identity=ANYONE), door.access.clock())

@@ -153,7 +153,7 @@ HELD = {joint.name: 0.01 * index for index, joint in enumerate(ROBOT.movable_joi
 def played_by_arm(names: list[str], *points: tuple[int, list[float]]) -> Trajectory:
     rows: list[dict[str, Any]] = [{"time_from_start": {"sec": sec}, "positions": at} for sec, at in points]
     read = message("trajectory_msgs/msg/JointTrajectory", joint_names=names, points=rows)
-    return external_motion(read, ROBOT).trajectory(HELD)
+    return external_motion(read, ROBOT).trajectory(HELD, 0.0, None)
 
 
 def test_joints_that_are_not_named_stay_where_the_arm_holds_them() -> None:

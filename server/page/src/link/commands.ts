@@ -88,9 +88,9 @@ export class ArmCommands {
     this.gripper_goal?.cancel();
   }
 
-  /** Execute the plan that waits to be confirmed, or discard it. */
-  confirmGoal(execute: boolean): void {
-    this.attempt(() => this.connection.publish("/moveit_goal_confirm", "std_msgs/Bool", { data: execute }));
+  /** Execute the plan of a goal that waits to be confirmed. */
+  approveGoal(id: string): void {
+    this.attempt(() => this.connection.publish("/moveit_goal_approve", "std_msgs/String", { data: id }));
   }
 
   /** Cancel one goal, executing or queued, of any client. */

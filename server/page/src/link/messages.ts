@@ -422,7 +422,7 @@ export function readControl(status: DiagnosticStatus): Control {
 export function readIdentity(text: string): Identity | null {
   try {
     const { address, role, version } = JSON.parse(text) as Partial<Identity>;
-    const has_role = role === "view" || role === "operate" || role === "admin";
+    const has_role = role === "view" || role === "propose" || role === "operate" || role === "admin";
     return typeof address === "string" && has_role ? { address, role, version: version ?? "" } : null;
   } catch {
     return null;

@@ -21,7 +21,7 @@ test("each role may do what those before it may", () => {
   const open = (role: Identity["role"]): boolean[] => {
     return (["drive", "work", "configure"] as const).map((operation) => denialReason(operation, { identity: me(role), control: FREE }) === "");
   };
-  expect(open("view")).toEqual([false, false, false]);
+  for (const role of ["view", "propose"] as const) expect(open(role)).toEqual([false, false, false]);
   expect(open("operate")).toEqual([true, true, false]);
   expect(open("admin")).toEqual([true, true, true]);
 });

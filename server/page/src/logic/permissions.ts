@@ -7,7 +7,7 @@ export type Operation = "drive" | "work" | "configure" | "commission";
 /** Parts of the state that permissions depend on. */
 type PermissionState = Pick<State, "identity" | "control">;
 
-const ROLES = ["view", "operate", "admin"];
+const ROLES = ["view", "propose", "operate", "admin"];
 const NEEDED_ROLE: Record<Operation, string> = { drive: "operate", work: "operate", configure: "admin", commission: "admin" };
 
 /** Operations of the client that has the control lease. */
@@ -39,7 +39,7 @@ export function controlText(state: PermissionState): string {
     another: heldByAnother(control),
   };
   const sentence = control.policy === "shared" ? "" : sentences[controlHolder(state)];
-  if (identity?.role !== "view") return sentence;
+  if (identity?.role !== "view" && identity?.role !== "propose") return sentence;
   return `${t("control.read_only")} ${sentence}`.trim();
 }
 

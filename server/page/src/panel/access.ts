@@ -21,7 +21,7 @@ export function controlBar({ store, commands, authentication }: PanelContext): H
     text.title = sentence;
     box.hidden = sentence === "" || !state.link.connected;
     box.dataset["holder"] = control_holder;
-    take.hidden = control_holder === "mine" || role === "view" || state.control.policy === "shared";
+    take.hidden = control_holder === "mine" || role === "view" || role === "propose" || state.control.policy === "shared";
     take.disabled = control_holder === "another";
     // The server lets only administrators with a token take over.
     over.hidden = control_holder !== "another" || role !== "admin" || !state.token.held;

@@ -33,7 +33,7 @@ function stateName({ link, arm, goal, pending_request }: StatusInput): [string, 
   return ["idle", "idle"];
 }
 
-/** Return true for a goal of confirm mode, which is planned and waits for a person; a plan of this page has no id. */
+/** Return true for a goal that is planned and waits for a person; a plan of this page has no id. */
 export function isAwaitingConfirmation({ id, state }: GoalState): boolean {
   return state === "planned" && id !== "";
 }
@@ -90,8 +90,8 @@ export function statusBar(context: PanelContext): HTMLElement[] {
   const trigger = (service: string) => (): void => void commands.trigger(service);
   const reset = button(t("bar.reset_fault"), "reset-fault", trigger("/arm/reset_fault"), t("bar.reset_fault.title"));
   const hold = button(t("bar.hold"), "hold", trigger("/arm/enable"), t("bar.hold.title"));
-  const confirm = button(t("bar.confirm"), "confirm", () => commands.confirmGoal(true), t("bar.confirm.title"));
-  const discard = button(t("bar.discard"), "discard", () => commands.confirmGoal(false), t("bar.discard.title"));
+  const confirm = button(t("bar.confirm"), "confirm", () => commands.approveGoal(store.state.goal.id), t("bar.confirm.title"));
+  const discard = button(t("bar.discard"), "discard", () => commands.cancelGoal(store.state.goal.id), t("bar.discard.title"));
   for (const helping of [reset, hold, confirm]) helping.classList.add("primary");
   const show = (state: State): void => {
     const { arm, link, goal } = state;

@@ -27,7 +27,7 @@ export interface ConnectionState {
 export interface Identity {
   /** IP address and port of the connection, which are unique to it. */
   address: string;
-  role: "view" | "operate" | "admin";
+  role: "view" | "propose" | "operate" | "admin";
   /** Version of the server; empty where it tells none. */
   version: string;
 }

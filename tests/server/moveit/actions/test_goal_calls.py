@@ -9,11 +9,12 @@ import pytest
 
 from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningProblem
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalState, Progress
 from server.execution.motions import PlannedMotion
 from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
+from server.graph.permissions import Identity, Role
 from server.graph.services import Response
 from server.moveit.actions.goal_calls import NAME, GoalCalls
 from server.moveit.goals.goal_topics import Confirmation
@@ -62,6 +63,53 @@ async def desk() -> AsyncIterator[Desk]:
     made = Desk()
     yield made
     await made.close()
+
+
+PROPOSER = Node("agent", remote=True, identity=Identity("agent", Role.PROPOSE))
+
+
+async def test_a_client_that_may_only_propose_has_one_goal_which_waits_for_approval(desk: Desk) -> None:
+    desk.client = PROPOSER
+    await desk.ask(named="ready")
+    (motion,) = desk.asked
+    assert isinstance(motion, PlannedMotion)
+    assert (motion.confirm, motion.proposed) == (True, True)
+    desk.client = Node("agent again", remote=True, identity=PROPOSER.identity)
+    for _ in range(1000):
+        await desk.ask(named="home")
+    assert len(desk.asked) == 1
+    assert {response.values["code_name"] for response in desk.responses} == {"CONTROL_FAILED"}
+    assert "one proposed goal is taken at a time" in desk.responses[-1].values["message"]
+    desk.finish()
+    await settle()
+    await desk.ask(named="home")
+    assert len(desk.asked) == 2
+
+
+async def test_a_proposal_preempts_no_motion_whatever_the_policy(desk: Desk) -> None:
+    desk.queue._policy = GoalPolicy.PREEMPT
+    await desk.ask(named="home")
+    desk.client = PROPOSER
+    await desk.ask(named="ready")
+    assert len(desk.asked) == 1
+    assert desk.responses == []
+    desk.client = Node("operator", remote=True)
+    await desk.ask(named="home")
+    # The operator's goal preempts its own, and the proposal that waits behind it.
+    assert [response.values["code_name"] for response in desk.responses][:1] == ["PREEMPTED"]
+
+
+async def test_a_goal_of_others_is_no_proposal_and_a_plan_needs_no_approval(desk: Desk) -> None:
+    await desk.ask(named="ready")
+    (motion,) = desk.asked
+    assert isinstance(motion, PlannedMotion)
+    assert (motion.confirm, motion.proposed) == (False, False)
+    desk.client = PROPOSER
+    desk.responses.clear()
+    await desk.ask(named="ready", plan_only=True)
+    await until(lambda: bool(desk.responses))
+    assert desk.answer["success"]
+    assert len(desk.asked) == 1
 
 
 GOALS: list[dict[str, Any]] = [

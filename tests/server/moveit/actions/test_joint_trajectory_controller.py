@@ -36,6 +36,7 @@ from server.moveit.actions.joint_trajectory_controller import (
     rejection_code,
     violation,
 )
+from server.moveit.trajectories import external_trajectory
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
@@ -238,7 +239,8 @@ REQUESTED: dict[str, Any] = {"joint_names": ["elbow_flex"], "points": [POINT], "
 def refusal(**changes: Any) -> RefusedError | None:
     trajectory = message("trajectory_msgs/msg/JointTrajectory", **{**REQUESTED, **changes})
     try:
-        check_trajectory(trajectory, ARM_GROUP, ROBOT, HOME, NOW_S)
+        check_trajectory(trajectory, ARM_GROUP, NOW_S)
+        external_trajectory(trajectory, ROBOT, HOME)
     except RefusedError as error:
         return error
     return None

@@ -11,13 +11,15 @@ from harness.clients import values_of
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
-from server.execution.goal import Answer, Goal, GoalPolicy, GoalState, Progress
-from server.execution.motions import PlannedMotion
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.motions import Performed, PlannedMotion, PlannedSequence
 from server.execution.queue import GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goals.goal_topics import (
+    APPROVAL_TOPIC,
+    APPROVE_TOPIC,
     CONFIRM_MODE_SERVICE,
     CONFIRM_TOPIC,
     RESULT_TOPIC,
@@ -26,6 +28,7 @@ from server.moveit.goals.goal_topics import (
     GoalStatusTopics,
     GoalTopics,
 )
+from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
 from tests.helpers.moveit import translator
 from tests.helpers.robots import so101
@@ -201,8 +204,16 @@ async def gate() -> Gate:
     return Gate()
 
 
-async def asked(gate: Gate) -> asyncio.Task[Any]:
-    task = asyncio.create_task(gate.confirmation.wait())
+PLANNED = PlannedSequence(Performed({}), ("RRTConnect",))
+
+
+def goal(number: str = "7", *, proposed: bool = False) -> Goal:
+    motion = PlannedMotion((), frozenset(), confirm=True, proposed=proposed)
+    return Goal(number, GoalRequest("/moveit_goal", motion, client="agent (10.0.0.5:5)"))
+
+
+async def asked(gate: Gate, *, proposed: bool = False) -> asyncio.Task[Any]:
+    task = asyncio.create_task(gate.confirmation.wait(goal(proposed=proposed), PLANNED))
     await asyncio.sleep(0)
     await asyncio.sleep(0)
     return task
@@ -217,10 +228,11 @@ async def test_false_discards_the_plan(gate: Gate) -> None:
 
 
 async def test_a_plan_that_is_not_confirmed_in_time_is_discarded() -> None:
-    answer = await Gate(timeout_s=0.01).confirmation.wait()
-    assert answer is not None
-    assert answer.code is MoveItErrorCode.TIMED_OUT
-    assert "within 0.01 s" in answer.message
+    for proposed, topic in ((False, CONFIRM_TOPIC), (True, APPROVE_TOPIC)):
+        answer = await Gate(timeout_s=0.01).confirmation.wait(goal(proposed=proposed), PLANNED)
+        assert answer is not None
+        assert answer.code is MoveItErrorCode.TIMED_OUT
+        assert answer.message.endswith(f"not confirmed on {topic} within 0.01 s")
 
 
 async def test_a_decision_counts_only_for_the_plan_that_waits(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
@@ -231,6 +243,46 @@ async def test_a_decision_counts_only_for_the_plan_that_waits(gate: Gate, caplog
     gate.say({"data": True})
     gate.say({"data": False})
     assert await task is None
+
+
+async def test_a_proposal_is_approved_by_its_id_alone(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
+    def approve(goal_id: str) -> None:
+        gate.graph.publish(CLIENT, APPROVE_TOPIC, {"data": goal_id})
+
+    approve("7")
+    assert f"{APPROVE_TOPIC}: ignored, no goal waits" in caplog.text
+    task = await asked(gate, proposed=True)
+    # A click that was meant for the goal before, and a client that names none.
+    approve("6")
+    gate.say({"data": True})
+    await settle()
+    assert not task.done()
+    assert "goal 7 waits, not '6'" in caplog.text
+    assert f"goal 7 is approved on {APPROVE_TOPIC}" in caplog.text
+    approve("7")
+    approve("7")
+    assert await task is None
+    gate.say({"data": False})
+    task = await asked(gate, proposed=True)
+    gate.say({"data": False})
+    assert (await task).code is MoveItErrorCode.PREEMPTED
+
+
+async def test_the_goal_that_waits_is_latched(gate: Gate) -> None:
+    def request() -> dict[str, Any]:
+        node = Node("late", remote=True)
+        latched = gate.graph.subscribe(node, APPROVAL_TOPIC, None, Subscriber(lambda _message: None))
+        status = latched[-1].msg
+        return {**status, **{each["key"]: each["value"] for each in status["values"]}}
+
+    assert (request()["hardware_id"], request()["message"]) == ("", "no goal waits")
+    task = await asked(gate, proposed=True)
+    waiting = request()
+    assert (waiting["hardware_id"], waiting["client"], waiting["proposed"]) == ("7", "agent (10.0.0.5:5)", "true")
+    assert waiting["message"].startswith("goal 7 of agent (10.0.0.5:5) from /moveit_goal waits: ")
+    task.cancel()
+    await asyncio.wait([task])
+    assert request()["hardware_id"] == ""
 
 
 async def test_an_invalid_message_confirms_nothing(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
@@ -277,7 +329,7 @@ async def test_an_unknown_group_is_told_with_those_that_exist_and_changes_nothin
 
 async def test_goals_of_several_groups_are_confirmed_one_after_the_other() -> None:
     confirmation = Confirmation(Graph(REGISTRY), enabled=True, timeout_s=60.0)
-    first, second = (asyncio.create_task(confirmation.wait()) for _ in range(2))
+    first, second = (asyncio.create_task(confirmation.wait(goal(number), PLANNED)) for number in "12")
     for waiting in (first, second):
         await asyncio.sleep(0)
         await asyncio.sleep(0)

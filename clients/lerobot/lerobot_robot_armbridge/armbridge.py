@@ -194,7 +194,7 @@ class Following:
         self._link.arm.loop.run(self._end())
 
     async def _start(self) -> None:
-        await self._send()
+        await self._connection.advertise(self._topic, JointState)
         self._sending = asyncio.create_task(self._keep_sending())
         request = StartTeleopRequest(follower=self._name, leader=self._topic)
         try:
@@ -221,7 +221,10 @@ class Following:
             elif time.monotonic() - self._asked_at_s > SILENCE_S:
                 self._stopped = f"no action came for {SILENCE_S:g} s"
             else:
-                await self._send()
+                try:
+                    await self._send()
+                except ArmError as error:
+                    self._stopped = str(error)
 
     async def _send(self) -> None:
         for joint, target in self._target_rad.items():

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from armbridge_client import Arm, connect
+from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, connect
 from armbridge_client.messages import DiagnosticStatus, JointState, KinematicSolverInfo
 from armbridge_client.wire import Message
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
@@ -79,8 +79,10 @@ class Watch(Generic[M]):
             while True:
                 try:
                     self._keep(await stream.__anext__())
-                except TimeoutError:
+                except DeadlineExceeded:
                     continue  # a latched topic, or a connection that is being made again
+                except ConnectionLost:
+                    return  # closed
 
         self._task = asyncio.create_task(keep())
 

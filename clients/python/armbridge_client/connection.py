@@ -153,6 +153,7 @@ class Connection:
         self._streams: dict[str, Stream[Any]] = {}
         self._ids = itertools.count(1)
         self._connected = asyncio.Event()
+        self._advertised: dict[str, dict[str, Any]] = {}
         self._keeper: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
         self.server = ServerInfo("", "", "")
@@ -242,6 +243,12 @@ class Connection:
         if not isinstance(answer["values"], Mapping):
             raise refusal(str(answer["values"]))
         return answer["values"]
+
+    async def advertise(self, topic: str, message_class: type[Message]) -> None:
+        """Announce a topic of this client's own; the server knows its other topics. It survives a loss of the connection."""
+        operation = {"op": "advertise", "topic": topic, "type": message_class.TYPE}
+        self._advertised[topic] = operation
+        await within(CALL_TIMEOUT_S, self._send(operation), f"topic {topic}")
 
     async def publish(self, topic: str, message: Message) -> None:
         """Publish a message.
@@ -345,7 +352,7 @@ class Connection:
         try:
             self.server = await self._identify(socket)
             await socket.send(json.dumps({"op": "set_level", "level": "warning"}))
-            for operation in self._subscriptions.values():
+            for operation in (*self._advertised.values(), *self._subscriptions.values()):
                 await socket.send(json.dumps(operation))
         except ConnectionClosed as error:
             raise self._lost(error) from error

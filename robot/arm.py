@@ -146,6 +146,7 @@ class Arm(ArmClock):
         name: str = "",
     ) -> None:
         self._config = config
+        self.name = name
         self._observed = observed
         self._on_state = on_state
         self._on_health = on_health

@@ -55,10 +55,14 @@ _OUTCOMES_BY_WEIGHT = (
 
 
 class ArmGroup(ArmClock):
-    """Several arms by their names and joints, moved as one; leaders are moved by hand, and enabled by name alone."""
+    """Several arms by their names and joints, moved as one.
+
+    Attributes:
+        leaders: names of arms that are moved by hand, and enabled by name alone.
+    """
 
     def __init__(self, arms: Mapping[str, tuple[Arm, tuple[str, ...]]], leaders: Collection[str] = ()) -> None:
-        self._leaders = frozenset(leaders)
+        self.leaders = frozenset(leaders)
         self._arms = {name: arm for name, (arm, _) in arms.items()}
         self._arm_of = {joint: name for name, (_, joints) in arms.items() for joint in joints}
         self._parts: dict[frozenset[str], ArmGroup] = {}
@@ -91,7 +95,7 @@ class ArmGroup(ArmClock):
             states = dict(zip(self._arms, present, strict=True))
             self._last_read |= {name: state for name, state in states.items() if state.position_rad is not None}
             readings = [self._last_read.get(name, state) for name, state in states.items()]
-            self._joined = present, joined_state(states, readings, self._leaders)
+            self._joined = present, joined_state(states, readings, self.leaders)
         return self._joined[1]
 
     @property
@@ -118,7 +122,7 @@ class ArmGroup(ArmClock):
             return self
         if names not in self._parts:
             self._parts[names] = ArmGroup(
-                {name: (arm, self._joints[name]) for name, arm in self._arms.items() if name in names}, self._leaders
+                {name: (arm, self._joints[name]) for name, arm in self._arms.items() if name in names}, self.leaders
             )
         return self._parts[names]
 
@@ -242,7 +246,7 @@ class ArmGroup(ArmClock):
         self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
     ) -> asyncio.Future[CommandDone]:
         """Send an order to every arm before returning; the answer joins the answers of all."""
-        asked = self._arms.keys() - (self._leaders if order is Order.ENABLE else frozenset())
+        asked = self._arms.keys() - (self.leaders if order is Order.ENABLE else frozenset())
         answers = {name: arm.order(order, calibration, epoch) for name, arm in self._arms.items() if name in asked}
         answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
 
@@ -262,6 +266,16 @@ class ArmGroup(ArmClock):
 
 # Arm that is moved.
 AnyArm: TypeAlias = Arm | ArmGroup
+
+
+def states_of(arm: AnyArm) -> dict[str, ArmState]:
+    """Return the latest state of each arm by its name, which is empty for a lone arm."""
+    return arm.states if isinstance(arm, ArmGroup) else {arm.name: arm.state}
+
+
+def moves(arm: AnyArm) -> bool:
+    """Return True while a motion is in progress, of any of several arms."""
+    return any(state.mode is Mode.MOVING for state in states_of(arm).values())
 
 
 def _joined_end(ends: Mapping[str, MotionEnded]) -> MotionEnded:
@@ -296,7 +310,7 @@ def joined_state(
         stamp_s=latest.stamp_s,
         mode=min(modes or [Mode.RELAXED], key=_MODES_BY_WEIGHT.index),
         joint_names=tuple(name for state in known for name in state.joint_names),
-        reason="; ".join(f"{name}: {state.reason}" for name, state in states.items() if state.reason),
+        reason=_joined_reason(states),
         fault=next((_named(name, state.fault) for name, state in states.items() if state.fault is not None), None),
         position_rad=_joined(known, lambda state: state.position_rad),
         velocity_rad_s=_joined(known, lambda state: state.velocity_rad_s),
@@ -337,6 +351,14 @@ def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
         fault=next((_named(name, each.fault) for name, each in reports.items() if each.fault is not None), None),
         reason="; ".join(f"{name}: {each.reason}" for name, each in reports.items() if each.reason),
     )
+
+
+def _joined_reason(states: Mapping[str, ArmState]) -> str:
+    """Return the reasons of the arms; where the arms' modes differ, also each arm that is relaxed."""
+    differ = len({state.mode for state in states.values()}) > 1
+    relaxed = {name: Mode.RELAXED.value * (differ and state.mode is Mode.RELAXED) for name, state in states.items()}
+    reasons = {name: state.reason or relaxed[name] for name, state in states.items()}
+    return "; ".join(f"{name}: {reason}" for name, reason in reasons.items() if reason)
 
 
 def _held_rad(state: ArmState) -> Vector | None:

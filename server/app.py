@@ -13,6 +13,7 @@ from planners.interface import Planners
 from planners.pool import PlannerPool
 from planners.shared_pool import SharedPlanners
 from robot.arm import CLOSE_LIMIT_S
+from robot.arm_group import moves
 from robot.messages import Mode
 from robot.processes import StartedChild
 from server.arm.arms import Arms, ServedArm, StateFeed, read_arms
@@ -235,7 +236,7 @@ class App:
             raise StartError(f"the planners cannot load the robot: {refusal}")
 
     def _nothing_moves(self) -> bool:
-        return not self._context.goals.queue.busy and self._arms.whole.arm.state.mode is not Mode.MOVING
+        return not self._context.goals.queue.busy and not moves(self._arms.whole.arm)
 
     def _what_runs_where(self) -> str:
         arms = "; ".join(map(_what_arm_runs, self._arms.each))

@@ -222,14 +222,14 @@ class NamedArmSettings(ArmSettings):
     emulator: EmulatorSettings = EmulatorSettings()
     """its emulated servos."""
 
-    @model_validator(mode="after")
-    def _parks_alone(self) -> NamedArmSettings:
-        for name in ("on_exit", "on_server_lost"):
-            if getattr(self, name) is EndState.PARK:
-                raise ValueError(f"{name}: one of several arms cannot be parked at its end, hold or relax it")
-        if self.on_last_client != "nothing":
-            raise ValueError(f"on_last_client: must be nothing for one of several arms, not {self.on_last_client}")
-        return self
+    @field_validator("on_server_lost")
+    @classmethod
+    def _parks_with_others(cls, value: EndState) -> EndState:
+        if value is EndState.PARK:
+            raise ValueError(
+                "without a server several arms could meet on their ways to their rest poses: hold or relax"
+            )
+        return value
 
 
 class GoalSettings(SettingsSection):

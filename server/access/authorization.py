@@ -272,10 +272,9 @@ class Access:
         self.tokens = Tokens.from_settings(settings)
         self.one_time_tokens = OneTimeTokens(clock)
         policy, idle_s = settings.control, settings.control_idle_s
-        self.lease = ControlLease(policy, idle_s, wall_clock, busy, "all arms" if arms else "the arm")
+        self.lease = ControlLease(policy, idle_s, wall_clock, busy, several=bool(arms))
         self.leases_of_arms = {
-            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"the arm {name}")
-            for name, busy_there in arms.items()
+            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"/{name}") for name, busy_there in arms.items()
         }
         self.lease.excluded_by = tuple(self.leases_of_arms.values())
         for lease in self.leases_of_arms.values():

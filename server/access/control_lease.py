@@ -40,8 +40,12 @@ class ControlLease:
 
     Args:
         idle_s: time without a request of the holder after which the arm is free for others [s].
+        namespace: of the services of one of several arms, as in /left.
+        several: True for control of all of several arms together.
 
     Attributes:
+        title: the words for the arm, or the arms, in sentences.
+        watchers: called whenever :meth:`sentence` is another one.
         excluded_by: leases that nobody else may hold when a client takes this one: the lease of all arms and the
             lease of each arm exclude each other.
     """
@@ -52,23 +56,23 @@ class ControlLease:
         idle_s: float,
         wall_clock: Callable[[], float],
         busy: Callable[[], RunningGoal | None] = lambda: None,
-        what: str = "the arm",
+        namespace: str = "",
+        *,
+        several: bool = False,
     ) -> None:
         self.policy = policy
         self.excluded_by: tuple[ControlLease, ...] = ()
         self._busy = busy
-        self._what = what
+        self._several = several
+        self.title = "all arms" if several else f"the arm {namespace.removeprefix('/')}".rstrip()
+        self._release_service = f"{namespace}{RELEASE_SERVICE}"
         self.holder: Node | None = None
         self.since_s = 0.0
-        self._watchers: list[Callable[[], None]] = []
+        self.watchers: list[Callable[[], None]] = []
         self._idle_limit_s = idle_s
         self._wall_clock = wall_clock
         self._heard_s = 0.0
         self._reserved: tuple[Node, float] | None = None
-
-    def watch(self, on_change: Callable[[], None]) -> None:
-        """Call ``on_change`` whenever there is another holder, or none."""
-        self._watchers.append(on_change)
 
     def drive(self, node: Node, now_s: float) -> str | None:
         """Take control, or keep it, to move the arm or to switch it."""
@@ -99,7 +103,7 @@ class ControlLease:
             self._set(None)
             return None
         return (
-            f"{self.holder} controls {self._what}, not {node}; to take control from another, show a token of "
+            f"{self.holder} controls {self.title}, not {node}; to take control from another, show a token of "
             "access.admin_tokens"
         )
 
@@ -112,6 +116,9 @@ class ControlLease:
 
     def tick(self, now_s: float) -> None:
         """Free the arm when its holder has idled for too long, at a monotonic time [s]."""
+        if self._reserved is not None and now_s >= self._reserved[1]:
+            self._reserved = None
+            self._tell_change()
         if self.holder is None:
             return
         if self._busy() is not None:
@@ -147,8 +154,23 @@ class ControlLease:
             return
         self.holder = holder
         self.since_s = self._wall_clock()
-        for on_change in self._watchers:
-            on_change()
+        self._tell_change()
+
+    def _tell_change(self) -> None:
+        for lease in (self, *self.excluded_by):
+            for on_change in lease.watchers:
+                on_change()
+
+    def sentence(self) -> str:
+        """Return the sentence that says which client has control, also by control of other arms together with this."""
+        for lease in (self, *self.excluded_by):
+            if lease.holder is not None:
+                return f"{lease.holder} controls {lease.title}"
+        if self.policy == "shared":
+            return f"all clients may drive {self.title} at once (access.control)"
+        if self._reserved is not None:
+            return f"nobody controls {self.title}; for {RESERVED_S:g} s only {self._reserved[0]} may take it"
+        return f"nobody controls {self.title}; the first who moves {'them' if self._several else 'it'} does"
 
     def refusal(self, holder: Node, now_s: float) -> str:
         """Return the sentence that refuses control, because a client has it."""
@@ -159,8 +181,8 @@ class ControlLease:
             running = f", and {self._what_runs(goal)}"
             left = f"has asked for nothing for {self._idle_limit_s:g} s after the last goal"
         return (
-            f"{holder} has controlled {self._what} since {_time_of_day(self.since_s)}{running}; it is free when that "
-            f"client leaves, calls {RELEASE_SERVICE}, or {left} {idle}"
+            f"{holder} has controlled {self.title} since {_time_of_day(self.since_s)}{running}; it is free when that "
+            f"client leaves, calls {self._release_service}, or {left} {idle}"
         )
 
     def _what_runs(self, goal: RunningGoal) -> str:
@@ -197,7 +219,7 @@ class ControlServices:
             (WHO_SERVICE, self._who, LOOKING),
         ):
             graph.offer_calls(self._node, name, "std_srvs/Trigger", serve, rule=rule)
-        lease.watch(self._publish)
+        lease.watchers.append(self._publish)
         self._publish()
         self._timer = call_later(BEAT_S, self._beat)
 
@@ -225,15 +247,8 @@ class ControlServices:
         answer(call, lambda _request: {"success": True, "message": json.dumps(names)})
 
     def _answer(self, call: Call, refusal: str | None) -> None:
-        message = self._sentence() if refusal is None else refusal
+        message = self._lease.sentence() if refusal is None else refusal
         answer(call, lambda _request: {"success": refusal is None, "message": message})
-
-    def _sentence(self) -> str:
-        if self._lease.policy == "shared":
-            return "all clients may drive the arm at once (access.control)"
-        if self._lease.holder is None:
-            return "nobody controls the arm; the first who moves it does"
-        return f"{self._lease.holder} controls the arm"
 
     def _publish(self) -> None:
         lease, now_s = self._lease, self._clock()
@@ -249,7 +264,7 @@ class ControlServices:
         status: dict[str, Any] = {
             "level": LEVEL_OK,
             "name": "control",
-            "message": self._sentence(),
+            "message": lease.sentence(),
             "hardware_id": values["holder"],
             "values": key_values(values),
         }

@@ -7,8 +7,8 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from robot.arm_group import AnyArm
-from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
+from robot.arm_group import AnyArm, moves
+from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Order, PlaybackDirection
 from server.arrival import arrival_epoch
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
@@ -108,10 +108,14 @@ RESUME = "/arm/resume"
 STEP_BACK = "/arm/step_back"
 
 _SENTENCES = {
-    PlaybackDirection.PAUSED: f"the arm comes to rest on its path; {RESUME} lets it go on",
+    PlaybackDirection.PAUSED: "the arm comes to rest on its path; {prefix}" + RESUME + " lets it go on",
     PlaybackDirection.FORWARD: "the arm goes on",
     PlaybackDirection.BACK: (
-        f"the arm goes back along its path until {PAUSE} or {RESUME}, at most to where it came from"
+        "the arm goes back along its path until {prefix}"
+        + PAUSE
+        + " or {prefix}"
+        + RESUME
+        + ", at most to where it came from"
     ),
 }
 
@@ -154,10 +158,10 @@ class ArmPace:
 
     def _offer(self, arm: AnyArm, name: str, direction: PlaybackDirection, rule: Rule) -> None:
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
-            if arm.state.mode is not Mode.MOVING:
+            if not moves(arm):
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
             arm.change_pace(ChangePace(direction=direction))
-            return {"success": True, "message": _SENTENCES[direction]}
+            return {"success": True, "message": _SENTENCES[direction].format(prefix=self._graph.resolve(""))}
 
         self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
 

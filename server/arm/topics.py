@@ -58,7 +58,7 @@ LIMITS_TOPIC = "/arm/joint_limits"
 _SENTENCES = {
     Mode.DISCONNECTED: "the arm is not connected",
     Mode.CONNECTED: "the servos are being checked",
-    Mode.RELAXED: f"the arm is relaxed; {ENABLE} makes it hold",
+    Mode.RELAXED: "the arm is relaxed; {prefix}" + ENABLE + " makes it hold",
     Mode.HOLDING: "the arm holds",
     Mode.MOVING: "the arm moves",
     Mode.FAULT: "the arm has a fault",
@@ -104,7 +104,7 @@ class ArmStateTopics:
         told = state.mode, state.reason, state.fault, state.pace, last_stop
         if told != self._told:
             self._told = told
-            message = status(state, self._robot.name)
+            message = status(state, self._robot.name, self._graph.resolve(""))
             message["values"] += key_values({"last_stop": str(last_stop)} | self._ranges)
             self._graph.publish(self._node, STATE_TOPIC, message)
 
@@ -123,11 +123,15 @@ class ArmStateTopics:
             self._graph.publish(self._node, LIMITS_TOPIC, message)
 
 
-def status(state: ArmState, robot_name: str) -> dict[str, Any]:
-    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it."""
-    message = _SENTENCES[state.mode]
+def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]:
+    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it.
+
+    Args:
+        prefix: of the arm's services.
+    """
+    message = _SENTENCES[state.mode].format(prefix=prefix)
     if state.fault is not None:
-        message = f"{state.fault} The service that resets it is {RESET_FAULT}."
+        message = f"{state.fault} The service that resets it is {prefix}{RESET_FAULT}."
     elif state.reason:
         message = f"{message}: {state.reason}"
     values = {

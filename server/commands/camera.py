@@ -56,13 +56,13 @@ def _publish(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.datasets.camera import open_source
     from server.datasets.camera_client import CameraOptions, publish_camera
+    from server.publishing_client import PublishedTopic
 
     token = read_token(options)
-    chosen = CameraOptions(
-        options.connect, options.topic, token, options.fps, options.width, options.quality, options.device
-    )
+    target = PublishedTopic(options.connect, options.topic, token)
+    chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
     source = open_source(options.device, options.width)
-    count, by_signal = asyncio.run(publish_camera(chosen, source, terminal.say))
+    count, by_signal = asyncio.run(publish_camera(target, chosen, source, terminal.say))
     terminal.tell(f"{count} images published on {options.topic}")
     if by_signal or source.finite:
         return ExitCode.DONE

@@ -58,7 +58,8 @@ def add_leader_parser(subparsers: Subparsers) -> None:
 def _stream(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.config_loader import load
-    from server.teleop.leader_client import LeaderOptions, publish_leader
+    from server.publishing_client import PublishedTopic
+    from server.teleop.leader_client import publish_leader
 
     token = read_token(options)
     given: dict[str, Any] = {
@@ -75,7 +76,6 @@ def _stream(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     settings = load(
         None, {"arm": {key: value for key, value in given.items() if value is not None}, "emulator": emulator}
     )
-    by_signal = asyncio.run(
-        publish_leader(LeaderOptions(options.connect, options.topic, token), settings, terminal.say)
-    )
+    target = PublishedTopic(options.connect, options.topic, token)
+    by_signal = asyncio.run(publish_leader(target, settings, terminal.say))
     return ExitCode.DONE if by_signal else ExitCode.FAILED

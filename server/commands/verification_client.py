@@ -26,15 +26,18 @@ class ServerLost(RobotError):  # noqa: N818 - named by the fact
     """The server cannot be reached, refuses, or has left."""
 
 
-def verify(url: str, token: str | None, terminal: Terminal) -> ExitCode:
+def verify(url: str, token: str | None, terminal: Terminal, arm: str = "") -> ExitCode:
     """Have a server verify its arm.
+
+    Args:
+        arm: name of one of several arms; empty for a lone arm.
 
     Raises:
         ServerLost: the server cannot be reached, refuses, or has left.
     """
     try:
         with connect(url, open_timeout=ANSWER_TIMEOUT_S, max_size=None) as websocket:
-            return VerificationClient(websocket, terminal).run(token)
+            return VerificationClient(websocket, terminal, arm).run(token)
     except (OSError, ValueError, WebSocketException) as error:
         raise ServerLost(f"{url}: {str(error) or type(error).__name__}; is armbridge serve running there?") from error
 
@@ -42,9 +45,10 @@ def verify(url: str, token: str | None, terminal: Terminal) -> ExitCode:
 class VerificationClient:
     """Client of the server's procedure."""
 
-    def __init__(self, websocket: ClientConnection, terminal: Terminal) -> None:
+    def __init__(self, websocket: ClientConnection, terminal: Terminal, arm: str = "") -> None:
         self._websocket = websocket
         self._terminal = terminal
+        self._prefix = arm and f"/{arm}"
         self._numbers = itertools.count(1)
         self._state: Mapping[str, Any] = {}
         self._told: set[str] = set()
@@ -54,7 +58,9 @@ class VerificationClient:
         if token is not None:
             self._send({"op": "auth", "token": token})
         self._call(BEGIN, {"procedure": "verify", "name": ""})
-        self._send({"op": "subscribe", "topic": STATE_TOPIC, "type": "armbridge_msgs/CommissioningState"})
+        self._send(
+            {"op": "subscribe", "topic": f"{self._prefix}{STATE_TOPIC}", "type": "armbridge_msgs/CommissioningState"}
+        )
         try:
             return self._converse()
         except (KeyboardInterrupt, RobotError):
@@ -104,8 +110,8 @@ class VerificationClient:
     def _send(self, operation: Mapping[str, Any]) -> None:
         self._websocket.send(json.dumps(operation))
 
-    def _call(self, service: str, request: Mapping[str, Any]) -> None:
-        number = str(next(self._numbers))
+    def _call(self, name: str, request: Mapping[str, Any]) -> None:
+        service, number = f"{self._prefix}{name}", str(next(self._numbers))
         self._send({"op": "call_service", "service": service, "id": number, "args": request})
         while (reply := self._receive(ANSWER_TIMEOUT_S)) is not None:
             if reply.get("op") == "service_response" and reply.get("id") == number:
@@ -121,6 +127,6 @@ class VerificationClient:
             message: dict[str, Any] = json.loads(self._websocket.recv(timeout_s))
         except TimeoutError:
             return None
-        if message.get("topic") == STATE_TOPIC:
+        if message.get("topic") == f"{self._prefix}{STATE_TOPIC}":
             self._state = message["msg"]
         return message

@@ -19,6 +19,7 @@ def add_verify_parser(subparsers: Subparsers) -> None:
         "server's page), and measure how far each joint stands from its goal. Nothing moves before you say so.",
     )
     parser.add_argument("--url", default=DEFAULT_URL, help=f"of the server ({DEFAULT_URL})")
+    parser.add_argument("--arm", default="", metavar="NAME", help="one of several arms of the server, as in left")
     add_token_file(parser, "access.admin_tokens")
 
 
@@ -26,4 +27,4 @@ def _verify(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.commands.verification_client import verify
 
-    return verify(options.url, read_token(options), terminal)
+    return verify(options.url, read_token(options), terminal, options.arm)

@@ -18,9 +18,9 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from protocol.messages import Stamp
-from robot.arm_group import AnyArm
+from robot.arm_group import AnyArm, ArmGroup, states_of
 from robot.description.model import RobotModel
-from robot.messages import Mode
+from robot.messages import ArmState, Mode
 from server.errors import RefusedError
 
 # Services that refusals name as the remedy.
@@ -83,25 +83,41 @@ def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -
 
 
 def check_ready(arm: AnyArm) -> None:
-    """Check that a motion can begin now."""
-    state, age_s = arm.state, arm.state_age_s
-    if state.mode is Mode.DISCONNECTED:
-        raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not connected: {state.reason}")
+    """Check that a motion can begin now; a refusal names one of several arms, and the service of this arm."""
+    states, age_s = states_of(arm), arm.state_age_s
+    for name, state in states.items():
+        if state.mode is Mode.DISCONNECTED:
+            message = f"{title_of(name)} is not connected: {state.reason}"
+            raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, message)
     if age_s > arm.state_max_age_s:
         raise _not_ready(
             MoveItErrorCode.ROBOT_STATE_STALE,
             f"the last state of the arm is {age_s:.1f} s old (limit {arm.state_max_age_s:g} s)",
         )
+    leaders = arm.leaders if isinstance(arm, ArmGroup) else frozenset[str]()
+    for name, state in states.items():
+        # While a leader is relaxed, it keeps no other arm from moving.
+        if name not in leaders or state.mode is not Mode.RELAXED:
+            _check_state(name, state)
+
+
+def _check_state(name: str, state: ArmState) -> None:
+    """Check that an arm of this name is ready."""
+    title, prefix = title_of(name), name and f"/{name}"
     if state.fault is not None:
-        raise _not_ready(
-            MoveItErrorCode.CONTROL_FAILED,
-            f"the arm has a fault: {state.fault} The service that resets it is {RESET_FAULT}.",
-        )
+        message = f"{title} has a fault: {state.fault} The service that resets it is {prefix}{RESET_FAULT}."
+        raise _not_ready(MoveItErrorCode.CONTROL_FAILED, message)
     if state.mode is Mode.CONNECTED or state.goal_rad is None:
         reason = state.reason or "its servos are being checked"
-        raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, f"the arm is not ready: {reason}")
+        raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, f"{title} is not ready: {reason}")
     if state.mode is Mode.RELAXED:
-        raise _not_ready(MoveItErrorCode.CONTROL_FAILED, f"the arm is relaxed: enable it by the service {ENABLE} first")
+        message = f"{title} is relaxed: enable it by the service {prefix}{ENABLE} first"
+        raise _not_ready(MoveItErrorCode.CONTROL_FAILED, message)
+
+
+def title_of(name: str) -> str:
+    """Return the words for an arm in a sentence, from its name, which is empty for a lone arm."""
+    return f"the arm {name}" if name else "the arm"
 
 
 def _not_ready(code: MoveItErrorCode, message: str) -> RefusedError:

@@ -13,7 +13,7 @@ from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
 from server.arm.arms import ArmFiles
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
-from server.arm.commissioning import Commissioning, Ended, Procedure
+from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
 from server.arm.first_motions import FirstMotions
 from server.arm.verifying import VerificationProcedure
 from server.config import Settings
@@ -82,7 +82,8 @@ class CommissioningOfArms(Feature):
     def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
         served, queue, arm = context.served, context.goals.queue, context.served.arm
         if isinstance(arm, ArmGroup):
-            raise OrderRefused("one arm is calibrated or verified at a time: use the services below its name")
+            services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
+            raise OrderRefused(f"one arm is calibrated or verified at a time, by the service of its name: {services}")
         if busy := queue.busy_with(context.joints):
             raise OrderRefused(f"the arm is in use: {busy}")
         if procedure == "calibrate":

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
 from planners.problem import MoveItErrorCode, Plan, PlanningProblem
-from robot.arm import Arm
+from robot.arm import CLOSE_LIMIT_S, Arm
 from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
@@ -85,10 +85,16 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 
 class Parking:
-    """Parking of one arm, and the service for it."""
+    """Parking of one arm, and the service for it.
+
+    Attributes:
+        name: of one of several arms; empty for a lone arm.
+        leads: True for an arm that is moved by hand.
+    """
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
         settings, planning = context.served.settings, context.planning
+        self.name, self.leads = context.served.name, context.served.leads
         self._arm = arm
         self._context = context
         self._robot = context.robot
@@ -98,6 +104,7 @@ class Parking:
         self._scene = planning.scene_state
         self._queue = context.goals.queue
         self._current = CurrentState(arm, context.robot)
+        self._all_joints = planning.current
         self._parks_at_end = EndState.PARK in (settings.on_exit, settings.on_server_lost)
         self._parks_on_exit = settings.on_exit is EndState.PARK
         self._place: _Place | None = None
@@ -190,6 +197,11 @@ class Parking:
         if self._is_due:
             await self._plan()
 
+    async def close_arm(self) -> None:
+        """End the process of an arm that is parked at its end, which takes it to its rest pose."""
+        if self._parks_on_exit:
+            await self._arm.close()
+
     @property
     def _is_due(self) -> bool:
         """True when the arm holds where the way was not planned yet in the present scene."""
@@ -207,7 +219,8 @@ class Parking:
         place = self._here()
         if place is None:
             return
-        problem = self._problem(place.held_rad)
+        # Several arms are obstacles to each other.
+        problem = self._problem({**(self._all_joints.positions_rad() or {}), **place.held_rad})
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
         plan = await self._pool.ask(bounded, self._scene.scene)
         if place.version != self._scene.scene.version:
@@ -334,15 +347,27 @@ class Parkings(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         self._parkings: list[Parking] = []
+        self._several = len(context.single_arms) > 1
         self._keeping: list[BackgroundTask] = []
         self.last_clients: list[BackgroundTask] = []
         for each, arm in context.single_arms:
             parking, settings = Parking(arm, each), each.served.settings
             self._parkings.append(parking)
-            self._keeping.append(BackgroundTask("parking", parking.run))
+            # The ways of several arms depend on each other: they are planned at the end alone.
+            if not self._several:
+                self._keeping.append(BackgroundTask("parking", parking.run))
             if settings.on_last_client != "nothing":
                 last_client = LastClient(arm, settings, context.access.drivers, context.goals.queue, parking)
                 self.last_clients.append(BackgroundTask("the last client", last_client.run))
+        if self._several:
+            self.deadline_s = len(self._parkings) * (PREPARING_S + CLOSE_LIMIT_S)
+            context.whole.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
+
+    async def _park_each(self, _request: Message) -> Message:
+        """Park the arms one after the other: on their ways at the same time they could wait for each other."""
+        done = {each.name: await each.park(PARK) for each in self._parkings if not each.leads}
+        said = "; ".join(f"{name}: {one.message}" for name, one in done.items())
+        return {"success": all(one.done for one in done.values()), "message": said}
 
     async def start(self) -> None:
         for each in self._keeping:
@@ -350,4 +375,8 @@ class Parkings(Feature):
 
     async def stop(self) -> None:
         await asyncio.gather(*(each.stop() for each in self._keeping))
-        await asyncio.gather(*(each.prepare_exit() for each in self._parkings))
+        for each in self._parkings:
+            await each.prepare_exit()
+            if self._several:
+                # The next arm's way is planned around this one at its rest pose.
+                await each.close_arm()

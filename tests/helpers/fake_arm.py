@@ -40,6 +40,7 @@ class FakeArm:
     """
 
     wait = Arm.wait
+    name = ""
 
     def __init__(self, positions_rad: Mapping[str, float] | None = HOME) -> None:
         self.state = ArmState(1.0, Mode.HOLDING, JOINTS, velocity_rad_s=np.zeros(len(JOINTS)))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -29,9 +31,11 @@ port = 0
 max_velocity_scaling = 1.0
 max_acceleration_scaling = 1.0
 [arms.left]
+on_exit = "park"
 base_xyz_m = [0.0, 0.25, 0.0]
 emulator.control = "{folder}/left"
 [arms.right]
+on_exit = "park"
 base_xyz_m = [0.0, -0.25, 0.0]
 emulator.control = "{folder}/right"
 """
@@ -131,6 +135,35 @@ async def test_both_arms_move_together_as_one_group(client: ArmClient) -> None:
     now = await positions(client)
     for arm in ("left", "right"):
         assert all(now[f"{arm}_{joint}"] == pytest.approx(value, abs=0.06) for joint, value in rest.items())
+
+
+async def test_a_motion_of_both_arms_is_refused_by_the_name_of_the_relaxed_one(client: ArmClient) -> None:
+    assert (await client.call("/right/arm/relax"))["success"]
+    answer = await go(client, "both_arms", named="home")
+    sentence = "the arm right is relaxed: enable it by the service /right/arm/enable first"
+    assert (answer["code_name"], answer["message"]) == ("CONTROL_FAILED", sentence)
+    states = await client.until("/right/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed")
+    assert states[-1]["message"] == "the arm is relaxed; /right/arm/enable makes it hold"
+    whole = await client.until("/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed")
+    assert whole[-1]["message"] == "the arm is relaxed; /arm/enable makes it hold: right: relaxed"
+    # The other arm moves, and is paused, meanwhile.
+    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1})
+    left = asyncio.create_task(to_joints(client, "left", wrist_roll=0.7))
+    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "moving")
+    paused = await client.call("/left/arm/pause")
+    assert paused["message"] == "the arm comes to rest on its path; /left/arm/resume lets it go on"
+    assert (await client.call("/arm/resume"))["success"]
+    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
+    assert (await left)["val"] == SUCCESS
+    assert (await client.call("/right/arm/enable"))["success"]
+
+
+async def test_all_arms_are_parked_one_after_the_other(client: ArmClient) -> None:
+    await go(client, "both_arms", named="home")
+    parked = await client.call("/arm/park")
+    there = "the arm is at its rest pose 'rest', and relaxed"
+    assert parked == {"success": True, "message": f"left: {there}; right: {there}"}
+    assert (await client.call("/arm/enable"))["success"]
 
 
 async def test_motions_of_two_arms_run_at_the_same_time(client: ArmClient) -> None:
@@ -257,3 +290,26 @@ async def test_an_arm_process_that_dies_leaves_the_other_arm_moving(server: Runn
     assert (await to_joints(client, "right", wrist_roll=0.5))["val"] == SUCCESS
     await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "holding", TIMEOUT_S)
     assert (await to_joints(client, "left", wrist_roll=0.5))["val"] == SUCCESS
+
+
+def test_one_of_several_arms_is_verified_at_a_terminal(server: RunningServer) -> None:
+    command = [sys.executable, "-m", "server.cli", "verify", "--url", server.url]
+    without_name, named = (
+        subprocess.run([*command, *arm], input="", capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        for arm in ((), ("--arm", "left"))
+    )
+    assert "by the service of its name: /left/arm/commissioning/begin, /right/arm/" in without_name.stderr
+    assert "Move? Enter: move." in named.stderr
+
+
+async def test_arms_that_are_parked_at_the_end_go_to_rest_one_after_the_other(
+    server: RunningServer,
+) -> None:
+    async with connected(server) as client:
+        for arm in ("left", "right"):
+            assert (await to_named(client, arm, "ready"))["val"] == SUCCESS
+    code, _ = await asyncio.to_thread(server.end, signal.SIGTERM, TIMEOUT_S)
+    assert code == 0
+    parking = [line.split("armbridge.arm: ")[1].split(", in ")[0] for line in server.lines if ": parking: " in line]
+    parked = ("moves to its rest pose", "is at its rest pose, and is relaxed")
+    assert parking == [f"{arm}: parking: the arm {does}" for arm in ("left", "right") for does in parked], server.lines

@@ -194,7 +194,7 @@ class Following:
         self._link.arm.loop.run(self._end())
 
     async def _start(self) -> None:
-        await self._connection.advertise(self._topic, JointState)
+        await self._send()
         self._sending = asyncio.create_task(self._keep_sending())
         request = StartTeleopRequest(follower=self._name, leader=self._topic)
         try:

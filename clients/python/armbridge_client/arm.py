@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import ssl
+from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import Literal
+from typing import Literal, TypeVar
 
 from armbridge_client.async_arm import AsyncArm, connect_async
 from armbridge_client.async_gripper import AsyncGripper
-from armbridge_client.blocking import Face, LoopThread, blocking, iterating
-from armbridge_client.connection import ServerInfo
+from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
+from armbridge_client.async_scene import AsyncScene
+from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncJog, AsyncTeleop
+from armbridge_client.blocking import Face, LoopThread, blocking, iterate, iterating
+from armbridge_client.connection import CALL_TIMEOUT_S, ServerInfo
 from armbridge_client.errors import ConnectionLost
-from armbridge_client.messages import RobotTrajectory
+from armbridge_client.messages import PoseStamped, RobotTrajectory
 from armbridge_client.motion import AsyncPlan
 from armbridge_client.targets import Target
+from armbridge_client.wire import Message, Response, Service
+
+M = TypeVar("M", bound=Message)
 
 
 def connect(
@@ -60,6 +67,91 @@ class Gripper(Face[AsyncGripper]):
     range = blocking(AsyncGripper.range)
 
 
+class Scene(Face[AsyncScene]):
+    """Planning scene of a server, which all its clients share. A change is in effect when its method returns.
+
+    Poses of objects are made by :func:`armbridge_client.pose`. A change that the server refuses raises RequestRefused
+    with the object, the field and the limit.
+    """
+
+    add_box = blocking(AsyncScene.add_box)
+    add_sphere = blocking(AsyncScene.add_sphere)
+    add_cylinder = blocking(AsyncScene.add_cylinder)
+    add_mesh = blocking(AsyncScene.add_mesh)
+    remove = blocking(AsyncScene.remove)
+    clear = blocking(AsyncScene.clear)
+    attach = blocking(AsyncScene.attach)
+    detach = blocking(AsyncScene.detach)
+    allow_contact = blocking(AsyncScene.allow_contact)
+    objects = blocking(AsyncScene.objects)
+    held = blocking(AsyncScene.held)
+    save = blocking(AsyncScene.save)
+    load = blocking(AsyncScene.load)
+    delete = blocking(AsyncScene.delete)
+    saved = blocking(AsyncScene.saved)
+
+
+class NamedStates(Face[AsyncNamedStates]):
+    """Named states: targets of ``move_named``, of the robot's description or saved."""
+
+    all = blocking(AsyncNamedStates.all)
+    save = blocking(AsyncNamedStates.save)
+    rename = blocking(AsyncNamedStates.rename)
+    delete = blocking(AsyncNamedStates.delete)
+
+
+class Teaching(Face[AsyncTeaching]):
+    """Motions taught by hand: relax the arm, hold it, ``begin``, lead it, ``end``."""
+
+    begin = blocking(AsyncTeaching.begin)
+    end = blocking(AsyncTeaching.end)
+    discard = blocking(AsyncTeaching.discard)
+    names = blocking(AsyncTeaching.names)
+    check = blocking(AsyncTeaching.check)
+    replay = blocking(AsyncTeaching.replay)
+    trim = blocking(AsyncTeaching.trim)
+    rename = blocking(AsyncTeaching.rename)
+    delete = blocking(AsyncTeaching.delete)
+
+
+class Teleop(Face[AsyncTeleop]):
+    """Following of a leader arm, or of a topic of joint states."""
+
+    start = blocking(AsyncTeleop.start)
+    stop = blocking(AsyncTeleop.stop)
+    clutch = blocking(AsyncTeleop.clutch)
+    states = iterating(AsyncTeleop.states)
+
+
+class Episodes(Face[AsyncEpisodes]):
+    """Episodes of the server's recording, from which datasets are made (``armbridge serve --record``)."""
+
+    start = blocking(AsyncEpisodes.start)
+    stop = blocking(AsyncEpisodes.stop)
+    discard = blocking(AsyncEpisodes.discard)
+
+
+class Jog(Face[AsyncJog]):
+    """Steering with a dead-man's switch, for the length of a ``with``.
+
+    Repeat the command while the person holds the stick: ``command_timeout_s`` after the last command the arm brakes,
+    also if this program hangs or the network fails. Leaving the ``with`` brakes at once.
+    """
+
+    tip = blocking(AsyncJog.tip)
+    joints = blocking(AsyncJog.joints)
+    release = blocking(AsyncJog.release)
+
+    def __enter__(self) -> Jog:
+        self.loop.run(self.asynchronous.__aenter__())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.loop.run(self.asynchronous.__aexit__(kind, error, trace))
+
+
 class Plan(Face[AsyncPlan]):
     """A planned motion, which has not moved anything."""
 
@@ -84,11 +176,21 @@ class Arm(Face[AsyncArm]):
 
     Attributes:
         gripper: the arm's gripper.
+        scene: objects that motions avoid.
+        named_states: targets of :meth:`move_named`.
+        teaching: motions taught by hand.
+        teleop: following of a leader arm.
+        episodes: episodes of the server's recording.
     """
 
     def __init__(self, asynchronous: AsyncArm, loop: LoopThread) -> None:
         super().__init__(asynchronous, loop)
         self.gripper = Gripper(asynchronous.gripper, loop)
+        self.scene = Scene(asynchronous.scene, loop)
+        self.named_states = NamedStates(asynchronous.named_states, loop)
+        self.teaching = Teaching(asynchronous.teaching, loop)
+        self.teleop = Teleop(asynchronous.teleop, loop)
+        self.episodes = Episodes(asynchronous.episodes, loop)
 
     def __enter__(self) -> Arm:
         return self
@@ -121,6 +223,44 @@ class Arm(Face[AsyncArm]):
         """
         return Plan(self.loop.run(self.asynchronous.plan(target, speed=speed, group=group)), self.loop)
 
+    def plan_path(self, poses: Sequence[PoseStamped], *, speed: float = 0.0, step_m: float = 0.005) -> Plan:
+        """Plan straight lines of the tip through poses, and move nothing; all poses in the frame of the first.
+
+        Args:
+            step_m: distance of the configurations along the path.
+
+        Raises:
+            GoalRefused: the path cannot be followed to its end; ``details`` has the reached ``fraction``.
+        """
+        return Plan(self.loop.run(self.asynchronous.plan_path(poses, speed=speed, step_m=step_m)), self.loop)
+
+    def jog(self, command_timeout_s: float = COMMAND_TIMEOUT_S) -> Jog:
+        """Steer with velocities: ``with arm.jog() as jog``, and repeat ``jog.tip((0.05, 0.0, 0.0))``.
+
+        Args:
+            command_timeout_s: time after the last command until the arm brakes, 0.02 to 0.25.
+        """
+        return Jog(self.asynchronous.jog(command_timeout_s), self.loop)
+
+    def call(self, service: str, request: Service[Response], timeout_s: float = CALL_TIMEOUT_S) -> Response:
+        """Call any service, below the arm's name, with a request of :mod:`armbridge_client.messages`."""
+        return self.loop.run(self.asynchronous.call(service, request, timeout_s))
+
+    def messages(
+        self, topic: str, message_class: type[M], rate_hz: float = 0.0, *, length: int = 10, timeout_s: float = 5.0
+    ) -> Iterator[M]:
+        """Go over the messages of any topic, such as a camera's; a slow reader loses the oldest.
+
+        Args:
+            topic: below the arm's name.
+            message_class: of :mod:`armbridge_client.messages`, such as ``CompressedImage``.
+            rate_hz: most messages a second; 0 for all.
+            length: most messages that wait for the reader.
+            timeout_s: longest wait for a message, after which DeadlineExceeded is raised.
+        """
+        arguments = self.asynchronous.messages(topic, message_class, rate_hz, length=length, timeout_s=timeout_s)
+        return iterate(self.loop, arguments)
+
     wait_connected = blocking(AsyncArm.wait_connected)
     move_to = blocking(AsyncArm.move_to)
     move_joints = blocking(AsyncArm.move_joints)
@@ -138,3 +278,13 @@ class Arm(Face[AsyncArm]):
     relax = blocking(AsyncArm.relax)
     park = blocking(AsyncArm.park)
     reset_fault = blocking(AsyncArm.reset_fault)
+    set_speed_limit = blocking(AsyncArm.set_speed_limit)
+    pause = blocking(AsyncArm.pause)
+    resume = blocking(AsyncArm.resume)
+    step_back = blocking(AsyncArm.step_back)
+    take_control = blocking(AsyncArm.take_control)
+    release_control = blocking(AsyncArm.release_control)
+    control = blocking(AsyncArm.control)
+    publish = blocking(AsyncArm.publish)
+    confirm = blocking(AsyncArm.confirm)
+    set_confirm_mode = blocking(AsyncArm.set_confirm_mode)

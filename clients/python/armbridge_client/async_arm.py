@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import ssl
 import xml.etree.ElementTree as ET
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -10,14 +9,20 @@ from types import TracebackType
 from typing import Literal, TypeVar
 
 from armbridge_client.async_gripper import AsyncGripper
+from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
+from armbridge_client.async_scene import AsyncScene
+from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncJog, AsyncTeleop
 from armbridge_client.connection import CALL_TIMEOUT_S, Address, Connection, ServerInfo, Subscription
-from armbridge_client.errors import ArmError, refusal
+from armbridge_client.errors import ArmError, GoalRefused
 from armbridge_client.messages import (
+    Bool,
     CheckGoalsRequest,
     DiagnosticStatus,
+    GetCartesianPathRequest,
     GetMotionPlanRequest,
     GetPositionFKRequest,
     GoalCheck,
+    Header,
     JointState,
     MotionPlanRequest,
     MoveItErrorCode,
@@ -26,11 +31,13 @@ from armbridge_client.messages import (
     MoveitGoalRequest,
     MoveitGoalResult,
     PoseStamped,
+    SetBoolRequest,
+    SetSpeedLimitRequest,
     String,
     TriggerRequest,
 )
 from armbridge_client.motion import MOTION_TIMEOUT_S, AsyncPlan, Motion, check_code, motion_of
-from armbridge_client.targets import State, Target, constraints, goal_target, pose, state_of
+from armbridge_client.targets import Control, State, Target, constraints, goal_target, pose, state_of
 from armbridge_client.wire import Message, Response, Service, from_wire
 
 M = TypeVar("M", bound=Message)
@@ -69,6 +76,11 @@ class AsyncArm:
 
     Attributes:
         gripper: the arm's gripper.
+        scene: objects that motions avoid.
+        named_states: targets of :meth:`move_named`.
+        teaching: motions taught by hand.
+        teleop: following of a leader arm.
+        episodes: episodes of the server's recording.
     """
 
     def __init__(self, connection: Connection, name: str = "") -> None:
@@ -76,6 +88,11 @@ class AsyncArm:
         self.connection = connection
         self._prefix = f"/{name}" if name else ""
         self.gripper = AsyncGripper(connection, self._prefix)
+        self.scene = AsyncScene(connection, self.tip_link)
+        self.named_states = AsyncNamedStates(connection)
+        self.teaching = AsyncTeaching(connection)
+        self.teleop = AsyncTeleop(connection, self._prefix)
+        self.episodes = AsyncEpisodes(connection)
 
     async def __aenter__(self) -> AsyncArm:
         return self
@@ -184,6 +201,39 @@ class AsyncArm:
             check_code(response.error_code)
         return AsyncPlan(self.connection, response.trajectory)
 
+    async def plan_path(
+        self,
+        poses: Sequence[PoseStamped],
+        *,
+        speed: float = 0.0,
+        step_m: float = 0.005,
+        timeout_s: float = PLAN_TIMEOUT_S,
+    ) -> AsyncPlan:
+        """Plan straight lines of the tip through poses, and move nothing; all poses in the frame of the first.
+
+        Args:
+            step_m: distance of the configurations along the path.
+
+        Raises:
+            GoalRefused: the path cannot be followed to its end; ``details`` has the reached ``fraction``.
+        """
+        request = GetCartesianPathRequest(
+            Header(frame_id=poses[0].header.frame_id if poses else ""),
+            link_name=await self.tip_link(),
+            waypoints=[each.pose for each in poses],
+            max_step=step_m,
+            avoid_collisions=True,
+            max_velocity_scaling_factor=speed,
+            max_acceleration_scaling_factor=speed,
+        )
+        answer = await self.connection.call("/compute_cartesian_path", request, timeout_s)
+        check_code(answer.error_code)
+        if answer.fraction < 1.0:
+            sentence = f"only {answer.fraction:.0%} of the path can be followed: {answer.error_code.message}"
+            failed = MoveItErrorCode.PLANNING_FAILED
+            raise GoalRefused(failed.value, failed.name, sentence, {"fraction": answer.fraction}, None)
+        return AsyncPlan(self.connection, answer.solution)
+
     async def check(
         self, *targets: PoseStamped | Mapping[str, float], timeout_s: float = CALL_TIMEOUT_S
     ) -> list[GoalCheck]:
@@ -238,7 +288,84 @@ class AsyncArm:
                 return chain.get("tip_link", "")
         raise ArmError(f"the robot has no planning group of {self.name or 'an arm'} with a tip")
 
+    def messages(
+        self, topic: str, message_class: type[M], rate_hz: float = 0.0, *, length: int = 10, timeout_s: float = 5.0
+    ) -> AsyncIterator[M]:
+        """Go over the messages of any topic, such as a camera's; a slow reader loses the oldest.
+
+        Args:
+            topic: below the arm's name.
+            message_class: of :mod:`armbridge_client.messages`, such as ``CompressedImage``.
+            rate_hz: most messages a second; 0 for all.
+            length: most messages that wait for the reader.
+            timeout_s: longest wait for a message, after which DeadlineExceeded is raised.
+        """
+        return self._messages(self.topic(topic, message_class, rate_hz, length=length, timeout_s=timeout_s))
+
+    async def _messages(self, subscription: Subscription[M]) -> AsyncIterator[M]:
+        async with subscription as stream:
+            async for message in stream:
+                yield message
+
+    async def publish(self, topic: str, message: Message) -> None:
+        """Publish a message of :mod:`armbridge_client.messages` on any topic, below the arm's name."""
+        await self.connection.publish(f"{self._prefix}{topic}", message)
+
+    def jog(self, command_timeout_s: float = COMMAND_TIMEOUT_S) -> AsyncJog:
+        """Steer with velocities: ``async with arm.jog() as jog``, and repeat ``await jog.tip((0.05, 0.0, 0.0))``.
+
+        Args:
+            command_timeout_s: time after the last command until the arm brakes, 0.02 to 0.25.
+        """
+        return AsyncJog(self.connection, self._prefix, command_timeout_s)
+
+    # Control and confirmation.
+
+    async def take_control(self) -> str:
+        """Take the control lease, which the first motion takes as well.
+
+        Raises:
+            ControlledByOther: another client has the lease.
+        """
+        return await self._trigger("/arm/take_control", CALL_TIMEOUT_S)
+
+    async def release_control(self) -> str:
+        """Give the control lease back; with an admin's token also the lease of another client."""
+        return await self._trigger("/arm/release_control", CALL_TIMEOUT_S)
+
+    async def control(self, timeout_s: float = 5.0) -> Control:
+        """Return the client that controls the arm."""
+        async with self.topic("/arm/control", DiagnosticStatus, timeout_s=timeout_s) as statuses:
+            status = await statuses.__anext__()
+        values = {pair.key: pair.value for pair in status.values}
+        return Control(status.hardware_id, float(values.get("free_in_s") or 0.0), status.message)
+
+    async def confirm(self, *, execute: bool = True) -> None:
+        """Execute the goal that waits for its confirmation, or discard it."""
+        await self.connection.publish(f"{self._prefix}/moveit_goal_confirm", Bool(execute))
+
+    async def set_confirm_mode(self, *, on: bool) -> str:
+        """Make every goal wait for a confirmation; needs the role admin."""
+        return (await self.connection.carry_out("/moveit_goal_confirm_mode", SetBoolRequest(on))).message
+
     # Switches.
+
+    async def set_speed_limit(self, share: float) -> str:
+        """Limit all motions of all clients to a share of the joints' velocity limits, 0.01 to 1."""
+        request = SetSpeedLimitRequest(share)
+        return (await self.connection.carry_out(f"{self._prefix}/arm/set_speed_limit", request)).message
+
+    async def pause(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Come to rest on the path, and wait there for :meth:`resume`."""
+        return await self._trigger("/arm/pause", timeout_s)
+
+    async def resume(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Go on after a pause."""
+        return await self._trigger("/arm/resume", timeout_s)
+
+    async def step_back(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
+        """Go back along the path, at most to its start, and wait there."""
+        return await self._trigger("/arm/step_back", timeout_s)
 
     async def stop(self, timeout_s: float = SWITCH_TIMEOUT_S) -> str:
         """Stop the arm along its path, and end the goals of all clients; return when the arm stands still.
@@ -288,17 +415,13 @@ class AsyncArm:
         return self.connection.subscribe(f"{self._prefix}{topic}", message_class, rate_hz, length, timeout_s)
 
     async def _trigger(self, service: str, timeout_s: float) -> str:
-        answer = await self.call(service, TriggerRequest(), timeout_s)
-        if not answer.success:
-            raise refusal(answer.message)
-        return answer.message
+        return (await self.connection.carry_out(f"{self._prefix}{service}", TriggerRequest(), timeout_s)).message
 
     async def _latched(self, topic: str) -> str:
         async with self.connection.subscribe(topic, String) as texts:
             return (await texts.__anext__()).data
 
     async def _named_rad(self, name: str) -> dict[str, float]:
-        states = json.loads(await self._latched("/named_states"))
-        # The server ignores case and blanks as well; an unknown name is refused by the server, with a suggestion.
-        found = states.get(name) or states.get(name.strip().lower()) or {"joints": {}}
-        return {joint: float(position) for joint, position in found["joints"].items()}
+        states = await self.named_states.all()
+        # The server ignores case and blanks as well; it refuses an unknown name with a suggestion.
+        return states.get(name) or states.get(name.strip().lower()) or {}

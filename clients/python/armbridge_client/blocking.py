@@ -105,15 +105,19 @@ class iterating(Generic[A, P, T]):  # noqa: N801 - used as a decorator
 
     def __get__(self, face: Face[A], owner: type[Face[A]]) -> Callable[P, Iterator[T]]:
         @functools.wraps(self._method)
-        def iterate(*arguments: P.args, **named: P.kwargs) -> Iterator[T]:
-            values = self._method(face.asynchronous, *arguments, **named)
-            try:
-                while (value := face.loop.run(_next(values))) is not _End.END:
-                    yield value
-            finally:
-                face.loop.run(values.aclose())  # type: ignore[attr-defined]
+        def begin(*arguments: P.args, **named: P.kwargs) -> Iterator[T]:
+            return iterate(face.loop, self._method(face.asynchronous, *arguments, **named))
 
-        return iterate
+        return begin
+
+
+def iterate(loop: LoopThread, values: AsyncIterator[T]) -> Iterator[T]:
+    """Go over an asynchronous generator, and close it at the end."""
+    try:
+        while (value := loop.run(_next(values))) is not _End.END:
+            yield value
+    finally:
+        loop.run(values.aclose())  # type: ignore[attr-defined]
 
 
 async def _next(values: AsyncIterator[T]) -> T | Literal[_End.END]:

@@ -79,7 +79,7 @@ class Address:
         return connect(
             urlunsplit(parts._replace(query=query)),
             additional_headers={"Authorization": f"Bearer {self.token}"} if self.token else None,
-            ssl=self.tls if parts.scheme == "wss" else None,
+            ssl=(self.tls or True) if parts.scheme == "wss" else None,
             compression=None,
             open_timeout=None,
             close_timeout=CLOSE_TIMEOUT_S,
@@ -149,11 +149,11 @@ class Connection:
         self._feedback: dict[str, Callable[[Mapping[str, Any]], None]] = {}
         # Sentences of the server about requests that have no answer, by the request's id; one a topic at most.
         self._complaints: dict[str, str] = {}
-        self._subscriptions: dict[str, dict[str, Any]] = {}
+        # Subscriptions by number and advertised topics by name, sent again on each connection.
+        self._registrations: dict[str, dict[str, Any]] = {}
         self._streams: dict[str, Stream[Any]] = {}
         self._ids = itertools.count(1)
         self._connected = asyncio.Event()
-        self._advertised: dict[str, dict[str, Any]] = {}
         self._keeper: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
         self.server = ServerInfo("", "", "")
@@ -203,9 +203,20 @@ class Connection:
         if not answer["result"]:
             raise refusal(str(answer["values"]))
         response: Response = from_wire(answer_class(type(request)), answer["values"])
-        # A scene that cannot be applied is answered without a sentence; the sentence comes as status before it.
+        # A scene that cannot be applied is answered without a sentence; the sentence comes as a status before it.
         if complaint and not getattr(response, "success", True):
             raise refusal(complaint)
+        return response
+
+    async def carry_out(self, service: str, request: Service[Response], timeout_s: float = CALL_TIMEOUT_S) -> Response:
+        """Call a service whose response has ``success``. As :meth:`call`.
+
+        Raises:
+            RequestRefused: the server refused the call, or the response has no success.
+        """
+        response = await self.call(service, request, timeout_s)
+        if not getattr(response, "success", True):
+            raise refusal(getattr(response, "message", "") or f"{service}: refused; the server's log has the reason")
         return response
 
     async def perform(
@@ -244,12 +255,6 @@ class Connection:
             raise refusal(str(answer["values"]))
         return answer["values"]
 
-    async def advertise(self, topic: str, message_class: type[Message]) -> None:
-        """Announce a topic of this client's own; the server knows its other topics. It survives a loss of the connection."""
-        operation = {"op": "advertise", "topic": topic, "type": message_class.TYPE}
-        self._advertised[topic] = operation
-        await within(CALL_TIMEOUT_S, self._send(operation), f"topic {topic}")
-
     async def publish(self, topic: str, message: Message) -> None:
         """Publish a message.
 
@@ -259,7 +264,12 @@ class Connection:
         complaint = self._complaints.pop(topic, None)
         if complaint is not None:
             raise refusal(complaint)
-        operation = {"op": "publish", "id": topic, "topic": topic, "type": message.TYPE, "msg": to_wire(message)}
+        if topic not in self._registrations:
+            # Kept with the subscriptions, so that it is sent again on the next connection.
+            advertise = {"op": "advertise", "id": topic, "topic": topic, "type": message.TYPE}
+            await within(CALL_TIMEOUT_S, self._send(advertise), f"topic {topic}")
+            self._registrations[topic] = advertise
+        operation = {"op": "publish", "id": topic, "topic": topic, "msg": to_wire(message)}
         await within(CALL_TIMEOUT_S, self._send(operation), f"topic {topic}")
 
     def subscribe(
@@ -281,12 +291,12 @@ class Connection:
 
     async def begin(self, operation: dict[str, Any], stream: Stream[Any]) -> None:
         """Subscribe; the subscription survives a loss of the connection."""
-        self._subscriptions[operation["id"]], self._streams[operation["id"]] = operation, stream
+        self._registrations[operation["id"]], self._streams[operation["id"]] = operation, stream
         await within(CALL_TIMEOUT_S, self._send(operation), f"topic {stream.topic}")
 
     def end(self, operation: Mapping[str, Any]) -> None:
         """End a subscription."""
-        if self._subscriptions.pop(operation["id"], None) is not None:
+        if self._registrations.pop(operation["id"], None) is not None:
             del self._streams[operation["id"]]
             self.send_soon({"op": "unsubscribe", "id": operation["id"], "topic": operation["topic"]})
 
@@ -341,18 +351,18 @@ class Connection:
             if error.response.status_code in UNAUTHENTICATED:
                 raise NotAuthenticated(f"{url}: {sentence}") from error
             raise NotArmbridge(f"{url}: {sentence}") from error
+        except ssl.SSLError as error:
+            raise ConnectError(f"{url}: TLS: {error}; pass tls= for a certificate of your own") from error
         except (InvalidURI, ValueError) as error:
             raise ConnectError(f"{url}: must be ws://HOST:PORT or wss://HOST:PORT: {error}") from error
         except (InvalidHandshake, EOFError) as error:
             raise NotArmbridge(f"{url}: the server does not speak WebSocket: {error}") from error
-        except ssl.SSLError as error:
-            raise ConnectError(f"{url}: TLS: {error}; pass tls= for a certificate of your own") from error
         except OSError as error:
             raise ServerUnreachable(f"no server answers at {url}: start one with armbridge serve ({error})") from error
         try:
             self.server = await self._identify(socket)
             await socket.send(json.dumps({"op": "set_level", "level": "warning"}))
-            for operation in (*self._advertised.values(), *self._subscriptions.values()):
+            for operation in self._registrations.values():
                 await socket.send(json.dumps(operation))
         except ConnectionClosed as error:
             raise self._lost(error) from error

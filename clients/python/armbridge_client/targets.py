@@ -53,6 +53,20 @@ class State:
     message: str = ""
 
 
+@dataclass(frozen=True)
+class Control:
+    """The client that controls the arm; an empty holder if the arm is free.
+
+    Attributes:
+        free_in_s: time until the arm is free without another request [s].
+        message: all of it in a sentence.
+    """
+
+    holder: str
+    free_in_s: float
+    message: str
+
+
 def pose(x: float, y: float, z: float, *, frame: str = "", orientation: Sequence[float] | None = None) -> PoseStamped:
     """Return a pose of the tip.
 

@@ -8,6 +8,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import ServerOnBus
+from server.access.authorization import Access
 from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
@@ -24,7 +25,7 @@ class Leased:
         self.busy: RunningGoal | None = None
         self.changes: list[str] = []
         self.lease = ControlLease(policy, 10.0, lambda: 1_000_000.0, lambda: self.busy)  # type: ignore[arg-type]
-        self.lease.watch(lambda: self.changes.append(str(self.lease.holder)))
+        self.lease.watchers.append(lambda: self.changes.append(str(self.lease.holder)))
         self.a, self.b = Node("a", remote=True), Node("b", remote=True)
 
 
@@ -41,6 +42,32 @@ def test_another_client_is_told_the_holder_the_time_and_how_control_becomes_free
         "/arm/release_control, or asks for nothing for another 9 s (access.control_idle_s = 10)"
     )
     assert leased.lease.holder is leased.a
+
+
+def test_answers_name_the_arm_and_are_true_for_the_next_client() -> None:
+    access = Access(
+        AccessSettings(), wall_clock=lambda: 1_000_000.0, arms={"left": lambda: None, "right": lambda: None}
+    )
+    whole, left, right = access.lease, access.leases_of_arms["left"], access.leases_of_arms["right"]
+    told: list[str] = []
+    left.watchers.append(lambda: told.append(left.sentence()))
+    a, b = Node("a", remote=True), Node("b", remote=True, identity=Identity("boss", Role.ADMIN))
+    assert left.drive(a, 0.0) is None
+    assert left.sentence() == whole.sentence() == "a controls the arm left"
+    assert right.sentence() == "nobody controls the arm right; the first who moves it does"
+    for lease in (left, whole):
+        assert "calls /left/arm/release_control, or" in (lease.drive(b, 1.0) or "")
+    left.release(a, 2.0)
+    assert whole.sentence() == "nobody controls all arms; the first who moves them does"
+    assert whole.drive(a, 3.0) is None
+    # The control of the left arm was not held, and is not free.
+    assert left.release(b, 4.0) is None
+    assert left.sentence() == right.sentence() == "a controls all arms"
+    whole.release(b, 5.0)
+    assert whole.sentence() == f"nobody controls all arms; for {RESERVED_S:g} s only b may take it"
+    whole.tick(5.0 + RESERVED_S)
+    free = "nobody controls the arm left; the first who moves it does"
+    assert told == ["a controls the arm left", free, "a controls all arms", free, free]
 
 
 def test_another_is_told_of_the_goal_that_runs_and_of_its_end(leased: Leased) -> None:

@@ -6,7 +6,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Awaitable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -16,16 +16,22 @@ from websockets.asyncio.server import ServerConnection, serve
 from harness.clients import arm_client
 from harness.server import ROOT, ServerOnBus, free_port
 from harness.waiting import until
-from server.datasets import camera_client
-from server.datasets.camera import NewestImage, TestPattern
+from server import publishing_client
+from server.datasets.camera import ImageSource, NewestImage, TestPattern
 from server.datasets.camera_client import CameraClient, CameraOptions
+from server.publishing_client import PublishedTopic
 from tests.server.datasets.test_camera import Scripted, opened
 
 TOPIC = "/camera/image/compressed"
 
 
-def options(url: str = "ws://127.0.0.1:1", token: str | None = None) -> CameraOptions:
-    return CameraOptions(url, TOPIC, token, 1000.0, None, 80, "wrist")
+def client_of(
+    source: ImageSource,
+    tell: Callable[[str], None] = lambda _: None,
+    url: str = "ws://nowhere",
+    token: str | None = None,
+) -> CameraClient:
+    return CameraClient(PublishedTopic(url, TOPIC, token), CameraOptions(1000.0, None, 80, "wrist"), source, tell)
 
 
 class HeldConnection:
@@ -52,12 +58,17 @@ class HeldConnection:
 class Publishing:
     """A client that publishes what a scripted source takes, on a connection whose pongs the test gives."""
 
-    def __init__(self, source: Scripted, **how: Any) -> None:
+    def __init__(self, source: Scripted, token: str | None = None) -> None:
         self.source, self.connection = source, HeldConnection()
-        self.client = CameraClient(options(**how), lambda _: None)
+        self.client = client_of(source, token=token)
         self.images = NewestImage(source, 0.0, self.client._arrived.set, wall_clock_ns=lambda: 5_000_000_007)
+        self.client.images = self.images
         self.images.start()
-        self.task = asyncio.create_task(self.client.publish(self.connection, self.images))
+        self.task = asyncio.create_task(self._publish())
+
+    async def _publish(self) -> None:
+        await self.client.announce(self.connection)
+        await self.client.publish(self.connection)
 
     async def pong(self, number: int) -> None:
         """Answer a ping, once it has come."""
@@ -99,9 +110,8 @@ async def test_an_image_has_stamp_frame_and_format() -> None:
 
 @pytest.mark.parametrize("turns", range(4))
 async def test_an_end_that_comes_together_with_an_image_is_not_lost(turns: int) -> None:
-    client = CameraClient(options(), lambda _: None)
-    images = NewestImage(Scripted(), 0.0, lambda: None)
-    publishing = asyncio.create_task(client.publish(HeldConnection(), images))
+    client = client_of(Scripted())
+    publishing = asyncio.create_task(client.publish(HeldConnection()))
     for _ in range(10):
         await asyncio.sleep(0)
     client._arrived.set()
@@ -115,14 +125,14 @@ async def test_an_end_that_comes_together_with_an_image_is_not_lost(turns: int) 
 @asynccontextmanager
 async def running(client: CameraClient) -> AsyncIterator[None]:
     """Run a client as long as the block lasts."""
-    task = asyncio.create_task(client.run(TestPattern(32)))
+    task = asyncio.create_task(client.run())
     yield
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
 
 
 async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> None:
-    monkeypatch.setattr(camera_client, "FIRST_DELAY_S", 0.01)
+    monkeypatch.setattr(publishing_client, "FIRST_DELAY_S", 0.01)
     told: list[str] = []
     connections: list[int] = []
 
@@ -137,7 +147,7 @@ async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> 
 
     async with serve(talk, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]
-        client = CameraClient(options(f"ws://127.0.0.1:{port}"), told.append)
+        client = client_of(TestPattern(32), told.append, f"ws://127.0.0.1:{port}")
         async with running(client):
             await until(lambda: len(connections) >= 3)
     assert sum("not so" in sentence for sentence in told) == 1
@@ -145,10 +155,10 @@ async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> 
 
 
 async def test_it_waits_longer_each_time_for_a_server_that_is_not_there(monkeypatch: Any) -> None:
-    monkeypatch.setattr(camera_client, "FIRST_DELAY_S", 0.01)
-    monkeypatch.setattr(camera_client, "LAST_DELAY_S", 0.04)
+    monkeypatch.setattr(publishing_client, "FIRST_DELAY_S", 0.01)
+    monkeypatch.setattr(publishing_client, "LAST_DELAY_S", 0.04)
     told: list[str] = []
-    client = CameraClient(options(f"ws://127.0.0.1:{free_port()}"), told.append)
+    client = client_of(TestPattern(32), told.append, f"ws://127.0.0.1:{free_port()}")
     async with running(client):
         await until(lambda: len(told) >= 4)
     assert [sentence.rpartition(" in ")[2] for sentence in told[:4]] == ["0.01 s", "0.02 s", "0.04 s", "0.04 s"]

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ import pytest
 from planners.interface import Planners
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
+from robot.arm import Arm
+from robot.arm_group import ArmGroup
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.errors import RefusedError
@@ -64,6 +67,7 @@ class Read:
     state: ArmState
     state_age_s: float = 0.1
     state_max_age_s: float = METAL_MAX_AGE_S
+    name: str = ""
 
 
 @pytest.mark.parametrize(("state", "code", "words"), UNUSABLE.values(), ids=UNUSABLE.keys())
@@ -74,6 +78,21 @@ def test_an_arm_that_is_not_ready_names_reason_and_remedy(state: ArmState, code:
 
 
 HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
+RELAXED = ArmState(0.0, Mode.RELAXED, (), goal_rad=GOAL)
+
+
+def test_a_refusal_names_the_one_of_several_arms_that_is_not_ready() -> None:
+    arms = {name: (cast("Arm", Read(state, name=name)), ()) for name, state in STATES_OF_SEVERAL.items()}
+    refused = rejection(check_ready, ArmGroup(arms, ("leader",)))
+    sentence = "the arm right is relaxed: enable it by the service /right/arm/enable first"
+    assert (refused.code, refused.message) == (MoveItErrorCode.CONTROL_FAILED, sentence)
+    assert rejection(check_ready, Read(RELAXED, name="right")).message == sentence
+    faulty = rejection(check_ready, Read(UNUSABLE["fault"][0], name="right")).message
+    assert faulty.startswith("the arm right has a fault: joint elbow_flex is stalled")
+    assert faulty.endswith("The service that resets it is /right/arm/reset_fault.")
+
+
+STATES_OF_SEVERAL = {"leader": RELAXED, "left": HOLDING, "right": RELAXED}
 
 
 @pytest.mark.parametrize(("age_s", "max_age_s"), [(1.5, METAL_MAX_AGE_S), (5.5, SIMULATED_MAX_AGE_S)])

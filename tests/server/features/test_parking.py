@@ -17,6 +17,7 @@ from robot.arm import Arm
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
 from server.config import ArmSettings
 from server.errors import ConfigurationError
+from server.execution.monitors import CurrentState
 from server.execution.queue import GoalQueue
 from server.features.context import ArmContext
 from server.features.parking import CHECK_S, LastClient, Parking, rest_pose
@@ -69,9 +70,13 @@ class World:
         problems = ProblemBuilder(ROBOT, Frames(ROBOT, SceneState(ROBOT)), PlannerParameters(MoveItParameters()))
         context = SimpleNamespace(
             robot=ROBOT,
-            served=SimpleNamespace(settings=ArmSettings.model_validate({"on_server_lost": "park", **settings})),
+            served=SimpleNamespace(
+                name="", leads=False, settings=ArmSettings.model_validate({"on_server_lost": "park", **settings})
+            ),
             parameters=MoveItParameters(),
-            planning=SimpleNamespace(problems=problems, pool=self, scene_state=self),
+            planning=SimpleNamespace(
+                problems=problems, pool=self, scene_state=self, current=CurrentState(self.arm.as_arm, ROBOT)
+            ),
             goals=SimpleNamespace(queue=self),
             graph=LocalGraph(Graph(Registry.load())),
         )

@@ -15,7 +15,8 @@ import pytest
 from robot import logs
 from robot.messages import ArmState, Mode
 from server import cli
-from server.teleop.leader_client import IN_FLIGHT, LeaderClient, LeaderOptions, NewestSample
+from server.publishing_client import PublishedTopic
+from server.teleop.leader_client import IN_FLIGHT, LeaderClient, NewestSample
 
 TOPIC = "/leader/joint_states"
 
@@ -59,8 +60,9 @@ class Publishing:
 @pytest.fixture
 async def publishing() -> AsyncIterator[Publishing]:
     server, samples = SlowServer(), NewestSample()
-    client = LeaderClient(LeaderOptions("ws://nowhere", TOPIC, "secret-of-sixteen"), lambda _sentence: None)
-    task = asyncio.create_task(client.publish(server, samples))
+    client = LeaderClient(PublishedTopic("ws://nowhere", TOPIC, "secret-of-sixteen"), samples, lambda _sentence: None)
+    await client.announce(server)
+    task = asyncio.create_task(client.publish(server))
     yield Publishing(server, samples)
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):

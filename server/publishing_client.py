@@ -1,0 +1,138 @@
+"""Rosbridge client that publishes on one topic of a server elsewhere, on one connection after the other."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
+
+from server.lifecycle import stop_signals
+
+OPEN_TIMEOUT_S = 10.0
+
+# Times between two attempts to connect: doubled after each, up to the second.
+FIRST_DELAY_S, LAST_DELAY_S = 0.5, 5.0
+
+# What a server answers to a client that only publishes is short; each complaint is printed once.
+MAX_ANSWER_BYTES = 1_000_000
+MAX_COMPLAINTS = 20
+
+
+@dataclass(frozen=True)
+class PublishedTopic:
+    """Topic of a server at a URL; ``token`` is None where none is needed."""
+
+    url: str
+    topic: str
+    token: str | None
+
+
+class Connection(Protocol):
+    """Connection, as far as a client uses it."""
+
+    async def send(self, message: str) -> None:
+        """Send a frame."""
+
+    async def ping(self) -> Awaitable[float]:
+        """Send a ping; the returned future waits for its pong.
+
+        The pong shows that the server has read everything before the ping (RFC 6455, section 5.5.2).
+        """
+
+
+class PublishingClient(ABC):
+    """Client of a server that publishes on one topic.
+
+    Attributes:
+        published: number of messages that were published.
+    """
+
+    def __init__(self, target: PublishedTopic, type_name: str, tell: Callable[[str], None]) -> None:
+        self.published = 0
+        self._target = target
+        self._type_name = type_name
+        self._tell = tell
+        self._complaints: set[str] = set()
+
+    @property
+    def ended(self) -> bool:
+        """True when there is nothing more to publish."""
+        return False
+
+    @abstractmethod
+    async def publish(self, connection: Connection) -> None:
+        """Publish messages on a connection that was announced, until it or the messages end.
+
+        Raises:
+            WebSocketException: the connection has ended.
+            TimeoutError: the server takes no messages.
+        """
+
+    async def keep_connected(self) -> None:
+        """Publish until there is nothing more, and connect again after each end of a connection."""
+        url, delay_s = self._target.url, FIRST_DELAY_S
+        while not self.ended:
+            before = self.published
+            try:
+                async with connect(url, open_timeout=OPEN_TIMEOUT_S, max_size=MAX_ANSWER_BYTES) as websocket:
+                    self._tell(f"connected to {url}")
+                    listening = asyncio.create_task(self._listen(websocket))
+                    try:
+                        await self.announce(websocket)
+                        await self.publish(websocket)
+                    finally:
+                        listening.cancel()
+                        await asyncio.gather(listening, return_exceptions=True)
+            except (OSError, WebSocketException, TimeoutError) as error:
+                if self.published > before:
+                    delay_s = FIRST_DELAY_S
+                self._tell(f"{url}: {str(error) or type(error).__name__}; trying again in {delay_s:g} s")
+                await asyncio.sleep(delay_s)
+                delay_s = min(2.0 * delay_s, LAST_DELAY_S)
+
+    async def announce(self, connection: Connection) -> None:
+        """Show the token, and advertise the topic."""
+        if self._target.token is not None:
+            await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
+        operation = {"op": "advertise", "topic": self._target.topic, "type": self._type_name}
+        await connection.send(json.dumps(operation))
+
+    async def send(self, connection: Connection, message: dict[str, Any]) -> None:
+        """Publish one message."""
+        await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
+
+    async def _listen(self, frames: Any) -> None:
+        """Print the server's complaints, each sentence once."""
+        async for frame in frames:
+            with contextlib.suppress(ValueError):
+                complaint = _complaint(json.loads(frame))
+                if complaint and complaint not in self._complaints and len(self._complaints) < MAX_COMPLAINTS:
+                    self._complaints.add(complaint)
+                    self._tell(f"{self._target.url}: {complaint}")
+
+
+def _complaint(answer: Any) -> str:
+    """Return the sentence of a status message with an error or a warning; empty for anything else."""
+    if not isinstance(answer, dict) or answer.get("op") != "status" or answer.get("level") not in ("error", "warning"):
+        return ""
+    return str(answer.get("msg", ""))
+
+
+async def run_until_signal(work: Coroutine[Any, Any, None]) -> bool:
+    """Run some work to its end, or until SIGINT or SIGTERM; return True when a signal has ended it."""
+    ending, _hurry = stop_signals()
+    running, ended = asyncio.create_task(work), asyncio.create_task(ending.wait())
+    await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
+    for task in (running, ended):
+        task.cancel()
+    await asyncio.gather(ended, return_exceptions=True)
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+    return ending.is_set()

@@ -1,0 +1,214 @@
+"""Each way in which a connection fails has an exception of its own, whose text says what to do."""
+
+from __future__ import annotations
+
+import asyncio
+import http.server
+import json
+import socket
+import ssl
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.asyncio.server import ServerConnection, serve
+
+from armbridge_client import (
+    ConnectError,
+    ConnectionLost,
+    DeadlineExceeded,
+    NotArmbridge,
+    NotAuthenticated,
+    NotPermitted,
+    ServerUnreachable,
+    WrongVersion,
+    connect,
+    connect_async,
+)
+from armbridge_client.connection import Address, Connection
+from armbridge_client.messages import String, TriggerRequest
+from harness.server import FAST, RunningServer, free_port
+from server.access.certificates import CertificateFiles, ensure_certificate
+
+TOKENS = {
+    "ARMBRIDGE_ACCESS__VIEW_TOKENS__SCREEN": "v" * 24,
+    "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": "o" * 24,
+}
+
+
+@pytest.fixture(scope="module")
+def guarded() -> Iterator[RunningServer]:
+    with RunningServer(settings={**FAST, **TOKENS}) as running:
+        yield running
+
+
+class ScriptedServer:
+    """A rosbridge server on this loop whose answers are a function of the operation; drops clients on demand."""
+
+    def __init__(self, answer: Callable[[dict[str, Any]], dict[str, Any] | None]) -> None:
+        self._answer = answer
+        self.operations: list[dict[str, Any]] = []
+        self.clients: list[ServerConnection] = []
+
+    async def handle(self, client: ServerConnection) -> None:
+        self.clients.append(client)
+        async for text in client:
+            operation = json.loads(text)
+            self.operations.append(operation)
+            answer = self._answer(operation)
+            if answer is not None:
+                await client.send(json.dumps({"op": "service_response", "id": operation.get("id"), **answer}))
+
+
+def identity(version: str) -> dict[str, Any]:
+    names = json.dumps({"name": "me", "role": "admin", "version": version})
+    return {"service": "/arm/who_am_i", "result": True, "values": {"success": True, "message": names}}
+
+
+async def refused(answer: dict[str, Any]) -> ConnectError:
+    """The error of a connection to a server that answers the first call so."""
+    scripted = ScriptedServer(lambda _operation: answer)
+    async with serve(scripted.handle, "127.0.0.1", 0) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        with pytest.raises(ConnectError) as caught:
+            await connect_async(f"ws://127.0.0.1:{port}")
+    return caught.value
+
+
+def test_nothing_listens() -> None:
+    port = free_port()
+    with pytest.raises(ServerUnreachable, match=f"no server answers at ws://127.0.0.1:{port}: start one"):
+        connect(f"ws://127.0.0.1:{port}")
+
+
+@pytest.mark.parametrize("url", ["", "127.0.0.1:9090", "http://127.0.0.1:9090", "ws://", "ws://127.0.0.1:port"])
+def test_an_address_that_is_none(url: str) -> None:
+    with pytest.raises(ConnectError, match="must be ws://HOST:PORT or wss://HOST:PORT"):
+        connect(url)
+
+
+def test_a_server_that_never_answers_is_given_up_after_the_deadline() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(DeadlineExceeded, match="no answer"):
+        connect(f"ws://127.0.0.1:{silent.getsockname()[1]}", timeout_s=0.2)
+
+
+def test_a_web_server_is_not_armbridge() -> None:
+    with http.server.HTTPServer(("127.0.0.1", 0), http.server.BaseHTTPRequestHandler) as web:
+        threading.Thread(target=web.handle_request, daemon=True).start()
+        with pytest.raises(NotArmbridge):
+            connect(f"ws://127.0.0.1:{web.server_port}")
+
+
+@pytest.mark.parametrize(
+    "values",
+    ["Service /arm/who_am_i does not exist", {"success": True, "message": "alice"}, {"success": True}, None, 3],
+)
+async def test_another_rosbridge_server_is_not_armbridge(values: object) -> None:
+    error = await refused({"service": "/arm/who_am_i", "result": False, "values": values})
+    assert isinstance(error, NotArmbridge)
+
+
+async def test_another_version_names_the_client_to_install() -> None:
+    error = await refused(identity("9.7.1"))
+    assert isinstance(error, WrongVersion)
+    assert "pip install 'armbridge-client==9.7.*'" in str(error)
+
+
+@pytest.mark.parametrize("token", [None, "wrong" * 5])
+def test_a_token_that_is_missing_or_wrong(guarded: RunningServer, token: str | None) -> None:
+    with pytest.raises(NotAuthenticated, match="token"):
+        connect(guarded.url, token=token)
+
+
+def test_a_viewers_token_shows_and_stops_but_moves_nothing(guarded: RunningServer) -> None:
+    with connect(guarded.url, token="v" * 24) as viewer:
+        assert viewer.server.role == "view"
+        assert viewer.state().mode == "holding"
+        assert viewer.plan("home").duration_s >= 0.0
+        viewer.stop()
+        for refusing in (lambda: viewer.move_named("home"), viewer.enable, viewer.gripper.open):
+            with pytest.raises(NotPermitted, match="needs the role operate, this client has view"):
+                refusing()
+        with pytest.raises(NotPermitted):
+            viewer.named_states.save("mine")
+
+
+def test_an_operators_token_moves_but_saves_nothing(guarded: RunningServer) -> None:
+    with connect(guarded.url, token="o" * 24) as operator:
+        operator.move_named("ready")
+        with pytest.raises(NotPermitted, match="needs the role admin"):
+            operator.named_states.save("mine")
+
+
+async def test_requests_fail_and_streams_go_on_when_the_connection_breaks() -> None:
+    def answer(operation: dict[str, Any]) -> dict[str, Any] | None:
+        return identity("0.2.0") if operation.get("service") == "/arm/who_am_i" else None
+
+    scripted = ScriptedServer(answer)
+    async with serve(scripted.handle, "127.0.0.1", 0) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        connection = Connection(Address(f"ws://127.0.0.1:{port}"))
+        await connection.open()
+        async with connection.subscribe("/chat", TriggerRequest, timeout_s=20.0) as stream:
+            waiting = asyncio.create_task(connection.call("/slow", TriggerRequest()))
+            while not any(operation.get("service") == "/slow" for operation in scripted.operations):
+                await asyncio.sleep(0)
+            await scripted.clients[0].close(1011)
+            with pytest.raises(ConnectionLost, match="stops this client's motions"):
+                await waiting
+            with pytest.raises(ConnectionLost, match="not connected"):
+                await connection.call("/slow", TriggerRequest())
+            await connection.wait_connected()
+            assert [each["topic"] for each in scripted.operations if each["op"] == "subscribe"] == ["/chat", "/chat"]
+            await scripted.clients[1].send(json.dumps({"op": "publish", "topic": "/chat", "msg": {}}))
+            assert await stream.__anext__() == TriggerRequest()
+        await connection.close()
+
+
+async def test_a_slow_reader_of_a_stream_loses_the_oldest_messages() -> None:
+    scripted = ScriptedServer(lambda _operation: identity("0.2.0"))
+    async with serve(scripted.handle, "127.0.0.1", 0) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        connection = Connection(Address(f"ws://127.0.0.1:{port}"))
+        await connection.open()
+        async with connection.subscribe("/chat", String, length=3) as stream:
+            for number in range(1000):
+                message = {"op": "publish", "topic": "/chat", "msg": {"data": str(number)}}
+                await scripted.clients[0].send(json.dumps(message))
+            # The answer comes behind the messages.
+            await connection.call("/arm/who_am_i", TriggerRequest())
+            assert [(await stream.__anext__()).data for _ in range(3)] == ["997", "998", "999"]
+        await connection.close()
+
+
+def test_a_server_that_dies_during_a_motion_is_a_lost_connection() -> None:
+    with RunningServer(settings=FAST) as server, connect(server.url) as arm:
+
+        def on_progress(progress: Any) -> None:
+            if progress.state == "executing":
+                server.process.kill()
+
+        arm.move_named("home")
+        with pytest.raises(ConnectionLost, match="connection lost"):
+            arm.move("rest", speed=0.05, on_progress=on_progress)
+        with pytest.raises(ConnectionLost, match="not connected"):
+            arm.stop()
+        with pytest.raises(DeadlineExceeded):
+            arm.wait_connected(timeout_s=0.1)
+
+
+async def test_tls_sends_nothing_to_a_server_whose_certificate_is_unknown(tmp_path: Path) -> None:
+    files = CertificateFiles(tmp_path)
+    ensure_certificate(files, ["127.0.0.1"])
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(files.certificate, files.key)
+    scripted = ScriptedServer(lambda _operation: identity("0.2.0"))
+    async with serve(scripted.handle, "127.0.0.1", 0, ssl=context) as server:
+        url = f"wss://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}"
+        with pytest.raises(ConnectError, match=r"TLS: .*pass tls= for a certificate of your own"):
+            await connect_async(url, token="o" * 24)
+        assert scripted.clients == []
+        async with await connect_async(url, tls=ssl.create_default_context(cafile=files.authority)) as arm:
+            assert arm.server.role == "admin"

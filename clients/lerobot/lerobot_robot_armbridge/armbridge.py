@@ -9,6 +9,12 @@ import os
 import time
 from functools import cached_property
 
+from lerobot.cameras import make_cameras_from_configs
+from lerobot.robots import Robot
+from lerobot.types import RobotAction, RobotObservation
+from lerobot.utils.decorators import check_if_already_connected
+from lerobot.utils.errors import DeviceNotConnectedError
+
 from armbridge_client import ArmError
 from armbridge_client.messages import (
     Header,
@@ -19,35 +25,31 @@ from armbridge_client.messages import (
     Time,
     TriggerRequest,
 )
-from lerobot.cameras import make_cameras_from_configs
-from lerobot.robots import Robot
-from lerobot.types import RobotAction, RobotObservation
-from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 from lerobot_robot_armbridge.config_armbridge import ArmbridgeConfig
 from lerobot_robot_armbridge.link import ArmLink, Watch
 
 log = logging.getLogger(__name__)
 
-# Targets are sent this often between actions too: a servo holds its last goal, and the server brakes after 0.2 s of silence.
+# Targets are sent between actions too: a servo holds its last goal, and the server brakes after 0.2 s of silence.
 TARGET_PERIOD_S = 0.02
-# Sent targets move at most at this share of a joint's velocity limit: a step of more counts as a leader that jumps.
-TARGET_SPEED = 1.0
 # A policy that sends nothing for this long is taken for ended.
 SILENCE_S = 30.0
-# The first target is gone to by a planned motion; a second target starts it again after a pause.
 START_TIMEOUT_S = 10.0
 _NUMBERS = itertools.count(1)
 
 
 class ArmStopped(RuntimeError):
-    """The arm no longer follows: somebody stopped it, it has a fault, or another program moves it. Connect again to go on."""
+    """The arm no longer follows: somebody stopped it, or it has a fault, or another program moves it.
+
+    Connect again to go on.
+    """
 
 
 class Armbridge(Robot):
     """An arm on an armbridge server.
 
-    The first action after connecting is gone to by a planned motion; the ones after it are followed. The arm keeps its last
-    target between actions. A stop by anybody ends the following: the next action raises ArmStopped, and nothing moves.
+    The arm goes to the first action by a planned motion, and follows the actions after it. It keeps its last target
+    between actions. A stop by anybody ends the following: the next action raises ArmStopped, and nothing moves.
     """
 
     config_class = ArmbridgeConfig
@@ -81,7 +83,7 @@ class Armbridge(Robot):
         return self._link is not None and all(camera.is_connected for camera in self.cameras.values())
 
     @check_if_already_connected
-    def connect(self, calibrate: bool = True) -> None:
+    def connect(self, calibrate: bool = True) -> None:  # noqa: ARG002 - lerobot's signature
         """Connect to the server and to the cameras; nothing moves. The arm is calibrated at the server."""
         self._link = ArmLink(self.config)
         for camera in self.cameras.values():
@@ -99,16 +101,13 @@ class Armbridge(Robot):
     def configure(self) -> None:
         """Do nothing: the server configures the servos."""
 
-    @check_if_not_connected
     def get_observation(self) -> RobotObservation:
         """Return the newest measured positions, and the newest image of each camera."""
-        assert self._link is not None
-        observation: RobotObservation = dict(self._link.positions())
+        observation: RobotObservation = dict(self._connected.positions())
         for name, camera in self.cameras.items():
             observation[name] = camera.read_latest()
         return observation
 
-    @check_if_not_connected
     def send_action(self, action: RobotAction) -> RobotAction:
         """Have the arm follow a target.
 
@@ -119,29 +118,33 @@ class Armbridge(Robot):
             ArmStopped: the arm no longer follows.
             ValueError: a joint is missing, or its value is no finite number.
         """
-        assert self._link is not None
-        target_rad = self._link.in_rad(action)
+        link = self._connected
+        target_rad = link.in_rad(action)
         if self._following is None:
-            self._following = Following(self._link, target_rad)
+            self._following = Following(link, target_rad)
         else:
             self._following.go_to(target_rad)
-        return self._link.in_units(self._following.commanded_rad())
+        return link.in_units(self._following.commanded_rad())
 
-    @check_if_not_connected
     def disconnect(self) -> None:
         """End the following softly, and disconnect; the arm holds."""
-        assert self._link is not None
+        link = self._connected
         try:
             if self._following is not None:
                 self._following.end()
         except ArmError as error:
             log.warning("the following did not end by itself: %s", error)
         finally:
-            self._following = None
-            self._link.arm.close()
-            self._link = None
+            self._following = self._link = None
+            link.arm.close()
             for camera in self.cameras.values():
                 camera.disconnect()
+
+    @property
+    def _connected(self) -> ArmLink:
+        if self._link is None:
+            raise DeviceNotConnectedError(f"{self} is not connected: call connect() first")
+        return self._link
 
 
 class Following:
@@ -199,11 +202,12 @@ class Following:
         request = StartTeleopRequest(follower=self._name, leader=self._topic)
         try:
             response = await self._connection.call("/teleop/start", request, START_TIMEOUT_S)
-            if not response.success:
-                raise ArmStopped(response.message)
         except BaseException:
             self._sending.cancel()
             raise
+        if not response.success:
+            self._sending.cancel()
+            raise ArmStopped(response.message)
 
     async def _end(self) -> None:
         self._sending.cancel()
@@ -227,8 +231,9 @@ class Following:
                     self._stopped = str(error)
 
     async def _send(self) -> None:
+        # A target moves no faster than its joint can: the server takes a jump for a leader that is not to be followed.
         for joint, target in self._target_rad.items():
-            step = self._link.speed_rad_s[joint] * TARGET_SPEED * TARGET_PERIOD_S
+            step = self._link.speed_rad_s[joint] * TARGET_PERIOD_S
             sent = self._sent_rad[joint]
             self._sent_rad[joint] = sent + min(max(target - sent, -step), step)
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)

@@ -6,13 +6,15 @@ from typing import Any
 
 import cv2
 import numpy as np
+from lerobot.cameras import Camera
+from lerobot.utils.decorators import check_if_already_connected
+from lerobot.utils.errors import DeviceNotConnectedError
+from numpy.typing import NDArray
+
 from armbridge_client import Arm, connect
 from armbridge_client.messages import CompressedImage
-from lerobot.cameras import Camera
-from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 from lerobot_robot_armbridge.config_armbridge import ArmbridgeCameraConfig
 from lerobot_robot_armbridge.link import FIRST_MESSAGE_TIMEOUT_S, Watch
-from numpy.typing import NDArray
 
 
 class ArmbridgeCamera(Camera):
@@ -36,7 +38,7 @@ class ArmbridgeCamera(Camera):
         return []
 
     @check_if_already_connected
-    def connect(self, warmup: bool = True) -> None:
+    def connect(self, warmup: bool = True) -> None:  # noqa: ARG002 - lerobot's signature
         """Subscribe, and wait for the first image.
 
         Raises:
@@ -48,48 +50,52 @@ class ArmbridgeCamera(Camera):
         try:
             self._images = Watch(self._arm, self.config.topic, CompressedImage)
             height, width, _ = self._decode(self._images.latched()).shape
-            if (self.width or width, self.height or height) != (width, height):
-                raise ValueError(
-                    f"{self.config.topic}: its images have {width} x {height} pixels; width and height say "
-                    f"{self.width} x {self.height}"
-                )
-            self.width, self.height = width, height
+            self._check_size(width, height)
         except BaseException:
             self.disconnect()
             raise
 
-    @check_if_not_connected
     def read(self) -> NDArray[Any]:
         """Return the next image."""
         return self.async_read(timeout_ms=1000.0 * FIRST_MESSAGE_TIMEOUT_S)
 
-    @check_if_not_connected
     def async_read(self, timeout_ms: float = 200.0) -> NDArray[Any]:
         """Return the newest image that was not read yet.
 
         Raises:
             TimeoutError: no new image came in time.
         """
-        assert self._images is not None
-        newest = self._images.after(self._read, timeout_ms / 1000.0)
+        newest = self._connected.after(self._read, timeout_ms / 1000.0)
         self._read = newest.number
         return self._decode(newest.message)
 
-    @check_if_not_connected
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
         """Return the newest image.
 
         Raises:
             TimeoutError: it is older than ``max_age_ms``.
         """
-        assert self._images is not None
-        return self._decode(self._images.newest(max_age_ms / 1000.0))
+        return self._decode(self._connected.newest(max_age_ms / 1000.0))
 
     def disconnect(self) -> None:
         """Close the connection."""
         if self._arm is not None:
             self._arm.close()
         self._arm = self._images = None
+
+    def _check_size(self, width: int, height: int) -> None:
+        if (self.width or width, self.height or height) != (width, height):
+            raise ValueError(
+                f"{self.config.topic}: its images have {width} x {height} pixels; width and height say "
+                f"{self.width} x {self.height}"
+            )
+        self.width, self.height = width, height
+
+    @property
+    def _connected(self) -> Watch[CompressedImage]:
+        if self._images is None:
+            raise DeviceNotConnectedError(f"the camera on {self.config.topic} is not connected: call connect() first")
+        return self._images
 
     def _decode(self, message: CompressedImage) -> NDArray[Any]:
         image = cv2.imdecode(np.frombuffer(bytes(message.data), dtype=np.uint8), cv2.IMREAD_COLOR)

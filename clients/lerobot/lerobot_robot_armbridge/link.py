@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, connect
 from armbridge_client.messages import DiagnosticStatus, JointState, KinematicSolverInfo
@@ -15,14 +14,12 @@ from armbridge_client.wire import Message
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
 from lerobot_robot_armbridge.units import Units, units_of
 
-M = TypeVar("M", bound=Message)
-
 FIRST_MESSAGE_TIMEOUT_S = 5.0
 NEWEST_AT_MOST_S = 1.0
 
 
 @dataclass(frozen=True)
-class Newest(Generic[M]):
+class Newest[M: Message]:
     """The newest message of a topic, and its number."""
 
     message: M
@@ -30,7 +27,7 @@ class Newest(Generic[M]):
     at_s: float
 
 
-class Watch(Generic[M]):
+class Watch[M: Message]:
     """Keeps the newest message of a topic, from its construction until the connection ends.
 
     Raises:
@@ -53,7 +50,9 @@ class Watch(Generic[M]):
         newest = self._newest
         age_s = time.monotonic() - newest.at_s if newest is not None else float("inf")
         if newest is None or age_s > at_most_s:
-            raise TimeoutError(f"{self.topic}: the last message came {age_s:.1f} s ago; at most {at_most_s:g} s are taken")
+            raise TimeoutError(
+                f"{self.topic}: the last message came {age_s:.1f} s ago; at most {at_most_s:g} s are taken"
+            )
         return newest.message
 
     def latched(self) -> M:
@@ -70,9 +69,7 @@ class Watch(Generic[M]):
 
     async def _begin(self, message_class: type[M]) -> None:
         connection = self._arm.asynchronous.connection
-        stream = await connection.subscribe(
-            self.topic, message_class, timeout_s=FIRST_MESSAGE_TIMEOUT_S
-        ).__aenter__()
+        stream = await connection.subscribe(self.topic, message_class, timeout_s=FIRST_MESSAGE_TIMEOUT_S).__aenter__()
         self._keep(await stream.__anext__())
 
         async def keep() -> None:
@@ -115,9 +112,7 @@ class ArmLink:
             limits = Watch(self.arm, f"{self.prefix}/arm/joint_limits", KinematicSolverInfo).latched().limits
             self.limits_rad = {each.joint_name: (each.min_position, each.max_position) for each in limits}
             self.speed_rad_s = {each.joint_name: each.max_velocity for each in limits}
-            missing = [name for name in self.server_names.values() if name not in self.limits_rad]
-            if missing:
-                raise ValueError(f"joints: the server's arm has no {missing}; it has {sorted(self.limits_rad)}")
+            self._check_joints()
             state = Watch(self.arm, f"{self.prefix}/arm/state", DiagnosticStatus).latched()
             values = {each.key: each.value for each in state.values}
             self.units: Units = units_of(self.limits_rad, values, use_degrees=options.use_degrees)
@@ -125,6 +120,11 @@ class ArmLink:
         except BaseException:
             self.arm.close()
             raise
+
+    def _check_joints(self) -> None:
+        missing = [name for name in self.server_names.values() if name not in self.limits_rad]
+        if missing:
+            raise ValueError(f"joints: the server's arm has no {missing}; it has {sorted(self.limits_rad)}")
 
     def positions(self) -> dict[str, float]:
         """Return the newest position of each joint, in lerobot's units by lerobot's names.

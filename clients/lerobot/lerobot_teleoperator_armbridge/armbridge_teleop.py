@@ -6,7 +6,9 @@ from typing import Any
 
 from lerobot.teleoperators import Teleoperator
 from lerobot.types import RobotAction
-from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
+from lerobot.utils.decorators import check_if_already_connected
+from lerobot.utils.errors import DeviceNotConnectedError
+
 from lerobot_robot_armbridge.link import ArmLink
 from lerobot_teleoperator_armbridge.config_armbridge_teleop import ArmbridgeTeleopConfig
 
@@ -38,7 +40,7 @@ class ArmbridgeTeleop(Teleoperator):
         return self._link is not None
 
     @check_if_already_connected
-    def connect(self, calibrate: bool = True) -> None:
+    def connect(self, calibrate: bool = True) -> None:  # noqa: ARG002 - lerobot's signature
         """Connect to the server; nothing moves."""
         self._link = ArmLink(self.config, self.config.topic)
 
@@ -53,18 +55,20 @@ class ArmbridgeTeleop(Teleoperator):
     def configure(self) -> None:
         """Do nothing: the server configures the servos."""
 
-    @check_if_not_connected
     def get_action(self) -> RobotAction:
         """Return the newest positions."""
-        assert self._link is not None
-        return dict(self._link.positions())
+        return dict(self._connected.positions())
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Do nothing: no force comes back."""
 
-    @check_if_not_connected
     def disconnect(self) -> None:
         """Close the connection."""
-        assert self._link is not None
-        self._link.arm.close()
-        self._link = None
+        link, self._link = self._connected, None
+        link.arm.close()
+
+    @property
+    def _connected(self) -> ArmLink:
+        if self._link is None:
+            raise DeviceNotConnectedError(f"{self} is not connected: call connect() first")
+        return self._link

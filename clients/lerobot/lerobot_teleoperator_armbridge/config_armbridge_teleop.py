@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lerobot.teleoperators import TeleoperatorConfig
+
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
 
 

@@ -97,7 +97,7 @@ pictures: install-dev page
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/ros2/.tried
+test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
 	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
 build/compas_fab/.installed:
@@ -108,6 +108,11 @@ build/compas_fab/.installed:
 build/ros_mcp/.installed:
 	$(PYTHON) -m venv build/ros_mcp
 	build/ros_mcp/bin/python -m pip --disable-pip-version-check install --quiet $(ROS_MCP)
+	touch $@
+
+build/mcp/.installed: clients/python/pyproject.toml clients/mcp/pyproject.toml
+	$(PYTHON) -m venv build/mcp
+	build/mcp/bin/python -m pip --disable-pip-version-check install --quiet --editable clients/python --editable clients/mcp
 	touch $@
 
 # ROS 2 from its packages for pip, which not every Python and machine has; the tests say so then.

@@ -11,12 +11,52 @@ from __future__ import annotations
 
 import functools
 import re
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, TypeAlias
 
 from protocol import values
 from protocol.registry import Field, MessageType, Registry
-from protocol.ros1_log import ROS1_TYPE, ROS2_TYPE, log_from_ros1, log_to_ros1
+
+# Log messages: ROS 1 has a header in place of the stamp, names the node's topics, and counts the levels otherwise
+# (rosgraph_msgs/msg/Log.msg, rcl_interfaces/msg/Log.msg).
+ROS1_LOG_TYPE, ROS2_LOG_TYPE = "rosgraph_msgs/msg/Log", "rcl_interfaces/msg/Log"
+
+# DEBUG, INFO, WARN, ERROR and FATAL.
+_ROS2_LEVELS, _ROS1_LEVELS = (10, 20, 30, 40, 50), (1, 2, 4, 8, 16)
+
+# Fields that both have.
+_COMMON = ("name", "msg", "file", "function", "line")
+
+
+def _log_to_ros1(message: Mapping[str, Any]) -> dict[str, Any]:
+    """Spell a complete rcl_interfaces/msg/Log as ROS 1 does; a level between two counts as the lower one."""
+    stamp, place = message["stamp"], bisect_right(_ROS2_LEVELS, message["level"])
+    return {
+        "header": {"seq": 0, "stamp": {"secs": stamp["sec"], "nsecs": stamp["nanosec"]}, "frame_id": ""},
+        "level": _ROS1_LEVELS[max(0, place - 1)],
+        **{name: message[name] for name in _COMMON},
+        "topics": [],
+    }
+
+
+def _log_from_ros1(message: Any) -> Any:
+    """Spell a rosgraph_msgs/Log as ROS 2 does; what cannot be understood is passed on for the validation to refuse."""
+    if type(message) is not dict:
+        return message
+    spelled = {name: value for name, value in message.items() if name not in ("header", "topics")}
+    header = message.get("header")
+    if header is not None:
+        stamp = header.get("stamp") if type(header) is dict else header
+        names = {"secs": "sec", "nsecs": "nanosec"}
+        spelled["stamp"] = (
+            {names.get(name, name): part for name, part in stamp.items()} if type(stamp) is dict else stamp
+        )
+    level = message.get("level")
+    if level in _ROS1_LEVELS:
+        spelled["level"] = _ROS2_LEVELS[_ROS1_LEVELS.index(level)]
+    return spelled
+
 
 Dialect: TypeAlias = Literal["ros2", "ros1"]
 
@@ -35,9 +75,9 @@ _RENAMED: Mapping[str, Mapping[str, str]] = {
 }
 
 # Types that ROS 1 calls otherwise. Times are primitives there; clients write the names of ROS 2 in two parts or three.
-_ROS1_TYPES = {
-    ROS2_TYPE: ROS1_TYPE,
-    "rcl_interfaces/Log": ROS1_TYPE,
+_ROS1_LOG_TYPES = {
+    ROS2_LOG_TYPE: ROS1_LOG_TYPE,
+    "rcl_interfaces/Log": ROS1_LOG_TYPE,
     "builtin_interfaces/msg/Time": "time",
     "builtin_interfaces/Time": "time",
     "builtin_interfaces/msg/Duration": "duration",
@@ -109,7 +149,7 @@ def _in_ros1(type_name: str) -> str:
     """Return the name under which the ROS 1 tables hold a type, if they do."""
     if type_name.startswith(_ROSAPI_OF_ROS2):
         return type_name.replace(_ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1, 1)
-    return _ROS1_TYPES.get(type_name, type_name)
+    return _ROS1_LOG_TYPES.get(type_name, type_name)
 
 
 def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | None]]:
@@ -125,8 +165,8 @@ def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | N
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
 def _to_ros1(registry: Registry, type_name: str) -> Translation:
-    if type_name == ROS2_TYPE:
-        return log_to_ros1
+    if type_name == ROS2_LOG_TYPE:
+        return _log_to_ros1
     ours = registry.message(type_name)
     pairs = _pair(ours, declared_in_ros1(registry, ours.name))
     plan = [
@@ -149,8 +189,8 @@ def _to_ros1(registry: Registry, type_name: str) -> Translation:
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
 def _from_ros1(registry: Registry, type_name: str) -> Translation:
-    if type_name == ROS2_TYPE:
-        return log_from_ros1
+    if type_name == ROS2_LOG_TYPE:
+        return _log_from_ros1
     ours = registry.message(type_name)
     pairs = _pair(ours, declared_in_ros1(registry, ours.name))
     names = {theirs.name: field.name if field else None for theirs, field in pairs}

@@ -260,10 +260,13 @@ class Arm(ArmClock):
         number = self._number(motion)
         return next((one for one in self.state.motions if one.motion_id == number), None)
 
-    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
-        """Begin a stream of velocity setpoints in the order of the joints, which stay at rest until the first."""
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
+        """Begin a stream of velocity setpoints in the order of the joints, which stay at rest until the first.
+
+        With ``gripping`` it ends well, with a grip, when a joint stalls.
+        """
         motion_id = next(self._ids)
-        ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch)))
+        ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch), gripping))
         stream = ArmStream(motion_id, joint_names, ended, self._process.send)
         self._streams[motion_id] = stream
         ended.add_done_callback(lambda _: self._streams.pop(motion_id, None))

@@ -211,12 +211,12 @@ class ArmGroup(ArmClock):
         begun = [one for one in moving if one is not None]
         return min(begun, key=lambda one: one.fraction) if begun and len(begun) == len(moving) else None
 
-    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
         """Begin a stream of velocity setpoints; raise OrderRefused for joints of several arms."""
         part = self.part(joint_names)
         if isinstance(part, ArmGroup):
             raise OrderRefused(f"a stream moves one arm, not {', '.join(part.states)}")
-        return part.stream(joint_names, epoch)
+        return part.stream(joint_names, epoch, gripping=gripping)
 
     async def end_streams(self, timeout_s: float) -> bool:
         """Bring every stream to rest; return True when all have ended within ``timeout_s``."""

@@ -163,6 +163,7 @@ class Stream:
     motion_id: int
     joint_names: tuple[str, ...]  # joints that follow, order of the setpoints
     epoch: int = 0
+    gripping: bool = False  # as in Execute
 
 
 @dataclass(frozen=True)

@@ -213,7 +213,9 @@ class ArmController:
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._reset_direction_if_idle()
-        self._motions.append(Streaming(command, self._names, self.bounds, self._goal_rad, self.pace.speed_limit))
+        streaming = Streaming(command, self._names, self.bounds, self._goal_rad, self.pace.speed_limit)
+        self._motions.append(streaming)
+        self._torque_limit[streaming.columns] = self._full_torque[streaming.columns]
         return None
 
     def steer(self, setpoint: Setpoint) -> None:

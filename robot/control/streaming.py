@@ -28,7 +28,6 @@ class Streaming:
     It begins where the arm holds, shape (joints,) [rad].
     """
 
-    gripping = False
     fraction = 0.0
     remaining_s = 0.0
     rate = 1.0
@@ -42,6 +41,7 @@ class Streaming:
         speed_limit: float = 1.0,
     ) -> None:
         self.command = command
+        self.gripping = command.gripping
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.joint_names])
         self._max_velocity = bounds.max_velocity[self.columns]
         self._speed_limit = speed_limit

@@ -7,6 +7,8 @@ taught, as fast as it was taught or slower where limits demand it, checked in th
 from __future__ import annotations
 
 import asyncio
+import functools
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,6 +31,8 @@ from server.moveit.requests.planning_problems import ProblemBuilder
 from server.teaching.motion_files import MotionFiles
 from server.teaching.services import CHECK_TIME_S
 from server.teaching.taught_motion import TaughtMotion, read_speed
+
+log = logging.getLogger("armbridge.teaching")
 
 NAME = "/replay_motion"
 TYPE = "armbridge_msgs/action/ReplayMotion"
@@ -83,14 +87,25 @@ class ReplayAction:
     async def _submit(self, goal: Goal) -> None:
         try:
             replay = Replay.of(goal.request)
-            motion = planned(replay, await self._motions.load(replay.name), self._robot, self._problems)
+            taught = await self._motions.load(replay.name)
+            motion = planned(replay, taught, self._robot, self._problems)
         except RefusedError as error:
             reject_goal(goal, self._queue, error.failure, result)
         except ServiceError as error:
             reject_goal(goal, self._queue, invalid(str(error)).failure, result)
         else:
             if not goal.ended:
-                submit_goal(goal, self._queue, motion, feedback, result)
+                submit_goal(goal, self._queue, motion, feedback, functools.partial(self._result, replay, taught))
+
+    def _result(self, replay: Replay, taught: TaughtMotion, answer: Answer) -> dict[str, Any]:
+        """Write the result, and log where the replay was slower than asked for."""
+        made = () if answer.performed is None else answer.performed.planned
+        if replay.reverse:
+            taught = taught.reversed()
+        slowed = taught.slowed(replay.speed, made[-1], self._robot) if made else ""
+        if slowed:
+            log.info("the replay of %r took %s", replay.name, slowed)
+        return result(answer, f"; it took {slowed}" if slowed else "")
 
 
 def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: ProblemBuilder) -> PlannedMotion:
@@ -132,10 +147,15 @@ def feedback(progress: Progress) -> Message:
     return {"state": progress.state.value, "fraction": progress.fraction, "remaining_s": progress.remaining_s}
 
 
-def result(answer: Answer) -> dict[str, Any]:
-    """Write the result of an answer; a motion of the goal that cannot be planned is called by what it is."""
+def result(answer: Answer, note: str = "") -> dict[str, Any]:
+    """Write the result of an answer; a motion of the goal that cannot be planned is called by what it is.
+
+    Args:
+        note: end of the sentence of a success.
+    """
     item = answer.details.get("item")
     if isinstance(item, int):
         answer = replace(answer, message=answer.message.removeprefix(f"items[{item}]: "))
-    message = "the arm has followed the motion" if answer.code is MoveItErrorCode.SUCCESS else answer.message
+    followed = f"the arm has followed the motion{note}"
+    message = followed if answer.code is MoveItErrorCode.SUCCESS else answer.message
     return {"error_code": code_message(replace(answer, message=message)), "message": message}

@@ -6,10 +6,13 @@ import asyncio
 import logging
 from typing import Any
 
+import numpy as np
+
 from planners.interface import Planners
 from planners.problem import Plan, PlanningFailure
 from robot.description.model import RobotModel
-from robot.messages import ArmState
+from robot.messages import ArmState, Mode
+from robot.trajectory import Vector
 from server.answers import Work, telling
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState, SceneSource
@@ -19,7 +22,6 @@ from server.graph.topics import Graph
 from server.moveit.poses import Message
 from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
 from server.teaching.motion_files import MotionFiles
-from server.teaching.recorder import TeachingRecorder, joints_to_teach
 from server.teaching.taught_motion import (
     MAX_DURATION_S,
     TaughtMotion,
@@ -36,7 +38,6 @@ BEGIN = "/teach/begin"
 END = "/teach/end"
 DISCARD = "/teach/discard"
 
-
 # Ten minutes of six joints are timed and checked in half a second on a quiet machine.
 CHECK_TIME_S = 10.0
 
@@ -50,6 +51,65 @@ _HELD_BY_HAND = "the arm is relaxed, and nothing compensates its weight: hold it
 _DRIVEN = (
     "the arm is driven: its commanded positions are recorded; /arm/relax lets a hand move it, which has to hold it"
 )
+
+# The arm's states come at most at this rate; of more the rest is left out.
+MAX_RATE_HZ = 100.0
+
+
+class TeachingRecorder:
+    """Recording of some joints: of the arm's measured positions while it is relaxed, else of its commanded ones.
+
+    Time is the control loop's, which a simulated arm on a busy machine does not outrun.
+    """
+
+    def __init__(self, name: str, joint_names: tuple[str, ...]) -> None:
+        self.name = name
+        self.joint_names = joint_names
+        self._time_s: list[float] = []
+        self._positions_rad: list[Vector] = []
+
+    @property
+    def duration_s(self) -> float:
+        """Time that has been recorded [s]."""
+        return self._time_s[-1] - self._time_s[0] if self._time_s else 0.0
+
+    @property
+    def points(self) -> int:
+        """Number of positions that have been recorded."""
+        return len(self._time_s)
+
+    @property
+    def samples(self) -> tuple[Vector, Vector]:
+        """Times, shape (n,) [s], and positions, shape (n, joints) [rad]."""
+        return np.array(self._time_s), np.array(self._positions_rad).reshape(len(self._time_s), len(self.joint_names))
+
+    def take_state(self, state: ArmState) -> str:
+        """Record a state; return the reason for which the recording ends with it, empty to go on."""
+        if state.fault is not None:
+            return f"the arm has a fault: {state.fault}"
+        if state.mode is Mode.DISCONNECTED or state.position_rad is None:
+            return f"the arm is not connected: {state.reason}" if state.reason else "the arm is not connected"
+        if self._time_s and state.clock_s < self._time_s[-1]:
+            return "the arm was started again"
+        if self._time_s and state.clock_s - self._time_s[-1] < 0.5 / MAX_RATE_HZ:
+            return ""
+        if self._time_s and state.clock_s - self._time_s[0] > MAX_DURATION_S:
+            return f"a recording lasts {MAX_DURATION_S:g} s at most"
+        held_rad = state.goal_rad if state.torque_enabled and state.goal_rad is not None else state.position_rad
+        self._time_s.append(state.clock_s)
+        self._positions_rad.append(held_rad[[state.joint_names.index(name) for name in self.joint_names]])
+        return ""
+
+
+def joints_to_teach(robot: RobotModel, group: str) -> tuple[str, ...]:
+    """Return the joints to record: a group's joints; without a name the default group's and the gripper's."""
+    if group:
+        if group not in robot.groups:
+            raise ServiceError(f"group: must be one of {', '.join(robot.groups)}, not {group[:80]!r}")
+        return robot.groups[group].joints
+    joints = robot.groups[robot.default_group].joints
+    gripper = robot.gripper.joints if robot.gripper is not None else ()
+    return (*joints, *(name for name in gripper if name not in joints))
 
 
 class Teaching:
@@ -210,11 +270,12 @@ class Teaching:
             speed = read_speed(request["speed"])
         except RefusedError as error:
             raise ServiceError(str(error)) from error
-        answer = await self._planned(await self._motions.load(request["name"]), speed)
+        motion = await self._motions.load(request["name"])
+        answer = await self._planned(motion, speed)
         if isinstance(answer, str):
             raise ServiceError(answer)
-        duration_s = answer.trajectory.duration_s
-        return {"success": True, "message": _touches_nothing(duration_s), "duration_s": duration_s}
+        message = self._touches_nothing(motion, speed, answer)
+        return {"success": True, "message": message, "duration_s": answer.trajectory.duration_s}
 
     async def _save(self, request: Message) -> dict[str, Any]:
         name = request["name"]
@@ -243,7 +304,12 @@ class Teaching:
 
     async def _checked(self, motion: TaughtMotion) -> str:
         answer = await self._planned(motion, 1.0)
-        return answer if isinstance(answer, str) else _touches_nothing(answer.trajectory.duration_s)
+        return answer if isinstance(answer, str) else self._touches_nothing(motion, 1.0, answer)
+
+    def _touches_nothing(self, motion: TaughtMotion, speed: float, plan: Plan) -> str:
+        text = f"it touches nothing, and a replay takes {plan.trajectory.duration_s:.2f} s"
+        slowed = motion.slowed(speed, plan.trajectory, self._robot)
+        return f"{text}, {slowed}" if slowed else text
 
     async def _planned(self, motion: TaughtMotion, speed: float) -> Plan | str:
         """Return the plan of a replay in the present scene, or why there is none."""
@@ -277,7 +343,3 @@ class Teaching:
                 "message": self._told,
             },
         )
-
-
-def _touches_nothing(duration_s: float) -> str:
-    return f"it touches nothing, and a replay takes {duration_s:.2f} s"

@@ -13,7 +13,7 @@ from planners.motions.spline import NaturalSpline
 from planners.problem import JointPathProblem
 from protocol.messages import Stamp
 from robot.description.model import RobotModel
-from robot.trajectory import Vector
+from robot.trajectory import Trajectory, Vector
 from server.errors import ServiceError
 from server.execution.motions import Positions
 from server.moveit.error_codes import invalid
@@ -49,6 +49,9 @@ BLEND_S = 0.2
 
 # The recording is brought to the rate of the arm's states before it is averaged.
 GRID_S = 0.02
+
+# A replay that takes so much longer than asked for is slower [s], and by this share of the motion.
+LEAST_LOST_S, LEAST_LOST = 0.3, 0.05
 
 # Digits of times and positions in files and messages: microseconds, and a thousandth of a servo's tick.
 DIGITS = 6
@@ -100,6 +103,36 @@ class TaughtMotion:
         ends = self.at(np.array([from_s, to_s]))
         positions = np.vstack((ends[:1], self.positions_rad[inside], ends[1:]))
         return rounded(TaughtMotion(self.joint_names, time_s - from_s, positions))
+
+    def slowed(self, speed: float, replay: Trajectory, robot: RobotModel) -> str:
+        """Describe where a replay, timed by planners, is slower than asked for; empty where it is not.
+
+        It names the second of the motion that takes longest, and the joint that would need most of its limits there.
+        """
+        lost_s = replay.duration_s - self.duration_s / speed
+        if lost_s < max(LEAST_LOST_S, LEAST_LOST * self.duration_s):
+            return ""
+        grid_s = np.linspace(0.0, self.duration_s, max(2, math.ceil(self.duration_s / GRID_S) + 1))
+        # Both go the same way: a point of the motion is where the replay has gone the same share of it.
+        taught, replayed = (_share_of_way(positions) for positions in (self.at(grid_s), replay.positions_rad))
+        reached_s = np.interp(taught, replayed, replay.time_s)
+        window = max(1, round(BLEND_S / GRID_S))
+        took_s = reached_s[window:] - reached_s[:-window] if len(grid_s) > window else reached_s[-1:] - reached_s[:1]
+        slowest = int(np.argmax(took_s))
+        # The replay brakes ahead of the place that the limits slow.
+        path, at_s = NaturalSpline(self.time_s, self.positions_rad), grid_s[max(slowest - window, 0) :][: 3 * window]
+        joints = [robot.joints[name] for name in self.joint_names]
+        # Velocity and acceleration at the speed that was asked for, as shares of the limits.
+        demands = (
+            speed * path(at_s, 1) / np.array([joint.max_velocity for joint in joints]),
+            speed**2 * path(at_s, 2) / np.array([joint.max_acceleration for joint in joints]),
+        )
+        kind, when, column = np.unravel_index(int(np.argmax(np.abs(demands))), np.shape(demands))
+        return (
+            f"{lost_s:.2f} s longer than asked for, most of all at {at_s[when]:.2f} s of the motion, where joint "
+            f"{self.joint_names[column]} would need {abs(demands[kind][when, column]):.1f} times its "
+            f"{('velocity', 'acceleration')[kind]} limit"
+        )
 
     def problem(self, before_rad: Positions, speed: float, allowed_time_s: float) -> JointPathProblem:
         """Return the problem for planners to time and to check it."""
@@ -202,6 +235,13 @@ def smoothed(
         kept.append(min(kept[-1] + steps, count - 1))
     mean = np.einsum("lt,ltj->tj", shares, np.array(averages))
     return TaughtMotion(joint_names, grid_s[kept], mean[kept])
+
+
+def _share_of_way(positions_rad: Vector) -> Vector:
+    """Return the share of its way that a motion has gone at each sample, 0 to 1."""
+    way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(positions_rad, axis=0)).sum(axis=1))))
+    share: Vector = way / max(way[-1], 1e-9)
+    return share
 
 
 def _average(column: Vector, half: int) -> Vector:

@@ -10,20 +10,32 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+import numpy as np
+
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
+from robot.messages import Outcome
+from robot.trajectory import Vector
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError
 from server.execution.goal import Answer, CancelScope, Goal
 from server.execution.monitors import check_ready
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
-from server.moveit.actions.gripper import Gripper, GripperCommand
+from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
-from server.teleop.following import STALE_S, Act, Following, Phase, TrackingLimits, tracking_velocities
+from server.teleop.following import (
+    STALE_S,
+    Act,
+    Following,
+    Phase,
+    TrackingLimits,
+    tracking_velocities,
+    tracking_velocity,
+)
 from server.teleop.joint_map import JointMap
 from server.teleop.leader import JitterBuffer, LeaderPose
 
@@ -35,8 +47,14 @@ PERIOD_S = 0.01
 # Share of the limits on the way to the leader: somebody holds the leader and watches.
 RAMP_SCALING = 0.3
 
-# The gripper follows in motions of this length at least, each of which ends before the next [rad].
+# Once it has gripped, or another client has moved it, the gripper follows again when its leader has gone so far [rad].
 GRIPPER_STEP_RAD = 0.02
+
+# Goals of the gripper are read a tick late, and its velocities take effect a tick later.
+GRIPPER_LATENCY_S = 0.02
+
+# A way to the leader that does not begin, because planners are slow or another motion is in the way, is given up [s].
+RAMP_BEGINS_WITHIN_S = 2.0
 
 # States are published as often as people read them [s].
 SHOWN_EVERY_S = 0.2
@@ -67,9 +85,10 @@ class Follower:
 
     @property
     def limits(self) -> dict[str, TrackingLimits]:
-        """Limits of the joints that are steered."""
+        """Limits of the joints that are steered, and of the gripper's."""
         scaling = self.setup.limits.velocity_scaling
-        joints = [self.robot.joints[name] for name in self.setup.joints]
+        fingers = () if self.gripper is None else self.gripper.joints
+        joints = [*(self.robot.joints[name] for name in self.setup.joints), *fingers]
         return {joint.name: TrackingLimits(scaling * joint.max_velocity, joint.max_acceleration) for joint in joints}
 
 
@@ -136,9 +155,12 @@ class FollowingSession:
         self._interrupted = ""
         self._warning = ""
         self._ramp: Goal | None = None
+        self._ramp_moved_s = 0.0
         self._gripper: asyncio.Task[None] | None = None
         self._gripper_claim: CancelScope | None = None
-        self._gripper_target_rad: float | None = None
+        # Position [rad or m] and velocity of the gripper's leader, and the former when the gripper stopped to follow.
+        self._gripper_lead = 0.0, 0.0
+        self._gripper_left_at: float | None = None
         self._read_at_s = clock()
         self._latency_s = self._lag_rad = 0.0
         # Set by a sample that is followed at once.
@@ -213,6 +235,11 @@ class FollowingSession:
             return str(error)
         if self.following.phase is Phase.FOLLOWING and (busy := self._queue.busy_with(follower.joints)):
             return f"the arm is in use: {busy}"
+        if self._ramp is not None and self._ramp.remaining_s is not None:
+            self._ramp_moved_s = now_s
+        if self._ramp is not None and now_s - self._ramp_moved_s > RAMP_BEGINS_WITHIN_S:
+            waits = "" if self._ramp.progress is None else f": {self._ramp.progress.message}"
+            return f"the follower has not set out for the leader within {RAMP_BEGINS_WITHIN_S:g} s{waits}"
         pose = self._samples.pose(now_s)
         return "" if pose is None else self._joints.beyond_range(pose.positions_rad)
 
@@ -230,12 +257,13 @@ class FollowingSession:
         if pose is None:
             return
         targets = self._joints.targets_rad(pose.positions_rad)
-        steered = {name: target for name, target in targets.items() if name in self._limits}
+        steered = {name: target for name, target in targets.items() if name in self._follower.setup.joints}
         if not steered:
             self.following.take_ramp_end("")
             return
         try:
             ramp = self._ramp = self._go_to(steered, RAMP_SCALING)
+            self._ramp_moved_s = now_s
         except RefusedError as error:
             self.following.take_ramp_end(str(error))
             return
@@ -256,13 +284,14 @@ class FollowingSession:
         if pose is None:
             return
         targets = self._joints.targets_rad(pose.positions_rad)
-        steered = {name: target for name, target in targets.items() if name in self._limits}
+        steered = {name: target for name, target in targets.items() if name in self._follower.setup.joints}
         goals = self._servo.positions_rad()
         if not goals:
             return
-        velocities = tracking_velocities(goals, steered, self._velocities(pose), self._limits, self._servo.latency_s)
+        leader_rad_s = self._velocities(pose)
+        velocities = tracking_velocities(goals, steered, leader_rad_s, self._limits, self._servo.latency_s)
         self._servo.set_command(JointVelocities(velocities), STALE_S)
-        self._follow_with_gripper(targets)
+        self._follow_with_gripper(targets, leader_rad_s)
         self._read_at_s = now_s - pose.latency_s
         self._lag_rad = max((abs(target - goals[name]) for name, target in steered.items()), default=0.0)
         self._show_targets(targets)
@@ -276,22 +305,32 @@ class FollowingSession:
             found[link.follower] = velocity if link.lower_rad < target < link.upper_rad else 0.0
         return found
 
-    def _follow_with_gripper(self, targets: Mapping[str, float]) -> None:
+    def _follow_with_gripper(self, targets: Mapping[str, float], leader_rad_s: Mapping[str, float]) -> None:
         gripper = self._follower.gripper
-        target_rad = None if gripper is None else targets.get(gripper.joints[0].name)
-        if gripper is None or target_rad is None or (self._gripper is not None and not self._gripper.done()):
+        name = "" if gripper is None else gripper.joints[0].name
+        if gripper is None or name not in targets:
             return
-        last_rad = self._gripper_target_rad
-        if last_rad is not None and abs(target_rad - last_rad) < GRIPPER_STEP_RAD:
+        self._gripper_lead = targets[name], leader_rad_s.get(name, 0.0)
+        if self._gripper is not None and not self._gripper.done():
             return
-        self._gripper_target_rad = target_rad
+        left_at = self._gripper_left_at
+        if left_at is not None and abs(targets[name] - left_at) < GRIPPER_STEP_RAD:
+            return
         claim = self._gripper_claim = gripper.claim()
-        self._gripper = asyncio.create_task(self._move(gripper, claim, target_rad), name="the gripper's following")
+        self._gripper = asyncio.create_task(self._steer_gripper(gripper, claim), name="the gripper's following")
 
-    async def _move(self, gripper: Gripper, claim: CancelScope, target_rad: float) -> None:
+    async def _steer_gripper(self, gripper: Gripper, claim: CancelScope) -> None:
+        limits = self._limits[gripper.joints[0].name]
+
+        def velocities(goals: Vector) -> Vector:
+            target, speed = self._gripper_lead
+            return np.array([tracking_velocity(target - goal, speed, limits, GRIPPER_LATENCY_S) for goal in goals])
+
         # A refusal is one of the whole arm, which the next tick finds.
         with contextlib.suppress(RefusedError):
-            await gripper.move(claim, GripperCommand(target_rad), lambda _reading: None)
+            ended = await gripper.follow(claim, velocities)
+            # After a pause of the server's own it goes on at once.
+            self._gripper_left_at = None if ended.outcome is Outcome.UNSTEERED else self._gripper_lead[0]
 
     def _brake(self) -> None:
         self._servo.release()
@@ -300,7 +339,7 @@ class FollowingSession:
             self._queue.cancel(ramp.goal_id, self.following.message)
         if self._gripper_claim is not None:
             self._gripper_claim.cancel(self.following.message)
-        self._gripper_target_rad = None
+        self._gripper_left_at = None
         self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
     async def _asked(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:

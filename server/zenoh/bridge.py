@@ -118,7 +118,7 @@ class Sharing:
         self._network = network
         graph = network.graph
         # Stops go across in both directions, whatever is listed.
-        offer = SharedNames(settings.offer, lambda name: rule_of_service(name, graph).stops)
+        self._offer = SharedNames(settings.offer, lambda name: rule_of_service(name, graph).stops)
         self._call = SharedNames(settings.call)
         self._subscribe = SharedNames(
             settings.subscribe,
@@ -127,11 +127,11 @@ class Sharing:
             never=lambda name: ACTION_PARTS in name and self._call.matches(name),
         )
         self._publish = SharedNames(
-            settings.publish, lambda name: name.endswith(STOPS) or (ACTION_PARTS in name and offer.matches(name))
+            settings.publish, lambda name: name.endswith(STOPS) or (ACTION_PARTS in name and self._offer.matches(name))
         )
         self._outgoing = OutgoingTopics(network, self._publish)
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)
-        self._offered = OfferedServices(network, offer, authorizer)
+        self._offered = OfferedServices(network, self._offer, authorizer)
         self._called = CalledServices(network, self._call)
         self._clock = clock
         self._seen: tuple[int, int, tuple[Entity, ...]] | None = None
@@ -175,13 +175,15 @@ class Sharing:
             self._entities = entities
             self._foreign = frozenset(each.endpoint.name for each in entities if self._is_foreign(each))
         self._outgoing.refresh(self._foreign)
-        self._offered.refresh()
+        self._offered.refresh(entities)
 
     def _is_relevant(self, entity: Entity) -> bool:
         """Return True for an entity that may be shared; called in a thread of zenoh."""
         name = self._network.namespace.to_local(entity.endpoint.name)
         if entity.kind is EntityKind.SERVICE:
             return self._call.matches(name)
+        if entity.kind is EntityKind.CLIENT:
+            return self._offer.matches(name)
         if entity.kind is EntityKind.PUBLISHER and self._subscribe.matches(name):
             return True
         return self._is_foreign(entity) and self._publish.matches(name)

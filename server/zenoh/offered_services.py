@@ -16,7 +16,7 @@ from server.graph.message_types import ReceivedMessage
 from server.graph.services import Response
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.offered_goals import GOAL_SERVICES, OfferedGoals
-from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, EntityKind
+from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind
 from server.zenoh.session import call_in_loop
 
 if TYPE_CHECKING:
@@ -113,9 +113,12 @@ class OfferedServices:
         self._lock = threading.Lock()
         self._in_progress = 0
 
-    def refresh(self) -> None:
-        """Offer the services that exist now, and no others."""
+    def refresh(self, entities: tuple[Entity, ...]) -> None:
+        """Offer the services that exist now, and no others; warn of clients that have another version of a type."""
         wanted = self._wanted()
+        for entity in entities:
+            if entity.kind is EntityKind.CLIENT and entity.endpoint not in wanted.values():
+                self._network.agrees(entity.endpoint, "srv")
         for name, service in list(self._services.items()):
             if wanted.get(name) != service.endpoint:
                 self._services.pop(name).close()

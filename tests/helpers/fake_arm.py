@@ -104,7 +104,7 @@ class FakeArm:
             return None
         return MotionProgress(1, self.state.fraction, self.state.remaining_s)
 
-    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
         if epoch is not None and epoch < self.last_stop:
             ended.set_result(MotionEnded(0, Outcome.STOPPED, STOPPED_SINCE))

@@ -41,6 +41,9 @@ log = logging.getLogger("armbridge.gripper")
 
 FEEDBACK_PERIOD_S = 0.1
 
+# A tick of the arm process.
+STEERING_PERIOD_S = 0.01
+
 # Of the arm's clock. A grip takes the goal back from behind the object, a step a tick: half a second for the whole way.
 SQUEEZE_TIMEOUT_S = 1.0
 SQUEEZE_PERIOD_S = 0.04
@@ -165,6 +168,29 @@ class Gripper:
             if claim.reason or is_stopped(self._arm.last_stop, claim.epoch):
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
             return await self._play(claim, command, report)
+
+    async def follow(self, claim: CancelScope, velocities: Callable[[Vector], Vector]) -> MotionEnded:
+        """Follow velocities until the claim is cancelled, or a finger stalls and so grips.
+
+        Args:
+            velocities: velocity of each finger for its goal, both of shape (joints,) [rad/s or m/s; rad or m].
+        """
+        async with self._turn:
+            if claim.reason or is_stopped(self._arm.last_stop, claim.epoch):
+                return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
+            check_ready(self._arm)
+            stream = self._arm.stream(self._names, epoch=claim.epoch, gripping=True)
+            awaited: tuple[asyncio.Future[Any], ...] = (stream.ended, claim.cancelled)
+            try:
+                while not stream.ended.done() and not claim.reason:
+                    goals = self._goals() if stream.commanded is None else stream.commanded.position_rad
+                    stream.steer(velocities(goals))
+                    await asyncio.wait(awaited, timeout=STEERING_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                self._arm.stop(stream.ended)
+            if not await self._arm.wait((stream.ended,), BRAKING_TIMEOUT_S):
+                return MotionEnded(0, Outcome.PROCESS_LOST, "the arm did not end the gripper's motion in time")
+            return stream.ended.result()
 
     def _stop_motion(self) -> None:
         if self._motion is not None and not self._motion.done():

@@ -212,13 +212,18 @@ def blocked(rig: Rig, ticks: int, joint: int = 0, load: float = 0.8) -> MotionEn
     return None
 
 
-def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque() -> None:
+@pytest.mark.parametrize("streamed", [False, True])
+def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque(*, streamed: bool) -> None:
     rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
     closing = smooth_move({"gripper": (1.5, 0.0)}, duration_s=2.0)
-    rig.controller.execute(Execute(1, closing, gripping=True, torque_share=0.8))
+    if streamed:
+        rig.controller.stream(Stream(1, ("gripper",), gripping=True))
+    else:
+        rig.controller.execute(Execute(1, closing, gripping=True, torque_share=0.8))
     object_rad = 0.8
     ended = None
     for _ in range(300):
+        rig.controller.steer(Setpoint(1, np.array([-0.8])))
         lag = np.zeros(6)
         lag[5] = max(0.0, object_rad - rig.controller.goal_rad[5])
         ended = rig.tick(lag=lag, load=[0, 0, 0, 0, 0, -0.45 if lag[5] > 0.05 else 0.0]) or ended

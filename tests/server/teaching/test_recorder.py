@@ -9,7 +9,7 @@ import pytest
 
 from robot.messages import ArmState, Mode
 from server.errors import ServiceError
-from server.teaching.recorder import TeachingRecorder, joints_to_teach
+from server.teaching.services import TeachingRecorder, joints_to_teach
 from server.teaching.taught_motion import MAX_DURATION_S
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import ROBOT, SEVEN

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import pytest
 from harness.waiting import until
 from planners.goals import JointGoal
 from planners.problem import JointPathProblem, MoveItErrorCode, PlanningFailure, PlanningProblem
+from robot.trajectory import Trajectory
 from server.execution.goal import Answer, GoalState, Progress
-from server.execution.motions import PlannedMotion
+from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import GoalStatus
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder
@@ -126,3 +128,17 @@ def test_a_refusal_says_where_without_the_number_of_the_step() -> None:
         MoveItErrorCode.INVALID_MOTION_PLAN, "items[2]: at 1.20 s of the motion would touch: crate", {"item": 2}
     )
     assert result(Answer.of(failure))["message"] == "at 1.20 s of the motion would touch: crate"
+
+
+async def test_a_replay_that_is_slower_says_where_in_its_result_and_in_the_log(
+    desk: Desk, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    await desk.send(NAME, name="wave")
+    await until(lambda: desk.asked)
+    slow = Trajectory(JOINTS, 2.0 * WAVE.time_s, POINTS, np.zeros_like(POINTS), np.zeros_like(POINTS))
+    desk.finish(Answer(MoveItErrorCode.SUCCESS, "there", performed=Performed({}, (slow,))))
+    await until(lambda: desk.results)
+    words = "took 3.00 s longer than asked for, most of all at"
+    assert words in desk.results[0].values["message"]
+    assert f"the replay of 'wave' {words}" in caplog.text

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from planners.motions.path_timing import time_along
 from planners.motions.spline import NaturalSpline
 from planners.problem import RateLimits
-from robot.trajectory import Vector
+from robot.trajectory import Trajectory, Vector
 from server.errors import RefusedError, ServiceError
 from server.teaching import taught_motion
 from server.teaching.taught_motion import (
@@ -79,12 +81,40 @@ def test_one_abrupt_start_leaves_the_rest_of_the_motion_smooth_and_as_fast_as_it
     positions[time_s > 3.0, 0] += 0.25
     made, away_rad = of_recording(NAMES, time_s, positions, ROBOT)
     assert away_rad <= TOLERANCE_RAD
-    limits = RateLimits.of([ROBOT.joints[name] for name in NAMES])
-    path = NaturalSpline(made.time_s, made.positions_rad)
-    replayed = time_along(path, NAMES, limits, np.ones(len(path.grid)))
-    assert replayed is not None
     # 30 s where the whole motion is as rough as its abrupt start.
-    assert replayed.duration_s < made.duration_s + 4.0
+    assert replay(made).duration_s < made.duration_s + 4.0
+
+
+def replay(made: TaughtMotion, speed: float = 1.0) -> Trajectory:
+    """Time a motion as planners do."""
+    limits = RateLimits.of([ROBOT.joints[name] for name in made.joint_names])
+    path = NaturalSpline(made.time_s, made.positions_rad)
+    timed = time_along(path, made.joint_names, limits, np.full(len(path.grid), speed))
+    assert timed is not None
+    return timed
+
+
+@pytest.mark.parametrize(("joint", "at_s"), [(0, 1.5), (0, 4.0), (1, 1.5), (1, 4.0)])
+def test_a_replay_that_is_slower_names_the_time_and_the_joint(joint: int, at_s: float) -> None:
+    time_s, positions = recording(6.0)
+    cut_s = time_s[moving(time_s, positions)[0]]
+    positions[time_s > at_s, joint] += 0.25
+    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
+    found = re.fullmatch(
+        r"(.*) s longer than asked for, most of all at (.*) s of the motion, where joint (.*) would need .* limit",
+        made.slowed(1.0, replay(made), ROBOT),
+    )
+    assert found is not None
+    assert float(found[1]) == pytest.approx(replay(made).duration_s - made.duration_s, abs=0.01)
+    assert float(found[2]) == pytest.approx(at_s - cut_s, abs=0.1)
+    assert found[3] == NAMES[joint]
+
+
+def test_a_replay_in_its_own_time_is_not_called_slower() -> None:
+    time_s, positions = recording(6.0)
+    made, _ = of_recording(NAMES, time_s, 0.5 * positions, ROBOT)
+    assert made.slowed(1.0, replay(made), ROBOT) == ""
+    assert made.slowed(0.5, replay(made, 0.5), ROBOT) == ""
 
 
 def test_rest_at_both_ends_is_cut_off_but_for_a_moment() -> None:

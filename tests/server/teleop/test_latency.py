@@ -58,7 +58,7 @@ class TickingArm(FakeArm):
         self.goals_rad: list[np.ndarray] = []
         self._streaming: Streaming | None = None
 
-    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None) -> ArmStream:
+    def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
         super().stream(joint_names, epoch)
         stream = ArmStream(len(self.streams), joint_names, self.streams[-1].ended, self._steer)
         self.streams[-1] = stream

@@ -11,7 +11,7 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
 from server.execution.executor import GoalExecutors
-from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
@@ -116,6 +116,24 @@ async def test_the_latency_counts_from_the_reading_to_the_planners_answer(rig: R
     await rig.until(lambda: len(rig.arm.setpoints) == 2)
     rig.session._tell()
     assert rig.told[-1].latency_s == pytest.approx(0.004 + PLANNING_S)
+    await rig.session.close()
+
+
+async def test_a_follower_that_does_not_set_out_for_the_leader_within_two_seconds_gives_up(rig: Rig) -> None:
+    waiting = Goal("1", GoalRequest("/goal"))
+    waiting.progress = Progress(GoalState.PLANNED, "waits for the motion of the other arm")
+    rig.session._go_to = lambda _positions, _scaling: waiting
+    rig.read(0.1)
+    rig.session.start()
+    await rig.until(lambda: rig.session._ramp is waiting)
+    for _ in range(41):
+        assert not rig.session.following.ended
+        rig.clock.advance(0.05)
+        rig.read(0.1)
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+    await rig.until(lambda: rig.session.following.ended)
+    assert "has not set out for the leader within 2 s: waits for the motion" in rig.session.following.message
     await rig.session.close()
 
 

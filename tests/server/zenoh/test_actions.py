@@ -174,6 +174,17 @@ async def test_goals_of_other_machines_need_their_role_and_the_control_of_the_ar
     assert "client has controlled the arm since" in caplog.text
 
 
+async def test_a_client_with_another_version_of_the_action_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    other = f"control_msgs::action::dds_::GripperCommand_SendGoal_/RIHS01_{'0' * 64}"
+    async with networked(offer=(GRIP,)) as (site, machine):
+        offered(site)
+        machine.announce("SC", f"{GRIP}/_action/get_result", dds(SERVICES["get_result"]))
+        machine.announce("SC", f"{GRIP}/_action/send_goal", other)
+        await until(lambda: "another version" in caplog.text)
+    assert caplog.text.count("another version") == 1
+    assert "/grip/_action/send_goal of another machine has another version of control_msgs/action/" in caplog.text
+
+
 async def test_results_are_kept_for_a_while_and_in_number(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(offered_goals, "MAX_GOALS", 1)
     monkeypatch.setattr(offered_goals, "ENDED_KEPT_S", 0.0)

@@ -1,0 +1,97 @@
+"""roslibpy's own tests, from its source distribution, against the server in both dialects and by both its transports.
+
+They are unchanged but for the port. The other libraries' packages have no tests in them: roslibjs (npm) and compas_fab
+(PyPI) run by scenarios of the same calls, in test_roslib.py and test_compas_fab.py. None of the three speaks raw TCP.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from harness.server import RunningServer
+
+PACKAGE = f"roslibpy=={metadata.version('roslibpy')}"
+
+# The port of which the tests make use.
+PORT = "9090"
+
+# The action that the tests expect beside the server, as in ROS's demos; goals above this order last until they are
+# cancelled.
+FIBONACCI = {"action": "/fibonacci", "type": "example_interfaces/action/Fibonacci"}
+SOON_DONE_ORDER = 4
+SUCCEEDED, CANCELED = 4, 5
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the tests."""
+    folder = tmp_path_factory.mktemp("roslibpy")
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", ":all:", PACKAGE]
+    loaded = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    if loaded.returncode != 0:
+        pytest.skip(f"PyPI cannot be reached: {loaded.stderr.strip().splitlines()[-1]}")
+    (archive,) = folder.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        opened.extractall(folder, filter="data")
+    (tests,) = folder.glob("*/tests")
+    return tests
+
+
+@contextmanager
+def fibonacci(url: str) -> Iterator[None]:
+    """Offer the action as a client."""
+    with connect(url) as websocket:
+        websocket.send(json.dumps({"op": "advertise_action", **FIBONACCI}))
+
+        def finish(goal_id: object, status: int, sequence: list[int]) -> None:
+            result = {"op": "action_result", "action": FIBONACCI["action"], "id": goal_id, "result": True}
+            websocket.send(json.dumps({**result, "status": status, "values": {"sequence": sequence}}))
+
+        def serve() -> None:
+            with suppress(ConnectionClosed):
+                for frame in websocket:
+                    operation = json.loads(frame)
+                    if operation["op"] == "cancel_action_goal":
+                        finish(operation["id"], CANCELED, [])
+                    elif operation["args"]["order"] <= SOON_DONE_ORDER:
+                        sequence = [0, 1]
+                        while len(sequence) <= operation["args"]["order"]:
+                            sequence.append(sequence[-1] + sequence[-2])
+                        finish(operation["id"], SUCCEEDED, sequence)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield
+    thread.join()
+
+
+@pytest.mark.parametrize("transport", ["twisted", "asyncio"])
+@pytest.mark.parametrize("version", ["1", "2"])
+def test_the_tests_of_roslibpy_pass(source: Path, version: str, transport: str, tmp_path: Path) -> None:
+    with RunningServer(settings={"ARMBRIDGE_SERVER__ROS_VERSION": version}) as server, fibonacci(server.url):
+        for path in (source / "conftest.py", *(source / f"ros{version}").glob("*.py")):
+            (tmp_path / path.name).write_text(path.read_text().replace(PORT, str(server.port)))
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "--rootdir", "."],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+            env={**os.environ, "ROSLIBPY_TRANSPORT": transport},
+        )
+    assert done.returncode == 0, done.stdout
+    assert "25 passed" in done.stdout

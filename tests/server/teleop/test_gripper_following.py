@@ -1,0 +1,100 @@
+"""The gripper of a follower: as near behind its leader as the joints of the arm.
+
+Server, supervisor and controller are the real ones, in stepped time; the joints are ideal.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Callable
+from contextvars import Context
+
+import numpy as np
+import pytest
+
+from robot.control.pacing import PERIOD_S
+from tests.helpers.arm_rig import NAMES
+from tests.helpers.stage import DEFAULTS, RigArm, inline_threads
+
+pytestmark = pytest.mark.stepped_time
+
+GRIPPER = NAMES.index("gripper")
+
+# To the leader, and into its rhythm [s].
+SETTLED_S = 1.5
+LAG_S = 0.1
+
+
+class Led:
+    """An arm that follows a topic.
+
+    Attributes:
+        goals_rad: goals of all joints, one each tick, each of shape (joints,).
+    """
+
+    def __init__(self) -> None:
+        self.arm = RigArm(DEFAULTS)
+        self.goals_rad: list[np.ndarray] = []
+
+    async def lead(self, seconds: float, gripper_rad: Callable[[float], float]) -> None:
+        """Lead by 50 samples a second, and note the goals meanwhile."""
+        loop = asyncio.get_running_loop()
+        began_s = loop.time()
+        while (at_s := loop.time() - began_s) < seconds:
+            whole = math.floor(at_s)
+            stamp = {"sec": 5 + whole, "nanosec": round((at_s - whole) * 1e9)}
+            position = [0.1, gripper_rad(at_s)]
+            sample = {"header": {"stamp": stamp}, "name": ["shoulder_pan", "gripper"], "position": position}
+            Context().run(self.arm.stage.publish, "/glove", "sensor_msgs/JointState", sample)
+            for _ in range(2):
+                await asyncio.sleep(PERIOD_S)
+                controller = self.arm.rig.supervisor._controller
+                assert controller is not None
+                self.goals_rad.append(controller.goal_rad)
+
+
+@pytest.fixture
+async def led(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Led]:
+    inline_threads(monkeypatch)
+    made = Led()
+    running = asyncio.create_task(made.arm.run())
+    await asyncio.sleep(0.1)
+    made.arm.stage.call("/teleop/start", leader="/glove")
+    yield made
+    await made.arm.stage.close()
+    running.cancel()
+
+
+async def test_the_gripper_follows_within_a_tenth_of_a_second(led: Led) -> None:
+    def opening(at_s: float) -> float:
+        return 0.7 - 0.5 * math.cos(2.0 * math.pi * 0.5 * at_s)
+
+    await led.lead(6.0, opening)
+    first = round(SETTLED_S / PERIOD_S)
+    goals = np.array(led.goals_rad)[first:, GRIPPER]
+    at_s = (np.arange(len(goals)) + first + 1) * PERIOD_S
+    behind = np.abs(goals - np.array([opening(each) for each in at_s]))
+    # At its fastest the leader goes this far in the time.
+    assert behind.max() < LAG_S * 0.5 * 2.0 * math.pi * 0.5
+    assert np.ptp(goals) > 0.9
+
+
+async def test_a_gripper_that_another_client_moved_follows_when_the_leader_moves_on(led: Led) -> None:
+    await led.lead(2.0, lambda _at_s: 0.5)
+    assert led.goals_rad[-1][GRIPPER] == pytest.approx(0.5, abs=0.01)
+    command = {"position": 1.0}
+    led.arm.stage.send("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command=command)
+    await led.lead(2.0, lambda _at_s: 0.5)
+    assert led.goals_rad[-1][GRIPPER] == pytest.approx(1.0, abs=0.01)
+    await led.lead(1.0, lambda _at_s: 0.6)
+    assert led.goals_rad[-1][GRIPPER] == pytest.approx(0.6, abs=0.01)
+
+
+async def test_a_stop_stops_the_gripper(led: Led) -> None:
+    await led.lead(2.0, lambda at_s: 0.2 + 0.2 * at_s)
+    led.arm.stage.call("/arm/stop")
+    await led.lead(0.3, lambda at_s: 0.6 + 0.2 * at_s)
+    held_rad = led.goals_rad[-1][GRIPPER]
+    await led.lead(1.0, lambda at_s: 0.66 + 0.2 * at_s)
+    assert led.goals_rad[-1][GRIPPER] == held_rad

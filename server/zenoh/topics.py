@@ -355,6 +355,6 @@ class IncomingTopics:
         refusal = self._authorizer.publishing(name, message.value if isinstance(message.value, dict) else {})
         if refusal is None:
             return False
-        self._network.graph.turn_away(self._network.node, name, message, refusal)
+        self._network.graph.reject_unauthorized(self._network.node, name, message, refusal)
         self._network.warn(refusal)
         return True

@@ -270,19 +270,19 @@ async def test_garbage_costs_a_warning_and_nothing_else(caplog: pytest.LogCaptur
 
 async def test_a_viewing_network_sends_no_goals_and_is_answered(caplog: pytest.LogCaptureFixture) -> None:
     port = free_port()
-    turned_away: list[str] = []
+    on_unauthorized: list[str] = []
     async with Site(port, subscribe=GOALS, role="view") as site:
         goals, stops = [], site.hear("/stop", "std_msgs/msg/Empty", site.part)
-        subscriber = Subscriber(goals.append, None, lambda _asked, _sender, reason: turned_away.append(reason))
+        subscriber = Subscriber(goals.append, None, lambda _asked, _sender, reason: on_unauthorized.append(reason))
         site.graph.subscribe(site.part, "/moveit_goal_named", STRING, subscriber)
         with RosMachine(port) as machine:
             await listening(machine)
             machine.publish("/moveit_goal_named", STRING, data="ready")
-            await until(lambda: turned_away)
+            await until(lambda: on_unauthorized)
             machine.publish("/stop", "std_msgs/msg/Empty")
             await until(lambda: stops)
     assert goals == []
-    assert "needs the role operate" in turned_away[0]
+    assert "needs the role operate" in on_unauthorized[0]
     assert [record.levelno for record in caplog.records if "needs the role" in record.message] == [logging.WARNING]
 
 

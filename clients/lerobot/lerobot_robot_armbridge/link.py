@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, connect
 from armbridge_client.messages import DiagnosticStatus, JointState, KinematicSolverInfo
@@ -14,12 +15,14 @@ from armbridge_client.wire import Message
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
 from lerobot_robot_armbridge.units import Units, units_of
 
+M = TypeVar("M", bound=Message)
+
 FIRST_MESSAGE_TIMEOUT_S = 5.0
 NEWEST_AT_MOST_S = 1.0
 
 
 @dataclass(frozen=True)
-class Newest[M: Message]:
+class Newest(Generic[M]):
     """The newest message of a topic, and its number."""
 
     message: M
@@ -27,7 +30,7 @@ class Newest[M: Message]:
     at_s: float
 
 
-class Watch[M: Message]:
+class Watch(Generic[M]):
     """Keeps the newest message of a topic, from its construction until the connection ends.
 
     Raises:

@@ -63,7 +63,10 @@ class OutgoingTopic:
         self.dropped += len(self._waiting) == MAX_WAITING
         self._waiting.append(published)
         if not self._submitted:
-            self._submitted = self._network.thread.submit(self._send)
+            # First, since the job may have been done when the call returns.
+            self._submitted = True
+            if not self._network.thread.submit(self._send):
+                self._submitted = False
 
     def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
         import zenoh.ext

@@ -205,7 +205,7 @@ class Session:
     async def _tip_at(self, names: list[str], positions: list[float]) -> tuple[float, float, float]:
         arm = await self.arm()
         state = RobotState(JointState(name=names, position=positions))
-        request = PositionFKRequest([await arm.tip_link()], state)
+        request = PositionFKRequest([arm.info.tip], state)
         answer = await arm.connection.call("/compute_fk", request)
         if not answer.pose_stamped:
             raise LimitError(f"the tip's position on the path is unknown: {answer.error_code.message}")

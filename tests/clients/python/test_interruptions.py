@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import threading
@@ -9,7 +10,7 @@ from types import FrameType
 
 import pytest
 
-from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect
+from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect, connect_async
 from harness.server import RunningServer
 
 PREEMPTED = -7
@@ -64,6 +65,7 @@ def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
     arm.move_named("home")
     with pytest.raises(DeadlineExceeded, match=r"not done within 0\.2 s"):
         arm.move_named("rest", speed=0.05, timeout_s=0.2)
+    arm.stop()
     assert arm.state().mode == "holding"
 
 
@@ -86,3 +88,21 @@ def test_a_closed_arm_refuses_everything(server: RunningServer) -> None:
     for request in (arm.stop, arm.state):
         with pytest.raises(ConnectionLost, match="has closed the connection"):
             request()
+
+
+async def test_a_signal_handler_of_the_event_loop_stops_the_arm(server: RunningServer) -> None:
+    loop = asyncio.get_running_loop()
+    async with await connect_async(server.url) as arm:
+        await arm.move_named("home")
+        loop.add_signal_handler(signal.SIGUSR1, arm.stop_soon)
+        try:
+            with pytest.raises(GoalRefused) as caught:
+                await arm.move("rest", speed=0.05, on_progress=lambda progress: signal_once(progress.state))
+        finally:
+            loop.remove_signal_handler(signal.SIGUSR1)
+        assert caught.value.code == PREEMPTED
+
+
+def signal_once(state: str) -> None:
+    if state == "executing":
+        os.kill(os.getpid(), signal.SIGUSR1)

@@ -6,6 +6,7 @@ import functools
 import itertools
 import logging
 import struct
+from typing import cast
 
 import pytest
 import zenoh
@@ -77,6 +78,19 @@ async def test_a_topic_that_nobody_publishes_any_more_is_taken_back() -> None:
             site.graph.unadvertise(site.client, "/news")
             await until(lambda: not machine.has_token("%news"))
         assert site.graph.subscribers("/news") == []
+
+
+async def test_a_topic_whose_message_is_sent_at_once_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with networked(publish=("/news",)) as (site, machine):
+        heard = machine.hear("/news", STRING)
+        site.graph.advertise(site.part, "/news", STRING)
+        await until(lambda: machine.has_token("%news"))
+        with monkeypatch.context() as patched:
+            # As where the session's thread is quicker than the event loop.
+            patched.setattr(site.bridge._thread, "submit", lambda job: job(cast("zenoh.Session", None)) is None)
+            for text in ("first", "second"):
+                site.graph.publish(site.part, "/news", {"data": text})
+        await until(lambda: len(heard) == 2)
 
 
 async def test_the_first_message_of_a_client_on_a_new_topic_is_not_lost() -> None:

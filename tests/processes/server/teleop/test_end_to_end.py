@@ -220,7 +220,7 @@ async def test_a_relaxed_follower_does_not_begin(client: ArmClient) -> None:
     assert (await client.call("/follower/arm/relax"))["success"]
     await client.until("/follower/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed", TIMEOUT_S)
     refused = await client.call("/teleop/start", follower="follower", leader="leader")
-    assert refused["message"].startswith("follower cannot follow: the arm is relaxed")
+    assert refused["message"].startswith("follower cannot follow: the arm follower is relaxed")
 
 
 @pytest.mark.parametrize(

@@ -96,13 +96,8 @@ pictures: install-dev page
 	$(BIN)/python -m pytest tests/page/test_pictures.py -n 0
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
-<<<<<<< HEAD
-# The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
-=======
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed
->>>>>>> main
+test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
 	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
 build/compas_fab/.installed:

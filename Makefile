@@ -150,7 +150,7 @@ bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)
 
 bench-planning: install-dev
-	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth
+	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth planning_passages
 
 campaign-planners: install-dev
 	mkdir -p build

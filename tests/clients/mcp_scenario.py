@@ -11,12 +11,14 @@ import asyncio
 import base64
 import json
 import os
+import socket
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import mcp.types as types
 from mcp import StdioServerParameters
 from mcp.client import Client
@@ -90,7 +92,7 @@ async def alone(url: str) -> dict[str, Any]:
         agent = Agent(client)
         agent.answers["tools"] = sorted(tool.name for tool in (await client.list_tools()).tools)
         await agent.call("no camera", "look")
-        async with camera(url):
+        async with latched_image(url):
             await agent.call("looked", "look")
             await agent.call("looked elsewhere", "look", camera="/camera/of\nanother")
         await agent.call("where", "where")
@@ -138,17 +140,17 @@ async def alone(url: str) -> dict[str, Any]:
 
 
 @asynccontextmanager
-async def camera(url: str) -> AsyncIterator[None]:
+async def latched_image(url: str) -> AsyncIterator[None]:
     """Publish an image, latched; it is there as long as the connection is."""
     image = {"format": "jpeg", "data": base64.b64encode(b"\xff\xd8\xff\xd9").decode()}
-    async with connect(url) as socket:
+    async with connect(url) as camera:
         for operation in (
             {"op": "advertise", "topic": CAMERA, "type": "sensor_msgs/msg/CompressedImage", "latch": True},
             {"op": "publish", "topic": CAMERA, "msg": image},
             {"op": "call_service", "service": "/rosapi/get_time"},
         ):
-            await socket.send(json.dumps(operation))
-        await socket.recv()
+            await camera.send(json.dumps(operation))
+        await camera.recv()
         yield
 
 
@@ -190,6 +192,39 @@ async def waiting_goal(person: Any) -> str:
     raise AssertionError("no goal waits")
 
 
+async def over_http(url: str) -> dict[str, Any]:
+    """Move over streamable HTTP; a page of another site is refused."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        port = found.getsockname()[1]
+    program = str(Path(sys.executable).with_name("armbridge-mcp"))
+    process = await asyncio.create_subprocess_exec(program, "--url", url, "--http", f"127.0.0.1:{port}")
+    try:
+        await until_listening(port)
+        async with Client(f"http://127.0.0.1:{port}/mcp", elicitation_callback=Person(), mode="legacy") as client:
+            agent = Agent(client)
+            await agent.call("moved", "move", named="ready")
+        async with httpx2.AsyncClient() as page:
+            headers = {"Origin": "https://evil.example", "Accept": "application/json, text/event-stream"}
+            answer = await page.post(f"http://127.0.0.1:{port}/mcp", json={}, headers=headers)
+        return {**agent.answers, "foreign": answer.status_code}
+    finally:
+        process.terminate()
+        await process.wait()
+
+
+async def until_listening(port: int) -> None:
+    async with asyncio.timeout(TIMEOUT_S):
+        while True:
+            try:
+                _, writer = await asyncio.open_connection("127.0.0.1", port)
+            except OSError:
+                await asyncio.sleep(0.05)
+            else:
+                writer.close()
+                return
+
+
 async def viewing(url: str) -> dict[str, Any]:
     """Look with a viewer's token."""
     async with started(url, person=Person()) as client:
@@ -213,5 +248,5 @@ async def dying(url: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    case = {"alone": alone, "proposing": proposing, "viewing": viewing, "dying": dying}[sys.argv[2]]
+    case = {"alone": alone, "proposing": proposing, "http": over_http, "viewing": viewing, "dying": dying}[sys.argv[2]]
     print(json.dumps(asyncio.run(case(sys.argv[1]))))

@@ -62,6 +62,22 @@ def answers() -> Iterator[dict[str, Any]]:
         yield end(begin(server, "alone"))
 
 
+@pytest.mark.parametrize("address", ["0.0.0.0:8000", "8000", "127.0.0.1:http"])
+def test_streamable_http_is_for_this_machine(address: str) -> None:
+    done = subprocess.run(
+        [str(PYTHON), "-m", "armbridge_mcp", "--http", address], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 1
+    assert "--http must be HOST:PORT with a host of this machine" in done.stderr
+
+
+def test_an_agent_moves_the_arm_over_streamable_http() -> None:
+    with RunningServer(settings=FAST) as server:
+        got = end(begin(server, "http"))
+    assert sentence(got["moved"]).startswith("Done.")
+    assert got["foreign"] == 403
+
+
 @pytest.fixture(scope="module")
 def guarded() -> Iterator[RunningServer]:
     with RunningServer(settings={**FAST, **TOKENS}) as server:

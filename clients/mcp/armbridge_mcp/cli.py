@@ -13,6 +13,9 @@ from armbridge_mcp.limits import Region
 from armbridge_mcp.session import Options
 from armbridge_mcp.tools import make_server
 
+# Whoever reaches the port of streamable HTTP has the token's role.
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+
 TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - a name
 
 
@@ -56,9 +59,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         server.run("stdio")
         return
     host, _, port = options.http.rpartition(":")
-    if not host or not port.isdigit():
-        sys.exit(f"--http must be HOST:PORT, not {options.http!r}")
-    server.run("streamable-http", host=host, port=int(port))
+    if host not in LOOPBACK or not port.isdigit():
+        hosts = ", ".join(LOOPBACK)
+        sys.exit(
+            f"--http must be HOST:PORT with a host of this machine ({hosts}), as it asks for no token: {options.http!r}"
+        )
+    server.run("streamable-http", host=host.strip("[]"), port=int(port))
 
 
 def _share(text: str) -> float:

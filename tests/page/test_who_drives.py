@@ -82,7 +82,7 @@ def test_who_may_only_look_sees_why_and_can_stop(browser: Browser, server: Runni
         assert page.page.url == f"http://127.0.0.1:{server.port}/"
         page.until_text("control", "Read only")
         page.part("named-home").click()
-        for test_id in ("plan", "plan-and-move", "gripper-open", "relax", "save", "pace", "speed-limit"):
+        for test_id in ("primary", "plan-and-move", "gripper-open", "relax", "save", "pace", "speed-limit"):
             assert page.part(test_id).is_disabled(), test_id
         page.shot("read_only")
         assert_stops(page)

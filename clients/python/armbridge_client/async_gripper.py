@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from armbridge_client.connection import Connection
-from armbridge_client.errors import ArmError
+from armbridge_client.errors import ArmError, GoalRefused
 from armbridge_client.messages import (
     GripperCommand,
     GripperCommandGoal,
     GripperCommandResult,
     KinematicSolverInfo,
+    MoveItErrorCode,
 )
 from armbridge_client.wire import from_wire
 
@@ -55,11 +56,16 @@ class AsyncGripper:
             force: share of the full motor duty, 0 to 0.5; 0 for the most that the server allows.
 
         Raises:
-            RequestRefused: the position is beyond the limits, a fault or a stop ended the motion.
+            GoalRefused: a stop, a cancel or another goal ended the motion.
+            RequestRefused: the position is beyond the limits, or a fault ended the motion.
         """
         goal = GripperCommandGoal(GripperCommand(float(position), float(force)))
         values = await self._connection.perform(f"{self._prefix}/gripper_controller/gripper_cmd", goal, timeout_s)
         result = from_wire(GripperCommandResult, values)
+        if not (result.reached_goal or result.stalled):
+            failed = MoveItErrorCode.PREEMPTED
+            sentence = f"the gripper was stopped at {result.position:.3f} by a stop, a cancel or another goal"
+            raise GoalRefused(failed.value, failed.name, sentence, {}, None)
         return Grip(result.position, result.stalled)
 
     async def range(self) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
 
 from armbridge_client.errors import (
+    ArmError,
     ConnectError,
     ConnectionLost,
     DeadlineExceeded,
@@ -424,7 +425,7 @@ class Connection:
                     log.error("%s", error)  # noqa: TRY400 - the sentence says all
                     self._lose(error, for_good=True)
                     return
-                except (ConnectError, asyncio.TimeoutError):
+                except (ArmError, asyncio.TimeoutError):
                     continue
 
     def _lose(self, error: Exception, *, for_good: bool) -> None:

@@ -175,8 +175,9 @@ async def test_requests_fail_and_streams_go_on_when_the_connection_breaks() -> N
         await connection.open()
         async with connection.subscribe("/chat", TriggerRequest, timeout_s=20.0) as stream:
             waiting = asyncio.create_task(connection.call("/slow", TriggerRequest()))
-            while not any(operation.get("service") == "/slow" for operation in scripted.operations):
-                await asyncio.sleep(0)
+            async with asyncio.timeout(20.0):
+                while not any(operation.get("service") == "/slow" for operation in scripted.operations):
+                    await asyncio.sleep(0)
             await scripted.clients[0].close(1011)
             with pytest.raises(ConnectionLost, match="stops this client's motions"):
                 await waiting
@@ -186,6 +187,27 @@ async def test_requests_fail_and_streams_go_on_when_the_connection_breaks() -> N
             assert [each["topic"] for each in scripted.operations if each["op"] == "subscribe"] == ["/chat", "/chat"]
             await scripted.clients[1].send(json.dumps({"op": "publish", "topic": "/chat", "msg": {}}))
             assert await stream.__anext__() == TriggerRequest()
+        await connection.close()
+
+
+async def test_a_server_that_closes_while_the_client_returns_is_tried_again() -> None:
+    def answer(operation: dict[str, Any]) -> dict[str, Any]:
+        # As a server that is shutting down: it takes the second connection, and closes it before it answers.
+        if len(scripted.clients) == 2:
+            scripted.clients[1].transport.abort()
+        return identity("0.2.0")
+
+    scripted = ScriptedServer(answer)
+    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        connection = Connection(Address(f"ws://127.0.0.1:{port}"))
+        await connection.open()
+        await scripted.clients[0].close(1001)
+        async with asyncio.timeout(20.0):
+            while len(scripted.clients) < 3:
+                await asyncio.sleep(0.01)
+        await connection.wait_connected(20.0)
+        assert (await connection.call("/arm/who_am_i", TriggerRequest())).success
         await connection.close()
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect, connect_async
 from harness.server import RunningServer
+from harness.waiting import wait_until
 
 PREEMPTED = -7
 
@@ -58,7 +59,7 @@ def test_ctrl_c_cancels_the_motion(arm: Arm) -> None:
         once_moving(arm, threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGINT)))
     # Answered when the arm stands; nothing of the motion is left.
     arm.stop()
-    assert arm.state().mode == "holding"
+    wait_until(lambda: arm.state().mode == "holding")
 
 
 def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
@@ -66,7 +67,7 @@ def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
     with pytest.raises(DeadlineExceeded, match=r"not done within 0\.2 s"):
         arm.move_named("rest", speed=0.05, timeout_s=0.2)
     arm.stop()
-    assert arm.state().mode == "holding"
+    wait_until(lambda: arm.state().mode == "holding")
 
 
 def test_a_motion_stops_when_its_program_leaves(server: RunningServer, arm: Arm) -> None:
@@ -106,3 +107,23 @@ async def test_a_signal_handler_of_the_event_loop_stops_the_arm(server: RunningS
 def signal_once(state: str) -> None:
     if state == "executing":
         os.kill(os.getpid(), signal.SIGUSR1)
+
+
+def test_a_stop_ends_the_gripper_and_the_program_knows(arm: Arm) -> None:
+    arm.gripper.close()
+    ends: list[Exception] = []
+
+    def open_gripper() -> None:
+        try:
+            arm.gripper.open()
+        except GoalRefused as refused:
+            ends.append(refused)
+
+    opening = threading.Thread(target=open_gripper)
+    opening.start()
+    for state in arm.states(rate_hz=50):
+        if state.position_rad["gripper"] > 0.1:
+            break
+    arm.stop()
+    opening.join(10.0)
+    assert "PREEMPTED (-7): the gripper was stopped" in str(ends[0])

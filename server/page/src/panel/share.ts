@@ -9,6 +9,9 @@ const FILM_MS = 10_000;
 
 const FRAMES_PER_S = 25;
 
+/** Kind of the film, which not every browser records. */
+const FILM_TYPE = "video/webm";
+
 /** Create the section that shows the arm to others: a code for a page that may only look, and a film of the last seconds. */
 export function shareSection(context: PanelContext): HTMLElement {
   const hint = el("p", { class: "hint", text: t("share.hint") });
@@ -34,7 +37,9 @@ function filmControls(): HTMLElement {
     film = on.checked && canvas ? new Film(canvas) : null;
     save.disabled = film === null;
   });
-  return el("div", { class: "buttons" }, el("label", { class: "line" }, on, t("share.film.on")), save);
+  const box = el("div", { class: "buttons" }, el("label", { class: "line" }, on, t("share.film.on")), save);
+  box.hidden = typeof MediaRecorder === "undefined" || !MediaRecorder.isTypeSupported(FILM_TYPE);
+  return box;
 }
 
 interface Take {
@@ -63,7 +68,7 @@ class Film {
       take.recorder.addEventListener("stop", resolve);
       take.recorder.stop();
     });
-    return new Blob(take.parts, { type: "video/webm" });
+    return new Blob(take.parts, { type: FILM_TYPE });
   }
 
   /** End everything. */
@@ -74,7 +79,7 @@ class Film {
   }
 
   private begin(): void {
-    const take: Take = { recorder: new MediaRecorder(this.stream, { mimeType: "video/webm" }), parts: [] };
+    const take: Take = { recorder: new MediaRecorder(this.stream, { mimeType: FILM_TYPE }), parts: [] };
     take.recorder.addEventListener("dataavailable", ({ data }) => take.parts.push(data));
     take.recorder.start();
     this.takes.push(take);

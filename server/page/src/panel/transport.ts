@@ -97,13 +97,9 @@ function primaryButton({ store, moveGroup, commands }: PanelContext): HTMLButton
     resume: () => void commands.trigger("/arm/resume"),
   };
   const primary = el("button", { type: "button", class: "primary", testid: "primary" });
-  let pressed = "";
   primary.addEventListener("click", ({ detail }) => {
-    const { action } = primaryStep(store.state);
     // The second click of a double click, and a key that repeats, must not take the step after the one that was meant.
-    if (detail > 1 && action !== pressed) return;
-    pressed = action;
-    actions[action]();
+    if (detail <= 1) actions[primaryStep(store.state).action]();
   });
   primary.addEventListener("keydown", (event) => event.repeat && event.preventDefault());
   store.watch(["arm", "goal", "link", "plan", "selection", "identity", "control"], (state) => {

@@ -37,19 +37,6 @@ emulator.control = "{folder}/leader"
 """
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("teleop")
-
-
-@pytest.fixture(scope="module")
-def server(folder: Path) -> Iterator[RunningServer]:
-    config = folder / "arms.toml"
-    config.write_text(CONFIG.format(folder=folder))
-    with RunningServer(f"--config {config}") as running:
-        yield running
-
-
 @pytest.fixture
 def hand(folder: Path) -> Iterator[EmulatorControl]:
     """The hand that leads; it holds the leader straight when it is let go of."""

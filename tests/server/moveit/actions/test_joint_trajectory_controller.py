@@ -116,9 +116,7 @@ async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_contin
 async def test_a_stamp_too_far_in_the_future_is_refused(desk: Desk) -> None:
     for ahead_s in (700.0, 2e4, 3e8):
         stamp = {"sec": int(time.time() + ahead_s), "nanosec": 0}
-        with pytest.raises(
-            GraphError, match=r"the time from now to the last point of the trajectory is .* longer than"
-        ):
+        with pytest.raises(GraphError, match=r"to the last point of the trajectory is .* longer than"):
             await desk.publish(**TRAJECTORY, header={"stamp": stamp})
     assert desk.asked == []
 

@@ -95,8 +95,8 @@ pictures: install-dev page
 	$(BIN)/python -m pytest tests/page/test_pictures.py -n 0
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
-# The examples, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed
+# The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
+test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed
 	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
 build/compas_fab/.installed:
@@ -107,6 +107,11 @@ build/compas_fab/.installed:
 build/ros_mcp/.installed:
 	$(PYTHON) -m venv build/ros_mcp
 	build/ros_mcp/bin/python -m pip --disable-pip-version-check install --quiet $(ROS_MCP)
+	touch $@
+
+build/mcp/.installed: clients/python/pyproject.toml clients/mcp/pyproject.toml
+	$(PYTHON) -m venv build/mcp
+	build/mcp/bin/python -m pip --disable-pip-version-check install --quiet --editable clients/python --editable clients/mcp
 	touch $@
 
 # lerobot's own driver on emulated servos. lerobot is installed without what only its policies and cameras need; torch
@@ -145,7 +150,7 @@ bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)
 
 bench-planning: install-dev
-	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth
+	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth planning_passages
 
 campaign-planners: install-dev
 	mkdir -p build

@@ -46,7 +46,7 @@ def run() -> None:
         page.until_state("s.arm.mode === 'holding'")
         goal(server.url, "/moveit_goal_named", {"data": "ready"})
         page.page.evaluate(LISTEN)
-        page.part("tab-drive").click()
+        page.open_panel("drive")
         page.page.locator("#section-drive-keys > summary").click()
         page.part("jog").check()
         for name, keys in KEYS.items():

@@ -71,15 +71,14 @@ def constraints(position: tuple[float, ...], orientation: tuple[float, ...]) -> 
 def main() -> None:
     """Wave until a signal comes, then cancel every goal."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--host", default="127.0.0.1", help="the server (default: %(default)s)")
-    parser.add_argument("--port", default=9090, type=int, help="its port (default: %(default)s)")
+    parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     arguments = parser.parse_args()
     headers = {"Authorization": f"Bearer {os.environ['ARM_TOKEN']}"} if "ARM_TOKEN" in os.environ else None
-    client = roslibpy.Ros(host=arguments.host, port=arguments.port, headers=headers)
+    client = roslibpy.Ros(arguments.url, headers=headers)
     try:
         client.run(timeout=CONNECT_TIMEOUT_S)
     except roslibpy.core.RosTimeoutError:
-        sys.exit(f'no server answers at ws://{arguments.host}:{arguments.port}: start one with "make run"')
+        sys.exit(f"no server answers at {arguments.url}: start one with armbridge serve")
     arm = Arm(client)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: arm.ending.set())

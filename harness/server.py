@@ -29,6 +29,9 @@ REFERENCE = ROOT.parent / "shared" / "data"
 FAST_ARMS = {"ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "1", "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1"}
 FAST = {**FAST_ARMS, "ARMBRIDGE_ARM__UNVERIFIED_SPEED_LIMIT": "1"}
 
+# Environment of a program that uses the Python client of this checkout, installed or not.
+CLIENT_ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "clients" / "python")}
+
 READY = re.compile(r"armbridge is ready: ws://[^:]+:(\d+)")
 
 # Interpreter start, bus check and torque ramp take 0.8 s on a quiet machine, and many times that on a busy one.

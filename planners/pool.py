@@ -3,8 +3,7 @@
 The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
 it does not listen; the spare is free meanwhile. A problem that takes longer than most is searched by idle workers too,
 until a request needs them (:mod:`planners.race`). Every request gets exactly one answer, at the latest a grace period
-after its allowed time. A worker's waits for a core come on top, within bounds: a busy machine must not cost a warm
-worker.
+after its allowed time.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING, Planners
 from planners.problem import (
     Answer,
     MoveItErrorCode,
-    MovingRequest,
     PlanningFailure,
     PlanningProblem,
     Request,
@@ -30,14 +28,13 @@ from planners.problem import (
 from planners.race import Race
 from planners.scene import Scene
 from planners.scene_transfer import PART_BYTES, packed_bytes
-from planners.worker_process import OnHard, WorkerProcess, ignore, timeout_after
+from planners.worker_process import OnHard, WorkerProcess, ignore
 from robot.description.model import RobotModel
 from robot.processes import DescriptorReserve
 
 log = logging.getLogger("armbridge.planners")
 
-# Checks of a state or a motion take milliseconds; they have no allowed time of their own. Waits for a core come on top,
-# but not where an arm moves meanwhile.
+# Checks of a state or a motion take milliseconds; they have no allowed time of their own.
 CHECK_TIME_S = 1.0
 
 # No request holds a worker for longer, whatever it allows itself.
@@ -47,7 +44,7 @@ MAX_ALLOWED_TIME_S = 3600.0
 # largest scenes take 0.2 s, nearly as long as a cancel may take.
 BRIEF_SCENE_BYTES = PART_BYTES
 
-# Time beyond the allowed time after which a worker is ended: it may set up a large scene or finish its checks.
+# Time beyond the allowed time after which a worker is given up: it may set up a large scene or finish its checks.
 OVERTIME_S = 1.0
 
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
@@ -201,15 +198,12 @@ class PlannerPool(Planners):
 
     async def _work(self, worker: WorkerProcess, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
         allowed_s = allowed_time_s(request)
-        limit_s = allowed_s + OVERTIME_S
-        # An arm moves meanwhile, and stops if there is no answer: a busy machine extends no deadline here.
-        while_moving = isinstance(request, MovingRequest)
         try:
-            async with asyncio.timeout(limit_s) if while_moving else timeout_after(limit_s, worker.run_delay_s):
+            async with asyncio.timeout(allowed_s + OVERTIME_S):
                 answer = await worker.ask(request, scene, on_hard)
         except TimeoutError:
             # A worker that was only starved answers while it is cancelled, and so is kept.
-            self._in_background(self._cancel(worker) if while_moving else worker.kill())
+            self._in_background(self._cancel(worker))
             return PlanningFailure(
                 MoveItErrorCode.TIMED_OUT, f"the planner did not answer within {allowed_s:g} s and was given up"
             )

@@ -230,11 +230,10 @@ class ConcurrencyQuestion:
     others_rad: Mapping[str, float]  # position of every joint that is in neither [rad]
 
 
-# Requests that wait for the turns of motions, requests with an allowed time, and requests while an arm moves.
+# Requests that wait for the turns of motions, and requests with an allowed time.
 MotionRequest = PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion
 TimedRequest = MotionRequest | IkQuestion
-MovingRequest = RecheckQuestion | ConcurrencyQuestion | ServoQuestion
-Request = TimedRequest | MovingRequest | StateQuestion
+Request = TimedRequest | StateQuestion | RecheckQuestion | ConcurrencyQuestion | ServoQuestion
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from planners.budget import read_run_delay_s
 from planners.messages import (
     Answered,
     Ask,
@@ -49,7 +48,7 @@ OOM_SCORE = "600"
 # little: races take 0.68 to 0.70 times as long as one search, and 1.2 times the CPU time.
 HARD_AFTER_S = 0.06
 
-MakePlanner: TypeAlias = Callable[[RobotModel, Callable[[], float]], Planner]
+MakePlanner: TypeAlias = Callable[[RobotModel], Planner]
 
 
 class Mailbox:
@@ -75,13 +74,12 @@ class Mailbox:
 
 
 class Worker:
-    """Serves one server; ``make_planner`` loads a robot and gets the clock of allowed times."""
+    """Serves one server; ``make_planner`` loads a robot."""
 
     def __init__(self, channel: Channel, make_planner: MakePlanner) -> None:
         self._channel = channel
         self._mailbox = Mailbox(channel)
         self._make_planner = make_planner
-        self._clock = allowed_time_clock()
         self._scene = SceneReceiver()
         self._planner: Planner | None = None
         self._memory_limit_bytes = 0
@@ -106,7 +104,7 @@ class Worker:
         self._memory_limit_bytes = message.memory_limit_bytes
         limit_memory(message.memory_limit_bytes)
         try:
-            self._planner = self._make_planner(message.robot, self._clock)
+            self._planner = self._make_planner(message.robot)
         except Exception as error:
             log.exception("cannot load the robot %r", message.robot.name)
             self._channel.send(LoadFailed(f"{type(error).__name__}: {error}"))
@@ -127,19 +125,21 @@ class Worker:
     def _poll(self, number: int, request: Request) -> Callable[[], bool]:
         """Return the function by which a planner checks all the time if its request is cancelled.
 
-        For a problem that takes longer than most it also reports that, again each time that its time has doubled. The
-        time that the problem asks to be shortened for does not count.
+        For a problem that takes longer than most it also reports that, again each time that its time has doubled. Only
+        processor time counts, as other processes make no problem hard, and no time that the problem asks to be
+        shortened for.
         """
         if not isinstance(request, PlanningProblem):
             return lambda: self._mailbox.withdrawn(number)
-        began_s, next_s = self._clock(), request.optimization_time_s + HARD_AFTER_S
+        began_s, began_cpu_s = time.monotonic(), time.process_time()
+        next_s = request.optimization_time_s + HARD_AFTER_S
 
         def poll() -> bool:
             nonlocal next_s
-            spent_s = self._clock() - began_s
-            if spent_s >= next_s:
-                next_s = 2.0 * spent_s
-                self._channel.send(StillSearching(number, spent_s))
+            spent_cpu_s = time.process_time() - began_cpu_s
+            if spent_cpu_s >= next_s:
+                next_s = 2.0 * spent_cpu_s
+                self._channel.send(StillSearching(number, time.monotonic() - began_s))
             return self._mailbox.withdrawn(number)
 
         return poll
@@ -152,16 +152,6 @@ class Worker:
             f"the planner needed more than the {limit_mb:.0f} MB of memory that it may use, and was restarted",
             {"memory_limit_mb": limit_mb},
         )
-
-
-def allowed_time_clock() -> Callable[[], float]:
-    """Choose the clock of allowed times: processor time, which stands still while others have the core.
-
-    A worker does not sleep while it works, so on an idle machine that is wall time. On a busy one, of searches of 1 to
-    7 s at most 0.3 % was neither processor time nor a wait for a core. Where the kernel does not count such waits the
-    server gives a worker up by wall time, so the worker goes by that as well.
-    """
-    return time.monotonic if read_run_delay_s(os.getpid()) is None else time.process_time
 
 
 def limit_memory(limit_bytes: int) -> None:
@@ -195,9 +185,9 @@ def main(make_planner: MakePlanner) -> None:
     os._exit(0)
 
 
-def warm_planner(robot: RobotModel, clock: Callable[[], float]) -> Planner:
+def warm_planner(robot: RobotModel) -> Planner:
     """Load a robot as :class:`planners.pipeline.Planner` does, and make its first plans."""
-    planner = Planner(robot, clock)
+    planner = Planner(robot)
     warm_up(planner, robot)
     return planner
 

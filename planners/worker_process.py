@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import logging
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from planners.budget import Deadline, read_run_delay_s
 from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed, LoadRobot, StillSearching
 from planners.problem import ANSWER_TO, Answer, MoveItErrorCode, PlanningFailure, Request
 from planners.scene import Scene
@@ -25,14 +23,12 @@ WORKER_MODULE = "planners.worker"
 # Planning gives way to the servo loop and the server, which have deadlines. Answers that a moving arm waits for do not.
 NICENESS = 5
 
-# Cancelling takes about a millisecond; past this, native code hangs. Waits for a core come on top.
-CANCEL_TIMEOUT_S = 0.25
+# Cancelling takes about a millisecond; past this, native code hangs. Among 12 other programs a worker waited for a core
+# for 50 ms at most.
+CANCEL_TIMEOUT_S = 1.0
 
 # A process whose socket is closed is about to end; its exit code comes a moment later.
 ENDING_TIMEOUT_S = 0.1
-
-# A deadline that has been extended is checked no sooner again: a wait for a core is counted when it has ended.
-DEADLINE_CHECK_S = 0.02
 
 # Called with the allowed time that a problem has taken [s] when this is longer than most take.
 OnHard: TypeAlias = Callable[[float], None]
@@ -93,10 +89,6 @@ class WorkerProcess:
         """Description of the process's end, or that it has not ended."""
         return self._child.ending
 
-    def run_delay_s(self) -> float | None:
-        """Read for how long the process has waited for a core; see :func:`planners.budget.read_run_delay_s`."""
-        return read_run_delay_s(self.pid)
-
     def has(self, scene: Scene) -> bool:
         """Return true if the process has this scene."""
         return self._scenes.has_sent(scene)
@@ -134,7 +126,7 @@ class WorkerProcess:
             return  # the request was given up before it was sent
         self._child.send(Cancel(self._number))
         try:
-            async with timeout_after(CANCEL_TIMEOUT_S, self.run_delay_s):
+            async with asyncio.timeout(CANCEL_TIMEOUT_S):
                 await asyncio.shield(self._answer)
         except TimeoutError:
             log.warning("planner process %d does not listen and is ended", self.pid)
@@ -166,34 +158,3 @@ class WorkerProcess:
     def _resolve(self, answer: Answer | None) -> None:
         if self._answer is not None and not self._answer.done():
             self._answer.set_result(answer)
-
-
-@contextlib.asynccontextmanager
-async def timeout_after(allowed_s: float, run_delay_s: Callable[[], float | None]) -> AsyncIterator[None]:
-    """Cancel the body as :func:`asyncio.timeout` does, but not for the time that a process waits for a core.
-
-    ``allowed_s`` is the time to the deadline by the event loop's clock if the process never waits [s].
-    """
-    loop = asyncio.get_running_loop()
-    deadline = Deadline(allowed_s, run_delay_s, loop.time)
-    passed = False
-    timer: asyncio.TimerHandle
-    async with asyncio.timeout(None) as timeout:
-
-        def check() -> None:
-            nonlocal timer, passed
-            left_s = deadline.left_s()
-            if left_s > 0.0:
-                timer = loop.call_later(max(left_s, DEADLINE_CHECK_S), check)
-            elif not passed:
-                # An event loop that was held up has what came meanwhile to deliver first.
-                passed = True
-                timer = loop.call_later(DEADLINE_CHECK_S, check)
-            else:
-                timeout.reschedule(loop.time())
-
-        timer = loop.call_later(deadline.left_s(), check)
-        try:
-            yield
-        finally:
-            timer.cancel()

@@ -203,7 +203,7 @@ class BridgedAction:
             graph.advertise(self._node, f"{name}/{part.lower()}", _message_type(type_name, f"Action{part}"))
         graph.advertise(self._node, f"{name}/status", STATUS_ARRAY)
         goal_type = _message_type(type_name, "ActionGoal")
-        goals = Subscriber(self._take_goal, turned_away=self._turn_away)
+        goals = Subscriber(self._take_goal, on_unauthorized=self._reject_unauthorized)
         graph.subscribe(self._node, f"{name}/goal", goal_type, goals)
         graph.subscribe(self._node, f"{name}/cancel", GOAL_ID, Subscriber(self._take_cancel))
 
@@ -228,7 +228,7 @@ class BridgedAction:
         self._send(tracked.key, sender, message["goal"])
         self.publish_status()
 
-    def _turn_away(self, message: Mapping[str, Any], sender: Node, reason: str) -> None:
+    def _reject_unauthorized(self, message: Mapping[str, Any], sender: Node, reason: str) -> None:
         """Reject a goal that its sender may not send; nobody else waits for it, and it takes no place."""
         if message:
             status = {"goal_id": message["goal_id"], "status": int(Status.REJECTED), "text": reason}

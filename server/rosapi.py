@@ -348,7 +348,7 @@ def _joined(lists: Iterable[list[str]]) -> list[str]:
 def _responder(handler: Handler) -> Callable[[Call], None]:
     def respond(call: Call) -> None:
         with failure_told(call):
-            call.succeed_as_it_is(handler(Request(call.request, call.dialect)))
+            call.succeed_prevalidated(handler(Request(call.request, call.dialect)))
 
     return respond
 

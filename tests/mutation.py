@@ -1,12 +1,13 @@
 """Changes the source in one place at a time and counts how many of the changes a test notices: `make mutation`.
 
-The changes are drawn by seed from all that cosmic-ray knows, and made in build/mutation, a copy of what is committed.
-Printed are the share that is noticed in each room and, as a diff, every change that no test notices.
+The changes are drawn by seed from all that cosmic-ray knows, and made in copies of the commit, in build/mutation.
+Printed are the share that is noticed in each room, with its standard error, and every change that no test notices.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import random
 import shutil
@@ -19,7 +20,7 @@ from cosmic_ray.work_db import WorkDB, use_db
 from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkResult
 
 ROOT = Path(__file__).resolve().parent.parent
-COPY = ROOT / "build" / "mutation"
+COPIES = ROOT / "build" / "mutation"
 # cosmic-ray has an environment of its own.
 PYTHON = ROOT / ".venv" / "bin" / "python"
 
@@ -47,22 +48,36 @@ def sampled(database: WorkDB, number: int, seed: int) -> None:
     database.set_multiple_results(skipped, WorkResult(WorkerOutcome.SKIPPED))
 
 
+def copied(room: str) -> Path:
+    """Return a new folder of what is committed, with this environment."""
+    folder = COPIES / room.replace("/", "-")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(["tar", "-x", "-C", str(folder)], input=archive.stdout, check=True)
+    (folder / ".venv").symlink_to(ROOT / ".venv")
+    return folder
+
+
 def run(room: str, number: int, seed: int) -> Counter[str]:
     """Try changes of one room; return how many were noticed and how many not."""
-    configuration, session = COPY / "mutation.toml", COPY / "mutation.sqlite"
+    folder = copied(room)
+    configuration, session = folder / "mutation.toml", folder / "mutation.sqlite"
+    # Servers that the tests start are changed too: the environment's own source comes after this path.
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
     tests = f"{PYTHON} -m pytest -x -q -n 0 -p no:cacheprovider {ROOMS[room]}"
     configuration.write_text(
         f'[cosmic-ray]\nmodule-path = "{room}"\ntimeout = {TIMEOUT_S}\nexcluded-modules = []\n'
         f'test-command = "{tests}"\n[cosmic-ray.distributor]\nname = "local"\n'
     )
-    session.unlink(missing_ok=True)
     cosmic_ray = [str(Path(sys.executable).with_name("cosmic-ray"))]
-    # Without a change they pass.
-    subprocess.run(tests.split(), cwd=COPY, check=True, stdout=subprocess.DEVNULL)
-    subprocess.run([*cosmic_ray, "init", configuration.name, session.name], cwd=COPY, check=True)
+    unchanged = subprocess.run(tests.split(), cwd=folder, check=False, capture_output=True, text=True, env=environment)
+    if unchanged.returncode != 0:
+        sys.exit(f"{room}: the tests fail without a change\n{unchanged.stdout}")
+    subprocess.run([*cosmic_ray, "init", configuration.name, session.name], cwd=folder, check=True)
     with use_db(str(session), WorkDB.Mode.open) as database:
         sampled(database, number, seed)
-    subprocess.run([*cosmic_ray, "exec", configuration.name, session.name], cwd=COPY, check=True)
+    subprocess.run([*cosmic_ray, "exec", configuration.name, session.name], cwd=folder, check=True, env=environment)
     found: Counter[str] = Counter()
     with use_db(str(session), WorkDB.Mode.open) as database:
         for _, result in database.results:
@@ -82,16 +97,12 @@ def main() -> int:
     parser.add_argument("--changes", type=int, default=40, metavar="N", help="changes of each room (40)")
     parser.add_argument("--seed", type=int, default=1, help="which changes (1)")
     options = parser.parse_args()
-    shutil.rmtree(COPY, ignore_errors=True)
-    COPY.mkdir(parents=True)
-    archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True)
-    subprocess.run(["tar", "-x", "-C", str(COPY)], input=archive.stdout, check=True)
-    # Servers that the tests start are changed too: the environment's own source comes after the path.
-    (COPY / ".venv").symlink_to(ROOT / ".venv")
-    os.environ["PYTHONPATH"] = str(COPY)
     for room in options.rooms or ROOMS:
         found = run(room, options.changes, options.seed)
-        print(f"{room}: {found['noticed']} of {found.total()} changes were noticed", flush=True)
+        share = found["noticed"] / found.total()
+        error = math.sqrt(share * (1.0 - share) / found.total())
+        noticed = f"{found['noticed']} of {found.total()} changes were noticed"
+        print(f"{room}: {noticed}, {share:.0%} with a standard error of {error:.0%}", flush=True)
     return 0
 
 

@@ -40,6 +40,8 @@ FOREIGN = (
     "source .venv/bin/activate",
     "uvx ",
     "/tmp/lab/bin/pip install ",
+    # tests/clients/python/test_command.py runs it.
+    "python -m armbridge_client ",
     ".venv/bin/pip install --editable '.[",
     "dask ",
     "export RMW_IMPLEMENTATION=",

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from protocol.registry import Field, MessageType, Registry
+from server.features.interface import type_hashes
 
 TARGET = Path(__file__).parent / "armbridge_client" / "messages.py"
 
@@ -18,7 +19,6 @@ MESSAGES = (
     "armbridge_msgs/TeachState",
     "armbridge_msgs/TeleopState",
     "control_msgs/JointJog",
-    "control_msgs/JointTrajectoryControllerState",
     "diagnostic_msgs/DiagnosticStatus",
     "geometry_msgs/TwistStamped",
     "moveit_msgs/KinematicSolverInfo",
@@ -67,7 +67,6 @@ ACTIONS = (
     "moveit_msgs/ExecuteTrajectory",
 )
 ONLY = {
-    "control_msgs/msg/JointTrajectoryControllerState": ("joint_names",),
     "moveit_msgs/msg/AttachedCollisionObject": ("link_name", "object", "touch_links"),
     "moveit_msgs/msg/CollisionObject": (
         "header",
@@ -141,7 +140,13 @@ class Generator:
             action = self._registry.action(name)
             result, feedback = self._add(action.result), self._add(action.feedback)
             self._add(action.goal, f"Action[{result}, {feedback}]")
-        return HEAD + "\n\n".join(self._classes.values())
+        hashes = type_hashes(self._registry)
+        roots = [self._registry.canonical(name) for name in MESSAGES]
+        roots += [self._registry.canonical(name, "srv") for name in SERVICES]
+        roots += [self._registry.canonical(name, "action") for name in ACTIONS]
+        table = "\n".join(f"    {name!r}: {hashes[name]!r}," for name in roots)
+        about = "# Hashes of the types and of all types in them, as the server lists them."
+        return HEAD + "\n\n".join(self._classes.values()) + f"\n{about}\nTYPES = {{\n{table}\n}}\n"
 
     def _add(self, message: MessageType, base: str = "Message") -> str:
         name = class_name(message.name)

@@ -29,8 +29,9 @@ NOMINAL_CHECKS_PER_S = 30_000
 # On longer pieces than this something is nearly always near: only their middle is checked.
 WIDEST_MARGIN_M = 0.05
 
-# Longer tree edges mean fewer nodes and fewer checks until a path is there; past this they grow again.
-TREE_EDGE_RAD = 1.7
+# No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
+# is there, but past this most are blocked: SO-101, of 0.4 m, and arms of 1 m have the same best length.
+TREE_EDGE_M = 1.3
 
 RRT_CONNECT = "RRTConnect"
 
@@ -144,37 +145,39 @@ class Query:
     step_m: float  # greatest travel of a point of the robot from one check to the next [m]
 
 
-def search(query: Query, name: str, seed: int, should_stop: Callable[[], bool]) -> Vector | None:
-    """Find a polyline of shape (m, n) from the start to a goal by one of planners.problem.PLANNER_IDS, or None.
+class TreeSearch:
+    """Search by one of planners.problem.PLANNER_IDS; the same query and seed give the same path."""
 
-    The same query and seed give the same path.
-    """
-    # Each search has objects of its own: a planner keeps its random generator and its last solution.
-    ou.RNG.setSeed(seed + 1)  # OMPL refuses 0
-    size, free = len(query.start), query.space.free
-    space = _ompl_space(query)
-    setup = og.SimpleSetup(space)
-    information = setup.getSpaceInformation()
-    setup.setStateValidityChecker(lambda state: free(state[0:size]))
-    setup.setStartState(_state(space, query.start))
-    goal_states = ob.GoalStates(information)
-    for goal in query.goals:
-        goal_states.addState(_state(space, goal))
-    setup.setGoal(goal_states)
-    if name == RRT_CONNECT:
-        information.setMotionValidator(_Edges(information, query))
-    if name in TREES:
-        tree = TREES[name](information)
-        tree.setRange(TREE_EDGE_RAD)
-        setup.setPlanner(tree)
-    else:
-        setup.setPlanner(og.BITstar(information))
-    # A condition with a period of its own would abort the process at exit.
-    setup.solve(ob.PlannerTerminationCondition(should_stop))
-    if not setup.haveExactSolutionPath():
-        return None
-    path = setup.getSolutionPath()
-    return np.array([path.getState(i)[0:size] for i in range(path.getStateCount())])
+    def __init__(self, query: Query, name: str, seed: int) -> None:
+        # Each search has objects of its own: a planner keeps its random generator, its trees and its last solution.
+        ou.RNG.setSeed(seed + 1)  # OMPL refuses 0
+        self._size = size = len(query.start)
+        free, space = query.space.free, _ompl_space(query)
+        self._setup = setup = og.SimpleSetup(space)
+        information = setup.getSpaceInformation()
+        setup.setStateValidityChecker(lambda state: free(state[0:size]))
+        setup.setStartState(_state(space, query.start))
+        goal_states = ob.GoalStates(information)
+        for goal in query.goals:
+            goal_states.addState(_state(space, goal))
+        setup.setGoal(goal_states)
+        if name == RRT_CONNECT:
+            information.setMotionValidator(_Edges(information, query))
+        if name in TREES:
+            tree = TREES[name](information)
+            tree.setRange(TREE_EDGE_M / _travel_m_per_rad(query))
+            setup.setPlanner(tree)
+        else:
+            setup.setPlanner(og.BITstar(information))
+
+    def run(self, should_stop: Callable[[], bool]) -> Vector | None:
+        """Go on until there is a polyline of shape (m, n) from the start to a goal; None once it is to stop."""
+        # A condition with a period of its own would abort the process at exit.
+        self._setup.solve(ob.PlannerTerminationCondition(should_stop))
+        if not self._setup.haveExactSolutionPath():
+            return None
+        path = self._setup.getSolutionPath()
+        return np.array([path.getState(i)[0 : self._size] for i in range(path.getStateCount())])
 
 
 def without_detours(
@@ -217,10 +220,14 @@ def _ompl_space(query: Query) -> ob.RealVectorStateSpace:
         bounds.setLow(i, float(lower))
         bounds.setHigh(i, float(upper))
     space.setBounds(bounds)
-    # OMPL measures lines by their Euclidean length; no point travels more than |travel| times that.
-    step_rad = query.step_m / float(np.linalg.norm(query.space.travel_m_per_rad))
+    step_rad = query.step_m / _travel_m_per_rad(query)
     space.setLongestValidSegmentFraction(min(1.0, step_rad / space.getMaximumExtent()))
     return space
+
+
+def _travel_m_per_rad(query: Query) -> float:
+    """Return the most that a point travels by the Euclidean length of a line, which is how OMPL measures them."""
+    return float(np.linalg.norm(query.space.travel_m_per_rad))
 
 
 def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateType:
@@ -230,25 +237,31 @@ def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateT
     return state
 
 
-def projected_search(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector | None:
-    """Find a polyline of shape (m, n) on which the space's condition holds, as it does at the start and the goals.
+class ProjectedSearch:
+    """Search for a polyline on which the space's condition holds, as it does at the start and the goals.
 
     The same query and seed give the same path.
     """
-    rng = np.random.default_rng(seed)
-    grower = _Grower(query, project, should_stop)
-    tree, other = _Tree([query.start]), _Tree(query.goals)
-    forward = True
-    while not should_stop():
-        drawn = rng.uniform(query.space.lower_rad, query.space.upper_rad)
-        here = grower.grow(tree, tree.nearest(drawn), drawn)
-        there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
-        if np.array_equal(other.points[there], tree.points[here]):
-            halves = [list(tree.to_root(here))[::-1], list(other.to_root(there))[1:]]
-            path = np.array([*halves[0], *halves[1]])
-            return path if forward else path[::-1]
-        tree, other, forward = other, tree, not forward
-    return None
+
+    def __init__(self, query: Query, project: Project, seed: int) -> None:
+        self._query, self._project = query, project
+        self._rng = np.random.default_rng(seed)
+        self._trees = _Tree([query.start]), _Tree(query.goals)
+        self._turn = 0
+
+    def run(self, should_stop: Callable[[], bool]) -> Vector | None:
+        """Go on as :meth:`TreeSearch.run` does."""
+        grower = _Grower(self._query, self._project, should_stop)
+        while not should_stop():
+            tree, other = self._trees[self._turn], self._trees[1 - self._turn]
+            drawn = self._rng.uniform(self._query.space.lower_rad, self._query.space.upper_rad)
+            here = grower.grow(tree, tree.nearest(drawn), drawn)
+            there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
+            if np.array_equal(other.points[there], tree.points[here]):
+                path = np.array([*list(tree.to_root(here))[::-1], *list(other.to_root(there))[1:]])
+                return path[::-1] if self._turn else path
+            self._turn = 1 - self._turn
+        return None
 
 
 def reachable(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector:

@@ -241,7 +241,7 @@ class Authorizer:
                 f"{self._goals.per_s:g} a second (access.goals_per_s)"
             )
         # Of a goal that is proposed, the client that approves it is the driver.
-        proposes = self._node.only_looks and rule.role is Role.PROPOSE
+        proposes = self._node.is_viewer and rule.role is Role.PROPOSE
         if not rule.drives or proposes or plans_only(rule, goal):
             return None
         refusal = self._access.lease_of(rule).drive(self._node, self._access.clock())

@@ -152,17 +152,17 @@ class ClientTopics:
 
     def _latches(self, operation: Advertise | Publish) -> bool:
         """Return True for an operation that latches, which has no effect for a client that may only look."""
-        return operation.latch and not self._node.only_looks
+        return operation.latch and not self._node.is_viewer
 
     def reject(self, operation: Publish, problem: str) -> None:
         """Have the topic's owner answer a message that the client may not publish."""
         received = self._client.translator.from_client(ReceivedMessage(operation.msg, 0))
         topic = qualify(operation.topic)
         try:
-            self._graph.turn_away(self._node, topic, received, problem)
+            self._graph.reject_unauthorized(self._node, topic, received, problem)
         except PostponedError:
             # A message of this size is refused without its values.
-            self._graph.turn_away(self._node, topic, None, problem)
+            self._graph.reject_unauthorized(self._node, topic, None, problem)
 
     def subscribe(self, operation: Subscribe) -> None:
         """Subscribe to a topic; messages that were published before the subscription follow at once."""

@@ -159,7 +159,7 @@ class Connection:
         if self._client.node.identity is None:
             waiting = asyncio.get_running_loop().call_later(AUTH_TIMEOUT_S, self._check_authenticated)
         try:
-            self._transport.start_delivery(self._client.receive_frame)
+            self._transport.start_delivery(self._client)
             await self._read()
             await self._finish_work()
         finally:

@@ -414,7 +414,7 @@ class HttpHandler:
             send: sends the response, and returns when the client has read it.
         """
         methods = ("POST",) if _name(request.path) in self._post_routes else METHODS
-        if request.method not in methods or methods is not METHODS:
+        if request.method not in methods:
             text = f"{request.method[:20]} is not for this address, but {' and '.join(methods)}"
             answer = HttpResponse.of_text(HTTPStatus.METHOD_NOT_ALLOWED, text, {"Allow": ", ".join(methods)})
         else:

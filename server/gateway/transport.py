@@ -15,7 +15,7 @@ import struct
 import time
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from protocol.errors import FrameError
 from protocol.publication import EncodedMessage
@@ -23,6 +23,9 @@ from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 from server.gateway.http import HttpResponse
 from server.gateway.turns import TURN_S
 from server.graph.permissions import ANYONE, Identity
+
+if TYPE_CHECKING:
+    from server.gateway.client import Client
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -86,7 +89,9 @@ class Transport(asyncio.Protocol):
         self._last_sent_s = -math.inf
         self._unsent: list[bytes] = []
         self._unsent_bytes = 0
-        self._receive: Callable[[str | bytes], None] | None = None
+        self._client: Client | None = None
+        # True once frames are read and left, until the end of the stream.
+        self._discards = False
         self._held = False
         self._reading_paused = False
         # The next turn is to come by itself.
@@ -252,12 +257,13 @@ class Transport(asyncio.Protocol):
         """Hand over frames until the turn is over; the rest waits for the next turn, and the socket with it."""
         ends_s = time.monotonic() + TURN_S
         try:
-            while self._receive is not None and not self._held and not self._ending:
+            while (self._client is not None or self._discards) and not self._held and not self._ending:
                 frame = self._next_frame()
                 if frame is None:
                     self._go_on_reading()
                     return
-                self._receive(frame)
+                if self._client is not None and not self._discards:
+                    self._client.receive_frame(frame)
                 if time.monotonic() >= ends_s:
                     self._take_turn_later()
                     break
@@ -309,18 +315,14 @@ class Transport(asyncio.Protocol):
         self._held = False
         self._take_turn_later()
 
-    def start_delivery(self, receive: Callable[[str | bytes], None]) -> None:
-        """Hand frames over as they come.
-
-        Args:
-            receive: called with a frame, text or bytes; must not raise.
-        """
-        self._receive = receive
+    def start_delivery(self, client: Client) -> None:
+        """Hand frames over to a client as they come."""
+        self._client = client
         self._take_turn_later()
 
     def stop_delivery(self) -> None:
         """Hand no more frames over."""
-        self._receive = None
+        self._client, self._discards = None, False
 
     # What goes to the client.
 

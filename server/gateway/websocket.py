@@ -428,7 +428,7 @@ class WebSocket(Transport):
             self.is_open = False
             # The client's own close frame is read.
             self._held = False
-            self._receive = _ignore
+            self._discards = True
             self._take_turn_later()
 
     def end_out_of_memory(self) -> None:
@@ -444,10 +444,6 @@ class WebSocket(Transport):
             self.end("", CloseCode.GOING_AWAY)
         elif self._task is None:
             self.abort()
-
-
-def _ignore(_frame: str | bytes) -> None:
-    """Take a frame behind the end."""
 
 
 def _measure(data: bytes, begin: int) -> tuple[int, int]:

@@ -89,7 +89,7 @@ class ActionTopics:
         def tell_feedback(values: Mapping[str, Any]) -> None:
             topic = goal.action + FEEDBACK
             if self._is_open(node, topic, f"{goal.type_name}_FeedbackMessage") and self._topics.subscribers(topic):
-                self._topics.publish(node, topic, {"goal_id": goal_id, "feedback": values}, as_it_is=True)
+                self._topics.publish(node, topic, {"goal_id": goal_id, "feedback": values}, prevalidated=True)
 
         def tell_end(status: int) -> None:
             if status == GoalStatus.UNKNOWN:
@@ -109,7 +109,7 @@ class ActionTopics:
         self._forget_ended(goals)
         newest = list(goals.values())[-MAX_PUBLISHED:]
         statuses = [{"goal_info": each.goal_info, "status": each.status} for each in newest]
-        self._topics.publish(node, action + STATUS, {"status_list": statuses}, as_it_is=True)
+        self._topics.publish(node, action + STATUS, {"status_list": statuses}, prevalidated=True)
 
     def _is_open(self, node: Node, topic: str, type_name: str) -> bool:
         """Return True for a topic of the node's action; a client that offers one may have made its own of this name."""

@@ -30,7 +30,7 @@ class Node:
         self.address = address
 
     @property
-    def only_looks(self) -> bool:
+    def is_viewer(self) -> bool:
         """True for a client that moves and changes nothing by itself, and for a client without an identity yet."""
         return self.identity is None or self.identity.role < Role.OPERATE
 

@@ -92,7 +92,7 @@ class Call(PendingRequest[Response]):
             raise
         self._end(Response(ok=True, values=completed, reason=reason))
 
-    def succeed_as_it_is(self, response: Mapping[str, Any], reason: str = "") -> None:
+    def succeed_prevalidated(self, response: Mapping[str, Any], reason: str = "") -> None:
         """Answer with a response message that is complete and valid already.
 
         For a large response of the server's own that has mostly been sent before. Nobody may change it from here on.
@@ -123,7 +123,7 @@ async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
 
 def _succeed(call: Call, values: Answered, reason: str = "") -> None:
     if isinstance(values, CompleteResponse):
-        call.succeed_as_it_is(values.message, reason)
+        call.succeed_prevalidated(values.message, reason)
     else:
         call.succeed(values, reason)
 

@@ -76,16 +76,16 @@ class Subscriber:
     Attributes:
         deliver: called with every message, at once and in order. It raises GraphError for a message that the server
             refuses: the other subscribers get it, and the publisher gets the sentence.
-        refused: called with the error when somebody publishes what the topic's type does not allow.
-        turned_away: called with a message, empty when it cannot be read, whose sender may not publish it, with the
+        on_invalid: called with the error when somebody publishes what the topic's type does not allow.
+        on_unauthorized: called with a message, empty when it cannot be read, whose sender may not publish it, with the
             sender, and with a sentence that says why.
         check_lists: checks the lists of a message of any publisher before it is completed; None for any lists.
         rule: requirements of publishing, where a part of the server subscribes; None for the rule of a client's topic.
     """
 
     deliver: Callable[[PublishedMessage], None]
-    refused: Callable[[MessageError], None] | None = None
-    turned_away: Callable[[Mapping[str, Any], Node, str], None] | None = None
+    on_invalid: Callable[[MessageError], None] | None = None
+    on_unauthorized: Callable[[Mapping[str, Any], Node, str], None] | None = None
     check_lists: CheckLists | None = None
     rule: Rule | None = None
 
@@ -296,14 +296,14 @@ class Graph:
         *,
         latch: bool = False,
         lifespan_s: float = 0.0,
-        as_it_is: bool = False,
+        prevalidated: bool = False,
     ) -> str | None:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
 
         Args:
             lifespan_s: otherwise, for how long it reaches who subscribes later [s].
-            as_it_is: the message is complete and valid already, as a large one of the server's own; nobody may change
-                it any more.
+            prevalidated: the message is complete and valid already, as a large message of the server's own; nobody may
+                change it any more.
 
         Returns:
             A sentence about a message that could not be latched: it is delivered, and lost to who subscribes later.
@@ -318,11 +318,11 @@ class Graph:
             self._check_publications(node, name)
         received = self.message_types.now()
         try:
-            completed: Any = message if as_it_is else self._completed(topic, message, received)
+            completed: Any = message if prevalidated else self._completed(topic, message, received)
         except MessageError as error:
             for subscriber in list(topic.subscribers.values()):
-                if subscriber.refused is not None:
-                    subscriber.refused(error)
+                if subscriber.on_invalid is not None:
+                    subscriber.on_invalid(error)
             raise
         self._add_publisher(topic, node)
         if latch:
@@ -385,11 +385,11 @@ class Graph:
         if count >= MAX_TOPICS_OF_PUBLISHER:
             raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
 
-    def turn_away(self, node: Node, name: str, message: object, reason: str) -> None:
-        """Have a message answered that is not let through, where its topic promises an answer."""
+    def reject_unauthorized(self, node: Node, name: str, message: object, reason: str) -> None:
+        """Report a message whose sender may not publish it to the subscribers that answer such messages."""
         topic = self._topics.get(name)
         listeners = (
-            () if topic is None else tuple(filter(None, (each.turned_away for each in topic.subscribers.values())))
+            () if topic is None else tuple(filter(None, (each.on_unauthorized for each in topic.subscribers.values())))
         )
         if topic is None or not listeners:
             return
@@ -397,8 +397,8 @@ class Graph:
             completed: Mapping[str, Any] = self._completed(topic, message, self.message_types.now())
         except MessageError:
             completed = {}
-        for turned_away in listeners:
-            turned_away(completed, node, reason)
+        for on_unauthorized in listeners:
+            on_unauthorized(completed, node, reason)
 
     def _completed(self, topic: Topic, message: object, received: Stamp) -> dict[str, Any]:
         for subscriber in topic.subscribers.values():
@@ -416,13 +416,13 @@ class Graph:
                 PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
             )
 
-    def latch(self, name: str, message: object, *, as_it_is: bool = False) -> None:
+    def latch(self, name: str, message: object, *, prevalidated: bool = False) -> None:
         """Keep a message for who subscribes later, and deliver it to nobody now.
 
         For topics on which subscribers get changes alone; otherwise latch the published message.
         """
         topic, received = self._topic(name), self.message_types.now()
-        completed: Any = message if as_it_is else self.message_types.complete(topic.type_name, message, received)
+        completed: Any = message if prevalidated else self.message_types.complete(topic.type_name, message, received)
         published = PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
         self._latch(published, None)
 
@@ -462,7 +462,7 @@ class Graph:
 
     def _make_room(self, name: str, node: Node | None) -> None:
         """See that one more topic fits; those that nobody uses any more are only kept while there is room."""
-        in_use, of_viewer = len(self.topic_names), node is not None and node.only_looks
+        in_use, of_viewer = len(self.topic_names), node is not None and node.is_viewer
         limit, whose = (MAX_TOPICS_FOR_VIEWERS, " for the role view") if of_viewer else (MAX_TOPICS, "")
         if in_use >= limit:
             problem = f"cannot be added: there are {in_use} topics already, the limit{whose} is {limit}"

@@ -62,7 +62,7 @@ class DisplayTopics:
     def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
         """Show planned motions, one after the other, that are written already."""
         message = {"model_id": self._robot.name, "trajectory": list(trajectories), "trajectory_start": start}
-        self._graph.publish(self._node, PATH_TOPIC, message, as_it_is=True)
+        self._graph.publish(self._node, PATH_TOPIC, message, prevalidated=True)
 
     def pipeline(self, request: Message, response: Message) -> None:
         """Publish a request to the planners and its response, if there are subscribers."""

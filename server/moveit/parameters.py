@@ -107,13 +107,13 @@ class MoveItParameters(SettingsSection):
     planner_id: str = ""
     """a search algorithm of docs/planning.md; empty for RRTConnect."""
     num_planning_attempts: int = Field(default=5, ge=1, le=MAX_PLANNING_ATTEMPTS)
-    """searches of which the shortest result is kept."""
+    """searches for each goal; the shortest result is kept."""
     optimization_time: float = Field(default=0.024, ge=0.0, le=10.0)
-    """planning time spent on shortening a motion once there is one [s]."""
+    """planning time spent on shortening a motion that was found [s]."""
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
     """planning time after which a goal is answered TIMED_OUT [s]."""
     allowed_execution_duration_scaling: float = Field(default=2.2, ge=1.0, le=100.0)
-    """a motion that takes longer than this times what it takes as planned is given up; below 2 also one that a hot
+    """a motion that takes longer than this times its planned duration is given up; below 2 also a motion that a hot
     servo slows down.
     """
     allowed_goal_duration_margin: float = Field(default=2.0, ge=0.5, le=60.0)

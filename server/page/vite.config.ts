@@ -28,7 +28,8 @@ export default defineConfig({
         chunkFileNames: "assets/[name].js",
         entryFileNames: "assets/[name].js",
         assetFileNames: "assets/[name][extname]",
-        codeSplitting: { groups: [{ name: "vendor", test: /node_modules/ }] },
+        // What few visits need is loaded when it is needed: charts, codes, and readers of rarer kinds of meshes.
+        codeSplitting: { groups: [{ name: "vendor", test: /node_modules\/(?!uplot|qrcode-generator|.*\/(OBJLoader|ColladaLoader|collada\/))/ }] },
       },
     },
   },

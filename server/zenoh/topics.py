@@ -63,7 +63,10 @@ class OutgoingTopic:
         self.dropped += len(self._waiting) == MAX_WAITING
         self._waiting.append(published)
         if not self._submitted:
-            self._submitted = self._network.thread.submit(self._send)
+            # First, since the job may have been done when the call returns.
+            self._submitted = True
+            if not self._network.thread.submit(self._send):
+                self._submitted = False
 
     def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
         import zenoh.ext
@@ -355,6 +358,6 @@ class IncomingTopics:
         refusal = self._authorizer.publishing(name, message.value if isinstance(message.value, dict) else {})
         if refusal is None:
             return False
-        self._network.graph.turn_away(self._network.node, name, message, refusal)
+        self._network.graph.reject_unauthorized(self._network.node, name, message, refusal)
         self._network.warn(refusal)
         return True

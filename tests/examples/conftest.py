@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.server import FAST, ROOT, RunningServer
+from harness.server import CLIENT_ENVIRONMENT, FAST, ROOT, RunningServer
 
 EXAMPLES = ROOT / "examples"
 EXAMPLE_TIMEOUT_S = 60
@@ -31,6 +31,7 @@ def run_example() -> RunExample:
     def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [sys.executable, str(EXAMPLES / name), *arguments],
+            env=CLIENT_ENVIRONMENT,
             capture_output=True,
             text=True,
             timeout=EXAMPLE_TIMEOUT_S,

@@ -17,7 +17,7 @@ import pytest
 from websockets.sync.client import connect
 
 from harness.clients import call_on
-from harness.server import FAST_ARMS, RunningServer, free_port
+from harness.server import CLIENT_ENVIRONMENT, FAST_ARMS, RunningServer, free_port
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
 
@@ -40,7 +40,8 @@ def without_server() -> Iterator[tuple[int, dict[str, subprocess.Popen[str]]]]:
     port = free_port()
     started = {
         name: subprocess.Popen(
-            [sys.executable, str(EXAMPLES / name), "--port", str(port)],
+            [sys.executable, str(EXAMPLES / name), "--url", f"ws://127.0.0.1:{port}"],
+            env=CLIENT_ENVIRONMENT,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -58,12 +59,10 @@ def test_help_tells_the_options_and_connects_to_nothing(
     name: str, run_example: RunExample, silent_port: tuple[socket.socket, int]
 ) -> None:
     listener, port = silent_port
-    done = run_example(name, "--port", str(port), "--help")
+    done = run_example(name, "--url", f"ws://127.0.0.1:{port}", "--help")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "--host HOST" in done.stdout
-    assert "(default: 127.0.0.1)" in done.stdout
-    assert "--port PORT" in done.stdout
-    assert "(default: 9090)" in done.stdout
+    assert "--url URL" in done.stdout
+    assert "(default: ws://127.0.0.1:9090)" in " ".join(done.stdout.split())
     with pytest.raises(BlockingIOError):
         listener.accept()
 
@@ -74,17 +73,17 @@ def test_without_a_server_an_example_ends_with_one_line_and_1(
 ) -> None:
     port, started = without_server
     stdout, stderr = started[name].communicate(timeout=EXAMPLE_TIMEOUT_S)
-    assert stderr == f'no server answers at ws://127.0.0.1:{port}: start one with "make run"\n'
+    assert stderr.startswith(f"no server answers at ws://127.0.0.1:{port}: start one with armbridge serve")
+    assert stderr.count("\n") == 1
     assert (started[name].returncode, stdout) == (1, "")
 
 
 def test_a_server_that_says_nothing_is_no_server(
     run_example: RunExample, silent_port: tuple[socket.socket, int]
 ) -> None:
-    # The examples wait for less than 5 s, after which autobahn would log a line of its own.
     _, port = silent_port
-    done = run_example("named_goal.py", "--host", "localhost", "--port", str(port))
-    assert done.stderr == f'no server answers at ws://localhost:{port}: start one with "make run"\n'
+    done = run_example("named_goal.py", "--url", f"ws://localhost:{port}")
+    assert done.stderr == f"ws://localhost:{port}: no answer to the connection within 5 s\n"
     assert done.returncode == 1
 
 
@@ -98,7 +97,7 @@ def test_an_argument_that_is_wrong_is_named_before_connecting(
 
 
 DONE = {
-    "a named goal is reached": (("named_goal.py", "ready"), "1 the arm is there\n"),
+    "a named goal is reached": (("named_goal.py", "ready"), "the arm is there\n"),
     "a point to the right has a negative coordinate": (("pose_goal.py", "0.25", "-0.1", "0.2"), "the arm is there\n"),
     "a square is drawn in the air": (("square_in_the_air.py",), "a square of 6 cm\n"),
     "a box is picked up and put down": (
@@ -112,19 +111,19 @@ DONE = {
 def test_what_an_example_does_is_done_and_told(
     words: tuple[str, ...], told: str, run_example: RunExample, server: RunningServer
 ) -> None:
-    done = run_example(*words, "--port", str(server.port))
+    done = run_example(*words, "--url", server.url)
     assert (done.returncode, done.stdout) == (0, told), done.stderr
 
 
 REFUSED = {
-    "a name that does not exist": (("named_goal.py", "raedy"), "-16 "),
+    "a name that does not exist": (("named_goal.py", "raedy"), "INVALID_GOAL_CONSTRAINTS (-16): "),
     "a leader that does not exist": (
         ("leader_follower.py", "--leader", "nobody"),
         "leader: must be an arm that leads (none) or a topic",
     ),
     "two hands on one arm": (
         ("two_hands.py",),
-        "the server has no arms left and right: start it with --config examples/two_arms.toml\n",
+        "the server has no arm 'left'; its arms: one, without a name\n",
     ),
 }
 
@@ -133,20 +132,20 @@ REFUSED = {
 def test_what_cannot_be_done_is_told_and_ends_with_1(
     words: tuple[str, ...], told: str, run_example: RunExample, server: RunningServer
 ) -> None:
-    done = run_example(*words, "--port", str(server.port))
+    done = run_example(*words, "--url", server.url)
     assert done.returncode == 1
-    assert told in done.stdout
+    assert told in done.stderr
 
 
 def test_joints_are_turned_while_their_way_is_told(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("joint_goal.py", "--port", str(server.port), "shoulder_pan=10")
+    done = run_example("joint_goal.py", "--url", server.url, "shoulder_pan=10")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "executing" in done.stdout
     assert done.stdout.splitlines()[-1] == "done       100%  the arm is there"
 
 
 def test_a_point_out_of_reach_becomes_the_nearest_one(run_example: RunExample, server: RunningServer) -> None:
-    done = run_example("pose_goal.py", "1", "0", "0.2", "--port", str(server.port))
+    done = run_example("pose_goal.py", "1", "0", "0.2", "--url", server.url)
     assert done.returncode == 0, done.stdout + done.stderr
     refusal, success = done.stdout.splitlines()
     assert "cannot reach" in refusal
@@ -155,17 +154,17 @@ def test_a_point_out_of_reach_becomes_the_nearest_one(run_example: RunExample, s
 
 def test_two_arms_are_moved_each_by_its_name_and_then_together(run_example: RunExample) -> None:
     with RunningServer(f"--port 0 --config {EXAMPLES / 'two_arms.toml'}", FAST_ARMS) as arms:
-        done = run_example("two_hands.py", "--port", str(arms.port))
+        done = run_example("two_hands.py", "--url", arms.url)
     assert done.returncode == 0, done.stdout + done.stderr
     *each, both = done.stdout.splitlines()
-    assert sorted(each) == ["left: 1 the arm is there", "right: 1 the arm is there"]
-    assert both == "both: 1 the arm is there"
+    assert sorted(each) == ["left: the arm is there", "right: the arm is there"]
+    assert both == "both: the arm is there"
 
 
 def test_an_arm_follows_its_leader_until_ctrl_c() -> None:
     with RunningServer(f"--port 0 --config {EXAMPLES / 'leader_follower.toml'}", FAST_ARMS) as arms:
-        command = [sys.executable, str(EXAMPLES / "leader_follower.py"), "--port", str(arms.port)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as following:
+        command = [sys.executable, str(EXAMPLES / "leader_follower.py"), "--url", arms.url]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=CLIENT_ENVIRONMENT) as following:
             assert following.stdout is not None
             overdue = threading.Timer(EXAMPLE_TIMEOUT_S, following.kill)
             overdue.start()
@@ -178,8 +177,8 @@ def test_an_arm_follows_its_leader_until_ctrl_c() -> None:
 
 
 def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: RunningServer) -> None:
-    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--port", str(server.port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as wave:
+    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--url", server.url]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=CLIENT_ENVIRONMENT) as wave:
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]
         wave.send_signal(signal.SIGINT)
@@ -190,15 +189,17 @@ def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: Runni
 
 
 def test_the_wave_tells_why_it_may_not_move_the_arm(server: RunningServer) -> None:
-    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--port", str(server.port)]
-    with connect(server.url) as other, subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as wave:
+    command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--url", server.url]
+    with (
+        connect(server.url) as other,
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=CLIENT_ENVIRONMENT) as wave,
+    ):
         assert call_on(other, "/arm/take_control")["success"]
         assert wave.stdout is not None
-        sentence, name = wave.stdout.readline(), wave.stdout.readline()
+        sentence = next(line for line in wave.stdout if line != "there\n")
         wave.send_signal(signal.SIGINT)
         wave.communicate(timeout=20)
     assert "has controlled the arm since" in sentence
-    assert name == "FAILURE\n"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -214,7 +215,7 @@ def test_the_header_of_an_example_names_the_command_of_its_server(name: str) -> 
 def test_the_wave_of_a_fetch_ends_with_a_sentence_on_another_arm(
     run_example: RunExample, server: RunningServer
 ) -> None:
-    done = run_example("fetch_wave.py", "--port", str(server.port))
+    done = run_example("fetch_wave.py", "--url", server.url)
     assert done.returncode == 1
     assert done.stderr == "this arm is no Fetch: start one with armbridge serve --robot fetch\n"
 

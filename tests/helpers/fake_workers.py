@@ -30,13 +30,11 @@ class FakeWorker:
     Attributes:
         asked: requests so far, in their order.
         killed: number of times that the pool has ended it.
-        waits_for_a_core: whether it has waited for a core all its life.
         listens: whether it gives up a request that is cancelled.
     """
 
     loaded = usable = False
     killed = 0
-    waits_for_a_core = False
     listens = True
     ending = "exit code 1"
 
@@ -64,9 +62,6 @@ class FakeWorker:
             asyncio.get_running_loop().call_soon(self.end)
         elif self._farm.loads:
             asyncio.get_running_loop().call_later(self._farm.load_s, self._load)
-
-    def run_delay_s(self) -> float:
-        return asyncio.get_running_loop().time() if self.waits_for_a_core else 0.0
 
     def has(self, scene: Scene) -> bool:
         return self._scene.version == scene.version

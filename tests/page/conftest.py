@@ -1,4 +1,4 @@
-"""One browser a module; the tests are skipped, with the reason, where there is none or the page is not built."""
+"""One browser, with a tab a module; tests are skipped, with the reason, where there is no browser or no built page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     missing = what_is_missing()
     if missing:
@@ -38,10 +38,23 @@ def server(settings: dict[str, str]) -> Iterator[RunningServer]:
         yield running
 
 
-@pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    """A page of the server, in which nothing goes wrong."""
+@pytest.fixture(scope="module")
+def module_tab(browser: Browser) -> Iterator[OpenPage]:
     with opened(browser) as open_page:
-        open_page.open(server.port)
         yield open_page
-        assert open_page.errors == []
+
+
+@pytest.fixture
+def tab(module_tab: OpenPage) -> Iterator[OpenPage]:
+    """An empty tab in which nothing goes wrong; nothing is kept from the page before."""
+    yield module_tab
+    errors = list(module_tab.errors)
+    module_tab.leave()
+    assert errors == []
+
+
+@pytest.fixture
+def page(tab: OpenPage, server: RunningServer) -> OpenPage:
+    """A page of the server."""
+    tab.open(server.port)
+    return tab

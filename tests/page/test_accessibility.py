@@ -63,7 +63,7 @@ def page(browser: Browser, server: RunningServer, request: pytest.FixtureRequest
         open_page.open(server.port)
         assert open_page.page.evaluate("document.documentElement.lang") == request.param
         open_page.part("named-home").click()
-        open_page.part("plan").click()
+        open_page.press("plan")
         open_page.until_state("s.plan.trajectory !== null && s.identity !== null && s.servos.length > 0")
         yield open_page
 

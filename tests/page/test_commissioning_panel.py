@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from harness.page import DESKTOP, OpenPage, opened
+from harness.page import DESKTOP, OpenPage
 from harness.server import RunningServer
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, WebSocketRoute
+    from playwright.sync_api import WebSocketRoute
 
 TOPIC = "/arm/commissioning/state"
 SERVICES = "/arm/commissioning/"
@@ -97,9 +96,8 @@ class ScriptedProcedures:
 
 
 @pytest.fixture
-def page(browser: Browser) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        yield open_page
+def page(tab: OpenPage) -> OpenPage:
+    return tab
 
 
 @pytest.fixture

@@ -73,7 +73,7 @@ def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
 def _opened_at_drive(page: OpenPage, server: RunningServer) -> OpenPage:
     page.page.add_init_script(GAMEPAD + LISTEN)
     page.open(server.port)
-    page.part("tab-drive").click()
+    page.open_panel("drive")
     for name in ("drive-keys", "drive-gamepad"):
         page.page.locator(f"#section-{name} > summary").click()
     page.until("document.querySelectorAll('.jog-row').length > 5")
@@ -222,7 +222,7 @@ def test_a_gamepad_moves_the_arm_while_its_dead_man_is_held(page: OpenPage) -> N
 
 def test_two_thumbs_drive_on_a_phone(phone: OpenPage) -> None:
     page = phone
-    page.part("pad-dead-man").scroll_into_view_if_needed()
+    page.part("dead-man-left").scroll_into_view_if_needed()
     fingers = Fingers(page)
 
     def push_thumb() -> None:
@@ -235,7 +235,7 @@ def test_two_thumbs_drive_on_a_phone(phone: OpenPage) -> None:
 
     def push_while_held() -> None:
         push_thumb()
-        fingers.press(2, "pad-dead-man")
+        fingers.press(2, "dead-man-left")
 
     drive(page, push_while_held, fingers.lift_all)
     fingers.lift(2)

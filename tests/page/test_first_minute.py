@@ -27,7 +27,7 @@ def test_one_button_makes_the_first_motion_and_goes_for_good(page: OpenPage, ser
     page.until("!document.querySelector('[data-testid=first-motion]').hidden")
     before = page.joints()
     page.part("first-motion-go").click()
-    page.until("!document.querySelector('[data-testid=motion-bar]').hidden")
+    page.until_offered("pause")
     page.until_text("time-left", "s left")
     page.until_state("s.goal.code === 1")
     after = page.joints()
@@ -40,18 +40,18 @@ def test_one_button_makes_the_first_motion_and_goes_for_good(page: OpenPage, ser
 
 def test_the_next_step_is_told_where_the_buttons_are(page: OpenPage) -> None:
     page.until_text("next-step", "Choose where to go")
-    assert page.part("move").is_disabled()
+    assert not page.offers("go")
     page.part("named-home").click()
-    page.until_text("next-step", "Plan shows the motion")
-    assert page.part("plan").is_enabled()
+    page.until_text("next-step", "Plan shows the motion as a ghost")
+    assert page.offers("plan")
 
 
 def test_a_value_out_of_range_is_said_at_the_field_with_the_range_in_the_chosen_units(page: OpenPage) -> None:
     page.enter("target-x", "99999")
     page.until_text("target-x-problem", "x: 99999 mm is outside of -")
-    page.part("tab-settings").click()
+    page.open_panel("settings")
     page.part("units").select_option("rad")
-    page.part("tab-move").click()
+    page.open_panel("move")
     assert page.part("target-x").get_attribute("aria-label") == "target x in m"
 
 
@@ -62,15 +62,45 @@ def test_a_relaxed_arm_says_so_and_holds_at_one_click(page: OpenPage) -> None:
     page.until_state("s.arm.mode === 'holding'")
 
 
-def test_tabs_keep_the_focus_and_a_panel_that_is_closed_comes_back(page: OpenPage) -> None:
-    page.part("tab-move").click()
-    page.page.keyboard.press("ArrowRight")
-    assert page.page.evaluate("document.activeElement.dataset.testid") == "tab-drive"
-    page.page.keyboard.press("Delete")
-    assert page.page.evaluate("document.activeElement.dataset.testid") == "tab-move"
-    page.part("open-panel-first").select_option("drive")
-    assert page.page.evaluate("document.activeElement.dataset.testid") == "tab-drive"
-    assert page.part("panel-drive").is_visible()
+def test_panels_open_and_close_by_the_rail_and_a_pinned_one_stays(page: OpenPage) -> None:
+    focused = "document.activeElement.dataset.testid"
+    page.part("close-panel-move").click()
+    assert page.page.evaluate(focused) == "tab-move"
+    assert is_hidden(page, "panel-move")
+    page.page.keyboard.press("Enter")
+    page.part("pin-panel-move").click()
+    page.open_panel("plots")
+    assert page.part("panel-move").is_visible()
+    assert is_hidden(page, "tab-plots")
+    page.open_panel("drive")
+    assert is_hidden(page, "panel-plots")
+    assert page.part("panel-move").is_visible()
+    page.part("tab-drive").click()
+    assert is_hidden(page, "panel-drive")
+
+
+def test_a_double_click_takes_one_step_and_the_button_stays_where_it_is(page: OpenPage) -> None:
+    # Slow enough to be paused on the way.
+    page.part("speed").fill("0.05")
+    page.part("named-extended").click()
+    place = page.box("primary")
+    page.until_offered("plan").dblclick()
+    # A second click after the answer does not start the motion either.
+    page.until_offered("go")
+    second = """new MouseEvent("click", { detail: 2 })"""
+    page.page.evaluate(f"() => document.querySelector('[data-testid=primary]').dispatchEvent({second})")
+    assert page.state("pending_request") == "nothing"
+    assert page.box("primary") == place
+    page.press("go")
+    assert page.until_offered("pause").bounding_box() == place
+    page.press("pause")
+    page.until_text("state-pill", "PAUSED")
+    assert page.until_offered("resume").bounding_box() == place
+    page.press("resume")
+    page.until_text("state-pill", "EXECUTING")
+    page.part("stop").click()
+    page.until_text("state-pill", "STOPPED")
+    assert page.page.title() == "STOPPED · armbridge"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

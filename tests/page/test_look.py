@@ -89,6 +89,23 @@ def test_a_handle_beside_the_gripper_moves_the_target_and_the_arm(page: OpenPage
     assert math.dist(tip(server.url), wished) < ARRIVED_M
 
 
+def test_the_ball_at_the_gripper_is_dragged_in_the_plane_of_the_picture(page: OpenPage) -> None:
+    page.part("forget-wish").click()
+    start = page.state("tool_m")
+    x, y = page.screen_of(tuple(start))
+    mouse = page.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x - 30, y - 40, steps=5)
+    mouse.up()
+    wished = page.state("target.position_m")
+    assert math.dist(wished, start) > 0.02
+    assert page.screen_of(tuple(wished)) == pytest.approx((x - 30, y - 40), abs=3)
+    # The ghost follows as far as the arm can.
+    page.until_state("s.target.joints_rad !== null")
+    page.page.mouse.move(20, 300)
+
+
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_the_whole_arm_is_well_in_the_picture(browser: Browser, server: RunningServer, size: tuple[int, int]) -> None:
     with opened(browser, size, color_scheme="dark") as page:

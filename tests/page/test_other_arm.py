@@ -145,7 +145,7 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
         assert after["left_shoulder_lift"] == pytest.approx(before["left_shoulder_lift"], abs=ON_SERVOS)
         page.shot("two_arms")
         # Driven by hand, too.
-        page.part("tab-drive").click()
+        page.open_panel("drive")
         page.part("drive-mode").select_option("hold")
         for control, moved in (
             ("jog-right_wrist_roll-plus", "right_wrist_roll"),

@@ -85,11 +85,11 @@ def test_the_arm_moves_as_the_joint_states_do(page: OpenPage, server: RunningSer
 
 def test_a_named_pose_is_planned_looked_at_and_moved_to(page: OpenPage) -> None:
     page.part("named-home").click()
-    page.part("plan").click()
+    page.press("plan")
     page.until_state("s.plan.trajectory !== null && s.plan.tool_path.length > 1")
     page.part("scrubber").fill("0.5")
     page.shot("planned")
-    page.part("move").click()
+    page.press("go")
     page.until_state("s.goal.code === 1")
     page.until_text("state-pill", "IDLE")
 

@@ -89,7 +89,7 @@ def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     with opened(browser, PHONE, has_touch=True, is_mobile=True) as page:
         page.page.add_init_script(SENSORS + LISTEN)
         page.open(server.port)
-        page.part("tab-drive").click()
+        page.open_panel("drive")
         yield page
 
 
@@ -227,7 +227,7 @@ def test_the_code_lets_one_phone_in(browser: Browser) -> None:
     settings = {"ARMBRIDGE_ACCESS__TOKEN": TOKEN}
     with RunningServer("--port 0 --host 0.0.0.0", settings) as server, opened(browser) as page:
         page.open(server.port, f"#token={TOKEN}")
-        page.part("tab-drive").click()
+        page.open_panel("drive")
         page.page.locator("#section-phone > summary").click()
         page.part("phone-show-code").click()
         page.until_text("phone-note", "lets one phone in")

@@ -50,7 +50,7 @@ def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     with opened(browser, locale="en") as open_page:
         open_page.open(server.port)
         open_page.part("named-ready").click()
-        open_page.part("plan").click()
+        open_page.press("plan")
         open_page.until_state("s.plan.trajectory !== null && s.plan.tool_path.length > 1")
         yield open_page
 
@@ -157,13 +157,13 @@ def test_the_film_of_the_readme_shows_a_plan_a_motion_and_a_stop(browser: Browse
             page.page.wait_for_timeout(LOOK_MS)
             page.part("named-shelf").click()
             page.page.wait_for_timeout(LOOK_MS)
-            page.part("plan").click()
+            page.press("plan")
             page.until_state("s.plan.trajectory !== null && s.plan.tool_path.length > 1")
             page.part("replay").click()
-            page.until_text("replay", "Replay")
+            page.until_state("!s.plan.replaying")
             page.page.wait_for_timeout(LOOK_MS)
             page.page.evaluate(STOP_HALFWAY)
-            page.part("move").click()
+            page.press("go")
             page.until_text("state-pill", "STOPPED")
             page.page.wait_for_timeout(LOOK_MS)
         assert page.errors == []

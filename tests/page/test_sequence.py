@@ -16,11 +16,11 @@ import pytest
 from websockets.sync.client import connect
 
 from harness.clients import call
-from harness.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage, opened
+from harness.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage
 from harness.server import FAST, ROOT, RunningServer
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    pass
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 
@@ -44,15 +44,13 @@ SETTINGS = {**FAST, **SHARED}
 
 
 @pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+def page(tab: OpenPage, server: RunningServer) -> OpenPage:
     """The panel, with an empty scene."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
-    with opened(browser) as page:
-        page.open(server.port)
-        page.until_state("s.link.connected && s.identity !== null && s.actions !== null")
-        page.open_panel("sequence")
-        yield page
-        assert page.errors == []
+    tab.open(server.port)
+    tab.until_state("s.link.connected && s.identity !== null && s.actions !== null")
+    tab.open_panel("sequence")
+    return tab
 
 
 def move(server: RunningServer, place: Positions) -> None:
@@ -207,10 +205,10 @@ def test_checks_are_not_shown_as_plans_to_carry_out(page: OpenPage, server: Runn
     goal = {"joints": {"name": list(PLACES[0]), "position": list(PLACES[0].values())}, "plan_only": True}
     assert call(server.url, "/moveit_goal", goal)["success"]
     page.until_state("s.plan.trajectory !== null")
-    page.part("tab-move").click()
+    page.open_panel("move")
     page.part("forget-wish").click()
     page.until_state("s.plan.trajectory === null")
-    page.part("tab-sequence").click()
+    page.open_panel("sequence")
     load(page, waypoint(PLACES[0]), waypoint(PLACES[1]))
     until_checked(page, "possible", "possible")
     # What the server tells about the other topics after the checks comes after their plans, too.
@@ -257,8 +255,45 @@ def test_a_sequence_is_kept_by_name_over_a_reload(page: OpenPage, server: Runnin
     page.part("load-sequence-wave").click()
     page.until_state("s.sequence.waypoints.length === 2 && s.sequence.waypoints[1].pause_s === 1.5")
     assert page.state("sequence.waypoints[1].straight") is True
+    # A double click asks only.
+    page.part("delete-sequence-wave").dblclick()
+    page.until_text("delete-sequence-wave", "Really delete?")
+    page.part("sequence-name").focus()
+    page.until_text("delete-sequence-wave", "Delete")
+    assert list(page.state("sequence.saved")) == ["wave"]
+    page.part("delete-sequence-wave").click()
     page.part("delete-sequence-wave").click()
     page.until_state("Object.keys(s.sequence.saved).length === 0")
+
+
+def test_a_sequence_has_pictures_path_and_time_and_is_there_again_after_a_reload(
+    page: OpenPage, server: RunningServer
+) -> None:
+    move(server, PLACES[2])
+    load(page, waypoint(PLACES[0]), waypoint(PLACES[1], pause_s=1.5))
+    for _ in range(2):
+        until_checked(page, "possible", "possible")
+        page.until_text("sequence-total", "s in all")
+        total_s = float((page.part("sequence-total").text_content() or "").split()[0])
+        moving_s = sum(check["duration_s"] for check in page.state("sequence.checks"))
+        assert total_s == pytest.approx(moving_s + 1.5, abs=0.06)
+        page.until_state("Object.keys(s.thumbnails).length === 2 && s.plan.tool_path.length > 20")
+        pictures = page.page.evaluate("[...document.querySelectorAll('.thumbnail')].map(each => each.src)")
+        assert len(set(pictures)) == 2
+        assert all(picture.startswith("data:image/png") for picture in pictures)
+        page.open(server.port)
+        page.open_panel("sequence")
+
+
+def test_a_sequence_is_repeated_until_it_is_stopped(page: OpenPage, server: RunningServer) -> None:
+    move(server, PLACES[2])
+    load(page, waypoint(PLACES[0]), waypoint(PLACES[1]))
+    page.part("sequence-loop").check()
+    with watched(server) as until:
+        page.part("play-sequence").click()
+        until(went_through(PLACES[0], PLACES[1], PLACES[0], PLACES[1]))
+        page.part("stop").click()
+    page.until_text("sequence-told", "The sequence was stopped.")
 
 
 def test_a_file_that_is_no_sequence_says_so_and_changes_nothing(page: OpenPage) -> None:

@@ -32,13 +32,12 @@ def arm() -> Iterator[ServerOnBus]:
 
 
 @pytest.fixture
-def page(browser: Browser, arm: ServerOnBus) -> Iterator[OpenPage]:
+def page(tab: OpenPage, arm: ServerOnBus) -> OpenPage:
     """A page with its list of servos open."""
-    with opened(browser) as open_page:
-        open_page.open(arm.server.port)
-        open_page.open_panel("arm", "servos")
-        open_page.part("servo-open-elbow_flex").wait_for()
-        yield open_page
+    tab.open(arm.server.port)
+    tab.open_panel("arm", "servos")
+    tab.part("servo-open-elbow_flex").wait_for()
+    return tab
 
 
 def until_samples(page: OpenPage, more_than: int) -> int:

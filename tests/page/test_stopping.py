@@ -40,7 +40,7 @@ def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     """A phone that shows Drive, with the arm in a pose from which it can be driven everywhere."""
     with opened(browser, PHONE, has_touch=True, is_mobile=True) as open_page:
         open_page.open(server.port)
-        open_page.part("tab-drive").click()
+        open_page.open_panel("drive")
         open_page.until("document.querySelectorAll('.jog-row').length > 5")
         at_ready(open_page, server.url)
         open_page.part("jog-wrist_flex-plus").scroll_into_view_if_needed()
@@ -135,7 +135,7 @@ def choose_group(page: OpenPage, server: RunningServer, group: str) -> None:
 def test_a_press_of_a_quarter_of_a_second_cancels_a_goal(
     page: OpenPage, fingers: Fingers, server: RunningServer
 ) -> None:
-    page.part("tab-goals").click()
+    page.open_panel("goals")
     with blocking.connect(server.url) as websocket:
         # Slow, so that statuses come all the while.
         for topic, type_name, msg in (

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from harness.clients import call
-from harness.page import AXE, FIND_VIOLATIONS, RULES, SHARED, OpenPage, opened
+from harness.page import AXE, FIND_VIOLATIONS, RULES, SHARED, OpenPage
 from harness.server import FAST, ServerOnBus, server_on_bus
 from tests.helpers.robots import nominal_calibration
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    pass
 
 ELBOW = next(joint for joint in nominal_calibration().joints if joint.joint == "elbow_flex")
 
@@ -29,13 +29,11 @@ def arm() -> Iterator[ServerOnBus]:
 
 
 @pytest.fixture
-def page(browser: Browser, arm: ServerOnBus) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        open_page.open(arm.server.port)
-        open_page.until_state("s.teaching.motions !== null && s.joints.names.length > 0")
-        open_page.open_panel("sequence", "teaching")
-        yield open_page
-        assert open_page.errors == []
+def page(tab: OpenPage, arm: ServerOnBus) -> OpenPage:
+    tab.open(arm.server.port)
+    tab.until_state("s.teaching.motions !== null && s.joints.names.length > 0")
+    tab.open_panel("sequence", "teaching")
+    return tab
 
 
 def lead_elbow(page: OpenPage, arm: ServerOnBus, position_rad: float) -> None:
@@ -127,6 +125,7 @@ def test_a_motion_is_cut_renamed_and_deleted(page: OpenPage, arm: ServerOnBus) -
     page.part("rename-motion").click()
     page.until_state("s.teaching.motions.includes('short') && !s.teaching.motions.includes('long')")
     page.part("edit-motion-short").click()
+    page.part("delete-motion").click()
     page.part("delete-motion").click()
     page.until_state("!s.teaching.motions.includes('short')")
 

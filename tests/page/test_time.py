@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from harness.clients import call, goal
-from harness.page import OpenPage, opened
+from harness.page import DESKTOP, OpenPage, opened
 from harness.server import ROOT, RunningServer
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def plot(name: str) -> str:
 
 
 def test_plots_show_several_joints_and_save_them_as_csv(page: OpenPage, server: RunningServer, tmp_path: Path) -> None:
-    page.part("tab-plots").click()
+    page.open_panel("plots")
     for quantity in ("velocity", "load", "temperature", "error"):
         page.part(f"plot-quantity-{quantity}").check()
     page.until("document.querySelectorAll('[data-testid=plot] canvas').length === 5")
@@ -57,7 +57,7 @@ def test_plots_show_several_joints_and_save_them_as_csv(page: OpenPage, server: 
 
 
 def test_plots_stand_still_are_zoomed_and_go_on_live(page: OpenPage) -> None:
-    page.part("tab-plots").click()
+    page.open_panel("plots")
     page.until(f"Number({plot('samples')}) > 20")
     # There is something to go back to: more than a fifth of what the plots show.
     first_s = page.state("joints")["stamp"]
@@ -79,10 +79,24 @@ def test_plots_stand_still_are_zoomed_and_go_on_live(page: OpenPage) -> None:
     page.until(f"{plot('endS')} === ''")
 
 
+def test_charts_fill_their_panel(page: OpenPage) -> None:
+    page.open_panel("plots")
+    page.until("document.querySelectorAll('[data-testid=plot] canvas').length > 0")
+    for quantity in ("position", "goal", "error", "load", "temperature"):
+        page.part(f"plot-quantity-{quantity}").set_checked(quantity == "position")
+    page.part("plot-quantity-velocity").uncheck()
+    page.until("document.querySelectorAll('[data-testid=plot] canvas').length === 1")
+    # One chart takes what the choices leave, at any height of the window.
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": 1300})
+    page.until("document.querySelector('[data-testid=plot] canvas').clientHeight > 500")
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    page.until("document.querySelector('[data-testid=plot] canvas').clientHeight < 300")
+
+
 def test_plots_that_are_not_shown_are_not_drawn(page: OpenPage) -> None:
-    page.part("tab-plots").click()
+    page.open_panel("plots")
     page.until(f"Number({plot('draws')}) > 3")
-    page.part("tab-log").click()
+    page.open_panel("log")
     drawn = page.page.evaluate(plot("draws"))
     stamp = page.state("joints")["stamp"]
     page.until_state(f"s.joints.stamp > {stamp} + 1")
@@ -98,8 +112,9 @@ def test_the_timeline_has_goals_of_other_clients_also_of_before_the_page_was_ope
     before, failed = _ids(server)[-2:]
     with opened(browser) as page:
         page.open(server.port)
-        page.part("tab-goals").click()
+        page.open_panel("goals")
         page.part(f"goal-open-{failed}").click()
+        page.until_text(f"goal-open-{failed}", "shoulder_pan 515.7°: failed")
         page.until_text(f"goal-{failed}", "INVALID_GOAL_CONSTRAINTS")
         page.until_text(f"goal-{failed}", "shoulder_pan 515.7°")
         problem = page.download(f"goal-save-{failed}", tmp_path)
@@ -128,7 +143,7 @@ def _plan(problem: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_log_is_filtered_and_stands_still_while_it_is_halted(page: OpenPage, server: RunningServer) -> None:
-    page.part("tab-log").click()
+    page.open_panel("log")
     move_pan(server, 0.1)
     page.until_text("log", "SUCCESS")
     page.part("log-pause").click()
@@ -145,7 +160,7 @@ def test_the_log_is_filtered_and_stands_still_while_it_is_halted(page: OpenPage,
 
 
 def test_health_of_bus_and_loop_is_in_words(page: OpenPage) -> None:
-    page.part("tab-arm").click()
+    page.open_panel("arm")
     # Loaded anew, the panel is shown before the first report comes.
     page.page.reload()
     page.until_text("health-loop", "ms late")

@@ -82,7 +82,7 @@ def test_who_may_only_look_sees_why_and_can_stop(browser: Browser, server: Runni
         assert page.page.url == f"http://127.0.0.1:{server.port}/"
         page.until_text("control", "Read only")
         page.part("named-home").click()
-        for test_id in ("plan", "plan-and-move", "gripper-open", "relax", "save", "pace", "speed-limit"):
+        for test_id in ("primary", "plan-and-move", "gripper-open", "relax", "save", "pace", "speed-limit"):
             assert page.part(test_id).is_disabled(), test_id
         page.shot("read_only")
         assert_stops(page)
@@ -99,7 +99,7 @@ def test_while_another_drives_the_page_says_who_and_can_plan_and_stop(browser: B
             for test_id in ("plan-and-move", "gripper-open", "relax", "pace", "take-control"):
                 assert page.part(test_id).is_disabled(), test_id
             assert page.part("take-over").is_hidden()
-            assert page.part("plan").is_enabled()
+            assert page.offers("plan")
             page.shot("another_drives")
             # It belongs to the operators, not to the one who drives.
             page.part("speed-limit").fill("0.25")

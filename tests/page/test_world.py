@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,19 +26,17 @@ SETTINGS = {**FAST, **SHARED}
 
 
 @pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+def page(tab: OpenPage, server: RunningServer) -> OpenPage:
     """The panel, with an empty scene."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
-    with opened(browser) as page:
-        open_world(page, server)
-        yield page
-        assert page.errors == []
+    open_world(tab, server)
+    return tab
 
 
 def open_world(page: OpenPage, server: RunningServer) -> None:
     page.open(server.port)
     page.until_state("s.link.connected && s.identity !== null && s.editing.saved !== null")
-    page.part("tab-world").click()
+    page.open_panel("world")
 
 
 def add_by_click(page: OpenPage, kind: str, place_m: tuple[float, float, float]) -> None:
@@ -176,6 +174,7 @@ def test_a_saved_scene_comes_back_from_the_server_and_from_a_file(
         until_on_server(page, server, lambda s: "box_1" in s["world"])
         page.until_state("s.objects.length === 1")
         select(page, "box_1")
+    page.part("delete-scene-Küche").click()
     page.part("delete-scene-Küche").click()
     page.until_state("s.editing.saved.length === 0")
     assert call(server.url, "/arm/scenes/list", {})["names"] == []

@@ -59,4 +59,4 @@ def test_a_bug_in_the_first_plans_leaves_the_planner_as_it_is(monkeypatch):
         raise ValueError("broken")
 
     monkeypatch.setattr(Planner, "answer", fail)
-    assert isinstance(worker.warm_planner(robot, time.process_time), Planner)
+    assert isinstance(worker.warm_planner(robot), Planner)

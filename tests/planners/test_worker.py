@@ -6,7 +6,6 @@ import dataclasses
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -68,14 +67,6 @@ except MemoryError:
     assert output_of(program) == ["caught"]
 
 
-@pytest.mark.parametrize(("run_delay_s", "clock"), [(0.5, time.process_time), (None, time.monotonic)])
-def test_allowed_time_is_processor_time_where_the_kernel_counts_waits_for_a_core_and_else_the_wall_s(
-    monkeypatch: pytest.MonkeyPatch, run_delay_s: float | None, clock: Callable[[], float]
-) -> None:
-    monkeypatch.setattr(worker, "read_run_delay_s", lambda _pid: run_delay_s)
-    assert worker.allowed_time_clock() is clock
-
-
 AT_ONCE = dataclasses.replace(EASY, optimization_time_s=0.0)
 
 
@@ -88,7 +79,7 @@ class Planning:
         refusal: of every scene.
     """
 
-    def __init__(self, _robot: RobotModel, _clock: Callable[[], float]) -> None:
+    def __init__(self, _robot: RobotModel) -> None:
         self.works: Callable[[Request, Callable[[], bool]], Answer] = lambda _request, _stop: SOUND
         self.scenes: list[Scene] = []
         self.refusal: PlanningFailure | None = None
@@ -112,7 +103,7 @@ BOX = SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),))
 class Server:
     """The server's end of a worker in this process."""
 
-    def __init__(self, make: Callable[[RobotModel, Callable[[], float]], Any]) -> None:
+    def __init__(self, make: Callable[[RobotModel], Any]) -> None:
         self.socket, theirs = socket.socketpair()
         self.channel = Channel(self.socket)
         self.sockets = self.socket, theirs
@@ -128,14 +119,14 @@ class Server:
 
 @pytest.fixture
 def planning() -> Planning:
-    return Planning(so101(), time.monotonic)
+    return Planning(so101())
 
 
 @pytest.fixture
 def new(planning: Planning, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     """A worker in this process, whose memory it leaves alone."""
     monkeypatch.setattr(worker, "limit_memory", lambda _bytes: None)
-    made = Server(lambda _robot, _clock: planning)
+    made = Server(lambda _robot: planning)
     yield made
     for each in made.sockets:
         each.close()
@@ -149,7 +140,7 @@ def server(new: Server) -> Server:
 
 
 def test_a_robot_that_cannot_be_loaded_is_told_and_nothing_is_answered(new: Server) -> None:
-    def refuse(_robot: RobotModel, _clock: Callable[[], float]) -> Any:
+    def refuse(_robot: RobotModel) -> Any:
         raise ValueError("no link")
 
     new.worker._make_planner = refuse
@@ -233,7 +224,8 @@ def test_a_problem_that_takes_longer_than_most_is_reported_each_time_that_its_ti
     server: Server, planning: Planning, monkeypatch: pytest.MonkeyPatch, request_, checked_s, reported_s
 ) -> None:
     clock = FakeClock()
-    monkeypatch.setattr(server.worker, "_clock", clock)
+    monkeypatch.setattr(worker.time, "monotonic", clock)
+    monkeypatch.setattr(worker.time, "process_time", clock)
 
     def take_long(_request: Request, should_stop: Callable[[], bool]) -> Answer:
         began_s = clock.now_s

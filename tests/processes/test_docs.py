@@ -11,7 +11,7 @@ import sys
 import pytest
 from websockets.sync.client import connect
 
-from harness.server import ROOT, RunningServer
+from harness.server import CLIENT_ENVIRONMENT, ROOT, RunningServer
 from tests.test_docs import EXAMPLES, PAGES
 from tests.test_readme import blocks
 
@@ -31,18 +31,25 @@ SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
 WITH_CODE = ("browser.md",)
 
 
-PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
+# Modules of a server are no programs; tests/server/test_extending.py runs them.
+PROGRAMS = [(page.name, block) for page in PAGES if page.name != "extending.md" for block in blocks(page, "python")]
 
 
 def run_python(arguments: list[str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=RUN_TIMEOUT_S, check=False
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env=CLIENT_ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=RUN_TIMEOUT_S,
+        check=False,
     )
 
 
 @pytest.mark.parametrize("program", [block for _, block in PROGRAMS], ids=[page for page, _ in PROGRAMS])
 def test_a_python_program_of_the_docs_runs(program: str, simulated_server: RunningServer) -> None:
-    assert f"port={SERVER_PORT}" in program
+    assert SERVER_PORT in program
     done = run_python(["-c", program.replace(SERVER_PORT, str(simulated_server.port))])
     assert done.returncode == 0, done.stderr
     assert done.stdout
@@ -51,9 +58,8 @@ def test_a_python_program_of_the_docs_runs(program: str, simulated_server: Runni
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_a_command_with_an_example_succeeds(command: str, simulated_server: RunningServer) -> None:
     _, *arguments = shlex.split(command)
-    port = str(simulated_server.port)
-    arguments = [port if word == SERVER_PORT else word for word in arguments]
-    done = run_python(arguments if port in arguments else [*arguments, "--port", port])
+    # The last of an option that is given twice counts.
+    done = run_python([*arguments, "--url", simulated_server.url])
     assert done.returncode == 0, done.stdout + done.stderr
 
 

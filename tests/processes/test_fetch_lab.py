@@ -182,7 +182,7 @@ async def test_a_cancel_without_an_id_ends_all_goals_and_the_arm_stands(lab: Lab
 
 
 def test_the_example_waves_until_ctrl_c_and_leaves_no_goal(server: RunningServer) -> None:
-    command = [sys.executable, str(ROOT / "examples" / "fetch_wave.py"), "--port", str(server.port)]
+    command = [sys.executable, str(ROOT / "examples" / "fetch_wave.py"), "--url", server.url]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as wave:
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]

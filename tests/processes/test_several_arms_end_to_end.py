@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -39,19 +39,6 @@ on_exit = "park"
 base_xyz_m = [0.0, -0.25, 0.0]
 emulator.control = "{folder}/right"
 """
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("arms")
-
-
-@pytest.fixture(scope="module")
-def server(folder: Path) -> Iterator[RunningServer]:
-    config = folder / "arms.toml"
-    config.write_text(CONFIG.format(folder=folder))
-    with RunningServer(f"--config {config}") as running:
-        yield running
 
 
 @asynccontextmanager

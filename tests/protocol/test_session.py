@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from protocol.limits import Limits
 from protocol.messages import Stamp
-from protocol.operations import OPERATIONS, Operation, Publish
+from protocol.operations import MAX_NAME_CHARACTERS, OPERATIONS, Operation, Publish
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.send_queue import BEHIND_S, BULKY_BYTES
@@ -87,6 +87,14 @@ def test_a_refusal_carries_no_id_that_could_not_be_sent_back(mark):
     assert receive(Session(), op="subscribe", topic="/a", id=mark).id is None
 
 
+@pytest.mark.parametrize("field", ["service", "action"])
+def test_a_refusal_names_the_service_or_action_unless_the_name_is_too_long(field):
+    for characters, named in ((MAX_NAME_CHARACTERS, True), (MAX_NAME_CHARACTERS + 1, False)):
+        name = "x" * characters
+        refusal = receive(Session(), op="call_service", id={}, **{field: name})
+        assert refusal.called == (name if named else ""), characters
+
+
 def test_a_message_is_taken_up_to_the_limit_in_bytes_and_not_beyond():
     frame = '{"op":"publish","topic":"/ä"}'
     size_bytes = len(frame.encode())
@@ -120,7 +128,56 @@ def test_nothing_that_comes_raises(frame):
         assert isinstance(item, (Operation, Refusal))
 
 
+def test_every_operation_of_a_frame_is_read_in_order():
+    topics = ["/a", "/b", "/c"]
+    frame = "".join(json.dumps({"op": "unsubscribe", "topic": topic}) for topic in topics)
+    assert [operation.topic for operation in read(Session(), frame)] == topics
+
+
+@pytest.mark.parametrize("frame", ["{", '{"op":"fly"}', b"\xff", bson.encode({"op": "fly"})])
+def test_a_frame_that_is_not_one_operation_is_not_read_ahead(frame):
+    assert Session().peek(frame) is None
+
+
+def test_a_frame_is_read_by_itself_where_nothing_before_it_matters():
+    frame = '{"op":"unsubscribe","topic":"/a"}'
+    limits = Limits.model_construct(max_message_bytes=len(frame))
+    assert Session(limits).reads_by_itself(frame)
+    assert Session().reads_by_itself(frame)
+    assert not Session(limits).reads_by_itself(frame + " ")
+    assert not Session(limits, "ros1").reads_by_itself(frame)
+    amid = Session(limits)
+    assert read(amid, '{"op":') == []
+    assert not amid.reads_by_itself(frame)
+
+
 # What goes to the client
+
+
+@pytest.mark.parametrize("kind", ["reply", "ask", "deliver"])
+def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(kind):
+    session, left = subscribed(), []
+
+    def send(text, send_at_once):
+        if kind == "deliver":
+            return session.deliver(message(text), 1.0, send_at_once)
+        return getattr(session, kind)({"op": "x", "msg": {"data": text}}, send_at_once)
+
+    # A call is accepted either way; the others tell what is queued.
+    for text in ("first", "second"):
+        assert send(text, lambda encoded: left.append(encoded.frames[0].data) or True) == (kind == "ask")
+    assert received_data(left) == ["first", "second"]
+    assert sent(session) == []
+    assert send("third", lambda _: False)
+    assert send("fourth", lambda _: pytest.fail("it would overtake the third"))
+    assert received_data(sent(session)) == ["third", "fourth"]
+
+
+def test_nothing_is_queued_of_a_topic_without_a_subscription_or_before_its_time():
+    session = subscribed(throttle_rate=1000)
+    assert not session.deliver(message("x", topic="/b"), 1.0)
+    assert session.deliver(message("x"), 1.0)
+    assert not session.deliver(message("x"), 1.5)
 
 
 def test_a_throttle_without_a_queue_drops_what_comes_too_early_and_does_not_count_it():
@@ -248,6 +305,9 @@ def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
         session.reply({"op": "service_response", "values": "y" * 100_000})
         congested.append(session.congested)
     assert congested == [False, False, True]
+    session = Session(Limits.model_construct(max_queued_reply_bytes=100_000))
+    session.reply({"op": "service_response", "values": "y" * 90_000})
+    assert session.congested
 
 
 def test_a_result_does_not_overtake_feedback_however_large():

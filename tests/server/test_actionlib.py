@@ -180,7 +180,7 @@ def test_a_goal_of_a_client_that_may_not_send_one_is_rejected_to_it_alone(stage:
     stage.send("driven")
     heard.clear()
     stage.heard[f"{MOVE}/status"].clear()
-    stage.graph.turn_away(other, f"{MOVE}/goal", {"goal_id": {"id": "mine"}}, "another drives")
+    stage.graph.reject_unauthorized(other, f"{MOVE}/goal", {"goal_id": {"id": "mine"}}, "another drives")
     status, result = heard
     assert [(each["goal_id"]["id"], each["status"]) for each in status["status_list"]] == [
         ("driven", Status.ACTIVE),
@@ -192,11 +192,11 @@ def test_a_goal_of_a_client_that_may_not_send_one_is_rejected_to_it_alone(stage:
 
 
 def test_a_rejected_goal_takes_no_id_from_others(stage: Stage) -> None:
-    stage.graph.turn_away(stage.client, f"{MOVE}/goal", {"goal_id": {"id": "one"}}, "another drives")
+    stage.graph.reject_unauthorized(stage.client, f"{MOVE}/goal", {"goal_id": {"id": "one"}}, "another drives")
     stage.send("one")
     assert len(stage.goals) == 1
 
 
 def test_one_that_cannot_be_read_is_rejected_to_nobody(stage: Stage) -> None:
-    stage.graph.turn_away(stage.client, f"{MOVE}/goal", {"goal_id": 5}, "another drives")
+    stage.graph.reject_unauthorized(stage.client, f"{MOVE}/goal", {"goal_id": 5}, "another drives")
     assert stage.heard[f"{MOVE}/result"] == []

@@ -24,12 +24,14 @@ from armbridge_client.errors import (
     ServerUnreachable,
     WrongVersion,
 )
+from armbridge_client.interface import ArmInfo
 from armbridge_client.motion import AsyncPlan, Motion
-from armbridge_client.targets import State, Target, pose
+from armbridge_client.targets import State, Target, WaitingGoal, pose
 
 __all__ = [
     "Arm",
     "ArmError",
+    "ArmInfo",
     "AsyncArm",
     "AsyncGripper",
     "AsyncPlan",
@@ -50,6 +52,7 @@ __all__ = [
     "ServerUnreachable",
     "State",
     "Target",
+    "WaitingGoal",
     "WrongVersion",
     "connect",
     "connect_async",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ssl
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Literal, TypeVar
 
@@ -13,12 +13,12 @@ from armbridge_client.async_gripper import AsyncGripper
 from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
 from armbridge_client.async_scene import AsyncScene
 from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncJog, AsyncTeleop
-from armbridge_client.blocking import Face, LoopThread, blocking, iterate, iterating
+from armbridge_client.blocking import Face, LoopThread, blocking, iterate, iterating, making
 from armbridge_client.connection import CALL_TIMEOUT_S, ServerInfo
 from armbridge_client.errors import ConnectionLost
-from armbridge_client.messages import PoseStamped, RobotTrajectory
+from armbridge_client.interface import ArmInfo
+from armbridge_client.messages import RobotTrajectory
 from armbridge_client.motion import AsyncPlan
-from armbridge_client.targets import Target
 from armbridge_client.wire import Message, Response, Service
 
 M = TypeVar("M", bound=Message)
@@ -46,6 +46,7 @@ def connect(
         ServerUnreachable: nothing listens at the address.
         NotArmbridge: the server is another program.
         WrongVersion: the server's message types differ from the client's.
+        ArmError: the server has no arm of this name.
         NotAuthenticated: the token is missing or wrong.
         DeadlineExceeded: the server does not answer in time.
     """
@@ -68,11 +69,7 @@ class Gripper(Face[AsyncGripper]):
 
 
 class Scene(Face[AsyncScene]):
-    """Planning scene of a server, which all its clients share. A change is in effect when its method returns.
-
-    Poses of objects are made by :func:`armbridge_client.pose`. A change that the server refuses raises RequestRefused
-    with the object, the field and the limit.
-    """
+    """Planning scene, as :class:`AsyncScene`."""
 
     add_box = blocking(AsyncScene.add_box)
     add_sphere = blocking(AsyncScene.add_sphere)
@@ -132,11 +129,7 @@ class Episodes(Face[AsyncEpisodes]):
 
 
 class Jog(Face[AsyncJog]):
-    """Steering with a dead-man's switch, for the length of a ``with``.
-
-    Repeat the command while the person holds the stick: ``command_timeout_s`` after the last command the arm brakes,
-    also if this program hangs or the network fails. Leaving the ``with`` brakes at once.
-    """
+    """Steering with a dead-man's switch, for the length of a ``with``; as :class:`AsyncJog`."""
 
     tip = blocking(AsyncJog.tip)
     joints = blocking(AsyncJog.joints)
@@ -173,14 +166,6 @@ class Arm(Face[AsyncArm]):
 
     Every method has a deadline, after which it raises DeadlineExceeded. A motion that exceeds its deadline, or is
     interrupted by Ctrl-C, is braked along its path.
-
-    Attributes:
-        gripper: the arm's gripper.
-        scene: objects that motions avoid.
-        named_states: targets of :meth:`move_named`.
-        teaching: motions taught by hand.
-        teleop: following of a leader arm.
-        episodes: episodes of the server's recording.
     """
 
     def __init__(self, asynchronous: AsyncArm, loop: LoopThread) -> None:
@@ -207,6 +192,16 @@ class Arm(Face[AsyncArm]):
         self.loop.end()
 
     @property
+    def name(self) -> str:
+        """Name of the arm, on a server with several."""
+        return self.asynchronous.name
+
+    @property
+    def info(self) -> ArmInfo:
+        """Groups, frame and links of the arm."""
+        return self.asynchronous.info
+
+    @property
     def server(self) -> ServerInfo:
         """This client as the server knows it, and the server's version."""
         return self.asynchronous.server
@@ -215,63 +210,33 @@ class Arm(Face[AsyncArm]):
         """Return another arm of the same server, over the same connection."""
         return Arm(self.asynchronous.other(name), self.loop)
 
-    def plan(self, target: Target, *, speed: float = 0.0, group: str = "") -> Plan:
-        """Plan a motion to a target from where the arm is, show it to all clients, and move nothing.
-
-        Raises:
-            GoalRefused: there is no such motion.
-        """
-        return Plan(self.loop.run(self.asynchronous.plan(target, speed=speed, group=group)), self.loop)
-
-    def plan_path(self, poses: Sequence[PoseStamped], *, speed: float = 0.0, step_m: float = 0.005) -> Plan:
-        """Plan straight lines of the tip through poses, and move nothing; all poses in the frame of the first.
-
-        Args:
-            step_m: distance of the configurations along the path.
-
-        Raises:
-            GoalRefused: the path cannot be followed to its end; ``details`` has the reached ``fraction``.
-        """
-        return Plan(self.loop.run(self.asynchronous.plan_path(poses, speed=speed, step_m=step_m)), self.loop)
-
     def jog(self, command_timeout_s: float = COMMAND_TIMEOUT_S) -> Jog:
-        """Steer with velocities: ``with arm.jog() as jog``, and repeat ``jog.tip((0.05, 0.0, 0.0))``.
-
-        Args:
-            command_timeout_s: time after the last command until the arm brakes, 0.02 to 0.25.
-        """
+        """Steer with velocities, as :meth:`AsyncArm.jog`: ``with arm.jog() as jog``."""
         return Jog(self.asynchronous.jog(command_timeout_s), self.loop)
 
     def call(self, service: str, request: Service[Response], timeout_s: float = CALL_TIMEOUT_S) -> Response:
-        """Call any service, below the arm's name, with a request of :mod:`armbridge_client.messages`."""
+        """Call any service, as :meth:`AsyncArm.call`."""
         return self.loop.run(self.asynchronous.call(service, request, timeout_s))
 
     def messages(
         self, topic: str, message_class: type[M], rate_hz: float = 0.0, *, length: int = 10, timeout_s: float = 5.0
     ) -> Iterator[M]:
-        """Go over the messages of any topic, such as a camera's; a slow reader loses the oldest.
-
-        Args:
-            topic: below the arm's name.
-            message_class: of :mod:`armbridge_client.messages`, such as ``CompressedImage``.
-            rate_hz: most messages a second; 0 for all.
-            length: most messages that wait for the reader.
-            timeout_s: longest wait for a message, after which DeadlineExceeded is raised.
-        """
-        arguments = self.asynchronous.messages(topic, message_class, rate_hz, length=length, timeout_s=timeout_s)
-        return iterate(self.loop, arguments)
+        """Go over the messages of any topic, as :meth:`AsyncArm.messages`."""
+        messages = self.asynchronous.messages(topic, message_class, rate_hz, length=length, timeout_s=timeout_s)
+        return iterate(self.loop, messages)
 
     wait_connected = blocking(AsyncArm.wait_connected)
     move_to = blocking(AsyncArm.move_to)
     move_joints = blocking(AsyncArm.move_joints)
     move_named = blocking(AsyncArm.move_named)
     move = blocking(AsyncArm.move)
+    plan = making(AsyncArm.plan, Plan)
+    plan_path = making(AsyncArm.plan_path, Plan)
     check = blocking(AsyncArm.check)
     states = iterating(AsyncArm.states)
     state = blocking(AsyncArm.state)
     link_poses = blocking(AsyncArm.link_poses)
     tip = blocking(AsyncArm.tip)
-    tip_link = blocking(AsyncArm.tip_link)
     stop = blocking(AsyncArm.stop)
     emergency_stop = blocking(AsyncArm.emergency_stop)
     enable = blocking(AsyncArm.enable)
@@ -287,4 +252,7 @@ class Arm(Face[AsyncArm]):
     control = blocking(AsyncArm.control)
     publish = blocking(AsyncArm.publish)
     confirm = blocking(AsyncArm.confirm)
+    waiting_goal = blocking(AsyncArm.waiting_goal)
+    approve = blocking(AsyncArm.approve)
+    discard = blocking(AsyncArm.discard)
     set_confirm_mode = blocking(AsyncArm.set_confirm_mode)

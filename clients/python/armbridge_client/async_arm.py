@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import ssl
-import xml.etree.ElementTree as ET
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from armbridge_client.async_gripper import AsyncGripper
 from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
@@ -14,6 +13,7 @@ from armbridge_client.async_scene import AsyncScene
 from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncJog, AsyncTeleop
 from armbridge_client.connection import CALL_TIMEOUT_S, Address, Connection, ServerInfo, Subscription
 from armbridge_client.errors import ArmError, GoalRefused
+from armbridge_client.interface import find_arm
 from armbridge_client.messages import (
     Bool,
     CheckGoalsRequest,
@@ -22,6 +22,7 @@ from armbridge_client.messages import (
     GetMotionPlanRequest,
     GetPositionFKRequest,
     GoalCheck,
+    GoalTarget,
     Header,
     JointState,
     MotionPlanRequest,
@@ -37,7 +38,7 @@ from armbridge_client.messages import (
     TriggerRequest,
 )
 from armbridge_client.motion import MOTION_TIMEOUT_S, AsyncPlan, Motion, check_code, motion_of
-from armbridge_client.targets import Control, State, Target, constraints, goal_target, pose, state_of
+from armbridge_client.targets import Control, State, Target, WaitingGoal, constraints, goal_target, pose, state_of
 from armbridge_client.wire import Message, Response, Service, from_wire
 
 M = TypeVar("M", bound=Message)
@@ -62,7 +63,11 @@ async def connect_async(
     """
     connection = Connection(Address(url, token, tls, on_disconnect, timeout_s))
     await connection.open()
-    return AsyncArm(connection, arm)
+    try:
+        return AsyncArm(connection, arm)
+    except ArmError:
+        await connection.close()
+        raise
 
 
 class AsyncArm:
@@ -72,9 +77,10 @@ class AsyncArm:
     deadline, is braked along its path.
 
     Args:
-        name: of the arm, on a server with several; empty for the only arm, or the first.
+        name: of the arm, on a server with several; empty for the only arm, or all arms together.
 
     Attributes:
+        info: groups, frame and links of the arm.
         gripper: the arm's gripper.
         scene: objects that motions avoid.
         named_states: targets of :meth:`move_named`.
@@ -86,9 +92,10 @@ class AsyncArm:
     def __init__(self, connection: Connection, name: str = "") -> None:
         self.name = name
         self.connection = connection
+        self.info = find_arm(connection.arms, name)
         self._prefix = f"/{name}" if name else ""
-        self.gripper = AsyncGripper(connection, self._prefix)
-        self.scene = AsyncScene(connection, self.tip_link)
+        self.gripper = AsyncGripper(connection, self._prefix, self.info.gripper)
+        self.scene = AsyncScene(connection, self.info.tip)
         self.named_states = AsyncNamedStates(connection)
         self.teaching = AsyncTeaching(connection)
         self.teleop = AsyncTeleop(connection, self._prefix)
@@ -135,7 +142,7 @@ class AsyncArm:
         """Move the tip to a position [m] around the planning scene, and return when it is there.
 
         Args:
-            frame: link, object or subframe in whose axes the position is; empty for the planning frame.
+            frame: link, object or subframe in whose axes the position is; empty for the arm's base.
             orientation: unit quaternion x, y, z, w; only arms with six joints or more use it.
             speed: share of the velocity limits, above 0 to 1; 0 for the server's setting.
 
@@ -171,12 +178,16 @@ class AsyncArm:
             group: planning group; empty for the chosen one, or for joints the smallest group that has them.
             on_progress: called with each report, in the event loop's thread.
         """
-        goal = goal_target(target)
+        goal = self._qualified(goal_target(target))
         request = MoveitGoalGoal(
             goal.named, goal.joints, goal.pose, group, velocity_scaling=speed, acceleration_scaling=speed
         )
-        feedback = None if on_progress is None else lambda values: on_progress(from_wire(MoveitGoalFeedback, values))
-        values = await self.connection.perform(f"{self._prefix}/moveit_goal", request, timeout_s, feedback)
+
+        def on_feedback(values: Mapping[str, Any]) -> None:
+            if on_progress is not None:
+                on_progress(from_wire(MoveitGoalFeedback, values))
+
+        values = await self.connection.perform(f"{self._prefix}/moveit_goal", request, timeout_s, on_feedback)
         return motion_of(from_wire(MoveitGoalResult, values))
 
     async def plan(
@@ -187,10 +198,11 @@ class AsyncArm:
         Raises:
             GoalRefused: there is no such motion.
         """
-        goal = goal_target(target)
+        goal = self._qualified(goal_target(target))
         named = await self._named_rad(goal.named) if goal.named else {}
-        tip = "" if goal.named or goal.joints.name else await self.tip_link()
-        request = MotionPlanRequest([constraints(goal, named, tip)], group, speed, speed)
+        wanted = constraints(goal, named, self.info.tip)
+        group = group or self._group([each.joint_name for each in wanted.joint_constraints])
+        request = MotionPlanRequest([wanted], group, speed, speed)
         answer = await self.connection.call("/plan_kinematic_path", GetMotionPlanRequest(request), timeout_s)
         response = answer.motion_plan_response
         if response.error_code.val != MoveItErrorCode.SUCCESS:
@@ -218,8 +230,9 @@ class AsyncArm:
             GoalRefused: the path cannot be followed to its end; ``details`` has the reached ``fraction``.
         """
         request = GetCartesianPathRequest(
-            Header(frame_id=poses[0].header.frame_id if poses else ""),
-            link_name=await self.tip_link(),
+            Header(frame_id=(poses[0].header.frame_id if poses else "") or self.info.frame),
+            group_name=self.info.group if self.name else "",
+            link_name=self.info.tip,
             waypoints=[each.pose for each in poses],
             max_step=step_m,
             avoid_collisions=True,
@@ -238,8 +251,10 @@ class AsyncArm:
         self, *targets: PoseStamped | Mapping[str, float], timeout_s: float = CALL_TIMEOUT_S
     ) -> list[GoalCheck]:
         """Check poses and joint positions, at most 100, without planning or moving; one result a target."""
-        goals = [goal_target(target) for target in targets]
+        goals = [self._qualified(goal_target(target)) for target in targets]
         poses = [index for index, goal in enumerate(goals) if not goal.joints.name]
+        if poses and self.info.group != self.connection.arms[""].group:
+            raise ArmError(f"poses of the arm {self.name} cannot be checked, only planned: use plan")
         joints = [index for index, goal in enumerate(goals) if goal.joints.name]
         request = CheckGoalsRequest([goals[index].pose for index in poses], [goals[index].joints for index in joints])
         results = (await self.connection.call("/check_goals", request, timeout_s)).results
@@ -271,22 +286,13 @@ class AsyncArm:
             await states.aclose()  # type: ignore[attr-defined]
 
     async def link_poses(self, timeout_s: float = CALL_TIMEOUT_S) -> dict[str, PoseStamped]:
-        """Return the poses of all links, by link, in the planning frame."""
+        """Return the poses of all links, by link; their headers name the frame."""
         answer = await self.connection.call("/compute_fk", GetPositionFKRequest(), timeout_s)
         return dict(zip(answer.fk_link_names, answer.pose_stamped))
 
     async def tip(self, timeout_s: float = CALL_TIMEOUT_S) -> PoseStamped:
-        """Return the pose of the tip in the planning frame."""
-        return (await self.link_poses(timeout_s))[await self.tip_link()]
-
-    async def tip_link(self) -> str:
-        """Return the link that pose goals move: the end of the chain of the arm's first planning group."""
-        srdf = ET.fromstring(await self._latched("/robot_description_semantic"))
-        for group in srdf.iterfind("group"):
-            chain = group.find("chain")
-            if chain is not None and group.get("name", "").startswith(f"{self.name}_" if self.name else ""):
-                return chain.get("tip_link", "")
-        raise ArmError(f"the robot has no planning group of {self.name or 'an arm'} with a tip")
+        """Return the pose of the tip; its header names the frame."""
+        return (await self.link_poses(timeout_s))[self.info.tip]
 
     def messages(
         self, topic: str, message_class: type[M], rate_hz: float = 0.0, *, length: int = 10, timeout_s: float = 5.0
@@ -343,6 +349,28 @@ class AsyncArm:
     async def confirm(self, *, execute: bool = True) -> None:
         """Execute the goal that waits for its confirmation, or discard it."""
         await self.connection.publish(f"{self._prefix}/moveit_goal_confirm", Bool(execute))
+
+    async def waiting_goal(self, timeout_s: float = 5.0) -> WaitingGoal | None:
+        """Return the goal that waits for an approval or a confirmation; None without one (docs/goals.md)."""
+        async with self.connection.subscribe(
+            "/moveit_goal_approval", DiagnosticStatus, timeout_s=timeout_s
+        ) as requests:
+            request = await requests.__anext__()
+        values = {pair.key: pair.value for pair in request.values}
+        if not request.hardware_id:
+            return None
+        proposed, duration_s = values.get("proposed") != "false", float(values.get("duration_s") or 0.0)
+        return WaitingGoal(
+            request.hardware_id, values.get("client", ""), proposed, values.get("summary", ""), duration_s
+        )
+
+    async def approve(self, goal_id: str) -> None:
+        """Approve a proposed goal of another client, such as a language model's; needs the role operate."""
+        await self.connection.publish("/moveit_goal_approve", String(goal_id))
+
+    async def discard(self, goal_id: str) -> None:
+        """End a goal of any client, waiting or in progress."""
+        await self.connection.publish("/moveit_goal_cancel", String(goal_id))
 
     async def set_confirm_mode(self, *, on: bool) -> str:
         """Make every goal wait for a confirmation; needs the role admin."""
@@ -417,11 +445,35 @@ class AsyncArm:
     async def _trigger(self, service: str, timeout_s: float) -> str:
         return (await self.connection.carry_out(f"{self._prefix}{service}", TriggerRequest(), timeout_s)).message
 
-    async def _latched(self, topic: str) -> str:
-        async with self.connection.subscribe(topic, String) as texts:
-            return (await texts.__anext__()).data
-
     async def _named_rad(self, name: str) -> dict[str, float]:
         states = await self.named_states.all()
         # The server ignores case and blanks as well; it refuses an unknown name with a suggestion.
-        return states.get(name) or states.get(name.strip().lower()) or {}
+        found = states.get(name) or states.get(name.strip().lower()) or {}
+        # The server lists the states of one group; other arms of this kind have the same joints under their names.
+        return {self._joint(self._shared_name(joint)): position for joint, position in found.items()}
+
+    def _qualified(self, goal: GoalTarget) -> GoalTarget:
+        """Return a goal for the names that all arms share: with this arm's joints and frame."""
+        joints, at = goal.joints, goal.pose
+        if not self.name:
+            return goal
+        names = [self._joint(name) for name in joints.name]
+        header = Header(frame_id=at.header.frame_id or self.info.frame)
+        pose = at if at == PoseStamped() else PoseStamped(header, at.pose)
+        return GoalTarget(goal.named, JointState(name=names, position=joints.position), pose)
+
+    def _group(self, joints: Sequence[str]) -> str:
+        """Return the smallest planning group of the arm that has joints; empty for the only arm, as the server does."""
+        if not self.name:
+            return ""
+        having = [name for name, group in self.info.groups.items() if joints and set(joints) <= set(group)]
+        return min(having, key=lambda name: len(self.info.groups[name]), default=self.info.group)
+
+    def _joint(self, name: str) -> str:
+        """Return the full name of a joint, which may be named without the arm's name."""
+        return name if not self.name or name != self._shared_name(name) else f"{self.name}_{name}"
+
+    def _shared_name(self, name: str) -> str:
+        """Return the name of a joint without the name of its arm."""
+        arms = (arm for arm in self.connection.arms if arm and name.startswith(f"{arm}_"))
+        return name.removeprefix(f"{next(arms, '')}_")

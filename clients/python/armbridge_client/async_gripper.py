@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from armbridge_client.connection import Connection
-from armbridge_client.errors import ArmError
+from armbridge_client.errors import ArmError, GoalRefused
 from armbridge_client.messages import (
     GripperCommand,
     GripperCommandGoal,
     GripperCommandResult,
-    JointTrajectoryControllerState,
     KinematicSolverInfo,
+    MoveItErrorCode,
 )
 from armbridge_client.wire import from_wire
 
@@ -31,11 +32,13 @@ class AsyncGripper:
 
     Args:
         prefix: the arm's name behind a slash; empty for the only arm.
+        joints: of the gripper; empty for an arm without one.
     """
 
-    def __init__(self, connection: Connection, prefix: str) -> None:
+    def __init__(self, connection: Connection, prefix: str, joints: Sequence[str]) -> None:
         self._connection = connection
         self._prefix = prefix
+        self._joints = joints
         self._range: tuple[float, float] | None = None
 
     async def open(self, force: float = 0.0, *, timeout_s: float = GRIPPER_TIMEOUT_S) -> Grip:
@@ -53,21 +56,23 @@ class AsyncGripper:
             force: share of the full motor duty, 0 to 0.5; 0 for the most that the server allows.
 
         Raises:
-            RequestRefused: the position is beyond the limits, a fault or a stop ended the motion.
+            GoalRefused: a stop, a cancel or another goal ended the motion.
+            RequestRefused: the position is beyond the limits, or a fault ended the motion.
         """
-        goal = GripperCommandGoal(GripperCommand(position, force))
+        goal = GripperCommandGoal(GripperCommand(float(position), float(force)))
         values = await self._connection.perform(f"{self._prefix}/gripper_controller/gripper_cmd", goal, timeout_s)
         result = from_wire(GripperCommandResult, values)
+        if not (result.reached_goal or result.stalled):
+            failed = MoveItErrorCode.PREEMPTED
+            sentence = f"the gripper was stopped at {result.position:.3f} by a stop, a cancel or another goal"
+            raise GoalRefused(failed.value, failed.name, sentence, {}, None)
         return Grip(result.position, result.stalled)
 
     async def range(self) -> tuple[float, float]:
         """Return the closed and the open position [rad, or m between sliding fingers]."""
         if self._range is None:
-            topic = f"{self._prefix}/gripper_controller/controller_state"
-            async with self._connection.subscribe(topic, JointTrajectoryControllerState) as states:
-                fingers = (await states.__anext__()).joint_names
             async with self._connection.subscribe(f"{self._prefix}/arm/joint_limits", KinematicSolverInfo) as infos:
-                limits = [each for each in (await infos.__anext__()).limits if each.joint_name in fingers]
+                limits = [each for each in (await infos.__anext__()).limits if each.joint_name in self._joints]
             if not limits:
                 raise ArmError("the arm has no gripper")
             # The position of two sliding fingers is the gap between them, the sum of both (docs/goals.md).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 
 from armbridge_client.connection import CALL_TIMEOUT_S, Connection
 from armbridge_client.messages import (
@@ -41,16 +41,16 @@ class AsyncScene:
     with the object, the field and the limit.
 
     Args:
-        tip_link: returns the link that holds objects if none is named.
+        tip_link: link that holds objects if none is named.
     """
 
-    def __init__(self, connection: Connection, tip_link: Callable[[], Awaitable[str]]) -> None:
+    def __init__(self, connection: Connection, tip_link: str) -> None:
         self._connection = connection
         self._tip_link = tip_link
 
     async def add_box(self, name: str, size_m: Sequence[float], at: PoseStamped) -> None:
         """Add a box, or replace the object of this name; ``size_m`` along x, y and z of the pose of its centre."""
-        await self._add(name, SolidPrimitive(BOX, list(size_m)), at)
+        await self._add(name, SolidPrimitive(BOX, [float(each) for each in size_m]), at)
 
     async def add_sphere(self, name: str, radius_m: float, at: PoseStamped) -> None:
         """Add a sphere, or replace the object of this name."""
@@ -140,7 +140,7 @@ class AsyncScene:
         await self._apply(PlanningScene(world=PlanningSceneWorld([changed])))
 
     async def _change_held(self, name: str, link: str, touch_links: Sequence[str], operation: int) -> None:
-        link = link or await self._tip_link()
+        link = link or self._tip_link
         changed = CollisionObject(Header(), id=name, operation=operation)
         held = AttachedCollisionObject(link, changed, list(touch_links))
         await self._apply(PlanningScene(RobotState(attached_collision_objects=[held], is_diff=True)))

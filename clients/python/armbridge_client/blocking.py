@@ -17,6 +17,8 @@ from typing import Any, Concatenate, Generic, Literal, ParamSpec, TypeVar
 from armbridge_client.errors import ConnectionLost
 
 A = TypeVar("A")
+B = TypeVar("B")
+F = TypeVar("F")
 T = TypeVar("T")
 P = ParamSpec("P")
 
@@ -44,9 +46,19 @@ class LoopThread:
 
     def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
         """Run a coroutine to its end; an exception here, such as KeyboardInterrupt, cancels it."""
+        ended = threading.Event()
+
+        async def tracked() -> T:
+            try:
+                return await coroutine
+            finally:
+                ended.set()
+
+        running = tracked()
         try:
-            future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+            future = asyncio.run_coroutine_threadsafe(running, self._loop)
         except RuntimeError as error:
+            running.close()
             coroutine.close()
             raise ConnectionLost(_CLOSED) from error
         try:
@@ -56,6 +68,11 @@ class LoopThread:
             return future.result()
         except concurrent.futures.CancelledError as error:
             raise ConnectionLost(_CLOSED) from error
+        except KeyboardInterrupt:
+            # Until the coroutine has ended, its objects are in use.
+            future.cancel()
+            ended.wait(END_TIMEOUT_S)
+            raise
         finally:
             future.cancel()
 
@@ -94,6 +111,24 @@ class blocking(Generic[A, P, T]):  # noqa: N801 - used as a decorator
             return face.loop.run(self._method(face.asynchronous, *arguments, **named))
 
         return wait
+
+
+class making(Generic[A, P, B, F]):  # noqa: N801 - used as a decorator
+    """Method whose coroutine returns an asynchronous object; this method returns the object's face."""
+
+    def __init__(
+        self, method: Callable[Concatenate[A, P], Coroutine[Any, Any, B]], face: Callable[[B, LoopThread], F]
+    ) -> None:
+        self._method = method
+        self._face = face
+        self.__doc__ = method.__doc__
+
+    def __get__(self, face: Face[A], owner: type[Face[A]]) -> Callable[P, F]:
+        @functools.wraps(self._method)
+        def make(*arguments: P.args, **named: P.kwargs) -> F:
+            return self._face(face.loop.run(self._method(face.asynchronous, *arguments, **named)), face.loop)
+
+        return make
 
 
 class iterating(Generic[A, P, T]):  # noqa: N801 - used as a decorator

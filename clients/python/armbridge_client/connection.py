@@ -22,6 +22,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
 
 from armbridge_client.errors import (
+    ArmError,
     ConnectError,
     ConnectionLost,
     DeadlineExceeded,
@@ -31,6 +32,7 @@ from armbridge_client.errors import (
     WrongVersion,
     refusal,
 )
+from armbridge_client.interface import ArmInfo, read_arms
 from armbridge_client.messages import TriggerRequest
 from armbridge_client.wire import Message, Response, Service, answer_class, from_wire, to_wire
 
@@ -46,8 +48,6 @@ SERVER_VERSION = "0.2"
 MAX_MESSAGE_BYTES = 32_000_000
 
 CALL_TIMEOUT_S = 10.0
-# Time for a cancelled motion to end, before its deadline is reported.
-CANCEL_TIMEOUT_S = 3.0
 CLOSE_TIMEOUT_S = 2.0
 RECONNECT_FIRST_S, RECONNECT_MOST_S = 0.1, 2.0
 
@@ -157,6 +157,7 @@ class Connection:
         self._keeper: asyncio.Task[None] | None = None
         self._sending: set[asyncio.Task[None]] = set()
         self.server = ServerInfo("", "", "")
+        self.arms: dict[str, ArmInfo] = {}
 
     async def open(self) -> None:
         """Connect, and check that the server is an armbridge of this client's version.
@@ -165,8 +166,15 @@ class Connection:
             ConnectError: ServerUnreachable, NotArmbridge, WrongVersion or NotAuthenticated.
             DeadlineExceeded: the server does not answer in time.
         """
-        timeout_s = self._address.connect_timeout_s
-        await within(timeout_s, self._connect(), f"{self._address.url}: no answer to the connection")
+        address = self._address
+        timeout_s = address.connect_timeout_s
+        await within(timeout_s, self._connect(), f"{address.url}: no answer to the connection")
+        try:
+            reading = asyncio.to_thread(read_arms, address.url, address.token, address.tls, timeout_s)
+            self.arms = await within(timeout_s, reading, f"{address.url}: no description of the server")
+        except BaseException:
+            await self.close()
+            raise
         self._keeper = asyncio.create_task(self._keep(), name=f"connection to {self._address.url}")
 
     async def close(self) -> None:
@@ -199,13 +207,12 @@ class Connection:
         operation = {"op": "call_service", "service": service, "type": request.TYPE, "args": to_wire(request)}
         number = str(next(self._ids))
         answer = await self._ask(number, {**operation, "timeout": timeout_s}, timeout_s, f"service {service}")
-        complaint = self._complaints.pop(number, "")
         if not answer["result"]:
             raise refusal(str(answer["values"]))
         response: Response = from_wire(answer_class(type(request)), answer["values"])
         # A scene that cannot be applied is answered without a sentence; the sentence comes as a status before it.
-        if complaint and not getattr(response, "success", True):
-            raise refusal(complaint)
+        if answer["complaint"] and not getattr(response, "success", True):
+            raise refusal(answer["complaint"])
         return response
 
     async def carry_out(self, service: str, request: Service[Response], timeout_s: float = CALL_TIMEOUT_S) -> Response:
@@ -242,7 +249,6 @@ class Connection:
         try:
             if not (await asyncio.wait([answering], timeout=timeout_s))[0]:
                 self.send_soon(cancel)
-                await asyncio.wait([answering], timeout=CANCEL_TIMEOUT_S)
                 raise DeadlineExceeded(f"{action}: not done within {timeout_s:g} s; the goal is cancelled")
             answer = answering.result()
         except asyncio.CancelledError:
@@ -251,9 +257,11 @@ class Connection:
         finally:
             answering.cancel()
             self._feedback.pop(number, None)
-        if not isinstance(answer["values"], Mapping):
-            raise refusal(str(answer["values"]))
-        return answer["values"]
+        values: Any = answer["values"]
+        if isinstance(values, str):
+            raise refusal(values)
+        result: Mapping[str, Any] = values
+        return result
 
     async def publish(self, topic: str, message: Message) -> None:
         """Publish a message.
@@ -266,9 +274,8 @@ class Connection:
             raise refusal(complaint)
         if topic not in self._registrations:
             # Kept with the subscriptions, so that it is sent again on the next connection.
-            advertise = {"op": "advertise", "id": topic, "topic": topic, "type": message.TYPE}
-            await within(CALL_TIMEOUT_S, self._send(advertise), f"topic {topic}")
-            self._registrations[topic] = advertise
+            self._registrations[topic] = {"op": "advertise", "id": topic, "topic": topic, "type": message.TYPE}
+            await within(CALL_TIMEOUT_S, self._send(self._registrations[topic]), f"topic {topic}")
         operation = {"op": "publish", "id": topic, "topic": topic, "msg": to_wire(message)}
         await within(CALL_TIMEOUT_S, self._send(operation), f"topic {topic}")
 
@@ -282,6 +289,8 @@ class Connection:
             length: most messages that wait for their reader; older ones are dropped.
             timeout_s: longest wait for a message.
         """
+        if not rate_hz >= 0.0:
+            raise ValueError(f"rate_hz must be 0 or more, not {rate_hz}")
         number = str(next(self._ids))
         operation: dict[str, Any] = {"op": "subscribe", "id": number, "topic": topic, "type": message_class.TYPE}
         operation["queue_length"] = length
@@ -324,9 +333,11 @@ class Connection:
         self._answers[number] = answer
         try:
             await self._send({**operation, "id": number})
-            return await within(timeout_s, answer, f"{name}: no answer")
+            operation = await within(timeout_s, answer, f"{name}: no answer")
+            return {**operation, "complaint": self._complaints.get(number, "")}
         finally:
             del self._answers[number]
+            self._complaints.pop(number, None)
 
     async def _send(self, operation: Mapping[str, Any]) -> None:
         if self._socket is None:
@@ -414,7 +425,7 @@ class Connection:
                     log.error("%s", error)  # noqa: TRY400 - the sentence says all
                     self._lose(error, for_good=True)
                     return
-                except (ConnectError, asyncio.TimeoutError):
+                except (ArmError, asyncio.TimeoutError):
                     continue
 
     def _lose(self, error: Exception, *, for_good: bool) -> None:
@@ -446,11 +457,16 @@ class Connection:
                 if (on_feedback := self._feedback.get(str(number))) is not None:
                     on_feedback(operation["values"])
             case "status":
-                log.info("the server: %s", operation["msg"])
-                if number in self._answers or (isinstance(number, str) and number.startswith("/")):
-                    self._complaints[str(number)] = str(operation["msg"])
+                self._take_status(str(number), str(operation["msg"]), str(operation["level"]))
             case _:
                 pass
+
+    def _take_status(self, number: str, sentence: str, level: str) -> None:
+        log.info("the server: %s", sentence)
+        if number in self._streams and level == "error":
+            self._streams[number].fail(refusal(sentence))
+        elif number in self._answers or number in self._registrations:
+            self._complaints[number] = sentence
 
 
 class Subscription(Generic[M]):

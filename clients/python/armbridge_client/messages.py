@@ -69,14 +69,6 @@ class JointJog(Message):
 
 
 @dataclass(repr=False)
-class JointTrajectoryControllerState(Message):
-    """control_msgs/msg/JointTrajectoryControllerState."""
-
-    TYPE: ClassVar[str] = "control_msgs/msg/JointTrajectoryControllerState"
-    joint_names: list[str] = field(default_factory=list[str])
-
-
-@dataclass(repr=False)
 class KeyValue(Message):
     """diagnostic_msgs/msg/KeyValue."""
 
@@ -1150,3 +1142,53 @@ class ExecuteTrajectoryGoal(Action[ExecuteTrajectoryResult, ExecuteTrajectoryFee
     TYPE: ClassVar[str] = "moveit_msgs/action/ExecuteTrajectory"
     trajectory: RobotTrajectory = field(default_factory=RobotTrajectory)
     controller_names: list[str] = field(default_factory=list[str])
+
+
+# Hashes of the types and of all types in them, as the server lists them.
+TYPES = {
+    "armbridge_msgs/msg/TeachState": "RIHS01_c6ae90716c647074247722b2b2e4eb8a785d56aedb67f7470297a26c2bae374b",
+    "armbridge_msgs/msg/TeleopState": "RIHS01_e24a43ef2f16edeb257972f78a741bf6bea5318e440f32f8bd845afb96097b75",
+    "control_msgs/msg/JointJog": "RIHS01_ba249455a20f70168a1acb7bf43b776b72ff1f7eb5fc4cfea443f749e963c6e7",
+    "diagnostic_msgs/msg/DiagnosticStatus": "RIHS01_b0e3e692ea2d54a8af2f4ef1930e81556a2db55216b771f8a7d2724ed47bf0e4",
+    "geometry_msgs/msg/TwistStamped": "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
+    "moveit_msgs/msg/KinematicSolverInfo": "RIHS01_aff881f3a471d41cfa243cb8905aeae03eced10ae1f24661384f72d5c17fbaf2",
+    "moveit_msgs/msg/MoveItErrorCodes": "RIHS01_dcda8a9950cf6dd6ac221c2c0d2509f52f136afa0403dd19beacdf07e83e4a07",
+    "moveit_msgs/msg/PlanningScene": "RIHS01_0f58540ad5eab4b9ea827d53b763c793d8cabd202b3b301fcee25afa4ce1bd80",
+    "moveit_msgs/msg/ServoStatus": "RIHS01_882a75f7648d6f8a9bf528e4787f51c58f2d5d88b702e450443d99f270e6936b",
+    "sensor_msgs/msg/CompressedImage": "RIHS01_15640771531571185e2efc8a100baf923961a4d15d5569652e6cb6691e8e371a",
+    "sensor_msgs/msg/JointState": "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
+    "std_msgs/msg/Bool": "RIHS01_feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
+    "std_msgs/msg/Empty": "RIHS01_20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312",
+    "std_msgs/msg/Float64": "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
+    "std_msgs/msg/String": "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    "armbridge_msgs/srv/BeginTeaching": "RIHS01_81b529b29a0739780ab8a712a095804895eb182d24a30c8ecf0ce9ecd5e9a70c",
+    "armbridge_msgs/srv/CheckGoals": "RIHS01_d288d62c75b87f11ad563e0e097051772d062d1939a58080dfe344fef96b8c7d",
+    "armbridge_msgs/srv/CheckMotion": "RIHS01_5b53c59ad369bf74abb1be9b282114585d7de3c3f891a61e6f31188b0771c26e",
+    "armbridge_msgs/srv/DeleteMotion": "RIHS01_1cd560727f37d4cc1928da22e5ffd4ea738e9964562ab67e75b63b9e03d4779d",
+    "armbridge_msgs/srv/DeleteScene": "RIHS01_d997fae7a3240cadf8e27f7a157a45c41fe843a4cfc8f0e7ee462926eb027b95",
+    "armbridge_msgs/srv/EndTeaching": "RIHS01_a44bbc5b25e30e657600677a97dd3edcdc9825b2c739b5b17a06d2bed3ae3dd3",
+    "armbridge_msgs/srv/ListMotions": "RIHS01_521f619ef0434edf29c5be8280d81569daa51fadb47e53cd01ec68180f339f1e",
+    "armbridge_msgs/srv/ListScenes": "RIHS01_01c28a5e695338a2076d7d043b3cca3706e47cfc457f0cddbe7b6d50563e2abd",
+    "armbridge_msgs/srv/LoadScene": "RIHS01_e81781459f3f23949f6ab09a5a726faa0f6c5878fb18a8c4f7b1bc902b4c5236",
+    "armbridge_msgs/srv/MoveitGoal": "RIHS01_8a34392cc11449281fa87a3f79f04213f6f8340e70e08d051ce583b47a95a564",
+    "armbridge_msgs/srv/RenameMotion": "RIHS01_9cfc125556ae3f7fb871d9ac820e7317279e66e6a70b794cea6abb6c8edd7942",
+    "armbridge_msgs/srv/SaveScene": "RIHS01_0f3e0d3e69414aa970d94587c6517cd6df917019d1376c862d4874e85824f07c",
+    "armbridge_msgs/srv/SetSpeedLimit": "RIHS01_278c041a0080c5fe5b3722c2794092dd07827879abffc9f4ff39f2f5f460773d",
+    "armbridge_msgs/srv/StartEpisode": "RIHS01_274175baa6bcbfaafffee23f172500b367040591c83c2005037ea74d83abccd7",
+    "armbridge_msgs/srv/StartTeleop": "RIHS01_65c0f5ca819224890a227d34ccd309fc64603c0b7807ccfe52dbcb04e2478dd6",
+    "armbridge_msgs/srv/TrimMotion": "RIHS01_7bd9c987c044996664fd91a41761aedcf6d8900acde90d1901b22dbc875b0f51",
+    "moveit_msgs/srv/ApplyPlanningScene": "RIHS01_8e6134783db0987c0acedbfd2f16f608a8f7a54e83a7bbb372e851af419f4d72",
+    "moveit_msgs/srv/DeleteRobotStateFromWarehouse": "RIHS01_1c32a06d4ffa8740f355556542fd73d146cb80ff35d9c9529d0620e636bb47a7",
+    "moveit_msgs/srv/GetCartesianPath": "RIHS01_b19f501df5d378141d918199894c3ad24533e76021a880b15dc5d62fec8d7b1a",
+    "moveit_msgs/srv/GetMotionPlan": "RIHS01_0e118e1d8d53d5fea8eea309fc06a58239fa0e617864127e7de8399ab7335b27",
+    "moveit_msgs/srv/GetPlanningScene": "RIHS01_7ed7e96238b902174d985b0eb739ea08c95377e8e46a6a9014c22497faf79cd2",
+    "moveit_msgs/srv/GetPositionFK": "RIHS01_2f16ec361a135d84b85a29385abeb9eeb025e39c09038bd6b2826645edc7edad",
+    "moveit_msgs/srv/RenameRobotStateInWarehouse": "RIHS01_202a23f69118d742471c19e8fb96205c7e7d9f595a3edf28e50e9dd002d27e22",
+    "moveit_msgs/srv/SaveRobotStateToWarehouse": "RIHS01_038b704d5b0a3b81f91ddf02d7f0bb09b8112fe97ae583426b13514ca2c85626",
+    "std_srvs/srv/SetBool": "RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
+    "std_srvs/srv/Trigger": "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
+    "armbridge_msgs/action/MoveitGoal": "sha256_ecbe0bf0ebb2b6290c6bddf77922387220c0b2a655ad4e472b945baa08e96046",
+    "armbridge_msgs/action/ReplayMotion": "sha256_52d8cbd41d5aff94ae5a5e24a019d195fe3e4d63c19ae55f2da20ca0a42e85a7",
+    "control_msgs/action/GripperCommand": "sha256_43ae36a13e9ac415c0e1f14f3f59eea8d081df52bf045c4bdb594d21cab80af7",
+    "moveit_msgs/action/ExecuteTrajectory": "sha256_497ed3653708daa5dd868551a037f35ffe15bb594065168359cc83438ab71ce8",
+}

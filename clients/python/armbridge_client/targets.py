@@ -67,16 +67,34 @@ class Control:
     message: str
 
 
+@dataclass(frozen=True)
+class WaitingGoal:
+    """A goal that waits for a person's answer.
+
+    Attributes:
+        client: name of the client that sent the goal.
+        proposed: True for a goal that :meth:`AsyncArm.approve` approves, False for a goal of confirm mode.
+        summary: the planned motion in a sentence.
+    """
+
+    goal_id: str
+    client: str
+    proposed: bool
+    summary: str
+    duration_s: float
+
+
 def pose(x: float, y: float, z: float, *, frame: str = "", orientation: Sequence[float] | None = None) -> PoseStamped:
     """Return a pose of the tip.
 
     Args:
         x: position [m], as y and z.
-        frame: link, object or subframe in whose axes the pose is; empty for the planning frame.
+        frame: link, object or subframe in whose axes the pose is; empty for the base of the arm.
         orientation: unit quaternion x, y, z, w; only arms with six joints or more use it.
     """
-    turn = Quaternion() if orientation is None else Quaternion(*orientation)
-    return PoseStamped(Header(frame_id=frame), Pose(Point(x, y, z), turn))
+    # Numbers of numpy are no numbers of JSON.
+    turn = Quaternion() if orientation is None else Quaternion(*map(float, orientation))
+    return PoseStamped(Header(frame_id=frame), Pose(Point(float(x), float(y), float(z)), turn))
 
 
 def goal_target(target: Target) -> GoalTarget:
@@ -87,7 +105,7 @@ def goal_target(target: Target) -> GoalTarget:
         return GoalTarget(named=target)
     if isinstance(target, PoseStamped):
         return GoalTarget(pose=target)
-    return GoalTarget(joints=JointState(name=list(target), position=list(target.values())))
+    return GoalTarget(joints=JointState(name=list(target), position=[float(each) for each in target.values()]))
 
 
 def constraints(goal: GoalTarget, named_rad: Mapping[str, float], tip_link: str) -> Constraints:

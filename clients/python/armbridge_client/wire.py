@@ -8,7 +8,7 @@ import functools
 import math
 import typing
 from collections.abc import Callable, Hashable, Mapping
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeGuard, TypeVar
 
 M = TypeVar("M", bound="Message")
 Response = TypeVar("Response", bound="Message")
@@ -58,7 +58,11 @@ def _encoded(value: Any) -> Any:
         return base64.b64encode(value).decode()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    return [_encoded(each) for each in value] if isinstance(value, (list, tuple)) else value
+    return [_encoded(each) for each in value] if _is_list(value) else value
+
+
+def _is_list(value: Any) -> TypeGuard[list[Any]]:
+    return isinstance(value, list)
 
 
 def from_wire(message_class: type[M], values: Mapping[str, Any]) -> M:

@@ -138,7 +138,7 @@ class GoalCalls:
     def _read(self, request: Message, client: Node, end: Callable[[Mapping[str, Any]], None]) -> ReadGoal | None:
         """Read a request; end a request that cannot be carried out, and return None."""
         message: Message = {}
-        proposed = client.only_looks and not request["plan_only"]
+        proposed = client.is_viewer and not request["plan_only"]
         try:
             if proposed and self._confirmation.proposal is not None:
                 raise _second_proposal(self._confirmation.proposal)

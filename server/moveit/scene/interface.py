@@ -293,14 +293,14 @@ class MonitoredScenePublisher:
         before, self._published = self._published, self._state.contents
         if before != self._published:
             self._graph.publish(
-                self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._state.robot), as_it_is=True
+                self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._state.robot), prevalidated=True
             )
             self._latch()
 
     def _latch(self) -> None:
         state = self._current.message()
         self._graph.latch(
-            MONITORED_TOPIC, scene_message(self._published, self._state.robot, state, EVERYTHING), as_it_is=True
+            MONITORED_TOPIC, scene_message(self._published, self._state.robot, state, EVERYTHING), prevalidated=True
         )
 
 
@@ -341,7 +341,7 @@ class SceneServices:
         assumed.note_sent(call.caller, positions_rad)
         state = state_message(positions_rad, self._state.robot.root_link, time.time())
         components = call.request["components"]["components"]
-        call.succeed_as_it_is({"scene": scene_message(self._state.contents, self._state.robot, state, components)})
+        call.succeed_prevalidated({"scene": scene_message(self._state.contents, self._state.robot, state, components)})
 
     def _apply(self, call: Call) -> None:
         scene, caller, assumed = call.request["scene"], call.caller, self._assumed

@@ -9,11 +9,13 @@ import socket
 import ssl
 import threading
 from collections.abc import Callable, Iterator
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
 import pytest
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.http11 import Request, Response
 
 from armbridge_client import (
     ConnectError,
@@ -28,12 +30,13 @@ from armbridge_client import (
     connect_async,
 )
 from armbridge_client.connection import Address, Connection
-from armbridge_client.messages import String, TriggerRequest
+from armbridge_client.messages import TYPES, String, TriggerRequest
 from harness.server import FAST, RunningServer, free_port
 from server.access.certificates import CertificateFiles, ensure_certificate
 
 TOKENS = {
     "ARMBRIDGE_ACCESS__VIEW_TOKENS__SCREEN": "v" * 24,
+    "ARMBRIDGE_ACCESS__PROPOSE_TOKENS__MODEL": "p" * 24,
     "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": "o" * 24,
 }
 
@@ -62,6 +65,13 @@ class ScriptedServer:
                 await client.send(json.dumps({"op": "service_response", "id": operation.get("id"), **answer}))
 
 
+def document(connection: ServerConnection, request: Request) -> Response | None:
+    """Answer the request for the server's description; other requests are WebSockets."""
+    arm = {"name": "", "robot": "r", "group": "g", "groups": {}, "gripper": [], "frame": "base", "tip": "tip"}
+    answer = connection.respond(HTTPStatus.OK, json.dumps({"types": TYPES, "arms": [arm]}))
+    return answer if request.path.endswith("/armbridge/interface.json") else None
+
+
 def identity(version: str) -> dict[str, Any]:
     names = json.dumps({"name": "me", "role": "admin", "version": version})
     return {"service": "/arm/who_am_i", "result": True, "values": {"success": True, "message": names}}
@@ -70,7 +80,7 @@ def identity(version: str) -> dict[str, Any]:
 async def refused(answer: dict[str, Any]) -> ConnectError:
     """The error of a connection to a server that answers the first call so."""
     scripted = ScriptedServer(lambda _operation: answer)
-    async with serve(scripted.handle, "127.0.0.1", 0) as server:
+    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
         port = next(iter(server.sockets)).getsockname()[1]
         with pytest.raises(ConnectError) as caught:
             await connect_async(f"ws://127.0.0.1:{port}")
@@ -116,6 +126,18 @@ async def test_another_version_names_the_client_to_install() -> None:
     assert "pip install 'armbridge-client==9.7.*'" in str(error)
 
 
+async def test_another_message_type_names_the_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armbridge_client.interface.TYPES", {**TYPES, "std_msgs/msg/String": "RIHS01_0"})
+    error = await refused(identity("0.2.0"))
+    assert isinstance(error, WrongVersion)
+    assert "std_msgs/msg/String" in str(error)
+
+
+async def test_a_server_without_a_description_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("armbridge_client.interface.PATH", "nothing.json")
+    assert "nothing.json" in str(await refused(identity("0.2.0")))
+
+
 @pytest.mark.parametrize("token", [None, "wrong" * 5])
 def test_a_token_that_is_missing_or_wrong(guarded: RunningServer, token: str | None) -> None:
     with pytest.raises(NotAuthenticated, match="token"):
@@ -129,7 +151,7 @@ def test_a_viewers_token_shows_and_stops_but_moves_nothing(guarded: RunningServe
         assert viewer.plan("home").duration_s >= 0.0
         viewer.stop()
         for refusing in (lambda: viewer.move_named("home"), viewer.enable, viewer.gripper.open):
-            with pytest.raises(NotPermitted, match="needs the role operate, this client has view"):
+            with pytest.raises(NotPermitted, match=r"needs the role (propose|operate), this client has view"):
                 refusing()
         with pytest.raises(NotPermitted):
             viewer.named_states.save("mine")
@@ -147,14 +169,15 @@ async def test_requests_fail_and_streams_go_on_when_the_connection_breaks() -> N
         return identity("0.2.0") if operation.get("service") == "/arm/who_am_i" else None
 
     scripted = ScriptedServer(answer)
-    async with serve(scripted.handle, "127.0.0.1", 0) as server:
+    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
         port = next(iter(server.sockets)).getsockname()[1]
         connection = Connection(Address(f"ws://127.0.0.1:{port}"))
         await connection.open()
         async with connection.subscribe("/chat", TriggerRequest, timeout_s=20.0) as stream:
             waiting = asyncio.create_task(connection.call("/slow", TriggerRequest()))
-            while not any(operation.get("service") == "/slow" for operation in scripted.operations):
-                await asyncio.sleep(0)
+            async with asyncio.timeout(20.0):
+                while not any(operation.get("service") == "/slow" for operation in scripted.operations):
+                    await asyncio.sleep(0)
             await scripted.clients[0].close(1011)
             with pytest.raises(ConnectionLost, match="stops this client's motions"):
                 await waiting
@@ -167,9 +190,30 @@ async def test_requests_fail_and_streams_go_on_when_the_connection_breaks() -> N
         await connection.close()
 
 
+async def test_a_server_that_closes_while_the_client_returns_is_tried_again() -> None:
+    def answer(operation: dict[str, Any]) -> dict[str, Any]:
+        # As a server that is shutting down: it takes the second connection, and closes it before it answers.
+        if len(scripted.clients) == 2:
+            scripted.clients[1].transport.abort()
+        return identity("0.2.0")
+
+    scripted = ScriptedServer(answer)
+    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        connection = Connection(Address(f"ws://127.0.0.1:{port}"))
+        await connection.open()
+        await scripted.clients[0].close(1001)
+        async with asyncio.timeout(20.0):
+            while len(scripted.clients) < 3:
+                await asyncio.sleep(0.01)
+        await connection.wait_connected(20.0)
+        assert (await connection.call("/arm/who_am_i", TriggerRequest())).success
+        await connection.close()
+
+
 async def test_a_slow_reader_of_a_stream_loses_the_oldest_messages() -> None:
     scripted = ScriptedServer(lambda _operation: identity("0.2.0"))
-    async with serve(scripted.handle, "127.0.0.1", 0) as server:
+    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
         port = next(iter(server.sockets)).getsockname()[1]
         connection = Connection(Address(f"ws://127.0.0.1:{port}"))
         await connection.open()
@@ -205,7 +249,7 @@ async def test_tls_sends_nothing_to_a_server_whose_certificate_is_unknown(tmp_pa
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(files.certificate, files.key)
     scripted = ScriptedServer(lambda _operation: identity("0.2.0"))
-    async with serve(scripted.handle, "127.0.0.1", 0, ssl=context) as server:
+    async with serve(scripted.handle, "127.0.0.1", 0, ssl=context, process_request=document) as server:
         url = f"wss://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}"
         with pytest.raises(ConnectError, match=r"TLS: .*pass tls= for a certificate of your own"):
             await connect_async(url, token="o" * 24)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import threading
@@ -9,8 +10,9 @@ from types import FrameType
 
 import pytest
 
-from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect
+from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect, connect_async
 from harness.server import RunningServer
+from harness.waiting import wait_until
 
 PREEMPTED = -7
 
@@ -57,14 +59,15 @@ def test_ctrl_c_cancels_the_motion(arm: Arm) -> None:
         once_moving(arm, threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGINT)))
     # Answered when the arm stands; nothing of the motion is left.
     arm.stop()
-    assert arm.state().mode == "holding"
+    wait_until(lambda: arm.state().mode == "holding")
 
 
 def test_a_deadline_cancels_the_motion(arm: Arm) -> None:
     arm.move_named("home")
     with pytest.raises(DeadlineExceeded, match=r"not done within 0\.2 s"):
         arm.move_named("rest", speed=0.05, timeout_s=0.2)
-    assert arm.state().mode == "holding"
+    arm.stop()
+    wait_until(lambda: arm.state().mode == "holding")
 
 
 def test_a_motion_stops_when_its_program_leaves(server: RunningServer, arm: Arm) -> None:
@@ -86,3 +89,41 @@ def test_a_closed_arm_refuses_everything(server: RunningServer) -> None:
     for request in (arm.stop, arm.state):
         with pytest.raises(ConnectionLost, match="has closed the connection"):
             request()
+
+
+async def test_a_signal_handler_of_the_event_loop_stops_the_arm(server: RunningServer) -> None:
+    loop = asyncio.get_running_loop()
+    async with await connect_async(server.url) as arm:
+        await arm.move_named("home")
+        loop.add_signal_handler(signal.SIGUSR1, arm.stop_soon)
+        try:
+            with pytest.raises(GoalRefused) as caught:
+                await arm.move("rest", speed=0.05, on_progress=lambda progress: signal_once(progress.state))
+        finally:
+            loop.remove_signal_handler(signal.SIGUSR1)
+        assert caught.value.code == PREEMPTED
+
+
+def signal_once(state: str) -> None:
+    if state == "executing":
+        os.kill(os.getpid(), signal.SIGUSR1)
+
+
+def test_a_stop_ends_the_gripper_and_the_program_knows(arm: Arm) -> None:
+    arm.gripper.close()
+    ends: list[Exception] = []
+
+    def open_gripper() -> None:
+        try:
+            arm.gripper.open()
+        except GoalRefused as refused:
+            ends.append(refused)
+
+    opening = threading.Thread(target=open_gripper)
+    opening.start()
+    for state in arm.states(rate_hz=50):
+        if state.position_rad["gripper"] > 0.1:
+            break
+    arm.stop()
+    opening.join(10.0)
+    assert "PREEMPTED (-7): the gripper was stopped" in str(ends[0])

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
 from armbridge_client import Arm, GoalRefused, RequestRefused, connect_async, pose
+from armbridge_client.messages import String
 from harness.server import RunningServer
 
 
@@ -105,3 +108,32 @@ async def test_the_asynchronous_arm_has_the_same_methods(server: RunningServer) 
         async for state in arm.states():
             assert state.position_rad["elbow_flex"] == pytest.approx(0.5, abs=0.02)
             break
+
+
+def test_numbers_of_numpy_are_taken(arm: Arm) -> None:
+    arm.move_joints(dict(zip(("shoulder_pan", "elbow_flex"), np.array([0.1, 0.2], np.float32), strict=True)))
+    arm.move_to(*np.array([0.25, 0.0, 0.15], np.float32), orientation=np.array([0.0, 0.0, 0.0, 1.0], np.float32))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"x": math.nan, "y": 0.0, "z": 0.1}, "pose.position"),
+        ({"x": 0.25, "y": 0.0, "z": 0.1, "speed": 7.0}, "velocity_scaling"),
+        ({"x": 0.25, "y": 0.0, "z": 0.1, "frame": "nowhere"}, "nowhere"),
+    ],
+)
+def test_a_bad_value_is_refused_with_its_field(arm: Arm, arguments: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(GoalRefused, match=sentence):
+        arm.move_to(**arguments)
+
+
+@pytest.mark.parametrize("rate_hz", [-1.0, math.nan])
+def test_a_rate_that_is_none_is_refused(arm: Arm, rate_hz: float) -> None:
+    with pytest.raises(ValueError, match="rate_hz must be 0 or more"):
+        next(arm.states(rate_hz))
+
+
+def test_a_subscription_that_is_refused_ends_with_the_servers_sentence(arm: Arm) -> None:
+    with pytest.raises(RequestRefused, match="/joint_states"):
+        next(arm.messages("/joint_states", String))

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from armbridge_client import Arm, ControlledByOther, GoalRefused, RequestRefused, connect, pose
+from armbridge_client import Arm, ControlledByOther, GoalRefused, RequestRefused, WaitingGoal, connect, pose
 from armbridge_client.messages import CompressedImage, JointState, MoveitGoalFeedback, TriggerRequest
-from harness.server import RunningServer
+from harness.server import FAST, RunningServer
 from harness.waiting import wait_until
 
 TABLE = pose(0.3, 0.0, 0.05)
@@ -169,6 +169,37 @@ def test_a_goal_waits_for_its_confirmation(server: RunningServer, arm: Arm, exec
             arm.move("ready", on_progress=on_progress)
         answers[0].join(10.0)
     arm.set_confirm_mode(on=False)
+
+
+@pytest.mark.parametrize("approves", [True, False])
+def test_a_proposed_goal_waits_for_the_answer_of_another_client(approves: bool) -> None:
+    tokens = {"PROPOSE_TOKENS__MODEL": "p" * 24, "OPERATE_TOKENS__ADA": "o" * 24}
+    settings = {**FAST, **{f"ARMBRIDGE_ACCESS__{name}": token for name, token in tokens.items()}}
+    with (
+        RunningServer(settings=settings) as server,
+        connect(server.url, token=tokens["OPERATE_TOKENS__ADA"]) as person,
+        connect(server.url, token=tokens["PROPOSE_TOKENS__MODEL"]) as model,
+    ):
+        assert person.waiting_goal() is None
+        seen: list[WaitingGoal] = []
+
+        def answer() -> None:
+            waiting = person.waiting_goal()
+            assert waiting is not None
+            seen.append(waiting)
+            (person.approve if approves else person.discard)(waiting.goal_id)
+
+        answering = threading.Thread(target=answer)
+
+        def on_progress(progress: MoveitGoalFeedback) -> None:
+            if progress.state == "planned" and not seen and not answering.is_alive():
+                answering.start()
+
+        with contextlib.nullcontext() if approves else pytest.raises(GoalRefused, match="PREEMPTED"):
+            model.move("ready", on_progress=on_progress)
+        answering.join(10.0)
+        assert seen[0].proposed
+        assert "MODEL" in seen[0].client.upper()
 
 
 def test_speed_limit_pause_and_parking(arm: Arm) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from planners.budget import Budget
 from planners.geometry.certificate import certify
+from planners.motions import motion
 from planners.motions.curve import TICK_S, least_time_s, polyline
 from planners.motions.motion import Motion, MotionTask, find_motion, smooth
 from planners.motions.path_timing import MAX_DURATION_S
@@ -175,6 +176,26 @@ def test_a_moving_start_with_jerk_limits_is_left_without_a_step(task_between, ra
     assert_keeps_rates(trajectory, limits)
     accelerations = np.array([trajectory.sample(t)[2] for t in np.arange(0.0, trajectory.duration_s, 0.001)])
     assert np.abs(np.diff(accelerations, axis=0)).max() <= 0.001 * 60.0 * 1.001
+
+
+def test_two_searches_go_on_in_turns_and_give_way_to_others_after_many(task_between, monkeypatch):
+    turns = []
+
+    class Vain:
+        def __init__(self, _query, _name, seed):
+            self.seed = seed
+
+        def run(self, _should_stop):
+            turns.append(self.seed)
+
+    monkeypatch.setattr(motion, "TreeSearch", Vain)
+    monkeypatch.setattr(motion, "TURNS_A_SEARCH", 3)
+    start, goal = BLOCKED_LINES[0]
+    # Before any other search than RRT-Connect no via points are tried.
+    task = task_between(start, goal, planner_id="RRT")
+    failure = find_motion(task, Budget(lambda: float(len(turns)), 12.0, never))
+    assert failure.code is MoveItErrorCode.TIMED_OUT
+    assert turns == [0, 1, 0, 1, 0, 1, 6, 7, 6, 7, 6, 7]
 
 
 def test_a_search_ends_when_its_time_is_up_or_nobody_waits_for_it(task_between):

@@ -8,12 +8,12 @@ from planners.goals import Constraints, OrientationConstraint
 from planners.ik.constraints import ConditionSet, conditions
 from planners.motions.curve import line, polyline
 from planners.motions.path import (
+    ProjectedSearch,
     Query,
+    TreeSearch,
     coarse_first,
     curve_free,
     line_free_sparsely,
-    projected_search,
-    search,
     without_detours,
 )
 from planners.problem import PLANNER_IDS, RateLimits
@@ -44,7 +44,8 @@ def free(space, path):
 def test_every_planner_finds_a_free_path_from_start_to_goal(joint_space, name):
     start, goal = (np.array(point) for point in BLOCKED_LINES[1])
     paths = (
-        search(Query(joint_space, start, [goal], STEP_M), name, seed, after(joint_space, 6000)) for seed in range(5)
+        TreeSearch(Query(joint_space, start, [goal], STEP_M), name, seed).run(after(joint_space, 6000))
+        for seed in range(5)
     )
     path = next(path for path in paths if path is not None)
     np.testing.assert_array_equal(path[[0, -1]], [start, goal])
@@ -59,7 +60,7 @@ def test_every_planner_finds_a_free_path_from_start_to_goal(joint_space, name):
 def test_search_ends_at_one_of_several_goals(joint_space, blocked):
     start, goal = blocked
     goals = [goal, goal + 0.01]
-    path = search(Query(joint_space, start, goals, STEP_M), RRT_CONNECT, 3, never)
+    path = TreeSearch(Query(joint_space, start, goals, STEP_M), RRT_CONNECT, 3).run(never)
     assert any(np.array_equal(path[-1], each) for each in goals)
 
 
@@ -67,7 +68,7 @@ def test_search_ends_at_one_of_several_goals(joint_space, blocked):
 def test_same_seed_gives_the_same_path(joint_space, name):
     start, goal = (np.array(point) for point in BLOCKED_LINES[0])
     query = Query(joint_space, start, [goal], 0.02)
-    first, again = (search(query, name, 5, after(joint_space, 1500)) for _ in range(2))
+    first, again = (TreeSearch(query, name, 5).run(after(joint_space, 1500)) for _ in range(2))
     assert (first is None) == (again is None)
     if first is not None:
         np.testing.assert_array_equal(first, again)
@@ -77,7 +78,10 @@ def test_search_stops_soon_after_it_is_asked_to(joint_space):
     # A goal in collision can never be reached.
     inside = np.array([0.0, -1.745, 1.69, 1.0, 0.0])
     asked = iter(range(20))
-    assert search(Query(joint_space, HOME, [inside], STEP_M), RRT_CONNECT, 0, lambda: next(asked, None) is None) is None
+    assert (
+        TreeSearch(Query(joint_space, HOME, [inside], STEP_M), RRT_CONNECT, 0).run(lambda: next(asked, None) is None)
+        is None
+    )
 
 
 def test_detours_that_a_free_line_passes_by_are_left_out(joint_space):
@@ -145,8 +149,8 @@ def projected(goal_states, collision, arm, holds):
 
 def test_path_leads_from_start_to_goal_where_the_condition_holds(projected, holds):
     query, project = projected
-    path = projected_search(query, project, 1, never)
-    np.testing.assert_array_equal(path, projected_search(query, project, 1, never))
+    path = ProjectedSearch(query, project, 1).run(never)
+    np.testing.assert_array_equal(path, ProjectedSearch(query, project, 1).run(never))
     np.testing.assert_array_equal(path[0], query.start)
     np.testing.assert_array_equal(path[-1], query.goals[0])
     for start, end in itertools.pairwise(path):
@@ -155,6 +159,6 @@ def test_path_leads_from_start_to_goal_where_the_condition_holds(projected, hold
 
 def test_search_that_is_stopped_has_no_path(projected):
     query, project = projected
-    assert projected_search(query, project, 1, lambda: True) is None
+    assert ProjectedSearch(query, project, 1).run(lambda: True) is None
     asked = iter(range(50))
-    assert projected_search(query, lambda _: None, 1, lambda: next(asked, None) is None) is None
+    assert ProjectedSearch(query, lambda _: None, 1).run(lambda: next(asked, None) is None) is None

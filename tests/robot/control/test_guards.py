@@ -110,10 +110,10 @@ def test_every_threshold_can_be_set() -> None:
     assert seconds_until(FaultCode.TRACKING_LOST, at(1, 0.06), strict) == pytest.approx(LIMITS.tracking_time_s)
 
 
-def jumped(step_rad: float, gap_s: float) -> bool:
+def jumped(step_rad: float, gap_s: float, age_s: float = 0.0) -> bool:
     checked = guards()
     checked.check(GOAL, reading(GOAL), FULL, 1.0)
-    fault = checked.check(GOAL, reading(at(0, step_rad)), FULL, 1.0 + gap_s)
+    fault = checked.check(GOAL, reading(at(0, step_rad), age_s=np.full(len(GOAL), age_s)), FULL, 1.0 + gap_s)
     return fault is not None and fault.code is FaultCode.POSITION_JUMP
 
 
@@ -121,6 +121,8 @@ def test_a_joint_that_cannot_have_turned_so_far_has_jumped() -> None:
     assert jumped(JUMP_RAD * 1.2, PERIOD_S)
     assert not jumped(JUMP_RAD * 0.9, PERIOD_S)
     assert not jumped(JUMP_RAD * 1.2, 0.1)
+    # The time between two readings counts, not between the ticks that take them.
+    assert jumped(JUMP_RAD * 1.2, 0.1, age_s=0.09)
 
 
 def found_in_silence(age_s: list[float], measured: Measured | None = None) -> Fault | None:

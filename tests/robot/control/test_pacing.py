@@ -49,6 +49,13 @@ def test_a_tick_that_is_skipped_puts_off_the_next_and_none_is_late() -> None:
     assert pacer.deadline_s == pytest.approx(3 * PERIOD_S)
 
 
+def test_a_tick_that_is_needed_before_its_time_is_due_as_if_none_had_been_skipped() -> None:
+    pacer = Pacer(0.0)
+    pacer.skip(2)
+    pacer.cancel_skip(2, 0.004)
+    assert pacer.deadline_s == pytest.approx(PERIOD_S)
+
+
 def test_a_tick_that_is_needed_when_its_time_is_over_is_due_now_and_not_late() -> None:
     pacer = Pacer(0.0)
     pacer.skip(1)

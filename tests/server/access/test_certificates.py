@@ -34,6 +34,7 @@ def test_the_certificate_has_what_phones_ask_for(files: CertificateFiles) -> Non
     names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert names.get_values_for_type(x509.DNSName) == ["arm.local"]
     assert [str(each) for each in names.get_values_for_type(x509.IPAddress)] == ["127.0.0.1", "::1"]
+    assert [each.value for each in certificate.subject] == ["arm.local"]
     usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
     assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
     validity = certificate.not_valid_after_utc - certificate.not_valid_before_utc

@@ -6,7 +6,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -20,6 +20,7 @@ from server import publishing_client
 from server.datasets.camera import ImageSource, NewestImage, TestPattern
 from server.datasets.camera_client import CameraClient, CameraOptions
 from server.publishing_client import PublishedTopic
+from tests.helpers.held_connection import HeldConnection
 from tests.server.datasets.test_camera import Scripted, opened
 
 TOPIC = "/camera/image/compressed"
@@ -34,25 +35,10 @@ def client_of(
     return CameraClient(PublishedTopic(url, TOPIC, token), CameraOptions(1000.0, None, 80, "wrist"), source, tell)
 
 
-class HeldConnection:
-    """A connection whose pongs the test gives."""
-
-    def __init__(self) -> None:
-        self.sent: list[dict[str, Any]] = []
-        self.pongs: list[asyncio.Future[float]] = []
-
-    async def send(self, message: str) -> None:
-        self.sent.append(json.loads(message))
-
-    async def ping(self) -> Awaitable[float]:
-        self.pongs.append(asyncio.get_running_loop().create_future())
-        return self.pongs[-1]
-
-    @property
-    def numbers(self) -> list[int]:
-        """The value of the pixels of each image that was sent."""
-        images = [each["msg"]["data"] for each in self.sent if each["op"] == "publish"]
-        return [int(opened(base64.b64decode(data)).getpixel((0, 0))[0]) for data in images]  # type: ignore[index]
+def numbers(connection: HeldConnection) -> list[int]:
+    """Return the value of the pixels of each image that was sent."""
+    images = [opened(base64.b64decode(message["data"])) for message in connection.messages]
+    return [int(image.getpixel((0, 0))[0]) for image in images]  # type: ignore[index]
 
 
 class Publishing:
@@ -72,28 +58,28 @@ class Publishing:
 
     async def pong(self, number: int) -> None:
         """Answer a ping, once it has come."""
-        await until(lambda: len(self.connection.pongs) > number)
-        self.connection.pongs[number].set_result(0.0)
+        await until(lambda: len(self.connection.pings) > number)
+        self.connection.pings[number].set_result(0.0)
 
 
 async def test_no_image_leaves_before_the_server_has_taken_the_last_and_then_the_newest_does() -> None:
     publishing = Publishing(Scripted(count=40), token="secret")
     connection = publishing.connection
     publishing.source.allowed.release()
-    await until(lambda: connection.pongs)
+    await until(lambda: connection.pings)
     assert [each["op"] for each in connection.sent] == ["auth", "advertise", "publish"]
     publishing.source.allowed.release(20)
     await until(lambda: publishing.images.captured == 21)
-    assert (connection.numbers, publishing.client.published) == ([1], 0)
+    assert (numbers(connection), publishing.client.published) == ([1], 0)
     await publishing.pong(0)
-    await until(lambda: len(connection.pongs) == 2)
-    assert connection.numbers == [1, 21]
+    await until(lambda: len(connection.pings) == 2)
+    assert numbers(connection) == [1, 21]
     publishing.source.allowed.release(20)
     await until(lambda: publishing.images.ended)
     await publishing.pong(1)
     await publishing.pong(2)
     await until(publishing.task.done)
-    assert connection.numbers == [1, 21, 40]
+    assert numbers(connection) == [1, 21, 40]
     assert publishing.client.published == 3
 
 

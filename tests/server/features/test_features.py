@@ -56,7 +56,7 @@ CONTROLLER = ("_controller/joint_trajectory", "_controller/follow_joint_trajecto
 async def test_all_of_several_arms_are_commissioned_one_at_a_time() -> None:
     app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
     whole = await call(app.graph, "/arm/commissioning/begin", procedure="verify", name="")
-    assert "below its name" in whole["message"]
+    assert "by the service of its name: /left/arm/commissioning/begin, /right/" in whole["message"]
 
 
 async def call(graph: Graph, service: str, **request: Any) -> Any:

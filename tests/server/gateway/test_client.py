@@ -110,13 +110,13 @@ class TestRefused:
         assert guarded.heard("other") == []
 
     def test_a_goal_on_a_topic_gets_the_answer_that_the_topic_promises(self, guarded: InProcess) -> None:
-        turned_away: list[Any] = []
-        promising = Subscriber(lambda _: None, turned_away=lambda *told: turned_away.append(told))
+        on_unauthorized: list[Any] = []
+        promising = Subscriber(lambda _: None, on_unauthorized=lambda *told: on_unauthorized.append(told))
         guarded.graph.subscribe(Node("moveit"), "/moveit_goal_joints", "sensor_msgs/JointState", promising)
         stamp = {"secs": 5, "nsecs": 6}
         guarded.client("screen").session.dialect = "ros1"
         guarded.say("screen", op="publish", topic="moveit_goal_joints", msg={"header": {"stamp": stamp}})
-        ((message, sender, _),) = turned_away
+        ((message, sender, _),) = on_unauthorized
         assert message["header"]["stamp"] == {"sec": 5, "nanosec": 6}
         assert sender is guarded.client("screen").node
 

@@ -36,7 +36,7 @@ def responses(call: Call) -> list[Response]:
 
 def test_a_response_that_is_complete_is_told_as_it_is(call: Call, responses: list[Response]) -> None:
     complete = {"success": True, "message": "done"}
-    call.succeed_as_it_is(complete)
+    call.succeed_prevalidated(complete)
     assert responses[0].ok
     assert responses[0].values is complete
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
-from collections.abc import AsyncIterator, Awaitable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,27 +15,13 @@ from robot.messages import ArmState, Mode
 from server import cli
 from server.publishing_client import PublishedTopic
 from server.teleop.leader_client import IN_FLIGHT, LeaderClient, NewestSample
+from tests.helpers.held_connection import HeldConnection
 
 TOPIC = "/leader/joint_states"
 
 
-class SlowServer:
-    """A server that takes frames, and answers pings when a test says so."""
-
-    def __init__(self) -> None:
-        self.sent: list[dict[str, Any]] = []
-        self.pings: list[asyncio.Future[float]] = []
-
-    async def send(self, message: str) -> None:
-        self.sent.append(json.loads(message))
-
-    async def ping(self) -> Awaitable[float]:
-        self.pings.append(asyncio.get_running_loop().create_future())
-        return self.pings[-1]
-
-    @property
-    def positions(self) -> list[float]:
-        return [each["msg"]["position"][0] for each in self.sent if each["op"] == "publish"]
+def positions(connection: HeldConnection) -> list[float]:
+    return [message["position"][0] for message in connection.messages]
 
 
 def reading(position_rad: float) -> ArmState:
@@ -47,7 +31,7 @@ def reading(position_rad: float) -> ArmState:
 
 @dataclass
 class Publishing:
-    server: SlowServer
+    server: HeldConnection
     samples: NewestSample
 
     async def show(self, *positions_rad: float) -> None:
@@ -59,7 +43,7 @@ class Publishing:
 
 @pytest.fixture
 async def publishing() -> AsyncIterator[Publishing]:
-    server, samples = SlowServer(), NewestSample()
+    server, samples = HeldConnection(), NewestSample()
     client = LeaderClient(PublishedTopic("ws://nowhere", TOPIC, "secret-of-sixteen"), samples, lambda _sentence: None)
     await client.announce(server)
     task = asyncio.create_task(client.publish(server))
@@ -78,18 +62,18 @@ async def test_it_shows_its_token_and_advertises_before_the_first_sample(publish
 
 async def test_on_a_slow_network_old_samples_are_left_out(publishing: Publishing) -> None:
     await publishing.show(*(float(number) for number in range(50)))
-    assert len(publishing.server.positions) <= IN_FLIGHT + 2
+    assert len(positions(publishing.server)) <= IN_FLIGHT + 2
     publishing.server.pings[0].set_result(0.1)
     await publishing.show(100.0)
     # Those that were on their way, at most one that was waited with, and the newest.
-    assert publishing.server.positions[-1] == 100.0
-    assert len(publishing.server.positions) <= IN_FLIGHT + 4
+    assert positions(publishing.server)[-1] == 100.0
+    assert len(positions(publishing.server)) <= IN_FLIGHT + 4
 
 
 async def test_an_arm_that_is_not_read_publishes_nothing(publishing: Publishing) -> None:
     publishing.samples.put(ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",)))
     await publishing.show()
-    assert publishing.server.positions == []
+    assert positions(publishing.server) == []
 
 
 def test_a_real_leader_without_a_calibration_is_refused_in_one_sentence(

@@ -37,12 +37,6 @@ async def alone() -> Network:
     return Network(thread, loop, Graph(REGISTRY), node, "us", 0, Namespace(""), tokens, 10_000_000)
 
 
-async def test_a_repeated_warning_is_logged_once(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
-    for _ in range(3):
-        alone.warn("a")
-    assert [record.message for record in caplog.records] == ["zenoh: a"]
-
-
 async def test_the_number_of_different_warnings_is_limited(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
     for number in range(network.MAX_WARNINGS + 10):
         alone.warn(str(number))
@@ -89,12 +83,6 @@ def test_a_pattern_fits_whole_names_with_all_that_lies_below() -> None:
     patterns = SharedNames(["/joint_states", "/arm/*"])
     names = ("/joint_states", "/joint_states2", "/arm/a/b", "/arm", "/armada")
     assert [name for name in names if patterns.matches(name)] == ["/joint_states", "/arm/a/b"]
-
-
-def test_further_names_match_whatever_the_patterns_are() -> None:
-    for patterns in ([], ["/goal"]):
-        assert SharedNames(patterns, lambda name: name == "/stop").matches("/stop")
-        assert not SharedNames(patterns).matches("/stop")
 
 
 def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:

@@ -6,6 +6,7 @@ import functools
 import itertools
 import logging
 import struct
+from typing import cast
 
 import pytest
 import zenoh
@@ -77,6 +78,19 @@ async def test_a_topic_that_nobody_publishes_any_more_is_taken_back() -> None:
             site.graph.unadvertise(site.client, "/news")
             await until(lambda: not machine.has_token("%news"))
         assert site.graph.subscribers("/news") == []
+
+
+async def test_a_topic_whose_message_is_sent_at_once_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with networked(publish=("/news",)) as (site, machine):
+        heard = machine.hear("/news", STRING)
+        site.graph.advertise(site.part, "/news", STRING)
+        await until(lambda: machine.has_token("%news"))
+        with monkeypatch.context() as patched:
+            # As where the session's thread is quicker than the event loop.
+            patched.setattr(site.bridge._thread, "submit", lambda job: job(cast("zenoh.Session", None)) is None)
+            for text in ("first", "second"):
+                site.graph.publish(site.part, "/news", {"data": text})
+        await until(lambda: len(heard) == 2)
 
 
 async def test_the_first_message_of_a_client_on_a_new_topic_is_not_lost() -> None:
@@ -270,19 +284,19 @@ async def test_garbage_costs_a_warning_and_nothing_else(caplog: pytest.LogCaptur
 
 async def test_a_viewing_network_sends_no_goals_and_is_answered(caplog: pytest.LogCaptureFixture) -> None:
     port = free_port()
-    turned_away: list[str] = []
+    on_unauthorized: list[str] = []
     async with Site(port, subscribe=GOALS, role="view") as site:
         goals, stops = [], site.hear("/stop", "std_msgs/msg/Empty", site.part)
-        subscriber = Subscriber(goals.append, None, lambda _asked, _sender, reason: turned_away.append(reason))
+        subscriber = Subscriber(goals.append, None, lambda _asked, _sender, reason: on_unauthorized.append(reason))
         site.graph.subscribe(site.part, "/moveit_goal_named", STRING, subscriber)
         with RosMachine(port) as machine:
             await listening(machine)
             machine.publish("/moveit_goal_named", STRING, data="ready")
-            await until(lambda: turned_away)
+            await until(lambda: on_unauthorized)
             machine.publish("/stop", "std_msgs/msg/Empty")
             await until(lambda: stops)
     assert goals == []
-    assert "needs the role operate" in turned_away[0]
+    assert "needs the role operate" in on_unauthorized[0]
     assert [record.levelno for record in caplog.records if "needs the role" in record.message] == [logging.WARNING]
 
 

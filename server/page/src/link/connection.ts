@@ -165,6 +165,8 @@ interface Subscription {
   type: string;
   throttle_ms: number;
   listener: (message: never) => void;
+  /** Subscriber of the present connection. */
+  subscriber: Topic | null;
 }
 
 /** rosbridge connection that reconnects by itself and restores its subscriptions. */
@@ -176,7 +178,7 @@ export class Connection {
   private refused = "";
   private failures = 0;
   private reconnect_timer: ReturnType<typeof setTimeout> | undefined;
-  private readonly subscriptions: Subscription[] = [];
+  private readonly subscriptions = new Set<Subscription>();
   private readonly publishers = new Map<string, Topic>();
   private readonly disconnect_listeners = new Set<() => void>();
   private readonly heartbeat: Heartbeat;
@@ -222,11 +224,16 @@ export class Connection {
    * Subscribe to a topic, now and after every reconnection.
    *
    * @param throttle_ms - least time between two messages; the newest is kept.
+   * @returns function that ends the subscription.
    */
-  subscribe<Message>(topic: string, type: string, listener: (message: Message) => void, throttle_ms = 0): void {
-    const subscription = { topic, type, throttle_ms, listener };
-    this.subscriptions.push(subscription);
+  subscribe<Message>(topic: string, type: string, listener: (message: Message) => void, throttle_ms = 0): () => void {
+    const subscription: Subscription = { topic, type, throttle_ms, listener, subscriber: null };
+    this.subscriptions.add(subscription);
     if (this.connected && this.ros) subscribeTopic(this.ros, subscription);
+    return () => {
+      this.subscriptions.delete(subscription);
+      if (this.connected) subscription.subscriber?.unsubscribe();
+    };
   }
 
   /** Publish a message; throw a ConnectionError while there is no connection. */
@@ -355,7 +362,8 @@ export class Connection {
   }
 }
 
-function subscribeTopic(ros: Ros, { topic, type, throttle_ms, listener }: Subscription): void {
+function subscribeTopic(ros: Ros, subscription: Subscription): void {
+  const { topic, type, throttle_ms, listener } = subscription;
   const subscriber = new Topic({
     ros,
     name: topic,
@@ -365,6 +373,7 @@ function subscribeTopic(ros: Ros, { topic, type, throttle_ms, listener }: Subscr
     reconnect_on_close: false,
   });
   subscriber.subscribe(listener as (message: unknown) => void);
+  subscription.subscriber = subscriber;
 }
 
 function toText(reason: unknown): string {

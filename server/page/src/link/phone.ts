@@ -12,7 +12,7 @@ export interface PhoneAccess {
   urls: string[];
 }
 
-/** Ask the server for a token that lets one connection in, and for its addresses as other devices see them. */
-export async function fetchPhoneAccess(connection: Connection): Promise<PhoneAccess> {
-  return connection.call<PhoneAccess>("/armbridge/issue_one_time_token", { role: "" });
+/** Ask the server for a token that lets one connection in with a role (empty for the server's default), and for its addresses as other devices see them. */
+export async function fetchPhoneAccess(connection: Connection, role: string): Promise<PhoneAccess> {
+  return connection.call<PhoneAccess>("/armbridge/issue_one_time_token", { role });
 }

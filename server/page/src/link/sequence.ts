@@ -1,7 +1,7 @@
 import { armGripper, armJoints, currentPositions, gripperAction } from "../logic/joints";
 import { legRequest, sequenceSteps, type LegCheck, type Step, type Waypoint } from "../logic/sequence";
 import { duration_s } from "../logic/trajectory";
-import { noSequence, type JointValues, type State } from "../state/state";
+import type { JointValues, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
@@ -9,6 +9,9 @@ import { readPlan, SUCCESS, type MoveItErrorCodes, type RobotTrajectory } from "
 
 /** Time for the plan of a leg [s]: planners give up after allowed_planning_time, 5 s unless it is set. */
 const PLAN_TIMEOUT_S = 20;
+
+/** Least time of a round of a sequence that is repeated [ms]. */
+const MIN_ROUND_MS = 1000;
 
 /** Time without an edit after which the legs are checked [ms]. */
 const CHECK_DELAY_MS = 300;
@@ -19,7 +22,7 @@ const START_STEP = 0.02;
 /** action_msgs/GoalStatus.STATUS_SUCCEEDED. */
 const STATUS_SUCCEEDED = 4;
 
-const CHECKING: LegCheck = { verdict: "checking", message: "", duration_s: 0, end_rad: null };
+const CHECKING: LegCheck = { verdict: "checking", message: "", duration_s: 0, end_rad: null, plan: null };
 
 interface PlanResponse {
   motion_plan_response: { trajectory: RobotTrajectory; error_code: MoveItErrorCodes };
@@ -76,7 +79,17 @@ export class SequencePlayer {
     this.stopped = false;
     const { waypoints } = this.store.state.sequence;
     this.store.patch("sequence", { playing: { index: 0, doing: "check" }, result: "" });
-    this.store.patch("sequence", { result: await this.playAll(waypoints), playing: null });
+    const refusal = await this.refusalOf(waypoints);
+    let result = refusal ?? "";
+    while (refusal === null && result === "") {
+      const began_ms = performance.now();
+      result = (await this.playOnce(waypoints)) ?? "";
+      if (result === "" && !this.store.state.sequence.loop) result = t("sequence.done", { count: waypoints.length });
+      // An arm that is everywhere already must not be asked without end.
+      const rest_ms = MIN_ROUND_MS - (performance.now() - began_ms);
+      if (result === "" && rest_ms > 0) await this.pause(rest_ms);
+    }
+    this.store.patch("sequence", { result, playing: null });
   }
 
   /** Stop the sequence: the motion brakes along its path, and nothing more begins. */
@@ -86,37 +99,45 @@ export class SequencePlayer {
     this.endPause();
   }
 
-  /** Check and play waypoints; return the result as a sentence. */
-  private async playAll(waypoints: readonly Waypoint[]): Promise<string> {
+  /** Check all waypoints; return the reason against playing them as a sentence, null for none. */
+  private async refusalOf(waypoints: readonly Waypoint[]): Promise<string | null> {
     const checks = await this.checkLegs(waypoints);
     const refused = checks.findIndex(({ verdict }) => verdict === "refused");
-    if (refused >= 0) {
-      const { name = "" } = waypoints[refused] ?? {};
-      return t("sequence.refused", { name, message: checks[refused]?.message ?? "" });
-    }
+    if (refused < 0) return null;
+    const { name = "" } = waypoints[refused] ?? {};
+    return t("sequence.refused", { name, message: checks[refused]?.message ?? "" });
+  }
+
+  /** Play waypoints once; return the reason for an end before the last one as a sentence, null for none. */
+  private async playOnce(waypoints: readonly Waypoint[]): Promise<string | null> {
     const gripper = armGripper(this.store.state);
     const action = gripper && gripperAction(gripper, this.store.state.actions);
     for (const step of sequenceSteps(waypoints, action)) {
-      if (this.stopped) return t("sequence.stopped");
+      if (this.stopped) break;
       this.store.patch("sequence", { playing: { index: step.index, doing: step.doing } });
       const problem = await this.carryOut(step);
-      if (this.stopped) return t("sequence.stopped");
+      if (this.stopped) break;
       const { name = "" } = waypoints[step.index] ?? {};
       if (problem !== "") return t("sequence.failed", { name, message: problem });
     }
-    return this.stopped ? t("sequence.stopped") : t("sequence.done", { count: waypoints.length });
+    return this.stopped ? t("sequence.stopped") : null;
+  }
+
+  /** Wait; a stop ends it. */
+  private pause(time_ms: number): Promise<void> {
+    return new Promise<void>((resolve) => {
+      const timer = setTimeout(resolve, time_ms);
+      this.endPause = () => {
+        clearTimeout(timer);
+        resolve();
+      };
+    });
   }
 
   /** Carry out a step; return the reason for a failure, empty for none. */
   private async carryOut(step: Step): Promise<string> {
     if (step.doing === "pause") {
-      await new Promise<void>((resolve) => {
-        const timer = setTimeout(resolve, step.pause_s * 1000);
-        this.endPause = () => {
-          clearTimeout(timer);
-          resolve();
-        };
-      });
+      await this.pause(step.pause_s * 1000);
       return "";
     }
     try {
@@ -173,15 +194,15 @@ export class SequencePlayer {
       this.answers.set(key, check);
       return check;
     } catch (error) {
-      return { verdict: "unknown", message: (error as Error).message, duration_s: 0, end_rad: null };
+      return { verdict: "unknown", message: (error as Error).message, duration_s: 0, end_rad: null, plan: null };
     }
   }
 
   /** Ask for the replay of a taught motion, once the arm has reached its start. */
   private async checkReplay({ speed, joints_rad }: Waypoint, name: string, before_s: number): Promise<LegCheck> {
     const { success, message, duration_s } = await this.connection.call<MotionCheck>("/teach/check", { name, speed }, PLAN_TIMEOUT_S);
-    if (!success) return { verdict: "refused", message, duration_s: 0, end_rad: null };
-    return { verdict: "possible", message: "", duration_s: before_s + duration_s, end_rad: joints_rad };
+    if (!success) return { verdict: "refused", message, duration_s: 0, end_rad: null, plan: null };
+    return { verdict: "possible", message: "", duration_s: before_s + duration_s, end_rad: joints_rad, plan: null };
   }
 }
 
@@ -202,9 +223,9 @@ function readCheck({ error_code, trajectory }: PlanResponse["motion_plan_respons
   const { val, message } = error_code;
   // The leg itself is not to blame: it would begin at a waypoint where the arm cannot be.
   if (!is_first && BAD_START.includes(val)) {
-    return { verdict: "unknown", message: t("sequence.bad_start"), duration_s: 0, end_rad: null };
+    return { verdict: "unknown", message: t("sequence.bad_start"), duration_s: 0, end_rad: null, plan: null };
   }
-  if (val !== SUCCESS) return { verdict: "refused", message, duration_s: 0, end_rad: null };
+  if (val !== SUCCESS) return { verdict: "refused", message, duration_s: 0, end_rad: null, plan: null };
   // An arm that is there already gets a trajectory without points.
   const plan = readPlan(trajectory);
   const last = plan?.points.at(-1);
@@ -214,6 +235,7 @@ function readCheck({ error_code, trajectory }: PlanResponse["motion_plan_respons
     message,
     duration_s: plan ? duration_s(plan) : 0,
     end_rad: values ? Object.fromEntries(values) : null,
+    plan,
   };
 }
 
@@ -238,5 +260,5 @@ export function setWaypoints(store: PageStore, waypoints: readonly Waypoint[]): 
     const unchanged = at >= 0 && before[at - 1] === waypoints[index - 1];
     return (unchanged && sequence.checks[at]) || CHECKING;
   });
-  store.set({ sequence: { ...noSequence(), saved: sequence.saved, waypoints, checks } });
+  store.patch("sequence", { waypoints, checks, result: "" });
 }

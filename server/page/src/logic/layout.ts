@@ -1,67 +1,44 @@
-/** Columns beside the arm. */
-export const COLUMNS = ["first", "second"] as const;
-export type Column = (typeof COLUMNS)[number];
-
-/** Panels of each column in the order of their tabs, and the one that each column shows; closed ones are in neither. */
+/** Panels that are open beside the picture, by their ids; empty for none. */
 export interface Layout {
-  panels: Record<Column, string[]>;
-  shown: Record<Column, string>;
+  /** Panel that was opened last; the next one takes its place. */
+  shown: string;
+  /** Panel that stays open beside it. */
+  pinned: string;
 }
 
 /** Layout of a page that nobody has arranged yet. */
-export const INITIAL_LAYOUT: Layout = {
-  panels: { first: ["move", "drive", "sequence", "world", "plots", "goals", "arm", "log", "settings"], second: [] },
-  shown: { first: "move", second: "" },
-};
+export const INITIAL_LAYOUT: Layout = { shown: "move", pinned: "" };
 
-/** Return the layout with a panel opened, in its column, or the first one. */
+/** Layout of the picture alone. */
+export const PICTURE_ALONE: Layout = { shown: "", pinned: "" };
+
+/** Return true for an open panel. */
+export function isOpen({ shown, pinned }: Layout, id: string): boolean {
+  return id === shown || id === pinned;
+}
+
+/** Return the layout with a panel open. */
 export function openPanel(layout: Layout, id: string): Layout {
-  const column = columnOf(layout, id);
-  if (column !== null) return { ...layout, shown: { ...layout.shown, [column]: id } };
-  return {
-    panels: { ...layout.panels, first: [...layout.panels.first, id] },
-    shown: { ...layout.shown, first: id },
-  };
+  return isOpen(layout, id) ? layout : { ...layout, shown: id };
 }
 
-/** Return the layout without a panel; its column shows the panel before it. */
-export function closePanel(layout: Layout, id: string): Layout {
-  const column = columnOf(layout, id);
-  if (column === null) return layout;
-  const before = layout.panels[column];
-  const left = before.filter((other) => other !== id);
-  const neighbour = left[Math.max(0, before.indexOf(id) - 1)] ?? "";
-  const shown = layout.shown[column] === id ? neighbour : layout.shown[column];
-  return { panels: { ...layout.panels, [column]: left }, shown: { ...layout.shown, [column]: shown } };
+/** Return the layout without a panel. */
+export function closePanel({ shown, pinned }: Layout, id: string): Layout {
+  return { shown: shown === id ? "" : shown, pinned: pinned === id ? "" : pinned };
 }
 
-/** Return the layout with a panel moved to the other column, which shows it. */
-export function movePanel(layout: Layout, id: string): Layout {
-  const from = columnOf(layout, id);
-  if (from === null) return layout;
-  const to = from === "first" ? "second" : "first";
-  const without = closePanel(layout, id);
-  return {
-    panels: { ...without.panels, [to]: [...without.panels[to], id] },
-    shown: { ...without.shown, [to]: id },
-  };
+/** Return the layout with the shown panel pinned; the one that was pinned takes its place. */
+export function pinPanel({ shown, pinned }: Layout): Layout {
+  return { shown: pinned, pinned: shown };
 }
 
-/** Return the column of a panel; null for a closed one. */
-export function columnOf(layout: Layout, id: string): Column | null {
-  return COLUMNS.find((column) => layout.panels[column].includes(id)) ?? null;
-}
-
-/** Return a stored layout with the panels that exist, those that are new since then open; the initial one for a text that is none. */
+/** Return a stored layout without panels that do not exist; the initial one for another text. */
 export function parseLayout(text: string, ids: readonly string[], initial: Layout): Layout {
   try {
-    const { panels, shown, known = ids } = JSON.parse(text) as Layout & { known?: readonly string[] };
-    const existing = (column: Column): string[] => panels[column].filter((id) => ids.includes(id));
-    const second = existing("second").filter((id) => !panels.first.includes(id));
-    const added = ids.filter((id) => !known.includes(id));
-    const kept = { first: [...new Set([...existing("first"), ...added])], second: [...new Set(second)] };
-    const of = (column: Column): string => (kept[column].includes(shown[column]) ? shown[column] : (kept[column][0] ?? ""));
-    return { panels: kept, shown: { first: of("first"), second: of("second") } };
+    const { shown, pinned } = JSON.parse(text) as Partial<Layout>;
+    if (typeof shown !== "string" || typeof pinned !== "string") return initial;
+    const existing = (id: string): string => (ids.includes(id) ? id : "");
+    return { shown: existing(shown), pinned: shown === pinned ? "" : existing(pinned) };
   } catch {
     return initial;
   }

@@ -38,6 +38,20 @@ export interface LegCheck {
   duration_s: number;
   /** Joint values at the end, where the next leg begins; null when no motion was found. */
   end_rad: JointValues | null;
+  /** Planned motion; null without one. */
+  plan: Plan | null;
+}
+
+/** Return the key of a pose. */
+export function poseKey(joints_rad: JointValues): string {
+  return JSON.stringify(joints_rad);
+}
+
+/** Return the time that a sequence takes without its gripper [s]; null while a leg is not known to be possible. */
+export function sequenceDuration_s(waypoints: readonly Waypoint[], checks: readonly LegCheck[]): number | null {
+  if (checks.length < waypoints.length || checks.some(({ verdict }) => verdict !== "possible")) return null;
+  const moving_s = checks.reduce((sum, { duration_s }) => sum + duration_s, 0);
+  return waypoints.reduce((sum, { pause_s }) => sum + pause_s, moving_s);
 }
 
 /** Part of a sequence that is played: a goal of an action, or a time to wait. */

@@ -1,4 +1,5 @@
 import type { Authentication } from "../link/authentication";
+import type { Cameras } from "../link/cameras";
 import type { ArmCommands, StopCommand } from "../link/commands";
 import type { CommissioningCommands } from "../link/commissioning";
 import type { GoalRecord } from "../link/goal-history";
@@ -25,9 +26,10 @@ export interface PanelContext {
   commissioning: CommissioningCommands;
   authentication: Authentication;
   /** Asks the server for a way in for another device. */
-  phoneAccess: () => Promise<PhoneAccess>;
+  phoneAccess: (role: string) => Promise<PhoneAccess>;
   sceneEditor: SceneEditor;
   sequencePlayer: SequencePlayer;
+  cameras: Cameras;
   teaching: Teaching;
   /** Asks the server for the last minutes of a joint's servo; null where it has none. */
   servoHistory: (joint: string) => Promise<ServoHistory | null>;

@@ -1,19 +1,29 @@
-import { closePanel, columnOf, COLUMNS, movePanel, openPanel, parseLayout, type Column, type Layout } from "../logic/layout";
+import { closePanel, INITIAL_LAYOUT, isOpen, openPanel, parseLayout, PICTURE_ALONE, pinPanel, type Layout } from "../logic/layout";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import { button, el, loadPreference, option, storePreference } from "./dom";
+import { button, el, icon, loadPreference, storePreference } from "./dom";
 
-/** Panel of the dock; its sections exist from the start, also while it is closed. */
+/** Panel of the page; its sections exist from the start, also while it is closed. */
 export interface Panel {
   id: string;
   title: string;
+  /** SVG path of its icon, in a square of 24. */
+  icon: string;
+  /** On the rail itself, or in its menu. */
+  place: "rail" | "more";
   sections: HTMLElement[];
 }
 
 /** Dispatched at a panel's element when it comes into sight. */
 const SHOWN = "panel-shown";
 
-/** Return true while an element can be seen: its panel is the shown one of its column, and no section above it is closed. */
+const MORE_ICON = "M5 12h.01M12 12h.01M19 12h.01";
+const PIN_ICON = "M9 4h6l-1 6 4 4H6l4-4zM12 14v6";
+
+/** Screens with space for the picture and one panel only, which are those of phones. */
+const SMALL_SCREEN = "(max-width: 760px), (max-height: 500px)";
+
+/** Return true while an element can be seen: its panel is open, and no section above it is closed. */
 export function isShown(element: HTMLElement): boolean {
   return element.isConnected && element.closest("[hidden], details:not([open])") === null;
 }
@@ -28,166 +38,86 @@ export function whenShown(element: HTMLElement, listener: () => void): void {
   document.addEventListener("toggle", check, { capture: true });
 }
 
-/** Columns of panels beside the arm; each shows one of its panels, chosen by tabs, and the browser stores the layout. */
-export class Dock {
-  private readonly columns: Record<Column, HTMLElement>;
-  private readonly tabs: Record<Column, HTMLElement>;
-  private readonly tab_of = new Map<string, HTMLElement>();
-  private readonly updateTools: Record<Column, () => void> = { first: () => undefined, second: () => undefined };
-  private readonly empty: Record<Column, HTMLElement> = {
-    first: el("p", { class: "hint empty", text: t("layout.empty") }),
-    second: el("p", { class: "hint empty", text: t("layout.empty") }),
+/** Fill the rail with a button for each panel, and the dock with the panels as cards; the browser stores the open ones. */
+export function createDock(rail: HTMLElement, dock: HTMLElement, panels: readonly Panel[], store: PageStore): void {
+  const small = matchMedia(SMALL_SCREEN);
+  const change = (layout: Layout): void => store.set({ layout: small.matches ? { ...layout, pinned: "" } : layout });
+  const toggle = (id: string): void => {
+    const { layout } = store.state;
+    change(isOpen(layout, id) ? closePanel(layout, id) : openPanel(layout, id));
   };
-  private readonly hosts = new Map<string, HTMLElement>();
+  const tabs = new Map(panels.map((panel) => [panel.id, tabOf(panel, () => toggle(panel.id))]));
+  const close = (id: string): void => {
+    change(closePanel(store.state.layout, id));
+    // That of a panel of the menu is hidden.
+    const tab = tabs.get(id);
+    (tab?.checkVisibility() ? tab : more.summary).focus();
+  };
+  const cards = new Map(panels.map((panel) => [panel.id, cardOf(panel, () => close(panel.id), () => change(pinPanel(store.state.layout)))]));
+  const placed = (place: Panel["place"]): HTMLElement[] => panels.filter((panel) => panel.place === place).flatMap(({ id }) => tabs.get(id) ?? []);
+  const more = moreMenu(placed("more"));
+  rail.setAttribute("aria-label", t("layout.panels"));
+  rail.append(...placed("rail"), more.details);
+  dock.setAttribute("aria-label", t("layout.panels"));
+  dock.append(...cards.values());
+  const initial = small.matches ? PICTURE_ALONE : INITIAL_LAYOUT;
+  change(parseLayout(loadPreference("shown-panels", ""), panels.map(({ id }) => id), initial));
+  store.subscribe(
+    (state) => state.layout,
+    (layout) => {
+      storePreference("shown-panels", JSON.stringify(layout));
+      dock.hidden = layout.shown === "" && layout.pinned === "";
+      more.details.dataset["current"] = String(panels.some(({ id, place }) => place === "more" && isOpen(layout, id)));
+      for (const [id, card] of cards) showCard(card, id, layout);
+      for (const [id, tab] of tabs) tab.setAttribute("aria-expanded", String(isOpen(layout, id)));
+    },
+  );
+}
 
-  /**
-   * @param host - element of the page that gets the columns.
-   * @param panels - all panels.
-   * @param store - holds the layout.
-   */
-  constructor(
-    host: HTMLElement,
-    private readonly panels: readonly Panel[],
-    private readonly store: PageStore,
-  ) {
-    const ids = panels.map(({ id }) => id);
-    const created = COLUMNS.map((column) => [column, ...this.createColumn(column)] as const);
-    this.columns = Object.fromEntries(created.map(([column, element]) => [column, element])) as Record<Column, HTMLElement>;
-    this.tabs = Object.fromEntries(created.map(([column, , tabs]) => [column, tabs])) as Record<Column, HTMLElement>;
-    for (const { id, sections } of panels) {
-      const attributes = { tabindex: "0", "aria-labelledby": `tab-${id}` };
-      const options = { class: "panel", id: `panel-${id}`, testid: `panel-${id}`, role: "tabpanel", attributes };
-      this.hosts.set(id, el("section", options, ...sections));
-    }
-    host.setAttribute("aria-label", t("layout.panels"));
-    host.append(...COLUMNS.map((column) => this.columns[column]));
-    store.set({ layout: parseLayout(loadPreference("layout", ""), ids, store.state.layout) });
-    store.subscribe(
-      (state) => state.layout,
-      (layout) => {
-        storePreference("layout", JSON.stringify({ ...layout, known: ids }));
-        this.show();
-      },
-    );
-  }
+function tabOf({ id, title, icon: path }: Panel, press: () => void): HTMLElement {
+  const tab = button("", `tab-${id}`, press);
+  tab.id = `tab-${id}`;
+  tab.setAttribute("aria-controls", `panel-${id}`);
+  tab.append(icon(path), el("span", { text: title }));
+  return tab;
+}
 
-  private get layout(): Layout {
-    return this.store.state.layout;
-  }
+function cardOf({ id, title, sections }: Panel, close: () => void, pin: () => void): HTMLElement {
+  const heading = el("h2", { id: `title-${id}`, text: title });
+  const pin_button = button("", `pin-panel-${id}`, pin, t("layout.pin"));
+  pin_button.classList.add("pin");
+  pin_button.setAttribute("aria-label", `${t("layout.pin")}: ${title}`);
+  pin_button.append(icon(PIN_ICON));
+  const close_button = button("×", `close-panel-${id}`, close, t("layout.close"));
+  close_button.setAttribute("aria-label", `${t("layout.close")}: ${title}`);
+  // Focusable, so that the keyboard scrolls it.
+  const body = el("div", { class: "panel", testid: `panel-${id}`, role: "group", attributes: { tabindex: "0", "aria-labelledby": heading.id } }, ...sections);
+  const card = el("section", { class: "card", id: `panel-${id}`, attributes: { "aria-labelledby": heading.id } });
+  card.append(el("header", { class: "card-head" }, heading, pin_button, close_button), body);
+  card.hidden = true;
+  return card;
+}
 
-  private change(layout: Layout): void {
-    this.store.set({ layout });
-  }
+function showCard(card: HTMLElement, id: string, layout: Layout): void {
+  card.dataset["slot"] = layout.pinned === id ? "pinned" : "shown";
+  const shown = isOpen(layout, id);
+  if (card.hidden === !shown) return;
+  card.hidden = !shown;
+  if (shown) card.dispatchEvent(new Event(SHOWN, { bubbles: true }));
+}
 
-  private createColumn(column: Column): [HTMLElement, HTMLElement] {
-    const tabs = el("div", { class: "tabs", role: "tablist", label: t("layout.panels") });
-    tabs.addEventListener("keydown", (event) => this.onKey(event, column));
-    const element = el("div", { class: "column", testid: `column-${column}`, attributes: { "data-column": column } });
-    element.append(el("div", { class: "tab-bar" }, tabs, this.createTools(column)), this.empty[column]);
-    return [element, tabs];
-  }
-
-  private show(): void {
-    for (const column of COLUMNS) this.showColumn(column);
-    for (const [id, host] of this.hosts) {
-      const column = columnOf(this.layout, id);
-      const shown = column !== null && this.layout.shown[column] === id;
-      // Closed ones too: what updates the whole page finds them in the document.
-      const parent = this.columns[column ?? "first"];
-      if (host.parentElement !== parent) parent.append(host);
-      if (host.hidden === !shown) continue;
-      host.hidden = !shown;
-      if (shown) host.dispatchEvent(new Event(SHOWN, { bubbles: true }));
-    }
-  }
-
-  private showColumn(column: Column): void {
-    const ids = this.layout.panels[column];
-    // The first column stays, so that there is a place to open panels from.
-    this.columns[column].hidden = column === "second" && ids.length === 0;
-    const host = this.tabs[column];
-    const tabs = ids.map((id) => this.tabOf(id));
-    // Tabs that stay where they are keep the focus.
-    if (tabs.length !== host.children.length || tabs.some((tab, index) => host.children[index] !== tab)) host.replaceChildren(...tabs);
-    for (const [index, tab] of tabs.entries()) {
-      const selected = this.layout.shown[column] === ids[index];
-      if (selected && tab.getAttribute("aria-selected") !== "true") requestAnimationFrame(() => tab.scrollIntoView({ block: "nearest", inline: "nearest" }));
-      tab.setAttribute("aria-selected", String(selected));
-      tab.tabIndex = selected ? 0 : -1;
-    }
-    this.updateTools[column]();
-    this.empty[column].hidden = ids.length > 0;
-  }
-
-  private tabOf(id: string): HTMLElement {
-    const known = this.tab_of.get(id);
-    if (known) return known;
-    const tab = button(this.titleOf(id), `tab-${id}`, () => this.change(openPanel(this.layout, id)));
-    tab.id = `tab-${id}`;
-    tab.setAttribute("role", "tab");
-    tab.setAttribute("aria-controls", `panel-${id}`);
-    this.tab_of.set(id, tab);
-    return tab;
-  }
-
-  /** Create the buttons that open, move and close panels of a column. */
-  private createTools(column: Column): HTMLElement {
-    const choice = el("select", { class: "add-panel", testid: `open-panel-${column}`, label: t("layout.open") });
-    choice.title = t("layout.open");
-    choice.addEventListener("change", () => choice.value !== "" && this.openIn(choice.value, column));
-    const other = t(column === "first" ? "layout.to_second" : "layout.to_first");
-    const shown = (): string => this.layout.shown[column];
-    const move = button(column === "first" ? "⇤" : "⇥", `move-panel-${column}`, () => this.moveShown(shown()), other);
-    const close = button("×", `close-panel-${column}`, () => this.closeShown(shown(), column), t("layout.close"));
-    move.classList.add("to-column");
-    move.setAttribute("aria-label", other);
-    close.setAttribute("aria-label", t("layout.close"));
-    let offered = "";
-    this.updateTools[column] = () => {
-      const closed = this.panels.filter(({ id }) => columnOf(this.layout, id) === null);
-      const key = closed.map(({ id }) => id).join();
-      if (key !== offered || choice.options.length === 0) {
-        choice.replaceChildren(option("", "+"));
-        choice.append(...closed.map(({ id, title }) => option(id, title)));
-        offered = key;
-      }
-      choice.hidden = closed.length === 0;
-      move.disabled = close.disabled = shown() === "";
-    };
-    return el("div", { class: "tab-tools" }, choice, move, close);
-  }
-
-  private moveShown(id: string): void {
-    this.change(movePanel(this.layout, id));
-    this.tabOf(id).focus();
-  }
-
-  private closeShown(id: string, column: Column): void {
-    this.change(closePanel(this.layout, id));
-    const next = this.layout.shown[column] || this.layout.shown.first;
-    if (next !== "") this.tabOf(next).focus();
-  }
-
-  private openIn(id: string, column: Column): void {
-    const opened = openPanel(this.layout, id);
-    this.change(column === "first" ? opened : movePanel(opened, id));
-    this.tabOf(id).focus();
-  }
-
-  /** Arrow keys, Home and End go through the tabs, Delete closes one, as ARIA's pattern for tabs has it. */
-  private onKey(event: KeyboardEvent, column: Column): void {
-    const ids = this.layout.panels[column];
-    const now = ids.indexOf(this.layout.shown[column]);
-    const index = { ArrowRight: now + 1, ArrowLeft: now - 1, Home: 0, End: -1 }[event.key];
-    if (event.key === "Delete") this.closeShown(this.layout.shown[column], column);
-    if (index === undefined || ids.length === 0) return;
-    const next = ids.at(index % ids.length) ?? "";
-    this.change(openPanel(this.layout, next));
-    this.tabOf(next).focus();
-    event.preventDefault();
-  }
-
-  private titleOf(id: string): string {
-    return this.panels.find((panel) => panel.id === id)?.title ?? id;
-  }
+/** Create the menu of the other panels; a press and the loss of the focus close it. */
+function moreMenu(tabs: readonly HTMLElement[]): { details: HTMLDetailsElement; summary: HTMLElement } {
+  const summary = el("summary", { testid: "more-panels" }, icon(MORE_ICON), el("span", { text: t("layout.more") }));
+  const details = el("details", { class: "more" }, summary, el("div", { class: "menu" }, ...tabs));
+  details.addEventListener("click", ({ target }) => {
+    if (target instanceof Element && target.closest("button")) details.open = false;
+  });
+  details.addEventListener("focusout", ({ relatedTarget }) => {
+    if (relatedTarget instanceof Node && !details.contains(relatedTarget)) details.open = false;
+  });
+  document.addEventListener("pointerdown", ({ target }) => {
+    if (target instanceof Node && !details.contains(target)) details.open = false;
+  });
+  return { details, summary };
 }

@@ -1,4 +1,5 @@
 import { parseNumber, type NumberRange } from "../logic/numbers";
+import { t } from "../texts/texts";
 
 /** Attributes, text and event listeners (`on`) of a new element. */
 export interface ElementOptions {
@@ -36,6 +37,62 @@ export function el<Tag extends keyof HTMLElementTagNameMap>(
 export function button(text: string, testid: string, press: () => void, title = ""): HTMLButtonElement {
   const options: ElementOptions = { type: "button", testid, text, on: { click: press } };
   return el("button", title ? { ...options, title } : options);
+}
+
+/** Create a button that deletes something at its second press: the first one asks, until the button loses the focus. */
+export function deleteButton(text: string, testid: string, name: string, remove: () => void): HTMLButtonElement {
+  let asking = false;
+  const ask = (now: boolean): void => {
+    asking = now;
+    setText(press, asking ? t("ask.delete") : text);
+    press.classList.toggle("asking", asking);
+  };
+  const press = el("button", { type: "button", testid, text, label: `${t("ask.label")}: ${name}` });
+  press.addEventListener("click", ({ detail }) => {
+    // The second click of a double click is no answer.
+    if (detail > 1) return;
+    if (asking) remove();
+    ask(!asking);
+  });
+  press.addEventListener("blur", () => ask(false));
+  return press;
+}
+
+/** Texts and test ids of a form for a name. */
+export interface NameFormOptions {
+  testid: string;
+  label: string;
+  /** Button that submits. */
+  button: string;
+  button_testid: string;
+  title?: string;
+}
+
+/** Create a form for a name; a name that `submit` returns true for is cleared. */
+export function nameForm({ testid, label, button: text, button_testid, title = "" }: NameFormOptions, submit: (name: string) => boolean | Promise<boolean>): HTMLElement {
+  const name = el("input", { type: "text", testid, attributes: { autocomplete: "off", maxlength: "50" } });
+  const send = async (): Promise<void> => {
+    const typed = name.value.trim();
+    if (typed === "") name.focus();
+    if (await submit(typed)) name.value = "";
+  };
+  name.addEventListener("keydown", (event) => event.key === "Enter" && void send());
+  return el("div", { class: "save-scene" }, el("label", {}, label, name), button(text, button_testid, () => void send(), title));
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** Create an element of a drawing. */
+export function svg(tag: string, attributes: Record<string, string | number>, ...children: (Node | string)[]): SVGElement {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
+  element.append(...children);
+  return element;
+}
+
+/** Create an icon from a path in a square of 24. */
+export function icon(path: string): SVGElement {
+  return svg("svg", { viewBox: "0 0 24 24", class: "icon", "aria-hidden": "true" }, svg("path", { d: path }));
 }
 
 /** Create an option of a choice. */

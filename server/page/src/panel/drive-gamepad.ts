@@ -3,7 +3,7 @@ import { scaled, tipAxes } from "../logic/jog";
 import { DeadMan, gamepadCommands, isDeadManHeld } from "../logic/jog-gamepad";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { el, section, setText } from "./dom";
+import { el, section, setText, svg } from "./dom";
 import type { JogControls } from "./drive-controls";
 
 /** Period of reading the gamepad [ms]: it has no events of its sticks. */
@@ -83,39 +83,30 @@ class GamepadReader {
   }
 }
 
-const SVG = "http://www.w3.org/2000/svg";
-
-function shape(tag: string, attributes: Record<string, string | number>, text = ""): SVGElement {
-  const element = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
-  element.textContent = text;
-  return element;
-}
-
 /** Draw a gamepad with what its parts do. */
 function gamepadPicture(): SVGElement {
-  const picture = shape("svg", { viewBox: "0 0 340 200", class: "gamepad-picture", role: "img", "aria-label": t("drive.gamepad.picture") });
-  const label = (x: number, y: number, text: string): SVGElement => shape("text", { x, y, "text-anchor": "middle" }, text);
+  const picture = svg("svg", { viewBox: "0 0 340 200", class: "gamepad-picture", role: "img", "aria-label": t("drive.gamepad.picture") });
+  const label = (x: number, y: number, text: string): SVGElement => svg("text", { x, y, "text-anchor": "middle" }, text);
   const body = "M80 62 H260 C300 62 325 120 318 165 C312 192 285 188 262 150 H78 C55 188 28 192 22 165 C15 120 40 62 80 62 Z";
   picture.append(
-    shape("rect", { x: 60, y: 40, width: 70, height: 18, rx: 8, class: "dead-man" }),
-    shape("rect", { x: 210, y: 40, width: 70, height: 18, rx: 8, class: "dead-man" }),
+    svg("rect", { x: 60, y: 40, width: 70, height: 18, rx: 8, class: "dead-man" }),
+    svg("rect", { x: 210, y: 40, width: 70, height: 18, rx: 8, class: "dead-man" }),
     label(170, 53, t("drive.gamepad.dead_man")),
     label(95, 53, "L1"),
     label(245, 53, "R1"),
     label(95, 28, `L2 ${t("drive.gamepad.down")}`),
     label(245, 28, `R2 ${t("drive.gamepad.up")}`),
-    shape("path", { d: body }),
-    shape("circle", { cx: 120, cy: 128, r: 20 }),
+    svg("path", { d: body }),
+    svg("circle", { cx: 120, cy: 128, r: 20 }),
     label(120, 132, "x  y"),
-    shape("circle", { cx: 220, cy: 128, r: 20 }),
+    svg("circle", { cx: 220, cy: 128, r: 20 }),
     label(220, 126, t("drive.axis.roll")),
     label(220, 138, t("drive.axis.pitch")),
-    shape("path", { d: "M68 84 H80 V92 H92 V104 H80 V112 H68 V104 H56 V92 H68 Z" }),
+    svg("path", { d: "M68 84 H80 V92 H92 V104 H80 V112 H68 V104 H56 V92 H68 Z" }),
     label(74, 126, t("drive.axis.yaw")),
-    shape("circle", { cx: 276, cy: 106, r: 9 }),
+    svg("circle", { cx: 276, cy: 106, r: 9 }),
     label(276, 110, "A"),
-    shape("circle", { cx: 296, cy: 88, r: 9 }),
+    svg("circle", { cx: 296, cy: 88, r: 9 }),
     label(296, 92, "B"),
     label(282, 128, t("drive.close")),
     label(282, 76, t("drive.open")),

@@ -7,30 +7,33 @@ import { permissionFieldset, type PanelContext } from "./context";
 import { el, section, setText } from "./dom";
 import { axisText, choice, watchPointer, type JogControls } from "./drive-controls";
 
-/** Create the section with two pads for thumbs, which move nothing while the bar below them is not held. */
-export function padsSection(context: PanelContext, controls: JogControls): HTMLElement {
+/** Create the section with two pads for thumbs, which move nothing while neither bar below them is held. */
+export function padsSection(context: PanelContext, controls: JogControls): HTMLDetailsElement {
   const { store, jogSender } = context;
-  const bar = el("button", { type: "button", class: "pad-dead-man", testid: "pad-dead-man", text: t("drive.pads.dead_man") });
-  let held = false;
+  const held = new Set<string>();
   let rotation: TipAxis | null = "pitch";
   const caption = el("span", {});
   const turning = choice("pad-rotation", t("drive.pads.rotation"), ["pitch", "roll", "yaw"], (["pitch", "roll", "yaw"] as const).map(axisText), (value) => {
     rotation = value as TipAxis;
   });
-  const isHeld = (): boolean => held;
+  const isHeld = (): boolean => held.size > 0;
   const left = pad(context, controls, "pad-left", t("drive.pads.left"), () => LEFT_PAD, isHeld);
   left.element.append(el("span", { text: "x ↕  y ↔" }));
   const right = pad(context, controls, "pad-right", t("drive.pads.left"), () => rightPad(rotation), isHeld);
   right.element.append(caption);
-  watchPointer(bar, () => {
-    held = true;
-    for (const each of [left, right]) each.apply();
-  }, () => {
-    held = false;
-    for (const input of ["pad-left", "pad-right"]) jogSender.release(input);
+  const bars = ["dead-man-left", "dead-man-right"].map((testid) => {
+    const bar = el("button", { type: "button", class: "pad-dead-man", testid, text: t("drive.pads.dead_man") });
+    watchPointer(bar, () => {
+      held.add(testid);
+      for (const each of [left, right]) each.apply();
+    }, () => {
+      held.delete(testid);
+      if (!isHeld()) for (const input of ["pad-left", "pad-right"]) jogSender.release(input);
+    });
+    return bar;
   });
-  // After a stop the bar must be let go and held again.
-  jogSender.onReleaseAll(() => (held = false));
+  // After a stop the bars must be let go and held again.
+  jogSender.onReleaseAll(() => held.clear());
   const show = (state: State): void => {
     const rotations = tipAxes(armJoints(state).length).filter(isRotation);
     for (const option of turning.options) option.disabled = option.hidden = !rotations.includes(option.value as TipAxis);
@@ -43,7 +46,8 @@ export function padsSection(context: PanelContext, controls: JogControls): HTMLE
   };
   turning.addEventListener("change", () => show(store.state));
   store.watch(DESCRIPTION, show);
-  const pads = permissionFieldset(context, "drive", el("div", { class: "pads" }, left.element, right.element), bar);
+  const sides = [left, right].map(({ element }, index) => el("div", { class: "pad-side" }, element, bars[index] ?? ""));
+  const pads = permissionFieldset(context, "drive", el("div", { class: "pads" }, ...sides));
   const hint = el("p", { class: "hint", text: t("drive.pads.hint") });
   const line = el("label", { class: "line" }, `${t("drive.pads.rotation")} `, turning);
   return section("drive-pads", t("drive.pads"), isTouch(), pads, hint, line);

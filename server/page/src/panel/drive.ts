@@ -10,6 +10,7 @@ import { axisText, choice, watchHold, type JogControls } from "./drive-controls"
 import { gamepadSection } from "./drive-gamepad";
 import { keyboardSection } from "./drive-keyboard";
 import { isTouch, padsSection } from "./drive-pads";
+import { phoneSection } from "./phone";
 
 /** Sizes of a step: of the tip and joints that slide, of turning, and of the gripper as a share of its range. */
 const STEPS = [
@@ -28,9 +29,18 @@ export function driveSection(context: PanelContext): HTMLElement {
   const sections = [section("drive-tip", t("drive.tip"), true, tip), section("drive-joints", t("drive.joints"), true, joints)];
   const buttons = permissionFieldset(context, "drive", ...sections);
   const pads = padsSection(context, controls);
+  const others = [keyboardSection(context, controls), gamepadSection(context, controls), phoneSection(context)];
   // On a touch screen the pads come first, where the thumbs are.
-  const others = [keyboardSection(context, controls), gamepadSection(context, controls)];
-  const inputs = el("div", {}, ...(isTouch() ? [pads, settings, buttons] : [settings, buttons, pads]), ...others);
+  const rest = el("details", { class: "drive-rest", testid: "drive-rest" }, el("summary", { text: t("drive.more") }), settings, buttons, ...(isTouch() ? [] : [pads]), ...others);
+  const inputs = el("div", {}, ...(isTouch() ? [pads] : []), rest);
+  // A phone on its side: the pads stand left and right of the picture, and the rest is folded (drive.css).
+  const lying = matchMedia("(max-height: 500px) and (pointer: coarse)");
+  const fit = (): void => {
+    rest.open = !lying.matches;
+    if (lying.matches) pads.open = true;
+  };
+  fit();
+  lying.addEventListener("change", fit);
   context.store.watch(DESCRIPTION, (state) => (inputs.hidden = !hasTip(state)));
   return el("div", { class: "drive", testid: "section-drive" }, statusLine(context), inputs);
 }

@@ -5,7 +5,12 @@ const RELEASE_AFTER_MS = 10_000;
 
 /** Offer a text to the user as a file. */
 export function saveFile(name: string, type: string, text: string): void {
-  const url = URL.createObjectURL(new Blob([text], { type: `${type};charset=utf-8` }));
+  saveBlob(name, new Blob([text], { type: `${type};charset=utf-8` }));
+}
+
+/** Offer bytes to the user as a file. */
+export function saveBlob(name: string, blob: Blob): void {
+  const url = URL.createObjectURL(blob);
   el("a", { attributes: { href: url, download: name } }).click();
   setTimeout(() => URL.revokeObjectURL(url), RELEASE_AFTER_MS);
 }

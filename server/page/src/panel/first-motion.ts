@@ -34,7 +34,7 @@ export function firstMotion(context: PanelContext): HTMLElement {
   const show = (state: State): void => {
     if (seen) return;
     if (state.arm.mode === "moving") return forget();
-    const resting = state.link.connected && state.arm.mode === "holding" && state.plan.trajectory === null;
+    const resting = state.link.connected && state.arm.mode === "holding" && state.plan.trajectory === null && state.selection.kind === "none";
     const found = resting ? firstPose(state) : null;
     box.hidden = found === null;
     if (found === null || found === pose) return;
@@ -42,6 +42,6 @@ export function firstMotion(context: PanelContext): HTMLElement {
     setText(go, t("first.go", { pose }));
   };
   box.hidden = true;
-  store.watch(["link", "arm", "joints", "named", "limits", "plan"], show);
+  store.watch(["link", "arm", "joints", "named", "limits", "plan", "selection"], show);
   return box;
 }

@@ -12,6 +12,9 @@ import { saveFile } from "./files";
 /** Time between two updates [ms]; a goal in progress has several statuses a second. */
 const UPDATE_PERIOD_MS = 250;
 
+/** Newest goals that say where they were to go: each takes a request. */
+const MAX_PLACES = 20;
+
 /** Create the list of active goals, of all clients. */
 export function activeGoalsSection({ store, stopCommand, commands }: PanelContext): HTMLElement {
   const list = el("ol", { class: "things", testid: "waiting" });
@@ -40,17 +43,38 @@ function activeItem(id: string, cancel: () => void): ListItem<ActiveGoal> {
   return { element: el("li", { testid: `waiting-${id}` }, text, press), show };
 }
 
+/** Goal of the timeline with where it was to go, once the server has told it. */
+interface ListedGoal {
+  entry: GoalEntry;
+  place: string;
+}
+
 /** Create the timeline of goals, newest first, each of which opens its record. */
 export function goalsSection(context: PanelContext): HTMLElement {
   const { store } = context;
   const list = el("ol", { class: "timeline", testid: "goal-history" });
   const empty = el("p", { class: "hint", testid: "goal-history-empty", text: t("goals.empty") });
   const box = section("goal-history", t("goals.history"), true, empty, list);
-  const showItems = keyedList<GoalEntry>(list, keyOf, (entry) => new GoalItem(context, entry));
+  const showItems = keyedList<ListedGoal>(list, ({ entry }) => keyOf(entry), ({ entry }) => new GoalItem(context, entry));
+  const places = new Map<string, string>();
+  let is_asking = false;
+  const askNext = async (newest: readonly GoalEntry[]): Promise<void> => {
+    const entry = newest.slice(0, MAX_PLACES).find((each) => each.goal.state === "done" && !places.has(keyOf(each)));
+    if (is_asking || entry === undefined) return;
+    is_asking = true;
+    const record = await context.goalRecord(entry.goal.id);
+    is_asking = false;
+    places.set(keyOf(entry), typeof record === "string" ? "" : (askedText(record.asked, context) ?? ""));
+    show(store.state.goal_history);
+  };
   const show = throttle<readonly GoalEntry[]>(UPDATE_PERIOD_MS, (history) => {
     if (!isShown(list)) return;
+    const newest = history.toReversed();
+    const keys = new Set(newest.map(keyOf));
+    for (const key of places.keys()) if (!keys.has(key)) places.delete(key);
     empty.hidden = history.length > 0;
-    showItems(history.toReversed());
+    showItems(newest.map((entry) => ({ entry, place: places.get(keyOf(entry)) ?? "" })));
+    void askNext(newest);
   });
   store.subscribe((state) => state.goal_history, show);
   whenShown(list, () => show(store.state.goal_history));
@@ -63,7 +87,7 @@ function keyOf({ goal, began_s }: GoalEntry): string {
 }
 
 /** Goal of the timeline with its record, which is fetched when it is opened. */
-class GoalItem implements ListItem<GoalEntry> {
+class GoalItem implements ListItem<ListedGoal> {
   readonly element: HTMLElement;
   private readonly details = el("details", { class: "goal" });
   private readonly time = el("time");
@@ -77,13 +101,13 @@ class GoalItem implements ListItem<GoalEntry> {
     this.element = el("li", { testid: `goal-${goal.id}` }, this.details);
   }
 
-  show(entry: GoalEntry): void {
+  show({ entry, place }: ListedGoal): void {
+    const { goal, began_s } = entry;
+    setText(this.title, itemText(goal.id, goal.source, outcomeText(goal), place));
     if (entry === this.shown) return;
     const was_done = this.shown?.goal.state === "done";
     this.shown = entry;
-    const { goal, began_s } = entry;
     setText(this.time, new Date(began_s * 1000).toLocaleTimeString());
-    setText(this.title, itemText(goal.id, goal.source, outcomeText(goal)));
     this.element.dataset["outcome"] = outcomeOf(goal);
     if (this.details.open && goal.state === "done" && !was_done) void this.fill();
   }
@@ -139,8 +163,8 @@ class GoalItem implements ListItem<GoalEntry> {
   }
 }
 
-function itemText(id: string, source: string, outcome: string): string {
-  return t("goals.item", { id, what: t(`goals.by.${goalKind(source)}`, { source }), outcome });
+function itemText(id: string, source: string, outcome: string, place = ""): string {
+  return t("goals.item", { id, what: place || t(`goals.by.${goalKind(source)}`, { source }), outcome });
 }
 
 function stateText(state: string): string {

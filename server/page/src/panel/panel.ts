@@ -1,9 +1,10 @@
 import type { State } from "../state/state";
 import { chosenLanguage, t, useLanguage } from "../texts/texts";
 import { controlBar, tokenForm } from "./access";
+import { camerasSection } from "./cameras";
 import { commissioningSection, procedureBar } from "./commissioning";
 import { watchPermissions, type PanelContext } from "./context";
-import { Dock, type Panel } from "./dock";
+import { createDock, type Panel } from "./dock";
 import { el, loadPreference, setText } from "./dom";
 import { driveSection } from "./drive";
 import { gripperSection, groupChoice, jointsSection, targetSection } from "./goal-inputs";
@@ -11,9 +12,7 @@ import { firstMotion } from "./first-motion";
 import { activeGoalsSection, goalsSection } from "./goals";
 import { healthSection } from "./health";
 import { logSection } from "./log";
-import { motionBar } from "./motion-bar";
-import { motionSection, planScrubber } from "./motion";
-import { phoneSection } from "./phone";
+import { motionSection } from "./motion";
 import { plotsSection } from "./plots";
 import { objectsSection, sceneBar } from "./scene";
 import { addObjectSection } from "./scene-add";
@@ -22,40 +21,46 @@ import { savedScenesSection } from "./scene-saved";
 import { savedSequencesSection, sequenceSection } from "./sequence";
 import { servosSection } from "./servos";
 import { settingsSection } from "./settings";
+import { shareSection } from "./share";
 import { teachingSection } from "./teaching";
+import { createTour } from "./tour";
 import { connectionPill, noticeList, statusBar } from "./status";
+import { transportBar } from "./transport";
 
 /** Return every panel with its sections, in the order in which they are offered. */
-function allPanels(context: PanelContext): Panel[] {
-  const create = (...sections: ((context: PanelContext) => HTMLElement)[]): HTMLElement[] => {
-    return sections.map((section) => section(context));
+function allPanels(context: PanelContext, tour_start: HTMLElement): Panel[] {
+  const panel = (id: PanelId, place: Panel["place"], icon: string, ...sections: ((context: PanelContext) => HTMLElement)[]): Panel => {
+    return { id, title: t(`panel.${id}`), place, icon, sections: sections.map((section) => section(context)) };
   };
   return [
-    { id: "move", title: t("panel.move"), sections: create(groupChoice, motionSection, targetSection, jointsSection, gripperSection) },
-    { id: "drive", title: t("panel.drive"), sections: create(driveSection, phoneSection) },
-    { id: "sequence", title: t("panel.sequence"), sections: create(sequenceSection, savedSequencesSection, teachingSection) },
-    { id: "world", title: t("panel.world"), sections: create(sceneBar, addObjectSection, objectsSection, savedScenesSection, regionSection) },
-    { id: "plots", title: t("panel.plots"), sections: create(plotsSection) },
-    { id: "goals", title: t("panel.goals"), sections: create(activeGoalsSection, goalsSection) },
-    { id: "arm", title: t("panel.arm"), sections: create(servosSection, healthSection, commissioningSection) },
-    { id: "log", title: t("panel.log"), sections: create(logSection) },
-    { id: "settings", title: t("panel.settings"), sections: create(settingsSection) },
+    panel("move", "rail", "M12 2v5M12 17v5M2 12h5M17 12h5M12 8a4 4 0 1 0 0 8 4 4 0 1 0 0-8", groupChoice, motionSection, targetSection, jointsSection, gripperSection),
+    panel("drive", "rail", "M7 7h10a5 5 0 0 1 0 10c-2 0-2.5-2-5-2s-3 2-5 2A5 5 0 0 1 7 7zM8 10v4M6 12h4M15 12h.01M18 10h.01", driveSection),
+    panel("sequence", "rail", "M4 6h16M4 12h8M4 18h8M16 11l5 4-5 4z", sequenceSection, savedSequencesSection, teachingSection),
+    panel("world", "rail", "M12 2l9 5v10l-9 5-9-5V7zM3 7l9 5 9-5M12 12v10", sceneBar, addObjectSection, objectsSection, savedScenesSection, regionSection),
+    panel("plots", "more", "M3 3v18h18M7 15l4-5 3 3 5-7", plotsSection),
+    panel("goals", "more", "M5 21V4h13l-3 4 3 4H5", activeGoalsSection, goalsSection),
+    panel("arm", "more", "M4 21h9M8 21v-5L5 10l7-5 5 3M17 8l4-2M17 8l3 4", servosSection, healthSection, commissioningSection),
+    panel("cameras", "more", "M3 7h4l2-3h6l2 3h4v13H3zM12 9a4 4 0 1 0 0 8 4 4 0 1 0 0-8", camerasSection),
+    panel("log", "more", "M5 4h14v16H5zM8 8h8M8 12h8M8 16h5", logSection),
+    panel("settings", "more", "M4 7h10M18 7h2M16 4v6M4 17h2M10 17h10M8 14v6", () => tour_start, settingsSection, shareSection),
   ];
 }
 
-/** Add bar and panels to the page: STOP first, and outside of everything that can hide it. */
+type PanelId = "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "log" | "settings";
+
+/** Add bar, rail and panels to the page: STOP first, and outside of everything that can hide it. */
 export function createPanel(context: PanelContext): void {
   const language = chosenLanguage(loadPreference("language", ""), navigator.languages);
   document.documentElement.lang = language;
   useLanguage(language);
-  document.querySelector("#view")?.setAttribute("aria-label", t("picture.label"));
+  const [bar, scene, rail, dock] = ["bar", "scene", "rail", "dock"].map((id) => document.getElementById(id) as HTMLElement) as [HTMLElement, HTMLElement, HTMLElement, HTMLElement];
+  scene.querySelector("canvas")?.setAttribute("aria-label", t("picture.label"));
   document.body.append(stopButton(context));
-  const bar = document.querySelector("#bar") ?? document.body.appendChild(el("header", { id: "bar" }));
-  bar.append(...statusBar(context), motionBar(context), controlBar(context), connectionPill(context));
-  bar.append(procedureBar(context), tokenForm(context), noticeList(context));
-  document.querySelector("#scene")?.append(firstMotion(context), planScrubber(context));
-  const host = document.querySelector<HTMLElement>("#dock") ?? document.body.appendChild(el("aside", { id: "dock" }));
-  new Dock(host, allPanels(context), context.store);
+  bar.append(...statusBar(context), controlBar(context), connectionPill(context));
+  const tour = createTour(context);
+  const above = el("div", { class: "above" }, procedureBar(context), tokenForm(context), noticeList(context));
+  scene.append(above, el("div", { class: "below" }, tour.card, firstMotion(context), transportBar(context)));
+  createDock(rail, dock, allPanels(context, tour.start), context.store);
   watchPermissions(context);
 }
 
@@ -81,6 +86,7 @@ function stopButton({ store, stopCommand }: PanelContext): HTMLElement {
     stop.dataset["link"] = connected ? "up" : "down";
     stop.title = t(connected ? "stop.title" : "stop.offline");
     setText(answer, text || (connected ? "" : t("stop.offline")));
+    document.body.dataset["link"] = connected ? "up" : "down";
   };
   store.subscribe((state) => state.stop, (_, state) => show(state));
   store.subscribe((state) => state.link.connected, (_, state) => show(state));

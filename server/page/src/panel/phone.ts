@@ -1,13 +1,10 @@
-import qrcode from "qrcode-generator";
 import "./phone.css";
 import type { PhoneAccess } from "../link/phone";
 import { modulePath, phoneAddress, phoneUrls } from "../logic/phone-address";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, option, section, setText } from "./dom";
+import { button, el, option, section, setText, svg } from "./dom";
 import { phoneController } from "./phone-controller";
-
-const SVG = "http://www.w3.org/2000/svg";
 
 /** Light modules around a code, without which cameras do not find it (ISO/IEC 18004, section 5.3.8). */
 const QUIET_ZONE = 4;
@@ -16,16 +13,16 @@ const QUIET_ZONE = 4;
 export function phoneSection(context: PanelContext): HTMLElement {
   const is_phone = matchMedia("(pointer: coarse)").matches;
   const controller = phoneController(context);
-  const code = codeOf(context);
+  const code = accessCode(context, "phone", "", t("phone.show_code"));
   // On the phone its controls come first, elsewhere the code that brings the page onto the phone.
   const parts = is_phone ? [controller, code] : [code, controller];
   return section("phone", t("phone"), is_phone, ...parts);
 }
 
-/** Create the button that shows the code, and the place for it. */
-function codeOf(context: PanelContext): HTMLElement {
-  const place = el("div", { class: "phone-code", testid: "phone-code" });
-  const note = el("p", { class: "hint", testid: "phone-note", role: "status" });
+/** Create a button that shows a code with which one device opens the page in a role, and the place for the code. */
+export function accessCode(context: PanelContext, name: "phone" | "share", role: string, text: string): HTMLElement {
+  const place = el("div", { class: "phone-code", testid: `${name}-code` });
+  const note = el("p", { class: "hint", testid: `${name}-note`, role: "status" });
   let timer: ReturnType<typeof setTimeout> | undefined;
   const clear = (): void => {
     clearTimeout(timer);
@@ -34,12 +31,12 @@ function codeOf(context: PanelContext): HTMLElement {
   const showCode = async (): Promise<void> => {
     clear();
     try {
-      const access = await context.phoneAccess();
+      const access = await context.phoneAccess(role);
       const urls = phoneUrls(location.href, access.urls);
       setText(note, noteOf(access, urls));
       const url = urls[0];
       if (!access.success || url === undefined) return;
-      place.replaceChildren(...addressOf(urls, access.token));
+      place.replaceChildren(...(await addressOf(name, urls, access.token)));
       if (access.token === "") return;
       // A code that no longer opens anything would only be scanned in vain.
       timer = setTimeout(() => {
@@ -50,7 +47,7 @@ function codeOf(context: PanelContext): HTMLElement {
       setText(note, (error as Error).message);
     }
   };
-  const show = button(t("phone.show_code"), "phone-show-code", () => void showCode());
+  const show = button(text, `${name}-show-code`, () => void showCode());
   return el("div", { class: "rows" }, permissionFieldset(context, "configure", show), note, place);
 }
 
@@ -64,35 +61,29 @@ function noteOf({ success, message, token, expires_in_s, encrypted }: PhoneAcces
 }
 
 /** Create the code and the text of an address, with a choice where the server has several. */
-function addressOf(urls: readonly string[], token: string): HTMLElement[] {
+async function addressOf(name: string, urls: readonly string[], token: string): Promise<HTMLElement[]> {
+  const { default: qrcode } = await import("qrcode-generator");
   const place = el("div", { class: "qr" });
-  const text = el("code", { testid: "phone-address" });
+  const text = el("code", { testid: `${name}-address` });
   const show = (url: string): void => {
     const address = phoneAddress(url, token);
-    place.replaceChildren(qrCode(address));
+    const code = qrcode(0, "M");
+    code.addData(address);
+    code.make();
+    place.replaceChildren(qrCode(name, code.getModuleCount(), (row, column) => code.isDark(row, column)));
     setText(text, address);
   };
   show(urls[0] ?? "");
   if (urls.length < 2) return [place, text];
-  const choice = el("select", { testid: "phone-url", label: t("phone.address") });
+  const choice = el("select", { testid: `${name}-url`, label: t("phone.address") });
   choice.append(...urls.map((url) => option(url, url)));
   choice.addEventListener("change", () => show(choice.value));
   return [el("label", { class: "line" }, `${t("phone.address")} `, choice), place, text];
 }
 
 /** Draw a QR code. */
-function qrCode(text: string): SVGSVGElement {
-  const code = qrcode(0, "M");
-  code.addData(text);
-  code.make();
-  const count = code.getModuleCount();
-  const svg = document.createElementNS(SVG, "svg");
+function qrCode(name: string, count: number, isDark: (row: number, column: number) => boolean): SVGElement {
   const side = count + 2 * QUIET_ZONE;
-  const attributes = { viewBox: `${-QUIET_ZONE} ${-QUIET_ZONE} ${side} ${side}`, role: "img", "aria-label": t("phone.code") };
-  for (const [name, value] of Object.entries(attributes)) svg.setAttribute(name, value);
-  svg.dataset["testid"] = "phone-qr";
-  const path = document.createElementNS(SVG, "path");
-  path.setAttribute("d", modulePath(count, (row, column) => code.isDark(row, column)));
-  svg.append(path);
-  return svg;
+  const viewBox = `${-QUIET_ZONE} ${-QUIET_ZONE} ${side} ${side}`;
+  return svg("svg", { viewBox, role: "img", "aria-label": t("phone.code"), "data-testid": `${name}-qr` }, svg("path", { d: modulePath(count, isDark) }));
 }

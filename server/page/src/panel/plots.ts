@@ -7,7 +7,7 @@ import type { PanelContext } from "./context";
 import { isShown, whenShown } from "./dock";
 import { button, el, loadPreference, option, setText, storePreference, throttle } from "./dom";
 import { saveFile } from "./files";
-import { TimeChart } from "./time-chart";
+import type { TimeChart } from "./time-chart";
 
 /** Least time between two drawings [ms]: each takes some milliseconds, and five a second look live. */
 const REDRAW_PERIOD_MS = 200;
@@ -43,6 +43,8 @@ class Plots {
   private joints: Set<string> | null = loadChoice("plot-joints");
   private quantities = loadChoice("plot-quantities") ?? new Set<string>(["position", "goal"]);
   private charts: { chart: TimeChart; columns: Column[] }[] = [];
+  /** Loaded when the panel is shown first. */
+  private chart_class: typeof TimeChart | null = null;
   private drawn_as = "";
   private cursor_share = 1;
   private readonly jointChoice = el("fieldset", { class: "choices", testid: "plot-joints" });
@@ -128,6 +130,7 @@ class Plots {
 
   private draw(state: State): void {
     if (!isShown(this.host)) return;
+    if (this.chart_class === null) return void this.load();
     this.showChoices(state);
     this.showTools();
     this.arrangeCharts(state);
@@ -146,6 +149,11 @@ class Plots {
     this.host.dataset["draws"] = String(Number(this.host.dataset["draws"] ?? 0) + 1);
     this.host.dataset["spanS"] = String(this.window.span_s);
     this.host.dataset["endS"] = String(this.window.end_s ?? "");
+  }
+
+  private async load(): Promise<void> {
+    this.chart_class = (await import("./time-chart")).TimeChart;
+    this.request(this.context.store.state);
   }
 
   private showTools(): void {
@@ -187,12 +195,13 @@ class Plots {
     if (key === this.drawn_as) return;
     this.drawn_as = key;
     for (const { chart } of this.charts) chart.destroy();
-    this.charts = wanted.map((columns) => ({ chart: this.createChart(columns), columns }));
+    const { chart_class } = this;
+    this.charts = chart_class === null ? [] : wanted.map((columns) => ({ chart: this.createChart(chart_class, columns), columns }));
     this.host.replaceChildren(...this.charts.map(({ chart }) => chart.element));
     this.showTools();
   }
 
-  private createChart(columns: Column[]): TimeChart {
+  private createChart(chart_class: typeof TimeChart, columns: Column[]): TimeChart {
     const first = columns[0] as Column;
     const names = [...new Set(columns.map(({ quantity }) => t(`plots.${quantity}`)))];
     const curves = columns.map(({ joint, quantity, unit }) => ({
@@ -202,7 +211,7 @@ class Plots {
       digits: unit.digits,
     }));
     const zero_s = (): number => this.window.end_s ?? this.extent.newest_s;
-    return new TimeChart({
+    return new chart_class({
       title: names.join(", "),
       unit: first.unit.name,
       curves,

@@ -140,7 +140,7 @@ class AddForm {
     try {
       const bytes = await file.arrayBuffer();
       const scale_m = file.name.toLowerCase().endsWith(".dae") ? 1 : (FILE_UNITS[unit] ?? 1);
-      const { vertices, triangles, deviation_m } = makeMesh(readCorners(file.name, bytes), scale_m);
+      const { vertices, triangles, deviation_m } = makeMesh(await readCorners(file.name, bytes), scale_m);
       if (file !== this.file || unit !== this.unit) return;
       this.mesh = { name: objectName(file.name), shape: meshShape(vertices, triangles) };
       const { units } = this.context.store.state.settings;

@@ -1,7 +1,7 @@
 import { MAX_SCENE_FILE_BYTES } from "../logic/scene-file";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, keyedList, section } from "./dom";
+import { button, deleteButton, el, keyedList, nameForm, section } from "./dom";
 import { fileInput, saveFile } from "./files";
 
 /** Create the section of saved scenes: by name on the server, and as files of the user. */
@@ -24,22 +24,15 @@ export function savedScenesSection(context: PanelContext): HTMLElement {
 }
 
 function saveForm({ sceneEditor }: PanelContext): HTMLElement {
-  const attributes = { autocomplete: "off", maxlength: "50" };
-  const name = el("input", { type: "text", testid: "scene-name", attributes });
-  const save = button(t("world.saved.save"), "save-scene", () => void submit());
-  const submit = async (): Promise<void> => {
-    if (await sceneEditor.scenes("save", name.value.trim())) name.value = "";
-  };
-  name.addEventListener("keydown", (event) => event.key === "Enter" && void submit());
-  return el("div", { class: "save-scene" }, el("label", {}, t("world.saved.name"), name), save);
+  const texts = { testid: "scene-name", label: t("world.saved.name"), button: t("world.saved.save"), button_testid: "save-scene" };
+  return nameForm(texts, (name) => sceneEditor.scenes("save", name));
 }
 
 function savedItem(context: PanelContext, name: string): HTMLElement {
   const { sceneEditor } = context;
   const load = button(t("world.saved.load"), `load-scene-${name}`, () => void sceneEditor.scenes("load", name));
-  const remove = button(t("world.saved.delete"), `delete-scene-${name}`, () => void sceneEditor.scenes("delete", name));
+  const remove = deleteButton(t("world.saved.delete"), `delete-scene-${name}`, name, () => void sceneEditor.scenes("delete", name));
   load.setAttribute("aria-label", `${t("world.saved.load")}: ${name}`);
-  remove.setAttribute("aria-label", `${t("world.saved.delete")}: ${name}`);
   const title = el("b", { text: name });
   return el("li", {}, title, permissionFieldset(context, "work", load), permissionFieldset(context, "configure", remove));
 }

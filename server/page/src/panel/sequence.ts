@@ -9,7 +9,9 @@ import {
   MIN_SPEED,
   moved,
   newWaypoint,
+  poseKey,
   readSequence,
+  sequenceDuration_s,
   sequenceText,
   type LegCheck,
   type Waypoint,
@@ -18,7 +20,7 @@ import type { JointValues, State } from "../state/state";
 import { selectGoal, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, keyedList, loadPreference, numberField, option, section, setText, storePreference, type ListItem } from "./dom";
+import { button, deleteButton, el, keyedList, loadPreference, nameForm, numberField, option, section, setText, storePreference, type ListItem } from "./dom";
 import { fileInput, saveFile } from "./files";
 import { programButtons } from "./sequence-export";
 
@@ -34,7 +36,7 @@ export function sequenceSection(context: PanelContext): HTMLElement {
     empty.hidden = waypoints.length > 0;
     editing.disabled = playing !== null;
   };
-  store.watch(["sequence", "settings", ...DESCRIPTION], show);
+  store.watch(["sequence", "thumbnails", "settings", ...DESCRIPTION], show);
   return section("sequence", t("sequence.title"), true, editing, playControls(context));
 }
 
@@ -103,12 +105,16 @@ function waypointRow(store: PageStore, id: number): ListItem<Waypoint> {
 
   const up = iconButton("↑", `${own}-up`, t("sequence.up"), () => reorder(index() - 1));
   const down = iconButton("↓", `${own}-down`, t("sequence.down"), () => reorder(index() + 1));
-  const ghost = button(t("sequence.show"), `${own}-show`, () => selectGoal(store, "joints", list()[index()]?.joints_rad ?? null), t("sequence.show.title"));
+  const picture = el("img", { class: "thumbnail", attributes: { alt: "", width: "84", height: "63" } });
+  const ghost = button("", `${own}-show`, () => selectGoal(store, "joints", list()[index()]?.joints_rad ?? null), t("sequence.show.title"));
+  ghost.append(picture);
+  ghost.classList.add("waypoint-picture");
   const remove = iconButton("×", `${own}-remove`, t("sequence.remove"), () => setWaypoints(store, list().filter((waypoint) => waypoint.id !== id)));
 
   const fields = el("div", { class: "waypoint-fields" }, measure(t("sequence.way"), way), measure(`${t("sequence.speed")} (%)`, speed.input), gripper_field, measure(`${t("sequence.pause")} (s)`, pause.input));
-  const head = el("div", { class: "waypoint-head" }, handle, name, ghost, up, down, remove);
-  const element = el("li", { testid: own }, head, fields, speed.problem, pause.problem, check);
+  const tools = el("div", { class: "waypoint-tools" }, handle, up, down, remove);
+  const head = el("div", { class: "waypoint-head" }, ghost, name, tools, check);
+  const element = el("li", { testid: own }, head, fields, speed.problem, pause.problem);
   takeDrops(element, handle, id, (dragged) => setWaypoints(store, moved(list(), dragged, index())));
 
   const show = (waypoint: Waypoint, at: number): void => {
@@ -124,6 +130,9 @@ function waypointRow(store: PageStore, id: number): ListItem<Waypoint> {
     pause.show(String(waypoint.pause_s));
     gripper_field.hidden = armGripper(state) === null;
     showGripper(gripper, waypoint.gripper, state);
+    const thumbnail = state.thumbnails[poseKey(waypoint.joints_rad)] ?? "";
+    picture.hidden = thumbnail === "";
+    if (thumbnail !== "" && picture.src !== thumbnail) picture.src = thumbnail;
     const { playing, waypoints } = state.sequence;
     element.dataset["verdict"] = answer?.verdict ?? "checking";
     if (playing?.index === at && playing.doing !== "check") element.setAttribute("aria-current", "step");
@@ -201,9 +210,14 @@ function playControls(context: PanelContext): HTMLElement {
   const stop = button(t("sequence.stop"), "stop-sequence", () => sequencePlayer.stop());
   const progress = el("progress", { testid: "sequence-progress", label: t("sequence.progress") });
   const told = el("p", { role: "status", testid: "sequence-told" });
+  const total = el("output", { testid: "sequence-total" });
+  const loop = el("input", { type: "checkbox", testid: "sequence-loop" });
+  loop.addEventListener("change", () => store.patch("sequence", { loop: loop.checked }));
   store.subscribe(
     (state) => state.sequence,
-    ({ waypoints, playing, result }) => {
+    ({ waypoints, playing, result, checks }) => {
+      const duration_s = sequenceDuration_s(waypoints, checks);
+      setText(total, duration_s === null || waypoints.length === 0 ? "" : t("sequence.total", { seconds: duration_s.toFixed(1) }));
       play.disabled = waypoints.length === 0 || playing !== null;
       stop.disabled = playing === null;
       progress.hidden = playing === null;
@@ -214,11 +228,13 @@ function playControls(context: PanelContext): HTMLElement {
       setText(told, playing ? t(`sequence.doing.${playing.doing}`, values) : result);
     },
   );
-  return el("div", {}, el("div", { class: "buttons" }, permissionFieldset(context, "drive", play), stop), progress, told);
+  const repeat = el("label", { class: "line" }, loop, t("sequence.loop"));
+  return el("div", {}, el("div", { class: "buttons" }, permissionFieldset(context, "drive", play), stop, repeat, total), progress, told);
 }
 
-/** Key of the browser's storage. */
+/** Keys of the browser's storage: the named sequences, and the one that is edited. */
 const SAVED = "sequences";
+const DRAFT = "sequence-draft";
 
 /** Largest number of sequences that are kept: 50 of 50 waypoints are 0.5 MB, a tenth of what browsers store. */
 const MAX_SAVED = 50;
@@ -229,6 +245,9 @@ const MAX_FILE_BYTES = 1_000_000;
 /** Create the section that keeps sequences by name, and as files and programs. */
 export function savedSequencesSection({ store }: PanelContext): HTMLElement {
   store.patch("sequence", { saved: loadSaved() });
+  setWaypoints(store, readSequence(loadPreference(DRAFT, "")) ?? []);
+  // A reload loses nothing.
+  store.subscribe((state) => state.sequence.waypoints, (waypoints) => void storePreference(DRAFT, sequenceText(waypoints)));
   const list = el("ul", { class: "things", testid: "saved-sequences" });
   const empty = el("p", { class: "hint", text: t("sequence.saved.empty") });
   const showItems = keyedList<string>(list, String, (name) => ({ element: savedItem(store, name), show: () => undefined }));
@@ -261,30 +280,29 @@ function keep(store: PageStore, saved: Record<string, readonly Waypoint[]>): boo
 }
 
 function saveForm(store: PageStore): HTMLElement {
-  const name = el("input", { type: "text", testid: "sequence-name", attributes: { autocomplete: "off", maxlength: "50" } });
-  const submit = (): void => {
+  const texts = { testid: "sequence-name", label: t("sequence.saved.name"), button: t("sequence.saved.save"), button_testid: "save-sequence" };
+  return nameForm(texts, (wanted) => {
     const { saved, waypoints } = store.state.sequence;
-    const wanted = name.value.trim();
-    if (waypoints.length === 0 || wanted === "") return tell(store, t("sequence.saved.needs"));
     const names = Object.keys(saved);
-    if (!names.includes(wanted) && names.length >= MAX_SAVED) return tell(store, t("sequence.saved.full", { limit: MAX_SAVED }));
-    const is_kept = keep(store, { ...saved, [wanted]: waypoints });
-    tell(store, t(is_kept ? "sequence.saved.done" : "sequence.saved.refused", { name: wanted }));
-    name.value = "";
-  };
-  name.addEventListener("keydown", (event) => event.key === "Enter" && submit());
-  const save = button(t("sequence.saved.save"), "save-sequence", submit);
-  return el("div", { class: "save-scene" }, el("label", {}, t("sequence.saved.name"), name), save);
+    const full = !names.includes(wanted) && names.length >= MAX_SAVED;
+    if (waypoints.length === 0 || wanted === "") tell(store, t("sequence.saved.needs"));
+    else if (full) tell(store, t("sequence.saved.full", { limit: MAX_SAVED }));
+    else {
+      const is_kept = keep(store, { ...saved, [wanted]: waypoints });
+      tell(store, t(is_kept ? "sequence.saved.done" : "sequence.saved.refused", { name: wanted }));
+      return true;
+    }
+    return false;
+  });
 }
 
 function savedItem(store: PageStore, name: string): HTMLElement {
   const load = button(t("sequence.saved.load"), `load-sequence-${name}`, () => setWaypoints(store, store.state.sequence.saved[name] ?? []));
-  const remove = button(t("sequence.saved.delete"), `delete-sequence-${name}`, () => {
+  const remove = deleteButton(t("sequence.saved.delete"), `delete-sequence-${name}`, name, () => {
     const { [name]: _, ...others } = store.state.sequence.saved;
     keep(store, others);
   });
   load.setAttribute("aria-label", `${t("sequence.saved.load")}: ${name}`);
-  remove.setAttribute("aria-label", `${t("sequence.saved.delete")}: ${name}`);
   return el("li", {}, el("b", { text: name }), load, remove);
 }
 

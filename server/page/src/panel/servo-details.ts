@@ -2,9 +2,9 @@ import { HISTORY_S, ServoHistories, type ServoHistory } from "../logic/servo-his
 import { amperes, complaints, percent, servoReport, type ServoReport } from "../logic/servo-report";
 import type { ServoState, State } from "../state/state";
 import { t } from "../texts/texts";
-import { Chart, type ChartOptions } from "./chart";
 import type { PanelContext } from "./context";
 import { button, el, setText, showList, throttle } from "./dom";
+import type { TimeChart, TimeChartOptions } from "./time-chart";
 
 /** Time between two updates [ms]; diagnostics come once a second. */
 const UPDATE_PERIOD_MS = 500;
@@ -14,8 +14,6 @@ const FETCH_PERIOD_MS = 10_000;
 
 /** Events that are shown, newest first. */
 const MAX_EVENTS = 30;
-
-const HEIGHT_PX = 120;
 
 /** Create the details of the selected servo: condition, advice, lines, errors, events and registers. */
 export function servoDetails(context: PanelContext): HTMLElement {
@@ -65,18 +63,24 @@ function errorTexts({ errors }: ServoReport): string[] {
 }
 
 function historyLines({ store, servoHistory }: PanelContext): { box: HTMLElement; events: HTMLElement } {
-  const hosts = [el("div", { class: "plot", testid: "servo-temperature" }), el("div", { class: "plot", testid: "servo-load" })];
-  const box = el("div", { testid: "servo-lines" }, ...hosts);
+  const box = el("div", { class: "servo-lines", testid: "servo-lines" });
   const events = el("ul", { class: "plain", testid: "servo-events" });
   const histories = new ServoHistories();
-  const charts: Chart[] = [];
+  const charts: TimeChart[] = [];
+  // Loaded with the first servo that is looked at.
+  const load = async (): Promise<void> => {
+    const { TimeChart: chart_class } = await import("./time-chart");
+    if (charts.length > 0) return;
+    charts.push(...chartOptions().map((options) => new chart_class(options)));
+    box.replaceChildren(...charts.map(({ element }) => element));
+    draw(store.state);
+  };
   const now_s = (): number => performance.now() / 1000;
   const draw = throttle<State>(UPDATE_PERIOD_MS, ({ selected_servo, servos }) => {
     if (selected_servo === "" || box.clientWidth === 0 || !servos.some(({ name }) => name === selected_servo)) return;
-    if (charts.length === 0) charts.push(...chartOptions().map((options, index) => new Chart(hosts[index] ?? box, options)));
+    if (charts.length === 0) return void load();
     const [times = [], ...curves] = histories.columns(selected_servo, now_s());
-    const minutes = times.map((time_s) => (time_s ?? 0) / 60);
-    charts.forEach((chart, index) => chart.draw([minutes, curves[index] ?? []]));
+    charts.forEach((chart, index) => chart.draw([times, curves[index] ?? []], [-HISTORY_S, 0]));
     box.dataset["samples"] = String(times.length);
   });
   const fetch = async (): Promise<void> => {
@@ -108,11 +112,11 @@ function historyLines({ store, servoHistory }: PanelContext): { box: HTMLElement
 }
 
 /** Return the options of the charts; noise of a degree or a percent must not look like a mountain. */
-function chartOptions(): ChartOptions[] {
-  const common = { window: HISTORY_S / 60, time_unit: "min", height_px: HEIGHT_PX } as const;
+function chartOptions(): TimeChartOptions[] {
+  const [temperature, load] = [t("servos.temperature"), t("servos.load_percent")];
   return [
-    { ...common, curves: [{ label: t("servos.temperature"), color: "--measured" }], least_range: [20, 60] },
-    { ...common, curves: [{ label: t("servos.load_percent"), color: "--commanded" }], least_range: [-50, 50] },
+    { title: temperature, unit: "°C", curves: [{ label: temperature, color: "--measured", digits: 0 }], least_range: 40 },
+    { title: load, unit: "%", curves: [{ label: load, color: "--commanded", digits: 0 }], least_range: 100 },
   ];
 }
 

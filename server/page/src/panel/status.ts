@@ -100,12 +100,13 @@ export function statusBar(context: PanelContext): HTMLElement[] {
     confirm.hidden = discard.hidden = !isAwaitingConfirmation(goal) || !link.connected;
     const { label, kind } = statePill(state);
     setText(state_pill, label);
+    document.title = t("bar.title", { state: label });
     state_pill.dataset["kind"] = kind;
     state_pill.dataset["code"] = goal.code === null ? "" : errorCodeName(goal.code);
     setText(text, statusText(state));
     setText(code, statusCode(state));
     message.title = `${statusText(state)} ${statusCode(state)}`.trim();
-    message.dataset["refused"] = String(goal.state === "done" && goal.code !== SUCCESS);
+    message.dataset["outcome"] = goal.state !== "done" ? "" : goal.code === SUCCESS ? "good" : "bad";
     suggestion.hidden = goal.suggestion === null;
     setText(suggestion, t("bar.suggestion", { place: suggestionText(goal) }));
   };

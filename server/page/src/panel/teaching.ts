@@ -1,7 +1,7 @@
 import type { TeachingState } from "../state/state";
 import { t } from "../texts/texts";
 import { permissionFieldset, type PanelContext } from "./context";
-import { button, el, labelled, numberField, section, setText } from "./dom";
+import { button, deleteButton, el, labelled, nameForm, numberField, section, setText } from "./dom";
 
 /** Fastest replay, as a multiple of the speed in which the motion was shown; as the server's. */
 const MAX_SPEED = 2;
@@ -35,13 +35,8 @@ export function teachingSection(context: PanelContext): HTMLElement {
 
 function recordForm(context: PanelContext): HTMLElement {
   const { store, teaching } = context;
-  const name = el("input", { type: "text", testid: "teach-name", attributes: { autocomplete: "off", maxlength: "50" } });
-  const begin = button(t("teaching.record"), "teach-begin", () => void submit(), t("teaching.record.title"));
-  const submit = async (): Promise<void> => {
-    if (await teaching.begin(name.value.trim())) name.value = "";
-  };
-  name.addEventListener("keydown", (event) => event.key === "Enter" && void submit());
-  const form = el("div", { class: "save-scene" }, el("label", {}, t("teaching.name"), name), begin);
+  const texts = { testid: "teach-name", label: t("teaching.name"), button: t("teaching.record"), button_testid: "teach-begin", title: t("teaching.record.title") };
+  const form = nameForm(texts, (name) => teaching.begin(name));
   const end = button(t("teaching.end"), "teach-end", () => void teaching.end());
   const discard = button(t("teaching.discard"), "teach-discard", () => void teaching.discard());
   const time = el("p", { testid: "teach-recording" });
@@ -102,7 +97,7 @@ function motionEditor(context: PanelContext, name: string, duration_s: number): 
   const trim = button(t("teaching.trim"), "trim-motion", () => void teaching.trim(name, from_s, to_s));
   const new_name = el("input", { type: "text", testid: "new-motion-name", attributes: { autocomplete: "off", maxlength: "50", value: name } });
   const rename = button(t("teaching.rename"), "rename-motion", () => void teaching.rename(name, new_name.value.trim()));
-  const remove = button(t("teaching.delete"), "delete-motion", () => void teaching.remove(name));
+  const remove = deleteButton(t("teaching.delete"), "delete-motion", name, () => void teaching.remove(name));
   const fields = el("div", { class: "buttons" }, labelled(`${t("teaching.from")} (s)`, from.input), labelled(`${t("teaching.to")} (s)`, to.input), trim);
   const names = el("div", { class: "buttons" }, labelled(t("teaching.new_name"), new_name), rename, remove);
   return el("div", { class: "object-editor", testid: "motion-editor" }, permissionFieldset(context, "configure", fields, names), from.problem, to.problem);

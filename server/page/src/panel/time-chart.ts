@@ -1,9 +1,13 @@
+import "uplot/dist/uPlot.min.css";
 import uPlot from "uplot";
-import { axisOf, colorsOf, type Curve } from "./chart";
 import { el, setText } from "./dom";
 
-/** Curve with what its values are called beside the cursor. */
-export interface TimeCurve extends Curve {
+/** Curve of a chart. */
+export interface TimeCurve {
+  label: string;
+  /** Name of the custom property with its colour, as "--measured". */
+  color: string;
+  dashed?: boolean;
   digits: number;
 }
 
@@ -14,15 +18,13 @@ export interface TimeChartOptions {
   curves: TimeCurve[];
   /** Least range of the values, so that noise does not fill the chart. */
   least_range: number;
-  /** Zoom by a factor about a time; move by a time [s]. */
-  zoom: (factor: number, about_s: number) => void;
-  pan: (by_s: number) => void;
+  /** Zoom by a factor about a time; move by a time [s]; a chart without them stands still. */
+  zoom?: (factor: number, about_s: number) => void;
+  pan?: (by_s: number) => void;
 }
 
-const HEIGHT_PX = 150;
-
-/** Least width of a chart; a hidden one has none [px]. */
-const MIN_WIDTH_PX = 50;
+/** Least size of a chart; a hidden one has none [px]. */
+const MIN_SIZE_PX = 50;
 
 /** Part of the span by which a turn of the wheel of 100 px zooms. */
 const WHEEL_ZOOM = 0.2;
@@ -44,14 +46,15 @@ export class TimeChart {
     const title = el("figcaption", { text: `${options.title} [${options.unit}]` });
     this.element = el("figure", { class: "time-chart" }, title, this.host, this.values);
     this.plot = this.createPlot();
-    this.listen(this.plot.over);
+    if (options.zoom && options.pan) this.listen(this.plot.over, options.zoom, options.pan);
   }
 
   /** Draw the times, relative to the shown zero, then each curve. */
   draw(rows: (number | null)[][], range: [number, number]): void {
     this.range = range;
-    const width = Math.max(this.host.clientWidth, MIN_WIDTH_PX);
-    if (width !== this.plot.width) this.plot.setSize({ width, height: HEIGHT_PX });
+    const width = Math.max(this.host.clientWidth, MIN_SIZE_PX);
+    const height = Math.max(this.host.clientHeight, MIN_SIZE_PX);
+    if (width !== this.plot.width || height !== this.plot.height) this.plot.setSize({ width, height });
     this.plot.setData(rows as uPlot.AlignedData);
     this.showValues();
   }
@@ -77,8 +80,8 @@ export class TimeChart {
     });
     return new uPlot(
       {
-        width: MIN_WIDTH_PX,
-        height: HEIGHT_PX,
+        width: MIN_SIZE_PX,
+        height: MIN_SIZE_PX,
         legend: { show: false },
         cursor: { sync: { key: SYNC_KEY }, drag: { x: false, y: false, setScale: false }, points: { show: false }, y: false },
         scales: {
@@ -107,7 +110,7 @@ export class TimeChart {
   }
 
   /** Wheel zooms, one pointer drags, two pinch. */
-  private listen(over: HTMLElement): void {
+  private listen(over: HTMLElement, zoom: (factor: number, about_s: number) => void, pan: (by_s: number) => void): void {
     const pointers = new Map<number, number>();
     const timeAt = (x_px: number): number => {
       const { left, width } = over.getBoundingClientRect();
@@ -115,7 +118,7 @@ export class TimeChart {
     };
     over.addEventListener("wheel", (event) => {
       event.preventDefault();
-      this.options.zoom((1 + WHEEL_ZOOM) ** (event.deltaY / 100), timeAt(event.clientX));
+      zoom((1 + WHEEL_ZOOM) ** (event.deltaY / 100), timeAt(event.clientX));
     });
     over.addEventListener("pointerdown", (event) => {
       pointers.set(event.pointerId, event.clientX);
@@ -125,10 +128,10 @@ export class TimeChart {
       const before_px = pointers.get(event.pointerId);
       if (before_px === undefined || before_px === event.clientX) return;
       const other_px = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
-      if (other_px === undefined) this.options.pan(timeAt(before_px) - timeAt(event.clientX));
+      if (other_px === undefined) pan(timeAt(before_px) - timeAt(event.clientX));
       else if (event.clientX !== other_px) {
         const factor = Math.abs((before_px - other_px) / (event.clientX - other_px));
-        this.options.zoom(factor, timeAt(other_px));
+        zoom(factor, timeAt(other_px));
       }
       pointers.set(event.pointerId, event.clientX);
     });
@@ -136,6 +139,21 @@ export class TimeChart {
       over.addEventListener(end, (event) => pointers.delete(event.pointerId));
     }
   }
+}
+
+/** Return a function that gives a custom property's present colour, which theme and system change. */
+function colorsOf(host: HTMLElement): (name: string) => () => string {
+  // The computed colour, as the custom property itself is a light-dark() pair.
+  const probe = host.appendChild(el("i", { attributes: { hidden: "" } }));
+  return (name) => () => {
+    probe.style.color = `var(${name})`;
+    return getComputedStyle(probe).color;
+  };
+}
+
+/** Return the look of an axis. */
+function axisOf(color: (name: string) => () => string): uPlot.Axis {
+  return { stroke: color("--dim"), grid: { stroke: color("--line"), width: 1 }, ticks: { show: false } };
 }
 
 /** Return a range of the values with some space around them, and not less than the least. */

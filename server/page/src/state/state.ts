@@ -345,6 +345,8 @@ export interface SequenceState {
   playing: { index: number; doing: "check" | Step["doing"] } | null;
   /** Result of the last play, as a sentence; empty before. */
   result: string;
+  /** True while the sequence begins again after its last waypoint. */
+  loop: boolean;
   /** Sequences that the browser keeps, by name. */
   saved: Record<string, readonly Waypoint[]>;
 }
@@ -438,6 +440,8 @@ export interface State {
   editing: SceneEditing;
   region: Region;
   sequence: SequenceState;
+  /** Pictures of the arm at waypoints, as data URLs by the key of the pose; the view draws them. */
+  thumbnails: Record<string, string>;
   teaching: TeachingState;
 }
 
@@ -493,6 +497,7 @@ export function emptyState(url: string): State {
     editing: { placing: null, clicked: null, arrows: "translate", history: [], saved: null, result: "" },
     region: { shown: false, slice: { kind: "upright", height_m: 0.1, angle_rad: 0 }, cells: [], total: 0, problem: "" },
     sequence: noSequence(),
+    thumbnails: {},
     teaching: { recording: null, motions: null, edited: null, replaying: null, told: "" },
   };
 }
@@ -504,7 +509,7 @@ export function noPlan(): PlanState {
 
 /** Return the sequence before the first waypoint. */
 export function noSequence(): SequenceState {
-  return { waypoints: [], checks: [], playing: null, result: "", saved: {} };
+  return { waypoints: [], checks: [], playing: null, result: "", loop: false, saved: {} };
 }
 
 /** Return the goal state before the first goal. */

@@ -160,7 +160,8 @@ export class Environment {
   private readonly ground = new Ground();
   private readonly shadow: SoftShadow;
   private readonly hemisphere = new HemisphereLight();
-  private readonly sky = new Mesh(new PlaneGeometry(2, 2, 1, SKY_BANDS), backgroundMaterial());
+  /** Background behind everything. */
+  readonly sky = new Mesh(new PlaneGeometry(2, 2, 1, SKY_BANDS), backgroundMaterial());
 
   /** @param scene - scene to add them to. */
   constructor(scene: Scene) {

@@ -6,10 +6,12 @@ import {
   MeshBasicMaterial,
   SphereGeometry,
   Vector2,
+  type Material,
   type Object3D,
 } from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
 import { hasTip, takesOrientation } from "../logic/joints";
+import { isOpen } from "../logic/layout";
 import { denialReason } from "../logic/permissions";
 import { gripperClearance_m, HANDLE_END, HANDLE_START, handleLength_m } from "../logic/target-marker";
 import type { Orientation, Point, State } from "../state/state";
@@ -22,7 +24,9 @@ import type { SceneObjects } from "./scene-objects";
 import { surfaceAt } from "./surface";
 import type { SceneComponent, Viewer } from "./viewer";
 
-const BALL_RADIUS_M = 0.007;
+// Soft ball that is grabbed, and its opacity.
+const BALL_RADIUS_M = 0.018;
+const BALL_OPACITY = 0.45;
 // Length of an arrow of TransformControls of size 1, as a share of the picture's height at its distance (three's
 // factor 1.9 / 4 of the half height, and arrows that end at 0.6).
 const ARROW_SHARE = (1.9 / 8) * 0.6;
@@ -30,31 +34,37 @@ const ARROW_SHARE = (1.9 / 8) * 0.6;
 // Axes of three's handles.
 const AXES = ["X", "Y", "Z"] as const;
 const ARROWS_END = 0.6;
-const SHAFT_RADIUS = 0.011;
-const HEAD_RADIUS = 0.045;
-const HEAD_LENGTH = 0.13;
+const SHAFT_RADIUS = 0.006;
+const HEAD_RADIUS = 0.032;
+const HEAD_LENGTH = 0.1;
 // A finger meets what is this wide.
 const GRIP_RADIUS = 0.11;
 const GRIP_FROM = 0.75;
 
-/** Form the handles of TransformControls anew: three arrows that begin beside the middle, where the gripper is. */
-function offsetHandles(controls: TransformControls): void {
-  // The planes and the middle would cover the gripper; three arrows are enough to get anywhere.
-  controls.showXY = controls.showYZ = controls.showXZ = false;
+/**
+ * Form the handles of TransformControls: a ball that moves in the plane of the picture, and arrows that begin beside it.
+ *
+ * @returns the materials of the arrows.
+ */
+function offsetHandles(controls: TransformControls): Material[] {
+  const materials: Material[] = [];
   const start = (HANDLE_START / HANDLE_END) * ARROWS_END;
   controls.getHelper().traverse((node) => {
     const axis = AXES.indexOf(node.name as (typeof AXES)[number]);
     const part = node instanceof Mesh ? partOfTranslation(node) : null;
     if (!(node instanceof Mesh) || part === null) return;
-    if (node.name === "XYZ") node.geometry = new SphereGeometry(0.04, 8, 6);
-    if (axis < 0) return;
     node.geometry.dispose();
+    // The planes would cover the gripper; the ball is drawn by the marker.
+    if (axis < 0) node.geometry = node.name === "XYZ" && part === "grip" ? new SphereGeometry(start * GRIP_FROM, 12, 8) : new BufferGeometry();
+    if (axis < 0) return;
     const is_first = node.parent?.children.find((other) => other.name === node.name) === node;
     node.geometry = !is_first ? new BufferGeometry() : part === "grip" ? grip(start) : arrow(start);
+    if (part === "arrow") materials.push(node.material as Material);
     // The form points along y.
     if (axis === 0) node.geometry.rotateZ(-Math.PI / 2);
     if (axis === 2) node.geometry.rotateX(Math.PI / 2);
   });
+  return materials;
 }
 
 /** Return which part of a handle that moves a mesh is; null for those that turn and scale, which have the same names. */
@@ -86,10 +96,12 @@ function arrow(start: number): BufferGeometry {
   return new LatheGeometry(profile, 12).translate(0, start, 0);
 }
 
-/** Marker of the target, dragged by three arrows; without a target it is at the tool of the ghost or the arm. */
+/** Marker of the target, dragged by its ball or by three arrows; without a target it is at the tool of the ghost or the arm. */
 export class TargetMarker implements SceneComponent {
   private readonly ball: Mesh<SphereGeometry, MeshBasicMaterial>;
   private readonly arrows: TransformControls;
+  private readonly arrow_materials: readonly Material[];
+  private readonly has_hover = matchMedia("(hover: hover)");
   private moved = false;
   private measured: RobotModel | null = null;
   private clearance_m = 0;
@@ -108,9 +120,10 @@ export class TargetMarker implements SceneComponent {
     private readonly ghost: Ghost,
     private readonly robot: Robot,
   ) {
-    this.ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 16, 12), new MeshBasicMaterial());
+    const material = new MeshBasicMaterial({ transparent: true, opacity: BALL_OPACITY, depthTest: false });
+    this.ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 20, 14), material);
     this.arrows = new TransformControls(viewer.camera, canvas);
-    offsetHandles(this.arrows);
+    this.arrow_materials = offsetHandles(this.arrows);
     this.arrows.attach(this.ball);
     this.arrows.addEventListener("change", () => viewer.request());
     this.arrows.addEventListener("objectChange", () => this.dragged());
@@ -120,7 +133,9 @@ export class TargetMarker implements SceneComponent {
 
   update(state: State): void {
     const at = this.place(state);
-    const shown = at !== null && at.every(Number.isFinite);
+    const shown = at !== null && at.every(Number.isFinite) && isOpen(state.layout, "move");
+    // A finger has no hover that could bring them.
+    for (const material of this.arrow_materials) material.visible = this.isInHand() || !this.has_hover.matches;
     this.ball.visible = shown;
     this.arrows.enabled = shown;
     this.arrows.getHelper().visible = shown;

@@ -10,9 +10,9 @@ const Z_UP = new Matrix4().makeRotationX(Math.PI / 2);
  *
  * @throws Error when it is no file of its kind.
  */
-export function readCorners(name: string, bytes: ArrayBuffer): number[] {
+export async function readCorners(name: string, bytes: ArrayBuffer): Promise<number[]> {
   const kind = fileKind(name);
-  const object = parseMesh(kind, "", new Uint8Array(bytes));
+  const object = await parseMesh(kind, "", new Uint8Array(bytes));
   object.updateMatrixWorld(true);
   const corners: number[] = [];
   object.traverse((node) => {

@@ -1,6 +1,4 @@
 import { BoxGeometry, Mesh, MeshLambertMaterial, type BufferGeometry, type Object3D } from "three";
-import { ColladaLoader } from "three/examples/jsm/loaders/ColladaLoader.js";
-import { OBJLoader } from "three/examples/jsm/loaders/OBJLoader.js";
 import { STLLoader } from "three/examples/jsm/loaders/STLLoader.js";
 import { authorizationHeaders } from "../link/authentication";
 import { t, type TextKey } from "../texts/texts";
@@ -117,12 +115,12 @@ async function fetchMesh(uri: string): Promise<Object3D> {
   return readMesh(url, await readBounded(answer, MESH_LIMIT_BYTES));
 }
 
-function readMesh(url: string, bytes: Uint8Array<ArrayBuffer>): Object3D {
+async function readMesh(url: string, bytes: Uint8Array<ArrayBuffer>): Promise<Object3D> {
   const kind = new URL(url).pathname.split(".").at(-1)?.toLowerCase() ?? "";
   if (!KINDS.includes(kind)) throw new Error(t("picture.mesh.kind", { kind, kinds: KINDS.join(", ") }));
   let mesh: Object3D;
   try {
-    mesh = parseMesh(kind, url, bytes);
+    mesh = await parseMesh(kind, url, bytes);
   } catch (error) {
     throw new Error(t("picture.mesh.broken", { kind, reason: (error as Error).message }));
   }
@@ -131,15 +129,16 @@ function readMesh(url: string, bytes: Uint8Array<ArrayBuffer>): Object3D {
 }
 
 /**
- * Parse a mesh of the kind "stl", "obj" or "dae".
+ * Parse a mesh of the kind "stl", "obj" or "dae"; readers of the rarer kinds are loaded with their first file.
  *
  * @param url - address that a Collada file's own references are relative to.
  * @throws Error when it is none.
  */
-export function parseMesh(kind: string, url: string, bytes: Uint8Array<ArrayBuffer>): Object3D {
+export async function parseMesh(kind: string, url: string, bytes: Uint8Array<ArrayBuffer>): Promise<Object3D> {
   if (kind === "stl") return new Mesh(new STLLoader().parse(bytes.buffer), new MeshLambertMaterial());
   const text = new TextDecoder().decode(bytes);
-  if (kind === "obj") return new OBJLoader().parse(text);
+  if (kind === "obj") return new (await import("three/examples/jsm/loaders/OBJLoader.js")).OBJLoader().parse(text);
+  const { ColladaLoader } = await import("three/examples/jsm/loaders/ColladaLoader.js");
   const collada = new ColladaLoader().parse(text, url.slice(0, url.lastIndexOf("/") + 1));
   if (collada === null) throw new Error(t("picture.mesh.empty"));
   return collada.scene;

@@ -1,5 +1,6 @@
 import { CatmullRomCurve3, Mesh, TubeGeometry, Vector3, type Camera, type Scene } from "three";
 import { jointReport } from "../logic/joints";
+import { isOpen } from "../logic/layout";
 import { distanceText } from "../logic/numbers";
 import { ghostPose, samplePlan, sampleTimes_s, type GhostPose } from "../logic/trajectory";
 import type { Joints, JointValues, Plan, Point, State } from "../state/state";
@@ -48,9 +49,11 @@ export class Label {
     const projected = this.anchor.clone().project(this.camera);
     const x_px = ((projected.x + 1) / 2) * this.canvas.clientWidth;
     const y_px = ((1 - projected.y) / 2) * this.canvas.clientHeight;
-    // For a point outside of the picture it stays at the edge, as it must not cover the panel.
-    const x_inside_px = clamp(x_px + ASIDE_PX, this.canvas.clientWidth - this.element.offsetWidth);
-    const y_inside_px = clamp(y_px - ABOVE_PX, this.canvas.clientHeight - this.element.offsetHeight);
+    const { parentElement: free } = this.element;
+    if (free === null) return;
+    // For a point outside of the free picture it stays at the edge, as it must not cover the panel.
+    const x_inside_px = clamp(x_px + ASIDE_PX - free.offsetLeft, free.clientWidth - this.element.offsetWidth);
+    const y_inside_px = clamp(y_px - ABOVE_PX - free.offsetTop, free.clientHeight - this.element.offsetHeight);
     this.element.style.transform = `translate(${Math.round(x_inside_px)}px, ${Math.round(y_inside_px)}px)`;
   }
 }
@@ -127,15 +130,17 @@ function finite(values: JointValues): JointValues {
 
 // On a path of half a metre the points are then 4 mm apart, and the curve looks smooth.
 const SAMPLES = 120;
+const MIN_SAMPLES = 12;
 const RADIUS_M = 0.0015;
 const SIDES = 5;
 // TubeGeometry needs points that differ.
 const MIN_STEP_M = 1e-4;
 
-/** Path of the tool along the plan, from the kinematics of the robot description. */
+/** Path of the tool along the plan, or along the checked sequence while its panel is open. */
 export class ToolPath implements SceneComponent {
   private line: Mesh | null = null;
   private plan: Plan | null = null;
+  private legs: readonly Plan[] = [];
   private arm: RobotModel | null = null;
 
   /**
@@ -152,23 +157,27 @@ export class ToolPath implements SceneComponent {
   ) {}
 
   update(state: State): void {
-    const plan = state.plan.trajectory;
-    if (plan === this.plan && this.robot.arm === this.arm) return;
+    const { sequence, layout, plan: { trajectory: plan } } = state;
+    const legs = plan === null && isOpen(layout, "sequence") ? sequence.checks.flatMap((check) => check.plan ?? []) : [];
+    const same_legs = legs.length === this.legs.length && legs.every((leg, index) => leg === this.legs[index]);
+    if (plan === this.plan && same_legs && this.robot.arm === this.arm) return;
     this.plan = plan;
+    this.legs = legs;
     this.arm = this.robot.arm;
-    const path = plan === null ? [] : this.path(plan);
+    const path = this.path(plan === null ? legs : [plan]);
     this.draw(path);
     this.store.patch("plan", { tool_path: path });
   }
 
-  private path(plan: Plan): Point[] {
+  private path(plans: readonly Plan[]): Point[] {
     const model = this.robot.arm;
     if (model === null) return [];
     const before = model.jointValues();
-    const points = sampleTimes_s(plan, SAMPLES).map((time_s) => {
+    const samples = Math.max(MIN_SAMPLES, Math.round(SAMPLES / Math.max(1, plans.length)));
+    const points = plans.flatMap((plan) => sampleTimes_s(plan, samples).map((time_s) => {
       model.setJoints(samplePlan(plan, time_s));
       return model.linkPosition_m(this.robot.tip);
-    });
+    }));
     model.setJoints(before);
     return points.filter((point): point is Point => point !== null && point.every(Number.isFinite));
   }

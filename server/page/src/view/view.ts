@@ -12,6 +12,7 @@ import { JointStateDisplay, Robot } from "./robot";
 import type { RobotModel } from "./robot-model";
 import { SceneObjects } from "./scene-objects";
 import { SweptRange } from "./swept-range";
+import { Thumbnails } from "./thumbnails";
 import { Viewer, type SceneComponent } from "./viewer";
 
 /** Figures of the drawn frames. */
@@ -84,6 +85,7 @@ export class SceneView {
   private readonly reach: ReachHint;
   private readonly label: Label;
   private readonly environment: Environment;
+  private readonly thumbnails: Thumbnails;
   private readonly materials = new Materials(currentTheme());
   private readonly statistics = new FrameStatistics();
   private readonly components: SceneComponent[];
@@ -114,8 +116,9 @@ export class SceneView {
     const arm = new JointStateDisplay(this.robot, store, materials);
     const swept = new SweptRange(this.robot, materials);
     const region = new ReachableRegion(scene);
-    this.components = [this.robot, arm, path, ghost, this.target, objects, markers, swept, region];
     this.environment = new Environment(scene);
+    this.thumbnails = new Thumbnails(viewer, this.robot, store, this.environment.sky);
+    this.components = [this.robot, arm, path, ghost, this.target, objects, markers, swept, region];
     this.applyTheme();
     this.watchGraphics(canvas);
     canvas.addEventListener("dblclick", () => this.resetCamera());
@@ -151,6 +154,8 @@ export class SceneView {
       (state) => state.editing,
       (state) => state.region,
       (state) => state.identity,
+      (state) => state.layout,
+      (state) => state.sequence,
       (state) => state.collision_shapes,
       (state) => state.commissioning,
       (state) => state.joint_in_hand,
@@ -182,7 +187,10 @@ export class SceneView {
   private prepare(renderer: WebGLRenderer): void {
     for (const component of this.components) component.update(this.store.state);
     // The first picture does without the reach, for which hundreds of poses of the arm are computed.
-    if (this.figures.arm_drawn_ms !== null) this.reach.update(this.store.state);
+    if (this.figures.arm_drawn_ms !== null) {
+      this.reach.update(this.store.state);
+      this.thumbnails.update(this.store.state);
+    }
     this.label.place();
     this.castShadow(renderer);
   }
@@ -214,6 +222,7 @@ export class SceneView {
   private robotChanged(is_new: boolean): void {
     if (is_new) this.resetCamera();
     this.meshes_loaded += 1;
+    this.thumbnails.reset();
     this.viewer.request();
   }
 

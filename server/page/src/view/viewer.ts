@@ -50,6 +50,7 @@ export interface SceneComponent {
 }
 
 const FIELD_OF_VIEW_DEG = 40;
+const FIELD_OF_VIEW_RAD = (FIELD_OF_VIEW_DEG * Math.PI) / 180;
 const NEAR_M = 0.01;
 const FAR_M = 20;
 // More pixels cost time and make no visible difference on a phone.
@@ -77,16 +78,19 @@ export class Viewer {
   readonly orbit: OrbitControls;
   /** Canvas that is drawn on: the given one, or its copy. */
   readonly canvas: HTMLCanvasElement;
+  /** Part of the canvas that no panel covers, in which objects are framed. */
+  private readonly free: HTMLElement;
   private readonly renderer: WebGLRenderer;
   private readonly in_software: boolean;
   private pixel_share = 1;
-  private drawn_ms = -Infinity;
+  // The first frames are coarse too, so that the arm is seen soon.
+  private drawn_ms = 0;
   private rest_timer: ReturnType<typeof setTimeout> | undefined;
   private frame_id = 0;
   private framed: Object3D | null = null;
 
   /**
-   * @param given - canvas to draw on; its size is that of its box in the page.
+   * @param given - canvas to draw on; its size is that of its box in the page, and its parent is what no panel covers.
    * @param prepare - called before each frame, to update the scene.
    * @param drawn - called after each frame.
    * @throws Error when the browser has no WebGL.
@@ -98,6 +102,7 @@ export class Viewer {
   ) {
     const { canvas, context, in_software } = openGraphics(given);
     this.canvas = canvas;
+    this.free = canvas.parentElement ?? canvas;
     this.in_software = in_software;
     this.renderer = new WebGLRenderer({ canvas, context });
     // Checking each shader program for errors would wait for its compilation, one after the other.
@@ -120,6 +125,7 @@ export class Viewer {
       this.draw();
     });
     resized.observe(canvas);
+    resized.observe(this.free);
   }
 
   /** Request a frame; requests before it are merged. */
@@ -177,20 +183,27 @@ export class Viewer {
     this.fit();
   }
 
+  /** Draw an object alone before a background, from the usual side; return the picture as a data URL. */
+  portrait(object: Object3D, background: Object3D, width_px: number, height_px: number): string {
+    const drawn = [object, background];
+    const hidden = this.scene.children.filter((child) => child.visible && !drawn.includes(child) && !("isLight" in child));
+    for (const child of hidden) child.visible = false;
+    const camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, width_px / height_px, NEAR_M, FAR_M);
+    camera.up.set(0, 0, 1);
+    camera.lookAt(placeCamera(camera, new Box3().setFromObject(object), FIELD_OF_VIEW_RAD, camera.aspect));
+    this.renderer.setPixelRatio(1);
+    this.renderer.setSize(width_px, height_px, false);
+    this.renderer.render(this.scene, camera);
+    const picture = this.canvas.toDataURL();
+    for (const child of hidden) child.visible = true;
+    this.fit();
+    return picture;
+  }
+
   private look(box: Box3): void {
-    const center = box.getCenter(new Vector3());
-    const { min, max } = box;
-    const corners = [min.x, max.x].flatMap((x) =>
-      [min.y, max.y].flatMap((y) => [min.z, max.z].map((z): Point => [x, y, z])),
-    );
-    const optics = {
-      direction: VIEW_DIRECTION.toArray(),
-      field_of_view_rad: (FIELD_OF_VIEW_DEG * Math.PI) / 180,
-      aspect: this.camera.aspect,
-    };
-    const distance_m = framingDistance_m(corners, center.toArray(), optics, FILLED);
-    this.orbit.target.copy(center);
-    this.camera.position.copy(center).addScaledVector(VIEW_DIRECTION, distance_m);
+    const { width, height } = this.free.getBoundingClientRect();
+    const tan_free = (Math.tan(FIELD_OF_VIEW_RAD / 2) * height) / Math.max(1, this.canvas.clientHeight);
+    this.orbit.target.copy(placeCamera(this.camera, box, 2 * Math.atan(tan_free), width / Math.max(1, height)));
     this.orbit.update();
   }
 
@@ -200,6 +213,24 @@ export class Viewer {
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, MAX_PIXEL_RATIO) * this.pixel_share);
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    // The camera looks at the middle of the free part.
+    const canvas = this.canvas.getBoundingClientRect();
+    const free = this.free.getBoundingClientRect();
+    const right_px = free.left + free.width / 2 - canvas.left - width / 2;
+    const down_px = free.top + free.height / 2 - canvas.top - height / 2;
+    this.camera.setViewOffset(width, height, -right_px, -down_px, width, height);
   }
+}
+
+/** Put a camera at the usual side of a box, which then fills its picture; return the box's middle. */
+function placeCamera(camera: PerspectiveCamera, box: Box3, field_of_view_rad: number, aspect: number): Vector3 {
+  const center = box.getCenter(new Vector3());
+  const { min, max } = box;
+  const corners = [min.x, max.x].flatMap((x) =>
+    [min.y, max.y].flatMap((y) => [min.z, max.z].map((z): Point => [x, y, z])),
+  );
+  const optics = { direction: VIEW_DIRECTION.toArray(), field_of_view_rad, aspect };
+  const distance_m = framingDistance_m(corners, center.toArray(), optics, FILLED);
+  camera.position.copy(center).addScaledVector(VIEW_DIRECTION, distance_m);
+  return center;
 }

@@ -32,13 +32,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def systemd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Systemd]:
-    listening = Systemd(tmp_path_factory.mktemp("systemd") / "notify")
-    yield listening
-    listening.close()
-
-
-@pytest.fixture(scope="module")
 def arm(files: Path, systemd: Systemd) -> Iterator[ServerOnBus]:
     """A server of its own, as a service of systemd: the arm is calibrated here."""
     save(nominal_calibration(), files / "present.json")

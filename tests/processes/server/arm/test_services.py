@@ -8,26 +8,13 @@ import os
 import re
 import signal
 from pathlib import Path
-from typing import Any
 
 from websockets.asyncio.client import connect
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import ServerOnBus, read_write_log, server_on_bus
+from tests.server.arm.test_services import begin_to_move
 from tests.server.conftest import FAST
-
-JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
-
-
-def pan_to(position_rad: float) -> dict[str, Any]:
-    return {"name": ["shoulder_pan"], "position": [position_rad]}
-
-
-async def begin_to_move(client: ArmClient) -> None:
-    """Move away from where the pan joint is; returns on the way."""
-    pan_rad = (await client.until("/joint_states", bool))[-1]["position"][0]
-    await client.goal(*JOINT_GOAL, pan_to(-1.5 if pan_rad > 0.0 else 1.5))
-    await client.until("/joint_states", lambda states: abs(states[-1]["position"][0] - pan_rad) > 0.3)
 
 
 async def test_an_emergency_stop_gets_through_a_flood(client: ArmClient, served: ServerOnBus) -> None:

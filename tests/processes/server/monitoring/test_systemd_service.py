@@ -19,13 +19,6 @@ LOADING_S = 60.0
 
 
 @pytest.fixture(scope="module")
-def systemd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Systemd]:
-    listening = Systemd(tmp_path_factory.mktemp("systemd") / "notify")
-    yield listening
-    listening.close()
-
-
-@pytest.fixture(scope="module")
 def service(systemd: Systemd) -> Iterator[RunningServer]:
     """A server as systemd starts it, with JSON for journald's readers."""
     settings = {

@@ -37,19 +37,6 @@ emulator.control = "{folder}/leader"
 """
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("teleop")
-
-
-@pytest.fixture(scope="module")
-def server(folder: Path) -> Iterator[RunningServer]:
-    config = folder / "arms.toml"
-    config.write_text(CONFIG.format(folder=folder))
-    with RunningServer(f"--config {config}") as running:
-        yield running
-
-
 @pytest.fixture
 def hand(folder: Path) -> Iterator[EmulatorControl]:
     """The hand that leads; it holds the leader straight when it is let go of."""
@@ -220,7 +207,7 @@ async def test_a_relaxed_follower_does_not_begin(client: ArmClient) -> None:
     assert (await client.call("/follower/arm/relax"))["success"]
     await client.until("/follower/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed", TIMEOUT_S)
     refused = await client.call("/teleop/start", follower="follower", leader="leader")
-    assert refused["message"].startswith("follower cannot follow: the arm is relaxed")
+    assert refused["message"].startswith("follower cannot follow: the arm follower is relaxed")
 
 
 @pytest.mark.parametrize(

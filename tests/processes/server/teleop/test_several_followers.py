@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from harness.clients import ArmClient, arm_client
-from harness.server import FAST_ARMS, EmulatorControl, RunningServer
+from harness.server import EmulatorControl, RunningServer
 
 CONFIG = """
+[server]
+port = 0
+[moveit]
+max_velocity_scaling = 1.0
+max_acceleration_scaling = 1.0
 [arms.left]
 base_xyz_m = [0.0, 0.7, 0.0]
 [arms.right]
@@ -24,19 +29,6 @@ emulator.control = "{folder}/leader"
 TIMEOUT_S = 60.0
 MIDDLE_TICK = 2048
 TARGETS = "/teleop/leader_joint_states"
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("followers")
-
-
-@pytest.fixture(scope="module")
-def server(folder: Path) -> Iterator[RunningServer]:
-    config = folder / "arms.toml"
-    config.write_text(CONFIG.format(folder=folder))
-    with RunningServer(f"--port 0 --config {config}", FAST_ARMS) as running:
-        yield running
 
 
 @pytest.fixture

@@ -181,7 +181,7 @@ async def test_a_goal_of_a_client_that_may_not_send_one_is_answered_to_it_alone(
     sender, answers = Node("sender", remote=True), []
     for topic in (RESULT_TOPIC, STATUS_TOPIC):
         desk.graph.subscribe(sender, topic, None, Subscriber(lambda published: answers.append(published.msg)))
-    desk.graph.turn_away(sender, "/moveit_goal_named", {"data": "home"}, "another drives")
+    desk.graph.reject_unauthorized(sender, "/moveit_goal_named", {"data": "home"}, "another drives")
     status, result = answers
     assert result == {"val": -4, "message": "another drives", "source": "/moveit_goal_named#1"}
     assert (values_of(status)["state"], status["level"], status["hardware_id"]) == ("done", 2, "1")

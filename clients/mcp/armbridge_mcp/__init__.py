@@ -1,0 +1,1 @@
+"""Model Context Protocol server for a robot arm on an armbridge server."""

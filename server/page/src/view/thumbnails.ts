@@ -1,0 +1,47 @@
+import type { Object3D } from "three";
+import { isOpen } from "../logic/layout";
+import { poseKey } from "../logic/sequence";
+import type { State } from "../state/state";
+import type { PageStore } from "../state/store";
+import type { Robot } from "./robot";
+import type { SceneComponent, Viewer } from "./viewer";
+
+const WIDTH_PX = 112;
+const HEIGHT_PX = 84;
+
+/** Pictures of the arm at the waypoints of the sequence, drawn one a frame while its panel is open. */
+export class Thumbnails implements SceneComponent {
+  /**
+   * @param viewer - viewer that draws them.
+   * @param robot - robot that is shown.
+   * @param store - updated with the pictures.
+   * @param background - object to draw behind the arm.
+   */
+  constructor(
+    private readonly viewer: Viewer,
+    private readonly robot: Robot,
+    private readonly store: PageStore,
+    private readonly background: Object3D,
+  ) {}
+
+  update({ layout, sequence: { waypoints }, thumbnails }: State): void {
+    const { arm } = this.robot;
+    if (arm === null || !isOpen(layout, "sequence")) return;
+    const missing = waypoints.find(({ joints_rad }) => !(poseKey(joints_rad) in thumbnails));
+    if (missing === undefined) return;
+    const before = arm.jointValues();
+    arm.setJoints(missing.joints_rad);
+    const picture = this.viewer.portrait(arm.robot, this.background, WIDTH_PX, HEIGHT_PX);
+    arm.setJoints(before);
+    const keys = waypoints.map(({ joints_rad }) => poseKey(joints_rad));
+    const kept = Object.entries(thumbnails).filter(([key]) => keys.includes(key));
+    this.store.set({ thumbnails: { ...Object.fromEntries(kept), [poseKey(missing.joints_rad)]: picture } });
+    // The next one.
+    this.viewer.request();
+  }
+
+  /** Draw all again: the arm looks otherwise. */
+  reset(): void {
+    this.store.set({ thumbnails: {} });
+  }
+}

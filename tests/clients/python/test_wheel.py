@@ -1,0 +1,63 @@
+"""The wheel of the client in an empty environment of each Python that this machine has, 3.10 the oldest."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from harness.server import ROOT, RunningServer
+
+PYENV = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+MOST_BYTES = 5_000_000
+
+PROGRAM = """
+import sys
+from armbridge_client import GoalRefused, connect
+with connect(sys.argv[1]) as arm:
+    arm.plan("ready").execute()
+    try:
+        arm.move_to(0.9, 0.0, 0.1)
+    except GoalRefused as refused:
+        arm.move(refused.suggestion)
+    print(next(arm.states()).mode)
+"""
+
+
+def python(version: str) -> str | None:
+    """A Python of a version, from the path or pyenv's."""
+    return next(map(str, PYENV.glob(f"{version}.*/bin/python")), shutil.which(f"python{version}"))
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("wheel")
+    # By way of the sdist, which therefore has all that is needed.
+    command = [Path(sys.executable).with_name("uv"), "build", "--out-dir", out, ROOT / "clients" / "python"]
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    (made,) = out.glob("*.whl")
+    return made
+
+
+@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
+def test_the_wheel_moves_the_arm(version: str, wheel: Path, server: RunningServer, tmp_path: Path) -> None:
+    interpreter = python(version)
+    if interpreter is None:
+        pytest.skip(f"this machine has no Python {version}")
+    subprocess.run([interpreter, "-m", "venv", tmp_path], timeout=120, check=True)
+    installed = tmp_path / "bin" / "python"
+    install = [installed, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", wheel]
+    subprocess.run(install, timeout=120, check=True)
+    command = [installed, "-W", "error", "-X", "dev", "-c", PROGRAM, server.url]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout in ("holding\n", "moving\n")
+    (packages,) = tmp_path.glob("lib/python*/site-packages")
+    size = sum(
+        each.stat().st_size for name in ("armbridge_client", "websockets") for each in packages.glob(f"{name}/**/*.*")
+    )
+    assert size < MOST_BYTES

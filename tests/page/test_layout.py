@@ -1,0 +1,117 @@
+"""The page at every size, in both languages: nothing cut off, nothing on top of another, and the picture first."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from harness.page import PHONE, SHARED, OpenPage, opened
+from harness.server import RunningServer
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+SETTINGS = SHARED
+
+LYING_PHONE = (844, 390)
+SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
+
+# Texts of controls that their box cuts off, panels that scroll sideways, and what leaves the window.
+FIND_CUT = """() => {
+    const kinds = "button, summary, h2, .panel, #bar, #rail, #dock > section, .transport";
+    const shown = [...document.querySelectorAll(kinds)]
+        .filter(each => each.checkVisibility() && !each.closest(".wide"));
+    return shown.filter(each => {
+        const { left, right } = each.getBoundingClientRect();
+        const cut = each.scrollWidth > each.clientWidth + 1 && getComputedStyle(each).display !== "inline";
+        return cut || left < -0.5 || right > innerWidth + 0.5;
+    }).map(each => `${each.dataset.testid || each.id || each.className}: ${each.textContent.slice(0, 30)}`);
+}"""
+
+# Pairs of things above the picture that cover each other.
+FIND_COVERED = """() => {
+    const above = [...document.querySelectorAll("#stop, #bar, #rail, #dock > section, .transport, .first-motion")]
+        .filter(each => each.checkVisibility() && !each.matches("#panel-drive"));
+    const boxes = above.map(each => [each.id || each.className, each.getBoundingClientRect()]);
+    return boxes.flatMap(([name, one], index) => boxes.slice(index + 1).filter(([, other]) =>
+        one.left < other.right - 1 && other.left < one.right - 1 && one.top < other.bottom - 1
+        && other.top < one.bottom - 1).map(([other]) => `${name} and ${other}`));
+}"""
+
+
+@pytest.fixture(scope="module", params=["en", "de"])
+def page(browser: Browser, server: RunningServer, request: pytest.FixtureRequest) -> Iterator[OpenPage]:
+    with opened(browser, locale=request.param) as open_page:
+        open_page.open(server.port)
+        open_page.until_state("s.identity !== null && s.servos.length > 0")
+        yield open_page
+
+
+@pytest.mark.parametrize("size", SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
+def test_nothing_is_cut_off_or_covered_in_any_panel(page: OpenPage, size: tuple[int, int]) -> None:
+    page.page.set_viewport_size({"width": size[0], "height": size[1]})
+    found = {}
+    for panel in page.open_panels():
+        for name, find in (("cut", FIND_CUT), ("covered", FIND_COVERED)):
+            if problems := page.page.evaluate(find):
+                found[f"{panel} {name}"] = problems
+    page.shot(f"layout_{size[0]}")
+    assert found == {}, json.dumps(found, indent=1)
+    view = page.page.evaluate(
+        "(({ clientWidth, clientHeight }) => [clientWidth, clientHeight])(document.querySelector('#view'))"
+    )
+    assert tuple(view) == size
+
+
+def test_pads_stand_left_and_right_of_the_picture_with_a_bar_under_each_thumb(
+    browser: Browser, server: RunningServer
+) -> None:
+    with opened(browser, LYING_PHONE, has_touch=True, is_mobile=True) as page:
+        page.open(server.port)
+        page.open_panel("drive")
+        page.shot("layout_pads")
+        width, height = LYING_PHONE
+        arm_x = page.screen_of((0.0, 0.0, 0.1))[0]
+        for side, outer in (("left", 0), ("right", width)):
+            pad, bar = page.box(f"pad-{side}"), page.box(f"dead-man-{side}")
+            assert abs(pad["x"] + pad["width"] / 2 - outer) < width / 4
+            assert bar["x"] == pytest.approx(pad["x"], abs=2)
+            assert bar["y"] >= pad["y"] + pad["height"]
+            assert bar["y"] + bar["height"] <= height
+            assert (pad["x"] + pad["width"] < arm_x) == (side == "left")
+        page.part("drive-rest").locator("> summary").click()
+        assert page.part("jog-gripper-plus").is_visible()
+
+
+def test_the_picture_moves_aside_for_a_panel_and_comes_back(browser: Browser, server: RunningServer) -> None:
+    with opened(browser) as page:
+        page.open(server.port)
+        beside = page.screen_of((0.0, 0.0, 0.1))[0]
+        page.part("close-panel-move").click()
+        page.wait(lambda: page.screen_of((0.0, 0.0, 0.1))[0] > beside + 50)
+        page.open_panel("move")
+        page.wait(lambda: abs(page.screen_of((0.0, 0.0, 0.1))[0] - beside) < 2)
+
+
+def test_a_phone_begins_with_the_picture_alone(browser: Browser, server: RunningServer) -> None:
+    with opened(browser, PHONE, has_touch=True, is_mobile=True) as page:
+        page.open(server.port)
+        assert page.state("layout") == {"shown": "", "pinned": ""}
+        assert not page.part("panel-move").is_visible()
+
+
+def test_the_tour_has_four_steps(browser: Browser, server: RunningServer) -> None:
+    with opened(browser, locale="en") as page:
+        page.open(server.port)
+        page.open_panel("settings")
+        page.part("tour-start").click()
+        pointed_at = "[...document.querySelectorAll('.pointed-at')].map(each => each.id || each.className).join()"
+        for step, target in enumerate(("view", "transport pointed-at", "stop", "rail"), 1):
+            assert (page.part("tour-text").text_content() or "").startswith(f"{step} of 4")
+            assert page.page.evaluate(pointed_at) == target
+            page.part("tour-next").click()
+        assert not page.part("tour").is_visible()
+        assert page.page.evaluate(pointed_at) == ""

@@ -20,6 +20,7 @@ from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING, Planners
 from planners.problem import (
     Answer,
     MoveItErrorCode,
+    MovingRequest,
     PlanningFailure,
     PlanningProblem,
     Request,

@@ -162,8 +162,6 @@ def _members(kind: Any) -> tuple[Any, ...]:
 
 def _range(field: FieldInfo) -> str:
     kind = field.annotation
-    if kind is bool:
-        return "true, false"
     if get_origin(kind) is Literal:
         return ", ".join(str(value) for value in get_args(kind))
     if isinstance(kind, type) and issubclass(kind, Enum):

@@ -19,6 +19,7 @@ MESSAGES = (
     "armbridge_msgs/TeachState",
     "armbridge_msgs/TeleopState",
     "control_msgs/JointJog",
+    "control_msgs/JointTrajectoryControllerState",
     "diagnostic_msgs/DiagnosticStatus",
     "geometry_msgs/TwistStamped",
     "moveit_msgs/KinematicSolverInfo",
@@ -67,6 +68,7 @@ ACTIONS = (
     "moveit_msgs/ExecuteTrajectory",
 )
 ONLY = {
+    "control_msgs/msg/JointTrajectoryControllerState": ("joint_names", "reference"),
     "moveit_msgs/msg/AttachedCollisionObject": ("link_name", "object", "touch_links"),
     "moveit_msgs/msg/CollisionObject": (
         "header",

@@ -69,6 +69,36 @@ class JointJog(Message):
 
 
 @dataclass(repr=False)
+class Duration(Message):
+    """builtin_interfaces/msg/Duration."""
+
+    TYPE: ClassVar[str] = "builtin_interfaces/msg/Duration"
+    sec: int = 0
+    nanosec: int = 0
+
+
+@dataclass(repr=False)
+class JointTrajectoryPoint(Message):
+    """trajectory_msgs/msg/JointTrajectoryPoint."""
+
+    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectoryPoint"
+    positions: list[float] = field(default_factory=list[float])
+    velocities: list[float] = field(default_factory=list[float])
+    accelerations: list[float] = field(default_factory=list[float])
+    effort: list[float] = field(default_factory=list[float])
+    time_from_start: Duration = field(default_factory=Duration)
+
+
+@dataclass(repr=False)
+class JointTrajectoryControllerState(Message):
+    """control_msgs/msg/JointTrajectoryControllerState."""
+
+    TYPE: ClassVar[str] = "control_msgs/msg/JointTrajectoryControllerState"
+    joint_names: list[str] = field(default_factory=list[str])
+    reference: JointTrajectoryPoint = field(default_factory=JointTrajectoryPoint)
+
+
+@dataclass(repr=False)
 class KeyValue(Message):
     """diagnostic_msgs/msg/KeyValue."""
 
@@ -742,27 +772,6 @@ class DeleteRobotStateFromWarehouseRequest(Service[DeleteRobotStateFromWarehouse
 
 
 @dataclass(repr=False)
-class Duration(Message):
-    """builtin_interfaces/msg/Duration."""
-
-    TYPE: ClassVar[str] = "builtin_interfaces/msg/Duration"
-    sec: int = 0
-    nanosec: int = 0
-
-
-@dataclass(repr=False)
-class JointTrajectoryPoint(Message):
-    """trajectory_msgs/msg/JointTrajectoryPoint."""
-
-    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectoryPoint"
-    positions: list[float] = field(default_factory=list[float])
-    velocities: list[float] = field(default_factory=list[float])
-    accelerations: list[float] = field(default_factory=list[float])
-    effort: list[float] = field(default_factory=list[float])
-    time_from_start: Duration = field(default_factory=Duration)
-
-
-@dataclass(repr=False)
 class JointTrajectory(Message):
     """trajectory_msgs/msg/JointTrajectory."""
 
@@ -1149,6 +1158,7 @@ TYPES = {
     "armbridge_msgs/msg/TeachState": "RIHS01_c6ae90716c647074247722b2b2e4eb8a785d56aedb67f7470297a26c2bae374b",
     "armbridge_msgs/msg/TeleopState": "RIHS01_e24a43ef2f16edeb257972f78a741bf6bea5318e440f32f8bd845afb96097b75",
     "control_msgs/msg/JointJog": "RIHS01_ba249455a20f70168a1acb7bf43b776b72ff1f7eb5fc4cfea443f749e963c6e7",
+    "control_msgs/msg/JointTrajectoryControllerState": "RIHS01_51d8dd89cc624cbe9daaeeb4d80d6de9b86168ffdc3be41fefc0953e3c26e480",
     "diagnostic_msgs/msg/DiagnosticStatus": "RIHS01_b0e3e692ea2d54a8af2f4ef1930e81556a2db55216b771f8a7d2724ed47bf0e4",
     "geometry_msgs/msg/TwistStamped": "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
     "moveit_msgs/msg/KinematicSolverInfo": "RIHS01_aff881f3a471d41cfa243cb8905aeae03eced10ae1f24661384f72d5c17fbaf2",

@@ -267,7 +267,9 @@ async def test_over_sockets_one_drives_others_are_answered_and_anyone_stops(
     async with arm_client(served.server.url) as other:
         for each in (client, other):
             await each.say("subscribe", topic="/moveit_goal_result", type="moveit_msgs/MoveItErrorCodes")
-        goal = {"name": ["shoulder_pan"], "position": [1.2]}
+        # Another test may have left the arm at either place.
+        turned = (await client.until("/joint_states", bool))[-1]["position"][0] > 0.0
+        goal = {"name": ["shoulder_pan"], "position": [-1.2 if turned else 1.2]}
         await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
         await client.until_mode("moving")
 

@@ -1,4 +1,4 @@
-"""Recordings exported as a LeRobotDataset, and the dataset read back: by its documented schema, and by lerobot."""
+"""Recordings exported as a LeRobotDataset, and the dataset read back by its documented schema."""
 
 from __future__ import annotations
 
@@ -160,13 +160,6 @@ def test_the_video_shows_at_each_frame_what_the_camera_saw_then(dataset: Path) -
     assert [at_s for at_s, _ in frames] == pytest.approx(np.arange(27) / FPS, abs=1e-4)
     reds = [pixels[:, :, 0].mean() for _, pixels in frames]
     assert reds == pytest.approx([5 * n for n in (*range(10, 21), *range(30, 46))], abs=4)
-
-
-def test_lerobot_opens_the_dataset(dataset: Path) -> None:
-    lerobot = pytest.importorskip("lerobot.datasets.lerobot_dataset", reason="lerobot is not installed")
-    opened = lerobot.LeRobotDataset("local/test", root=dataset)
-    assert (opened.num_episodes, opened.num_frames) == (2, 27)
-    assert opened[11]["task"] == "drop it"
 
 
 def test_a_recording_without_marks_is_one_episode_with_the_task_of_the_option(recorded: Record, tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""Joins an armbridge server to the ROS graph."""

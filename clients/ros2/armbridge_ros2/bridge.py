@@ -1,0 +1,109 @@
+"""The node: ``ros2 run armbridge_ros2 bridge --ros-args -p url:=ws://127.0.0.1:9090``."""
+
+from __future__ import annotations
+
+import concurrent.futures
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from armbridge_ros2.interfaces import FROM_SERVER, SERVICES, TO_SERVER, Joined, fill, ros_class, to_json
+from armbridge_ros2.server import Server
+
+ANSWER_TIMEOUT_S = 60.0
+QUEUE = 10
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Bridge(Node):
+    """An armbridge server as a robot of the ROS graph.
+
+    Parameters of the node: ``url`` (``ws://127.0.0.1:9090``) and ``token_file``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("armbridge")
+        url: str = self.declare_parameter("url", "ws://127.0.0.1:9090").value
+        token_file: str = self.declare_parameter("token_file", "").value
+        token = Path(token_file).read_text().strip() if token_file else ""
+        self._from_server: dict[str, Any] = {}
+        self._connection = Server(url, token, self._on_message, self.get_logger().info)
+        # One after the other: of a goal and a stop that wait together the stop, the last of the list, goes last.
+        self._in_order = MutuallyExclusiveCallbackGroup()
+        self._side_by_side = ReentrantCallbackGroup()
+        for topic in FROM_SERVER:
+            self._join(topic, self._take_topic)
+        for topic in TO_SERVER:
+            self._join(topic, self._offer_topic)
+        for service in SERVICES:
+            self._join(service, self._offer_service)
+        self._connection.start()
+
+    def close(self) -> None:
+        """Leave the server and the graph."""
+        self._connection.close()
+        self.destroy_node()
+
+    def _join(self, joined: Joined, join: Any) -> None:
+        try:
+            message_class = ros_class(joined.type)
+        except ImportError:
+            self.get_logger().info(f"{joined.name} is left out: {joined.type.split('/')[0]} is not installed here")
+            return
+        join(joined, message_class)
+
+    def _take_topic(self, topic: Joined, message_class: Any) -> None:
+        qos = LATCHED if topic.latched else QUEUE
+        self._from_server[topic.name] = self.create_publisher(message_class, topic.name, qos)
+        self._connection.subscribe(topic.name, topic.type)
+
+    def _offer_topic(self, topic: Joined, message_class: Any) -> None:
+        def pass_on(message: Any) -> None:
+            if not self._connection.publish(topic.name, to_json(message)):
+                self.get_logger().warning(f"{topic.name}: a message is lost: there is no connection to the server")
+
+        self._connection.advertise(topic.name, topic.type)
+        # Reliable, as publishers are unless they choose otherwise: no stop is lost on the way.
+        self.create_subscription(message_class, topic.name, pass_on, QUEUE, callback_group=self._in_order)
+
+    def _offer_service(self, service: Joined, service_class: Any) -> None:
+        def ask(request: Any, response: Any) -> Any:
+            try:
+                return fill(response, self._connection.call(service.name, to_json(request)).result(ANSWER_TIMEOUT_S))
+            except (ConnectionError, RuntimeError, concurrent.futures.TimeoutError) as error:
+                # A ROS service has no way to refuse; many have a field for a sentence.
+                sentence = str(error) or f"no answer within {ANSWER_TIMEOUT_S:g} s"
+                self.get_logger().error(f"{service.name}: {sentence}")
+                if hasattr(response, "message"):
+                    response.message = sentence
+                return response
+
+        self.create_service(service_class, service.name, ask, callback_group=self._side_by_side)
+
+    def _on_message(self, topic: str, serialized: bytes) -> None:
+        # The bytes are those of ROS 2 already: no field is read.
+        self._from_server[topic].publish(serialized)
+
+
+def main() -> None:
+    """Run the node until Ctrl+C."""
+    rclpy.init()
+    bridge = Bridge()
+    executor = MultiThreadedExecutor()
+    executor.add_node(bridge)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        bridge.close()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""Topics and services that are joined, and ROS messages as the server's JSON has them."""
+
+from __future__ import annotations
+
+import array
+import importlib
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+
+class Joined(NamedTuple):
+    """A topic or service, with its type as ROS 2 spells it.
+
+    Attributes:
+        latched: late subscribers get the last message (transient local).
+    """
+
+    name: str
+    type: str
+    latched: bool = False
+
+
+FROM_SERVER = (
+    Joined("/joint_states", "sensor_msgs/msg/JointState"),
+    Joined("/robot_description", "std_msgs/msg/String", latched=True),
+    Joined("/robot_description_semantic", "std_msgs/msg/String", latched=True),
+    Joined("/tf", "tf2_msgs/msg/TFMessage"),
+    Joined("/tf_static", "tf2_msgs/msg/TFMessage", latched=True),
+    Joined("/arm/state", "diagnostic_msgs/msg/DiagnosticStatus", latched=True),
+    Joined("/moveit_goal_status", "diagnostic_msgs/msg/DiagnosticStatus"),
+    Joined("/moveit_goal_result", "moveit_msgs/msg/MoveItErrorCodes"),
+    Joined("/planning_scene", "moveit_msgs/msg/PlanningScene"),
+)
+# A stop is last: of messages that wait together the last of the list is passed on last.
+TO_SERVER = (
+    Joined("/moveit_goal_named", "std_msgs/msg/String"),
+    Joined("/moveit_goal_joints", "sensor_msgs/msg/JointState"),
+    Joined("/moveit_goal_pose", "geometry_msgs/msg/PoseStamped"),
+    Joined("/arm_controller/joint_trajectory", "trajectory_msgs/msg/JointTrajectory"),
+    Joined("/stop", "std_msgs/msg/Empty"),
+)
+SERVICES = (
+    *(
+        Joined(f"/arm/{name}", "std_srvs/srv/Trigger")
+        for name in ("stop", "emergency_stop", "enable", "relax", "park", "reset_fault")
+    ),
+    Joined("/compute_ik", "moveit_msgs/srv/GetPositionIK"),
+    Joined("/compute_fk", "moveit_msgs/srv/GetPositionFK"),
+    Joined("/compute_cartesian_path", "moveit_msgs/srv/GetCartesianPath"),
+    Joined("/plan_kinematic_path", "moveit_msgs/srv/GetMotionPlan"),
+    Joined("/get_planning_scene", "moveit_msgs/srv/GetPlanningScene"),
+    Joined("/apply_planning_scene", "moveit_msgs/srv/ApplyPlanningScene"),
+)
+
+
+def ros_class(type_name: str) -> Any:
+    """Return the class of a type.
+
+    Raises:
+        ImportError: its package is not installed here.
+    """
+    package, kind, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
+
+
+def to_json(value: Any) -> Any:
+    """Return a ROS message, or a value in one, as JSON."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: to_json(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return list(value)
+    if isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, Sequence | array.array) or hasattr(value, "tolist"):
+        return [to_json(each) for each in value]
+    raise TypeError(f"a ROS message holds a {type(value).__name__}, which JSON cannot hold")
+
+
+def fill(message: Any, values: Mapping[str, Any]) -> Any:
+    """Set the fields of a ROS message from JSON, and return the message."""
+    for name, type_name in message.get_fields_and_field_types().items():
+        if name in values:
+            setattr(message, name, _value(getattr(message, name), type_name, values[name]))
+    return message
+
+
+def _value(present: Any, type_name: str, value: Any) -> Any:
+    if hasattr(present, "get_fields_and_field_types"):
+        return fill(present, value)
+    element = type_name.removeprefix("sequence<").split("[")[0].removesuffix(">").split(",")[0]
+    if isinstance(value, list) and "/" in element:
+        package, name = element.split("/")
+        element_class = ros_class(f"{package}/msg/{name}")
+        return [fill(element_class(), each) for each in value]
+    if element == "octet":
+        return [bytes([each]) for each in value] if isinstance(value, list) else bytes([value])
+    # JSON writes a whole float without its point.
+    return float(value) if isinstance(present, float) else value

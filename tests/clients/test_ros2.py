@@ -1,0 +1,57 @@
+"""clients/ros2: an ordinary ROS 2 node moves the arm through the bridge, on Fast DDS."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from harness.server import ROOT, RunningServer
+
+PYTHON = ROOT / "build" / "ros2" / "bin" / "python"
+SCENARIO = Path(__file__).with_name("ros2_scenario.py")
+SCENARIO_TIMEOUT_S = 300
+
+pytestmark = pytest.mark.skipif(
+    not (ROOT / "build" / "ros2" / ".installed").exists(),
+    reason="ROS 2 has no packages for this Python, or none are installed",
+)
+
+# A graph of its own, on this machine alone.
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": str(ROOT / "clients" / "ros2"),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+}
+
+
+@pytest.fixture
+def bridge(server: RunningServer) -> Iterator[subprocess.Popen[bytes]]:
+    command = [str(PYTHON), "-m", "armbridge_ros2.bridge", "--ros-args", "-p", f"url:=ws://127.0.0.1:{server.port}"]
+    with subprocess.Popen(command, env=ENVIRONMENT) as process:
+        yield process
+        process.terminate()
+
+
+@pytest.mark.usefixtures("bridge")
+def test_a_node_of_ros_2_sees_the_arm_moves_it_and_stops_it() -> None:
+    done = subprocess.run(
+        [str(PYTHON), str(SCENARIO)],
+        capture_output=True,
+        text=True,
+        timeout=SCENARIO_TIMEOUT_S,
+        check=False,
+        env=ENVIRONMENT,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    seen = json.loads(done.stdout.splitlines()[-1])
+    assert seen["ends"][:2] == 2 * [["1", "the arm is there"]]
+    assert seen["ends"][2][0] == "-7"
+    assert seen["shoulder_pan"] == pytest.approx(0.5, abs=0.02)
+    assert "<robot" in seen["urdf"] or seen["urdf"].startswith("<?xml")
+    assert seen["stop"][0] is True

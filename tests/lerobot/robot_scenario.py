@@ -1,0 +1,72 @@
+"""The plugin in lerobot's environment: figures of a dataset, or a robot that a test commands by lines."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from lerobot_robot_armbridge import Armbridge, ArmbridgeConfig
+from lerobot_robot_armbridge.units import units_of
+
+
+def dataset(root: str) -> None:
+    """Print the half swings of action and state, and the ends of the state, by joint."""
+    from lerobot.datasets import LeRobotDataset
+
+    frames = LeRobotDataset("local/swing", root=root).hf_dataset
+    joints = json.loads((Path(root) / "meta" / "info.json").read_text())["features"]["action"]["names"]
+    action, state = (np.array([np.asarray(row) for row in frames[key]]) for key in ("action", "observation.state"))
+
+    def by_joint(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(joints, values.tolist(), strict=True))
+
+    print(
+        json.dumps(
+            {
+                "action": by_joint(np.ptp(action, axis=0) / 2),
+                "state": by_joint(np.ptp(state, axis=0) / 2),
+                "lowest": by_joint(state.min(axis=0)),
+                "highest": by_joint(state.max(axis=0)),
+            }
+        )
+    )
+
+
+def opened(root: str) -> None:
+    """Open an exported dataset, and print how long it is and one frame of it."""
+    from lerobot.datasets import LeRobotDataset
+
+    dataset = LeRobotDataset("local/test", root=root, video_backend="pyav")
+    frame = dataset[11]
+    image = next(value for name, value in frame.items() if name.startswith("observation.images."))
+    figures = {"episodes": dataset.num_episodes, "frames": dataset.num_frames, "task": frame["task"]}
+    print(json.dumps({**figures, "image": list(image.shape)}))
+
+
+def robot(url: str) -> None:
+    """Carry out each line of the input, and print its result."""
+    arm = Armbridge(ArmbridgeConfig(url=url, id="scenario"))
+    arm.connect()
+    target = arm.get_observation()
+    for line in sys.stdin:
+        word, *rest = line.split()
+        try:
+            if word == "act":
+                target = {**target, rest[0]: float(rest[1])}
+                result = arm.send_action(target)
+            elif word == "units":
+                limits = {"shoulder_pan": (-1.9, 1.7), "gripper": (-0.2, 1.7)}
+                values = {"calibrated_range_rad.shoulder_pan": "-2.0 1.8", "mode": "holding"}
+                units = units_of(limits, values, use_degrees=rest[0] == "true")
+                there = {joint: units.to_rad(joint, units.from_rad(joint, 0.3)) for joint in limits}
+                result = {"error_rad": max(abs(each - 0.3) for each in there.values())}
+            else:
+                result = arm.get_observation()
+        except Exception as error:
+            result = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(result), flush=True)
+    arm.disconnect()
+
+
+{"dataset": dataset, "open": opened, "robot": robot}[sys.argv[1]](sys.argv[2])

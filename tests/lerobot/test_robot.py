@@ -1,0 +1,248 @@
+"""lerobot's own commands record, replay, train and roll out on the simulated arm, by the plugin in clients/lerobot.
+
+lerobot needs torch, and an environment of its own: ``make test-lerobot`` makes it and runs this.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+
+from armbridge_client import Arm, connect
+from armbridge_client.messages import Header, JointState, Time
+from harness.server import FAST, ROOT, RunningServer
+from harness.waiting import wait_until
+
+BIN = ROOT / "build" / "lerobot" / "bin"
+SCENARIO = Path(__file__).with_name("robot_scenario.py")
+COMMAND_TIMEOUT_S = 900
+LEADER = "/leader/joint_states"
+EPISODES, EPISODE_S, FPS = 2, 5, 15
+
+pytestmark = pytest.mark.skipif(
+    not (BIN / "lerobot-record").exists(), reason="lerobot is not installed: make test-lerobot does it"
+)
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[RunningServer]:
+    with RunningServer(settings=FAST) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def arm(server: RunningServer) -> Iterator[Arm]:
+    with connect(f"ws://127.0.0.1:{server.port}") as connected:
+        yield connected
+
+
+@contextmanager
+def leader(port: int) -> Iterator[None]:
+    """Lead by hand: positions that swing, as another program publishes them."""
+    ended = Event()
+
+    def lead() -> None:
+        with connect(f"ws://127.0.0.1:{port}") as arm:
+            begun_s = time.monotonic()
+            while not ended.wait(0.03):
+                swing = math.sin(time.monotonic() - begun_s)
+                sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+                position = {"shoulder_pan": 0.3, "wrist_flex": 0.3, "wrist_roll": 0.2, "gripper": 0.4}
+                still = {"shoulder_lift": 0.0, "elbow_flex": 0.0}
+                names = [*position, *still]
+                positions = [each * swing + (0.7 if name == "gripper" else 0.0) for name, each in position.items()]
+                message = JointState(Header(Time(sec, nanosec)), names, [*positions, *still.values()])
+                arm.loop.run(arm.asynchronous.connection.publish(LEADER, message))
+
+    thread = Thread(target=lead)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join(timeout=10)
+
+
+@contextmanager
+def camera(port: int) -> Iterator[None]:
+    command = [str(ROOT / ".venv" / "bin" / "armbridge"), "camera", "test", "--width", "320"]
+    with subprocess.Popen([*command, "--connect", f"ws://127.0.0.1:{port}"], stderr=subprocess.DEVNULL) as process:
+        yield
+        process.terminate()
+
+
+def lerobot(command: str, *options: str) -> str:
+    done = subprocess.run(
+        [str(BIN / command), *options],
+        capture_output=True,
+        text=True,
+        timeout=COMMAND_TIMEOUT_S,
+        check=False,
+        # lerobot asks a hub about each dataset unless it is told not to.
+        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+    )
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return done.stdout + done.stderr
+
+
+def robot(port: int, *, with_camera: bool = True) -> list[str]:
+    url = f"ws://127.0.0.1:{port}"
+    camera = f'{{type: armbridge, url: "{url}", topic: /camera/image/compressed, width: 320, height: 240, fps: 15}}'
+    cameras = [f"--robot.cameras={{front: {camera}}}"] if with_camera else []
+    return ["--robot.type=armbridge", f"--robot.url={url}", "--robot.id=simulated", *cameras]
+
+
+@pytest.fixture(scope="module")
+def dataset(server: RunningServer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes that lerobot-record has made of the simulated arm with the test camera."""
+    root = tmp_path_factory.mktemp("lerobot") / "swing"
+    teleop = ["--teleop.type=armbridge", f"--teleop.url=ws://127.0.0.1:{server.port}", f"--teleop.topic={LEADER}"]
+    with camera(server.port), leader(server.port):
+        lerobot(
+            "lerobot-record",
+            *robot(server.port),
+            *teleop,
+            "--dataset.repo_id=local/swing",
+            f"--dataset.root={root}",
+            "--dataset.single_task=swing",
+            f"--dataset.num_episodes={EPISODES}",
+            f"--dataset.episode_time_s={EPISODE_S}",
+            "--dataset.reset_time_s=1",
+            f"--dataset.fps={FPS}",
+            "--dataset.push_to_hub=false",
+            "--play_sounds=false",
+        )
+    return root
+
+
+def of_dataset(root: Path) -> list[str]:
+    return ["--dataset.repo_id=local/swing", f"--dataset.root={root}"]
+
+
+def test_a_dataset_of_two_episodes_holds_what_the_arm_did_in_lerobots_units(dataset: Path) -> None:
+    info = json.loads((dataset / "meta" / "info.json").read_text())
+    assert info["total_episodes"] == EPISODES
+    assert info["features"]["observation.images.front"]["shape"] == [240, 320, 3]
+    done = subprocess.run(
+        [str(BIN / "python"), str(SCENARIO), "dataset", str(dataset)],
+        capture_output=True,
+        text=True,
+        timeout=COMMAND_TIMEOUT_S,
+        check=True,
+        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+    )
+    figures = json.loads(done.stdout.splitlines()[-1])
+    # The leader swings by 0.3 rad; the gripper is in percent of its range.
+    assert figures["action"]["shoulder_pan.pos"] == pytest.approx(math.degrees(0.3), abs=2.0)
+    assert 0.0 <= figures["lowest"]["gripper.pos"] <= figures["highest"]["gripper.pos"] <= 100.0
+    # The arm follows the leader; a follower that stands still has no swing.
+    assert figures["state"]["shoulder_pan.pos"] > 0.5 * figures["action"]["shoulder_pan.pos"]
+
+
+def test_a_recorded_episode_is_replayed_on_the_arm(server: RunningServer, arm: Arm, dataset: Path) -> None:
+    arm.move_named("rest")
+    rest = arm.state().position_rad["shoulder_pan"]
+    lerobot(
+        "lerobot-replay",
+        *robot(server.port, with_camera=False),
+        *of_dataset(dataset),
+        "--dataset.episode=0",
+        "--play_sounds=false",
+    )
+    assert arm.state().position_rad["shoulder_lift"] == pytest.approx(0.0, abs=0.1)
+    assert math.isfinite(rest)
+
+
+def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, dataset: Path, tmp_path: Path) -> None:
+    small = ["dim_model=32", "n_heads=2", "dim_feedforward=32", "n_encoder_layers=1", "n_vae_encoder_layers=1"]
+    small += [
+        "chunk_size=20",
+        "n_action_steps=10",
+        "pretrained_backbone_weights=null",
+        "device=cpu",
+        "push_to_hub=false",
+    ]
+    lerobot(
+        "lerobot-train",
+        *of_dataset(dataset),
+        "--dataset.video_backend=pyav",
+        "--policy.type=act",
+        *(f"--policy.{option}" for option in small),
+        "--steps=3",
+        "--save_freq=3",
+        "--batch_size=2",
+        "--num_workers=0",
+        f"--output_dir={tmp_path / 'act'}",
+        "--wandb.enable=false",
+    )
+    policy = tmp_path / "act" / "checkpoints" / "last" / "pretrained_model"
+    with camera(server.port):
+        report = lerobot(
+            "lerobot-rollout",
+            *robot(server.port),
+            f"--policy.path={policy}",
+            "--policy.device=cpu",
+            "--strategy.type=base",
+            "--task=swing",
+            f"--fps={FPS}",
+            "--duration=5",
+            "--play_sounds=false",
+        )
+    assert "ArmStopped" not in report
+    assert any("teleoperation of arm: following" in line for line in server.lines)
+
+
+@contextmanager
+def scenario(port: int) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(
+        [str(BIN / "python"), str(SCENARIO), "robot", f"ws://127.0.0.1:{port}"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        bufsize=1,
+    ) as process:
+        yield process
+        process.communicate(timeout=60)
+
+
+def ask(process: subprocess.Popen[str], line: str) -> dict[str, float | str]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    print(line, file=process.stdin, flush=True)
+    answer: dict[str, float | str] = json.loads(process.stdout.readline())
+    return answer
+
+
+def test_after_a_stop_the_next_action_is_refused_and_nothing_moves(server: RunningServer, arm: Arm) -> None:
+    with scenario(server.port) as process:
+        here = ask(process, "observe")
+        ask(process, "act shoulder_pan.pos 30")
+        wait_until(lambda: ask(process, "act shoulder_pan.pos 30")["shoulder_pan.pos"] != here["shoulder_pan.pos"], 60)
+        arm.stop()
+        wait_until(lambda: "error" in ask(process, "act shoulder_pan.pos -30"), 60)
+        stopped = arm.state().position_rad
+        refused = ask(process, "act shoulder_pan.pos -30")
+        assert str(refused["error"]).startswith("ArmStopped: the arm no longer follows: ")
+        assert arm.state().position_rad == pytest.approx(stopped, abs=0.01)
+
+
+def test_an_action_that_is_no_number_is_refused_by_its_name(server: RunningServer) -> None:
+    with scenario(server.port) as process:
+        assert ask(process, "act elbow_flex.pos nan")["error"] == (
+            "ValueError: elbow_flex.pos: must be a finite number, is nan"
+        )
+
+
+def test_units_are_there_and_back_the_same(server: RunningServer) -> None:
+    with scenario(server.port) as process:
+        for use_degrees in ("true", "false"):
+            assert ask(process, f"units {use_degrees}")["error_rad"] == pytest.approx(0.0, abs=1e-12)

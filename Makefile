@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-planners lock release clean
+.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -164,6 +164,10 @@ bench-planning: install-dev
 campaign-planners: install-dev
 	mkdir -p build
 	$(BIN)/python -m tests.processes.planner_campaign $(ARGS) 2>build/campaign-planners.log
+
+# Leaders of up to 2 rad/s through folded poses at latencies of 5 to 300 ms: 200 others than those of the tests.
+campaign-following: install-dev
+	FOLLOWING_SEEDS=200 $(BIN)/python -m pytest tests/server/teleop/test_latency.py -k any_leader $(ARGS)
 
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev

@@ -20,6 +20,7 @@ from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING, Planners
 from planners.problem import (
     Answer,
     MoveItErrorCode,
+    MovingRequest,
     PlanningFailure,
     PlanningProblem,
     Request,
@@ -68,7 +69,8 @@ def allowed_time_s(request: Request) -> float:
 class PlannerPool(Planners):
     """Planner processes for one robot: some for motions, and as many warm spares as there may be questions.
 
-    Spares answer questions, which so never wait for motions. Each process has a limit of its data [bytes]. With
+    Spares answer questions, which so never wait for motions. One spare has normal priority, and answers while an arm
+    moves. Each process has a limit of its data [bytes]. With
     ``racing`` idle workers join long searches, as many as there are cores for.
     """
 
@@ -102,7 +104,7 @@ class PlannerPool(Planners):
         """Start the processes, which load in the background."""
         # The spare starts once another has loaded, which has the cores for itself as long as nothing else can plan.
         for _ in range(self._size - 1):
-            await self._spawn()
+            await self._spawn(urgent=False)
         self._in_background(self._spawn_spare())
 
     async def wait_until_loaded(self) -> str | None:
@@ -151,30 +153,30 @@ class PlannerPool(Planners):
 
     async def _have_answered(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
         """Have the next idle worker answer."""
-        worker = await self._take_worker(scene)
+        worker = await self._take_worker(scene, urgent=isinstance(request, MovingRequest))
         if worker is not None:
             return await self._work(worker, request, scene, on_hard)
         reason = self.load_failure or f"no planner process was ready within {LOAD_TIMEOUT_S:g} s"
         return PlanningFailure(MoveItErrorCode.FAILURE, f"planning is not available: {reason}")
 
-    async def _take_worker(self, scene: Scene) -> WorkerProcess | None:
+    async def _take_worker(self, scene: Scene, *, urgent: bool) -> WorkerProcess | None:
         """Wait for an idle worker, which may be a worker that a race gives back."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(LOAD_TIMEOUT_S):
                 while True:
-                    worker = self._take_idle(scene)
+                    worker = self._take_idle(scene, urgent=urgent)
                     if worker is not None or self.load_failure is not None:
                         return worker
                     any(race.give_way() for race in self._races)
                     await self._changed.wait()
         return None
 
-    def _take_idle(self, scene: Scene) -> WorkerProcess | None:
-        """Take an idle worker that has not died, preferably a worker that has the scene."""
+    def _take_idle(self, scene: Scene, *, urgent: bool = False) -> WorkerProcess | None:
+        """Take an idle worker that has not died: of normal priority for a moving arm, and one that has the scene."""
         self._idle = [worker for worker in self._idle if worker.usable]
         if not self._idle:
             return None
-        chosen = min(self._idle, key=lambda worker: not worker.has(scene))
+        chosen = min(self._idle, key=lambda worker: (worker.urgent is not urgent, not worker.has(scene)))
         self._idle.remove(chosen)
         return chosen
 
@@ -229,9 +231,10 @@ class PlannerPool(Planners):
 
     # Private methods for processes: each that ends is replaced.
 
-    async def _spawn(self) -> None:
+    async def _spawn(self, *, urgent: bool) -> None:
         with self._reserve.lent():
-            worker = WorkerProcess(self._robot, self._memory_limit_bytes, self._on_loaded, self._on_exit)
+            limit_bytes = self._memory_limit_bytes
+            worker = WorkerProcess(self._robot, limit_bytes, self._on_loaded, self._on_exit, urgent=urgent)
         self._workers.append(worker)
         try:
             await worker.start()
@@ -266,18 +269,18 @@ class PlannerPool(Planners):
 
     async def _spawn_spare(self) -> None:
         if await self.wait_until_loaded() is None:
-            await self._spawn_one()
+            await self._spawn_one(urgent=True)
 
     async def _replace(self, worker: WorkerProcess) -> None:
         await worker.kill()
         log.warning("planner process %d ended (%s); starting another", worker.pid, worker.ending)
         await self._pause_after_failed_starts()
-        await self._spawn_one()
+        await self._spawn_one(urgent=worker.urgent)
 
-    async def _spawn_one(self) -> None:
+    async def _spawn_one(self, *, urgent: bool) -> None:
         while not self._closing.is_set():
             try:
-                await self._spawn()
+                await self._spawn(urgent=urgent)
             except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try it is missing
                 self._count_failed_start(f"could not be started: {str(error) or type(error).__name__}")
                 await self._pause_after_failed_starts()

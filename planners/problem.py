@@ -230,10 +230,11 @@ class ConcurrencyQuestion:
     others_rad: Mapping[str, float]  # position of every joint that is in neither [rad]
 
 
-# Requests that wait for the turns of motions, and requests with an allowed time.
+# Requests that wait for the turns of motions, requests with an allowed time, and those for which a moving arm waits.
 MotionRequest = PlanningProblem | CartesianProblem | JointPathProblem | NearestGoalQuestion
 TimedRequest = MotionRequest | IkQuestion
-Request = TimedRequest | StateQuestion | RecheckQuestion | ConcurrencyQuestion | ServoQuestion
+MovingRequest = RecheckQuestion | ConcurrencyQuestion | ServoQuestion
+Request = TimedRequest | StateQuestion | MovingRequest
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ log = logging.getLogger("armbridge.planners")
 # The module whose main is the process.
 WORKER_MODULE = "planners.worker"
 
-# Planning gives way to the servo loop and the server, which have deadlines.
+# Planning gives way to the servo loop and the server, which have deadlines. Answers that a moving arm waits for do not.
 NICENESS = 5
 
 # Cancelling takes about a millisecond; past this, native code hangs. Among 12 other programs a worker waited for a core
@@ -41,8 +41,8 @@ def ignore(_spent_s: float) -> None:
 class WorkerProcess:
     """A planner process; it is ``loaded`` once it has ever been ready for requests.
 
-    ``on_loaded`` is called once, with None when it is ready for requests, or with the reason for which it never will
-    be; ``on_exit`` once when the process is gone.
+    An ``urgent`` process has normal priority. ``on_loaded`` is called once, with None when it is ready for requests, or
+    with the reason for which it never will be; ``on_exit`` once when the process is gone.
     """
 
     def __init__(
@@ -51,11 +51,16 @@ class WorkerProcess:
         memory_limit_bytes: int,
         on_loaded: Callable[[WorkerProcess, str | None], None],
         on_exit: Callable[[WorkerProcess], None],
+        *,
+        urgent: bool = False,
     ) -> None:
+        self.urgent = urgent
         self._load = LoadRobot(robot, memory_limit_bytes)
         self._on_loaded = on_loaded
         self._on_exit = on_exit
-        self._child = Child(StartedChild(WORKER_MODULE), self._received, self._exited, niceness=NICENESS)
+        self._child = Child(
+            StartedChild(WORKER_MODULE), self._received, self._exited, niceness=0 if urgent else NICENESS
+        )
         self._ending = False
         self._number = 0
         self.loaded = False

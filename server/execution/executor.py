@@ -282,7 +282,9 @@ class GoalExecutor:
         before, which takes some milliseconds: it takes over that much later.
         """
         outgoing, asked_s = self._player.outgoing, self._clock()
-        if outgoing is None or frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
+        if outgoing is None or not request.spliced:
+            return None
+        if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
             return None
         horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, HORIZON_S)
         point = outgoing.splice_point(asked_s, horizon_s)

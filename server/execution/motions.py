@@ -71,10 +71,12 @@ class ExternalTrajectory:
     Attributes:
         trajectory: makes it from the position of every joint at its start [rad], the monotonic time of that [s], and
             the splice point at which it begins, or None at rest; or raises RefusedError.
+        spliced: False for one that begins at rest alone.
     """
 
     trajectory: Callable[[Positions, float, SplicePoint | None], Trajectory]
     joints: Joints
+    spliced: bool = True
 
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory

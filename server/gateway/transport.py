@@ -12,6 +12,7 @@ import logging
 import math
 import socket
 import struct
+import sys
 import time
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     from server.gateway.client import Client
 
 log = logging.getLogger("armbridge.gateway")
+
+# asyncio of Python 3.12.0 to 3.12.8, 3.13.0 and 3.13.1 writes lines without a bound (CVE-2024-12254).
+WRITELINES_NEVER_PAUSES = (3, 12) <= sys.version_info < (3, 12, 9) or (3, 13) <= sys.version_info < (3, 13, 2)
 
 # While more than this waits for the socket to take it, the rest waits where it can be dropped.
 WRITE_LIMIT_BYTES = 32_768
@@ -380,7 +384,10 @@ class Transport(asyncio.Protocol):
 
     def _write_now(self, pieces: Sequence[bytes]) -> None:
         try:
-            self._transport.writelines(pieces)
+            if WRITELINES_NEVER_PAUSES:
+                self._transport.write(b"".join(pieces))
+            else:
+                self._transport.writelines(pieces)
         except MemoryError:
             # Part of a frame may have been written, so no reason can follow.
             self._failure = ConnectionAbortedError(OUT_OF_MEMORY)

@@ -91,7 +91,7 @@ def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTimin
             at_s = timing.begins_s
         return _joined_trajectory(message, robot, held_rad, at_s - timing.begins_s, point, timing.speed_limit)
 
-    return ExternalTrajectory(make, joints)
+    return ExternalTrajectory(make, joints, spliced=timing is not None)
 
 
 def _is_immediate(message: Message) -> bool:
@@ -138,7 +138,8 @@ def _joined_trajectory(
     limits = speed_limit * bounds.max_velocity, bounds.max_acceleration
     try:
         way = bridge(group.joints, start, (end, end_velocity), limits, float(time_s[0]))
-    except RuckigError as error:
+    except (RuckigError, ValueError) as error:
+        # A ValueError is a result that the bindings do not know, as of a motion that takes too long.
         text = f"points[{first}] cannot be reached from where the joints are: {error}"
         raise _invalid(text, index=first) from error
     if len(time_s) == 1:

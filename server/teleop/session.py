@@ -56,6 +56,9 @@ GRIPPER_LATENCY_S = 0.02
 # A way to the leader that does not begin, because planners are slow or another motion is in the way, is given up [s].
 RAMP_BEGINS_WITHIN_S = 2.0
 
+# Nearer to its leader a follower comes after it by itself; from further away it goes by a planned motion [rad].
+MAX_LAG_RAD = 1.2
+
 # States are published as often as people read them [s].
 SHOWN_EVERY_S = 0.2
 
@@ -216,7 +219,7 @@ class FollowingSession:
         now_s = self._clock()
         obstacle = self._obstacle(now_s)
         if self._interrupted and not obstacle and self.following.phase is Phase.FOLLOWING:
-            # The planners were late: the arm has come to rest by itself.
+            # The planners were late and the arm has come to rest by itself, or the leader is far away.
             self._carry_out(self.following.interrupt(now_s, self._interrupted), now_s)
         self._interrupted = ""
         age_s, jump = self._samples.age_s(now_s), self._samples.take_jump()
@@ -288,12 +291,21 @@ class FollowingSession:
         goals = self._servo.positions_rad()
         if not goals:
             return
+        lags_rad = {name: abs(target - goals[name]) for name, target in steered.items()}
+        behind = max(lags_rad, key=lambda name: lags_rad[name], default="")
+        self._lag_rad = lags_rad.get(behind, 0.0)
+        if self._lag_rad > MAX_LAG_RAD:
+            # Taken by the next tick: the follower brakes, and goes to the leader.
+            self._interrupted = (
+                f"{behind} is {self._lag_rad:.2f} rad behind the leader (limit {MAX_LAG_RAD:g} rad): the follower goes "
+                "there by a planned motion"
+            )
+            return
         leader_rad_s = self._velocities(pose)
         velocities = tracking_velocities(goals, steered, leader_rad_s, self._limits, self._servo.latency_s)
         self._servo.set_command(JointVelocities(velocities), STALE_S)
         self._follow_with_gripper(targets, leader_rad_s)
         self._read_at_s = now_s - pose.latency_s
-        self._lag_rad = max((abs(target - goals[name]) for name, target in steered.items()), default=0.0)
         self._show_targets(targets)
 
     def _velocities(self, pose: LeaderPose) -> dict[str, float]:

@@ -44,8 +44,11 @@ class FakeWorker:
         pid: int,
         on_loaded: Callable[[FakeWorker, str | None], None],
         on_exit: Callable[[FakeWorker], None],
+        *,
+        urgent: bool,
     ) -> None:
         self.pid = pid
+        self.urgent = urgent
         self.asked: list[Request] = []
         self._farm = farm
         self._on_loaded, self._on_exit = on_loaded, on_exit
@@ -139,7 +142,9 @@ class Farm:
         _memory_limit_bytes: int,
         on_loaded: Callable[[FakeWorker, str | None], None],
         on_exit: Callable[[FakeWorker], None],
+        *,
+        urgent: bool,
     ) -> FakeWorker:
         """Make a worker, as the constructor of :class:`planners.worker_process.WorkerProcess` does."""
-        self.workers.append(FakeWorker(self, next(self._pids), on_loaded, on_exit))
+        self.workers.append(FakeWorker(self, next(self._pids), on_loaded, on_exit, urgent=urgent))
         return self.workers[-1]

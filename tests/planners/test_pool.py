@@ -346,3 +346,16 @@ async def test_a_worker_that_hangs_while_it_loads_is_ended(loading: PlannerPool,
     assert not farm.workers[1].killed
     await asyncio.sleep(0.2 * LOAD_TIMEOUT_S)
     assert farm.workers[1].killed
+
+
+async def test_a_moving_arm_asks_the_worker_of_normal_priority_also_after_it_was_replaced(
+    loading: PlannerPool, farm: Farm
+) -> None:
+    for number in (1, 2):
+        await until(lambda number=number: len(farm.workers) > number and farm.workers[-1].loaded)
+        assert [worker.urgent for worker in farm.workers] == [False, True, True][: number + 1]
+        await loading.ask(SERVO, Scene(number))
+        await loading.ask(EASY, Scene(number))
+        assert farm.workers[number].asked == [SERVO]
+        assert EASY in farm.workers[0].asked
+        farm.workers[number].end()

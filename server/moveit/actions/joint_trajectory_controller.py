@@ -262,6 +262,8 @@ class JointTrajectoryController:
         context, now_s = self._context, self._context.clock()
         check_duration(trajectory, context.time_limits)
         starts_in_s = check_trajectory(trajectory, self._group, time.time())
+        last_s = read_seconds(trajectory["points"][-1]["time_from_start"], "trajectory.points[-1].time_from_start")
+        context.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         # A client without a stamp has the stamp of its arrival.
         stamped = abs(starts_in_s) > SAME_STAMP_S
         moving = bool(self._queue.busy_with(self._group.joints))
@@ -274,9 +276,7 @@ class JointTrajectoryController:
         motion = external_motion(trajectory, self._robot, timing)
         present_rad = context.planning.current.positions_rad()
         if present_rad is not None:
-            made = motion.trajectory(present_rad, now_s, None)
-            context.time_limits.check_duration(made.duration_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-            context.check_speed(made)
+            context.check_speed(motion.trajectory(present_rad, now_s, None))
         return motion
 
 

@@ -40,7 +40,7 @@ from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecuto
 from server.execution.failures import FailedGoals
 from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions
+from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions, SplicePoint
 from server.execution.motions_in_progress import MotionsInProgress
 from server.execution.queue import GoalQueue
 from server.execution.time_limits import ExecutionDeadline, TimeLimits
@@ -461,6 +461,25 @@ def be_nowhere_to_leave(stage: Stage) -> None:
     outgoing = stage.executor._player.outgoing
     assert outgoing is not None
     stage.executor._player.outgoing = replace(outgoing, path_time=PathTime(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("spliced", [True, False])
+async def test_a_given_trajectory_replaces_the_motion_without_a_stop_unless_it_begins_at_rest(
+    stage: Stage, *, spliced: bool
+) -> None:
+    await under_way(stage)
+
+    def trajectory(_positions_rad: Positions, _at_s: float, point: SplicePoint | None) -> Trajectory:
+        held_rad = stage.executor._held_rad() if point is None else point.positions_rad
+        return smooth_move({name: (held_rad[name], held_rad[name] + 0.1) for name in ARM}, 1.0)
+
+    await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM), spliced=spliced))
+    await until(lambda: len(stage.arm.played) == 2)
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert (stage.arm.stops == []) is spliced
+    assert len(stage.arm.continued) == int(spliced)
+    assert len(stage.rechecked) == 1
 
 
 OTHERWISE: dict[str, Callable[[Stage], object]] = {

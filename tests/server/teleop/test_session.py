@@ -137,6 +137,19 @@ async def test_a_follower_that_does_not_set_out_for_the_leader_within_two_second
     await rig.session.close()
 
 
+async def test_a_leader_that_is_far_ahead_is_followed_by_a_planned_motion(rig: Rig) -> None:
+    await begin(rig)
+    asked = len(rig.questions)
+    rig.clock.advance(1.0)
+    rig.read(1.5)
+    await rig.until(lambda: rig.session._interrupted != "")
+    assert "elbow_flex is 1.50 rad behind the leader (limit 1.2 rad)" in rig.session._interrupted
+    rig.read(1.5)
+    await rig.until(lambda: rig.session.following.phase is not Phase.FOLLOWING)
+    assert len(rig.questions) == asked
+    await rig.session.close()
+
+
 async def test_a_leader_that_speaks_in_degrees_leads_nowhere(rig: Rig) -> None:
     rig.read(30.0)
     rig.session.start()

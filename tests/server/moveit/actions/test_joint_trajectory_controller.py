@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
@@ -34,7 +35,6 @@ from server.moveit.actions.joint_trajectory_controller import (
     read_segment_tolerances,
     read_tolerances,
     rejection_code,
-    violation,
 )
 from server.moveit.trajectories import external_trajectory
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
@@ -111,6 +111,14 @@ async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_contin
     assert desk.results[0].values["error_string"] == TOO_LONG_WORDS
     assert desk.refused == [TOO_LONG_WORDS] * 2
     assert len(desk.asked) == 1
+
+
+async def test_a_stamp_too_far_in_the_future_is_refused(desk: Desk) -> None:
+    for ahead_s in (700.0, 2e4, 3e8):
+        stamp = {"sec": int(time.time() + ahead_s), "nanosec": 0}
+        with pytest.raises(GraphError, match=r"to the last point of the trajectory is .* longer than"):
+            await desk.publish(**TRAJECTORY, header={"stamp": stamp})
+    assert desk.asked == []
 
 
 async def test_the_publisher_hears_of_each_refusal_of_a_stream_and_others_of_the_first_in_a_row(desk: Desk) -> None:
@@ -337,10 +345,6 @@ async def test_subscribers_get_reference_and_feedback_of_the_joints(desk: Desk, 
     assert heard[0]["speed_scaling_factor"] == 1.0
 
 
-STANDING = replace(FakeArm().state, position_rad=np.full(len(JOINTS), 0.1))
-WANTED = dict.fromkeys(JOINTS, 0.0)
-
-
 def read(name: str, position_rad: float) -> object:
     tolerance = message("control_msgs/msg/JointTolerance", name=name, position=position_rad)
     return outcome(read_tolerances, [tolerance], "path_tolerance", JOINTS)
@@ -349,7 +353,3 @@ def read(name: str, position_rad: float) -> object:
 @pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])
 def test_only_a_positive_tolerance_is_checked(position_rad: float, demanded: dict[str, float]) -> None:
     assert read("elbow_flex", position_rad) == demanded
-
-
-def test_an_arm_that_is_not_read_violates_nothing() -> None:
-    assert violation({"elbow_flex": 0.05}, replace(STANDING, position_rad=None), WANTED, ROBOT) == ""

@@ -100,7 +100,7 @@ class ArmSettings(SettingsSection):
     real arm is not enabled.
     """
     zero_offset_rad: dict[str, float] = Field(default_factory=dict)
-    """trim of joints' zeros, at most 0.5 rad: { elbow_flex = 0.02 } [rad]."""
+    """trim of joints' zeros by name, at most 0.5 rad: { elbow = 0.02 } [rad]."""
     urdf: Path | None = None
     """a URDF in place of the robot's; without robot, serial and calibration its arm is an ideal one, whose joints
     follow their goals (docs/simulation.md).

@@ -125,7 +125,8 @@ class ExecutionContext:
     Attributes:
         failed_goals: keeps goals that could not be planned; None to keep none.
         show: called with every plan before it is executed.
-        confirm: waits for a user's confirmation of a plan; returns None to execute it, else the goal's answer.
+        confirm: reports that a plan waits, and waits for a user's confirmation; returns None to execute the plan, else
+            the goal's answer.
     """
 
     robot: RobotModel
@@ -377,9 +378,6 @@ class GoalExecutor:
         """Wait for the confirmation of a plan; return None when it is given."""
         if self._confirm is None:
             return None
-        proposed = isinstance(goal.request.motion, PlannedMotion) and goal.request.motion.proposed
-        waits = f"{goal.request.client} asks for your approval" if proposed else "waits to be confirmed"
-        goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
         answer = await goal.unless_cancelled(self._confirm(goal, planned))
         goal.check("before the motion began")
         return None if answer is None else replace(answer, performed=planned.performed)

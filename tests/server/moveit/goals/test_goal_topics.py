@@ -227,6 +227,14 @@ async def test_false_discards_the_plan(gate: Gate) -> None:
     assert CONFIRM_TOPIC in answer.message
 
 
+async def test_a_client_that_hears_that_a_plan_waits_can_decide_at_once(gate: Gate) -> None:
+    def decide(progress: Progress) -> None:
+        assert progress.state is GoalState.PLANNED
+        gate.say({"data": True})
+
+    assert await gate.confirmation.wait(Goal("7", goal().request, decide), PLANNED) is None
+
+
 async def test_a_plan_that_is_not_confirmed_in_time_is_discarded() -> None:
     for proposed, topic in ((False, CONFIRM_TOPIC), (True, APPROVE_TOPIC)):
         answer = await Gate(timeout_s=0.01).confirmation.wait(goal(proposed=proposed), PLANNED)

@@ -76,8 +76,10 @@ def leader(port: int) -> Iterator[None]:
 def camera(port: int) -> Iterator[None]:
     command = [str(ROOT / ".venv" / "bin" / "armbridge"), "camera", "test", "--width", "320"]
     with subprocess.Popen([*command, "--connect", f"ws://127.0.0.1:{port}"], stderr=subprocess.DEVNULL) as process:
-        yield
-        process.terminate()
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 def lerobot(command: str, *options: str) -> str:

@@ -232,3 +232,10 @@ def test_an_episode_is_marked(arm: Arm) -> None:
     arm.episodes.discard()
     with pytest.raises(RequestRefused):
         arm.episodes.stop()
+
+
+def test_a_topic_whose_name_looks_like_another_one_is_published_on(arm: Arm) -> None:
+    connection = arm.asynchronous.connection
+    for _ in range(3):
+        arm.loop.run(connection.publish("/leader/joint_states", JointState(name=["shoulder_pan"], position=[0.0])))
+        arm.state()

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import time
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from protocol.dialect import Dialect
@@ -54,8 +55,10 @@ MAX_UNKNOWN_BYTES = 131_072
 # Viewers send nothing long, and a message of ten megabytes takes the server a second.
 MAX_VIEW_BYTES = 1_048_576
 
-# Values of ``?on_disconnect=``: True where goals end with the connection.
-_GOALS_END = {"stop": True, "finish": False}
+
+def goals_end_with_client(query: Mapping[str, Sequence[str]], *, unless_asked: bool) -> bool:
+    """Return True where a client's goals are cancelled when it leaves, as its query chooses by ``on_disconnect``."""
+    return {"stop": True, "finish": False}.get(query.get("on_disconnect", [""])[-1], unless_asked)
 
 
 class TrafficCounts(NamedTuple):
@@ -110,11 +113,10 @@ class Connection:
         self._watch: asyncio.TimerHandle | None = None
         self._max_delay_s = limits.max_topic_delay_s
         query = transport.query
-        asked = query.get("on_disconnect", [""])[-1]
         node = Node(
             display_name(transport.identity, place),
             remote=True,
-            takes_goals_along=_GOALS_END.get(asked, takes_goals_along),
+            takes_goals_along=goals_end_with_client(query, unless_asked=takes_goals_along),
             identity=transport.identity,
             address=place,
         )

@@ -19,6 +19,7 @@ from protocol.errors import describe, one_line, shorten
 from protocol.operations import CallService, SendActionGoal
 from server.access.authorization import Access, Authorizer, rule_of_action, rule_of_service
 from server.arrival import arrived_in
+from server.gateway.connection import goals_end_with_client
 from server.gateway.http import HttpResponse, PostedRequest
 from server.graph.actions import GoalStatus, Result
 from server.graph.node import Node
@@ -78,11 +79,10 @@ class HttpGoals:
 
     async def answer(self, posted: PostedRequest) -> HttpResponse:
         """Carry out a goal and return its answer."""
-        asked = posted.query.get("on_disconnect", [""])[-1]
         node = Node(
             display_name(posted.identity, posted.address),
             remote=True,
-            takes_goals_along={"stop": True, "finish": False}.get(asked, self._takes_goals_along),
+            takes_goals_along=goals_end_with_client(posted.query, unless_asked=self._takes_goals_along),
             identity=posted.identity,
             address=posted.address,
         )

@@ -30,7 +30,7 @@ def connect(
     token: str | None = None,
     arm: str = "",
     tls: ssl.SSLContext | None = None,
-    on_disconnect: Literal["stop", "continue"] = "stop",
+    on_disconnect: Literal["stop", "finish"] = "stop",
     timeout_s: float = 5.0,
 ) -> Arm:
     """Connect to a server; to be used with ``with``.
@@ -40,7 +40,7 @@ def connect(
         token: authentication token, if the server requires one.
         arm: name of one of several arms; empty for the only arm.
         tls: context that trusts a certificate of your own: ``ssl.create_default_context(cafile="arm.pem")``.
-        on_disconnect: ``stop`` ends the motions of this program when its connection ends, ``continue`` lets them go on.
+        on_disconnect: ``stop`` ends the motions of this program when its connection ends, ``finish`` lets them go on.
 
     Raises:
         ServerUnreachable: nothing listens at the address.
@@ -186,7 +186,7 @@ class Arm(Face[AsyncArm]):
         self.close()
 
     def close(self) -> None:
-        """Disconnect; motions in progress are stopped, unless ``on_disconnect="continue"``."""
+        """Disconnect; motions in progress are stopped, unless ``on_disconnect="finish"``."""
         with contextlib.suppress(ConnectionLost):  # closed before
             self.loop.run(self.asynchronous.close())
         self.loop.end()

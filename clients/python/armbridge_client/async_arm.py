@@ -54,7 +54,7 @@ async def connect_async(
     token: str | None = None,
     arm: str = "",
     tls: ssl.SSLContext | None = None,
-    on_disconnect: Literal["stop", "continue"] = "stop",
+    on_disconnect: Literal["stop", "finish"] = "stop",
     timeout_s: float = 5.0,
 ) -> AsyncArm:
     """Connect to a server, for programs with an event loop.
@@ -119,7 +119,7 @@ class AsyncArm:
         return AsyncArm(self.connection, name)
 
     async def close(self) -> None:
-        """Disconnect; motions in progress are stopped, unless ``on_disconnect="continue"``."""
+        """Disconnect; motions in progress are stopped, unless ``on_disconnect="finish"``."""
         await self.connection.close()
 
     async def wait_connected(self, timeout_s: float = CALL_TIMEOUT_S) -> None:

@@ -63,13 +63,13 @@ class Address:
     Attributes:
         token: authentication token, None for none.
         tls: for ``wss://``: context that checks the server's certificate, None for the system's authorities.
-        on_disconnect: ``stop`` ends this client's motions when it is gone, ``continue`` lets them go on.
+        on_disconnect: ``stop`` ends this client's motions when it is gone, ``finish`` lets them go on.
     """
 
     url: str
     token: str | None = None
     tls: ssl.SSLContext | None = None
-    on_disconnect: Literal["stop", "continue"] = "stop"
+    on_disconnect: Literal["stop", "finish"] = "stop"
     connect_timeout_s: float = 5.0
 
     def open(self) -> connect:

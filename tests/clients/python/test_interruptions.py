@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import threading
@@ -11,6 +12,7 @@ from types import FrameType
 import pytest
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect, connect_async
+from armbridge_client.messages import MoveitGoalFeedback
 from harness.server import RunningServer
 from harness.waiting import wait_until
 
@@ -127,3 +129,26 @@ def test_a_stop_ends_the_gripper_and_the_program_knows(arm: Arm) -> None:
     arm.stop()
     opening.join(10.0)
     assert "PREEMPTED (-7): the gripper was stopped" in str(ends[0])
+
+
+def test_a_motion_goes_on_without_its_client_where_the_client_chose_so() -> None:
+    """Also where the server's own setting is that goals end with their client."""
+    with RunningServer(settings={"ARMBRIDGE_GOALS__ON_DISCONNECT": "stop"}) as server, connect(server.url) as watcher:
+        begun = threading.Event()
+        leaving = connect(server.url, on_disconnect="finish")
+
+        def move() -> None:
+            with contextlib.suppress(ConnectionLost):
+                leaving.move({"shoulder_pan": 0.8}, speed=0.2, on_progress=on_progress)
+
+        def on_progress(progress: MoveitGoalFeedback) -> None:
+            if progress.state == "executing":
+                begun.set()
+
+        thread = threading.Thread(target=move)
+        thread.start()
+        assert begun.wait(60.0)
+        leaving.close()
+        thread.join(60.0)
+        wait_until(lambda: watcher.state().mode == "holding", 60)
+        assert watcher.state().position_rad["shoulder_pan"] == pytest.approx(0.8, abs=0.02)

@@ -13,6 +13,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
+from typing import Protocol
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -70,7 +71,7 @@ class Game:
         )
         self.seen: list[str] = []
 
-    def write(self, line: str) -> None:
+    def give(self, line: str) -> None:
         assert self.process.stdin is not None
         self.process.stdin.write(line + "\n")
 
@@ -102,19 +103,32 @@ def test_the_arm_is_moved_by_name_by_joint_by_tip_and_stopped(server: RunningSer
     arm = game(f"ws://127.0.0.1:{server.port}")
     assert arm.until("report").startswith("connected to ws://127.0.0.1")
     arm.until("joints")
-    arm.write("named ready")
-    assert arm.until("goal") == "1 the arm is there"
-    arm.write("joint shoulder_pan 0.5")
-    assert arm.until("goal") == "1 the arm is there"
     # Unity: 10 cm to the right, 20 cm up, 25 cm ahead.
-    arm.write("tip 0.1 0.2 0.25")
+    goes_round(arm, tip="0.1 0.2 0.25", far="9 9 9", gripped="True the gripper is there")
+
+
+class Driven(Protocol):
+    """An arm that is moved by the lines of a driver: of Unity's, or of Unreal's."""
+
+    def give(self, line: str) -> None: ...
+
+    def until(self, beginning: str) -> str: ...
+
+
+def goes_round(arm: Driven, *, tip: str, far: str, gripped: str) -> None:
+    """Move an arm by name, joint, tip and gripper, to where it cannot go, and stop it midway."""
+    arm.give("named ready")
     assert arm.until("goal") == "1 the arm is there"
-    arm.write("gripper 1.0")
-    assert arm.until("gripper") == "True the gripper is there"
-    arm.write("tip 9 9 9")
+    arm.give("joint shoulder_pan 0.5")
+    assert arm.until("goal") == "1 the arm is there"
+    arm.give(f"tip {tip}")
+    assert arm.until("goal") == "1 the arm is there"
+    arm.give("gripper 1.0")
+    assert arm.until("gripper") == gripped
+    arm.give(f"tip {far}")
     assert arm.until("goal").startswith("-31 ")
-    arm.write("joint shoulder_pan -0.5")
-    arm.write("stop")
+    arm.give("joint shoulder_pan -0.5")
+    arm.give("stop")
     assert arm.until("goal").startswith("-7 ")
 
 
@@ -123,8 +137,8 @@ def test_a_named_goal_that_another_one_replaces_is_not_taken_for_the_end_of_the_
 ) -> None:
     arm = game(f"ws://127.0.0.1:{server.port}")
     arm.until("joints")
-    arm.write("named ready")
-    arm.write("named rest")
+    arm.give("named ready")
+    arm.give("named rest")
     assert arm.until("goal") == "1 the arm is there"
 
 
@@ -134,13 +148,13 @@ def test_a_goal_is_not_sent_without_a_connection_and_its_lost_answer_is_reported
     with RunningServer() as lost:
         arm = game(f"ws://127.0.0.1:{lost.port}")
         arm.until("joints")
-        arm.write("named ready")
+        arm.give("named ready")
         assert arm.until("sent") == "True"
         lost.process.kill()
         assert (
             arm.until("goal") == "-25 the connection was lost before the goal's end came; the arm may still be moving"
         )
-    arm.write("named rest")
+    arm.give("named rest")
     assert arm.until("sent") == "False"
 
 

@@ -14,7 +14,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from harness.server import ROOT, RunningServer
-from tests.clients.test_unity import floats, stl
+from tests.clients.test_unity import floats, goes_round, stl
 from tests.test_docs import rotation
 from tests.test_readme import blocks
 
@@ -56,7 +56,7 @@ class Game:
         self.process = subprocess.Popen(
             [str(driver)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
-        self.request("setup")
+        self.give("setup")
 
     def ask(self, line: str) -> list[str]:
         """Give the driver a line, and return its answer."""
@@ -65,11 +65,11 @@ class Game:
         self.process.stdin.write(line + "\n")
         return list(iter(lambda: self.process.stdout.readline().rstrip("\n"), "end"))  # type: ignore[union-attr]
 
-    def request(self, command: str) -> None:
+    def give(self, line: str) -> None:
         """Give a command, and send the frames that it makes."""
-        for line in self.ask(command):
-            assert line.startswith("send "), line
-            self.socket.send(line.removeprefix("send "))
+        for answer in self.ask(line):
+            assert answer.startswith("send "), answer
+            self.socket.send(answer.removeprefix("send "))
 
     def until(self, beginning: str) -> str:
         """Take frames until there is an event that begins so; return its rest."""
@@ -89,25 +89,13 @@ def arm(driver: Path, server: RunningServer) -> Iterator[Game]:
 
 def test_the_arm_is_moved_by_name_by_joint_by_tip_and_stopped(arm: Game) -> None:
     assert "shoulder_pan" in arm.until("joints")
-    arm.request("named ready")
-    assert arm.until("goal") == "1 the arm is there"
-    arm.request("joint shoulder_pan 0.5")
-    assert arm.until("goal") == "1 the arm is there"
     # Unreal: 25 cm ahead, 10 cm to the right, 20 cm up.
-    arm.request("tip 25 10 20")
-    assert arm.until("goal") == "1 the arm is there"
-    arm.request("gripper 1.0")
-    assert arm.until("gripper") == "1 the gripper is there"
-    arm.request("tip 900 900 900")
-    assert arm.until("goal").startswith("-31 ")
-    arm.request("joint shoulder_pan -0.5")
-    arm.request("stop")
-    assert arm.until("goal").startswith("-7 ")
+    goes_round(arm, tip="25 10 20", far="900 900 900", gripped="1 the gripper is there")
 
 
 def test_a_named_goal_that_another_one_replaces_is_not_taken_for_the_end_of_the_latest(arm: Game) -> None:
-    arm.request("named ready")
-    arm.request("named rest")
+    arm.give("named ready")
+    arm.give("named rest")
     assert arm.until("goal") == "1 the arm is there"
 
 

@@ -44,9 +44,9 @@ def opened(root: str) -> None:
     print(json.dumps({**figures, "image": list(image.shape)}))
 
 
-def robot(url: str) -> None:
+def robot(url: str, name: str = "") -> None:
     """Carry out each line of the input, and print its result."""
-    arm = Armbridge(ArmbridgeConfig(url=url, id="scenario"))
+    arm = Armbridge(ArmbridgeConfig(url=url, id="scenario", arm=name))
     arm.connect()
     target = arm.get_observation()
     for line in sys.stdin:
@@ -69,4 +69,4 @@ def robot(url: str) -> None:
     arm.disconnect()
 
 
-{"dataset": dataset, "open": opened, "robot": robot}[sys.argv[1]](sys.argv[2])
+{"dataset": dataset, "open": opened, "robot": robot}[sys.argv[1]](*sys.argv[2:])

@@ -19,7 +19,7 @@ import pytest
 
 from armbridge_client import Arm, connect
 from armbridge_client.messages import Header, JointState, Time
-from harness.server import FAST, ROOT, RunningServer
+from harness.server import FAST, FAST_ARMS, ROOT, RunningServer
 from harness.waiting import wait_until
 
 BIN = ROOT / "build" / "lerobot" / "bin"
@@ -204,9 +204,9 @@ def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, d
 
 
 @contextmanager
-def scenario(port: int) -> Iterator[subprocess.Popen[str]]:
+def scenario(port: int, *arm: str) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(
-        [str(BIN / "python"), str(SCENARIO), "robot", f"ws://127.0.0.1:{port}"],
+        [str(BIN / "python"), str(SCENARIO), "robot", f"ws://127.0.0.1:{port}", *arm],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -236,6 +236,15 @@ def test_after_a_stop_the_next_action_is_refused_and_nothing_moves(server: Runni
         refused = ask(process, "act shoulder_pan.pos -30")
         assert str(refused["error"]).startswith("ArmStopped: the arm no longer follows: ")
         assert arm.state().position_rad == pytest.approx(stopped, abs=0.01)
+
+
+def test_one_of_several_arms_follows_by_lerobots_names() -> None:
+    with (
+        RunningServer("--port 0 --config examples/two_arms.toml", settings=FAST_ARMS) as two,
+        scenario(two.port, "left") as process,
+    ):
+        wait_until(lambda: float(ask(process, "act shoulder_pan.pos 15")["shoulder_pan.pos"]) > 14.0, 60)
+        assert ask(process, "observe")["elbow_flex.pos"] == pytest.approx(0.0, abs=2.0)
 
 
 def test_an_action_that_is_no_number_is_refused_by_its_name(server: RunningServer) -> None:

@@ -201,7 +201,7 @@ class Following:
         self._sending = asyncio.create_task(self._keep_sending())
         request = StartTeleopRequest(follower=self._name, leader=self._topic)
         try:
-            response = await self._connection.call("/teleop/start", request, START_TIMEOUT_S)
+            response = await self._connection.call(f"{self._link.prefix}/teleop/start", request, START_TIMEOUT_S)
         except BaseException:
             self._sending.cancel()
             raise
@@ -237,6 +237,7 @@ class Following:
             sent = self._sent_rad[joint]
             self._sent_rad[joint] = sent + min(max(target - sent, -step), step)
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
-        names = list(self._sent_rad)
-        message = JointState(Header(Time(sec, nanosec)), names, [self._sent_rad[name] for name in names])
+        # A leader's joints have no arm's name: the server pairs equal names.
+        positions = [self._sent_rad[name] for name in self._link.server_names.values()]
+        message = JointState(Header(Time(sec, nanosec)), list(self._link.server_names), positions)
         await self._connection.publish(self._topic, message)

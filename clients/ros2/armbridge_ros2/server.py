@@ -79,8 +79,9 @@ class Server:
             self._number += 1
             number = str(self._number)
             self._calls[number] = answer
-        if not self._send({"op": "call_service", "id": number, "service": service, "args": request}):
-            self._calls.pop(number, None)
+        sent = self._send({"op": "call_service", "id": number, "service": service, "args": request})
+        # The connection's thread may have given the call up already.
+        if not sent and self._calls.pop(number, None) is not None:
             answer.set_exception(ConnectionError(f"{service}: there is no connection to {self._url}"))
         return answer
 
@@ -121,8 +122,9 @@ class Server:
                 pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
     def _lose(self, reason: str) -> None:
-        self._socket = None
-        lost, self._calls = self._calls, {}
+        with self._lock:
+            self._socket = None
+            lost, self._calls = self._calls, {}
         for answer in lost.values():
             answer.set_exception(ConnectionError(f"{self._url}: {reason}"))
         if not self._ended.is_set():

@@ -112,7 +112,7 @@ namespace Armbridge
                         }
                         open = socket;
                         delay = FirstDelay;
-                        reports.Enqueue("connected to " + url);
+                        Report("connected to " + url);
                         await Receive(socket);
                     }
                 }

@@ -15,6 +15,7 @@ from harness.server import ROOT, RunningServer
 PYTHON = ROOT / "build" / "ros2" / "bin" / "python"
 SCENARIO = Path(__file__).with_name("ros2_scenario.py")
 SCENARIO_TIMEOUT_S = 300
+END_TIMEOUT_S = 60
 
 pytestmark = pytest.mark.skipif(
     not (ROOT / "build" / "ros2" / ".installed").exists(),
@@ -36,6 +37,10 @@ def bridge(server: RunningServer) -> Iterator[subprocess.Popen[bytes]]:
     with subprocess.Popen(command, env=ENVIRONMENT) as process:
         yield process
         process.terminate()
+        try:
+            assert process.wait(END_TIMEOUT_S) == 0
+        finally:
+            process.kill()
 
 
 @pytest.mark.usefixtures("bridge")

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import concurrent.futures
+import signal
+import threading
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 
 from armbridge_ros2.interfaces import FROM_SERVER, SERVICES, TO_SERVER, Joined, fill, ros_class, to_json
 from armbridge_ros2.server import Server
 
 ANSWER_TIMEOUT_S = 60.0
+LONGEST_WAIT_S = 0.5
 QUEUE = 10
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -91,17 +95,22 @@ class Bridge(Node):
 
 
 def main() -> None:
-    """Run the node until Ctrl+C."""
-    rclpy.init()
+    """Run the node until Ctrl+C or SIGTERM."""
+    # rclpy's own handlers end the graph under messages that still come, and on a busy machine a wait of rclpy 9.1 may
+    # miss them and last for ever: signals are looked at between bounded waits, and the server is left before the graph.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    ended = threading.Event()
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, lambda *_: ended.set())
     bridge = Bridge()
     executor = MultiThreadedExecutor()
     executor.add_node(bridge)
     try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=LONGEST_WAIT_S)
     finally:
         bridge.close()
+        executor.shutdown(LONGEST_WAIT_S)
         rclpy.try_shutdown()
 
 

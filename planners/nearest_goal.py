@@ -74,8 +74,9 @@ def nearest_goal(
     beyond_limits = flaw is not None and "upper_rad" in flaw.details
     if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
         return None
-    start_q = collision.clipped(problem.start_rad)
-    group, allowed = robot.groups[problem.group], collision.overlaps_m(start_q)
+    group = robot.groups[problem.group]
+    start_q = collision.start(problem.start_rad, group.joints)
+    allowed = collision.overlaps_m(start_q)
     holds, project = states.within(group, problem.path_constraints, start_q)
     space = JointSpace(collision, group.joints, start_q, allowed, holds, should_stop=budget.should_stop)
     search = _Search(problem, states, group, space, project, budget)

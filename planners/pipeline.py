@@ -94,6 +94,7 @@ class Planner:
     def _answer(self, request: Request, should_stop: Callable[[], bool]) -> Answer:
         robot, collision, states = self._robot, self._collision, self._states
         plan = functools.partial(self.plan, should_stop=should_stop)
+        collision.count_all_contacts()
 
         def budget(allowed_time_s: float) -> Budget:
             return Budget(self._clock, allowed_time_s, should_stop)
@@ -133,13 +134,13 @@ class Planner:
         refusal = checks.check_request(self._robot, problem) or checks.check_start(self._robot, problem.start_rad)
         if refusal is not None:
             return refusal
-        start_q = self._collision.clipped(problem.start_rad)
+        group = self._robot.groups[problem.group]
+        start_q = self._collision.start(problem.start_rad, group.joints)
         contacts = self._collision.colliding_pairs(start_q)
         violations = self._states.condition_set(problem.path_constraints).violations(start_q)
         refusal = check_start_place(contacts, violations)
         if refusal is not None:
             return refusal
-        group = self._robot.groups[problem.group]
         goals = self._states.find(problem.goal, GoalQuery(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
@@ -181,9 +182,10 @@ def answer_ik(
     refusal = checks.check_ik_question(robot, question) or checks.check_start(robot, question.start_rad)
     if refusal is not None:
         return refusal
+    group = robot.groups[question.group]
     query = GoalQuery(
-        robot.groups[question.group],
-        collision.clipped(question.start_rad),
+        group,
+        collision.start(question.start_rad, group.joints),
         question.constraints,
         budget,
         wanted=SOLUTIONS,

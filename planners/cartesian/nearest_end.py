@@ -60,7 +60,7 @@ def nearest_end(
     followed = follow(problem)
     if isinstance(followed, PlanningFailure) and followed.code not in UNFOLLOWED:
         return None
-    forward.place(collision.clipped(problem.start_rad))
+    forward.place(collision.start(problem.start_rad, robot.groups[problem.group].joints))
     start = forward.placement(problem.link).copy()
     length_m = TipPath(start, problem.segments).length_m
     most_m = followed.fraction * length_m if isinstance(followed, CartesianPlan) else length_m

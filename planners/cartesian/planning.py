@@ -53,7 +53,8 @@ def plan_cartesian(
     refusal = check_path(robot, problem) or checks.check_start(robot, problem.start_rad)
     if refusal is not None:
         return refusal
-    start_q = collision.clipped(problem.start_rad)
+    names = robot.groups[problem.group].joints
+    start_q = collision.start(problem.start_rad, names)
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
@@ -61,7 +62,6 @@ def plan_cartesian(
     if refusal is not None:
         return refusal
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
-    names = robot.groups[problem.group].joints
     space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
     tracker = TipTracker(forward, collision, names, start_q, problem.link)
     start = tracker.pose(space.point(start_q))

@@ -189,6 +189,7 @@ class CollisionModel:
         joints = [robot.joints[name] for name in self.joint_names]
         self.lower_rad = np.array([joint.lower for joint in joints])
         self.upper_rad = np.array([joint.upper for joint in joints])
+        self._unchanged: frozenset[int] = frozenset()
         self._build(EMPTY_SCENE)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
@@ -332,11 +333,11 @@ class CollisionModel:
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
         self._scaled, self._bodies = frozenset(scene.link_scale), [*movers, *around]
         self._known_parts: dict[int, Parts] = {}
-        self._unchanged: frozenset[int] = frozenset()
+        self._unchanged = frozenset()
         self._pairs = checked_pairs(self._robot, scene.allowed, movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
         self._apart_m = padding(self._bodies, self._pairs)
-        self._approach_m = self._joints.travel_by_joint(approach(reach_m, self._pairs))
+        self._approach_m: Vector = self._joints.travel_by_joint(approach(reach_m, self._pairs))
         self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
         shapes = [body.shape for body in self._bodies]
         self._broadphase = Broadphase(self._model, shapes, self._pairs, self._apart_m, self._joints)

@@ -10,19 +10,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.contacts import (
-    Broadphase,
-    PartPair,
-    Parts,
-    RobotParts,
-    parts_of,
-)
+from planners.geometry.broadphase import Broadphase, Nearest, NearPair
 from planners.geometry.kinematics import JointMap, Reach, approach
-from planners.geometry.nearness import Nearest, NearPair
-from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.parts import PartPair, Parts, RobotParts, parts_of
 from planners.geometry.shapes import (
     as_point,
     frame_of_link,
+    kinematic_urdf,
     link_name,
     placement,
     robot_shapes,

@@ -17,7 +17,7 @@ from server.graph import permissions
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, WORKING, Identity, Role
 from server.graph.topics import Graph, Subscriber
-from server.moveit import description
+from server.moveit.services import description
 from tests.helpers.clock import FakeClock
 from tests.helpers.rules import server_rules, with_server_rules
 

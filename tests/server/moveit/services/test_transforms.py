@@ -12,8 +12,11 @@ from robot.messages import ArmState, Mode
 from server.actionlib import ActionlibBridge
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from server.moveit import description
-from server.moveit.description import (
+from server.moveit.messages import matrix_of, pose_of
+from server.moveit.scene.frames import Frames
+from server.moveit.scene.scene_state import SceneState
+from server.moveit.services import description
+from server.moveit.services.description import (
     ACTION,
     SERVICE,
     STATIC_TRANSFORMS_TOPIC,
@@ -21,9 +24,6 @@ from server.moveit.description import (
     TransformRepublisher,
     TransformsTopics,
 )
-from server.moveit.messages import matrix_of, pose_of
-from server.moveit.scene.frames import Frames
-from server.moveit.scene.scene_state import SceneState
 from tests.helpers.gateway import InProcess
 from tests.helpers.moveit import ROBOT
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from harness.server import ROOT, RunningServer
+from harness.waiting import running
 
 PYTHON = ROOT / "build" / "ros2" / "bin" / "python"
 SCENARIO = Path(__file__).with_name("ros2_scenario.py")
@@ -32,15 +33,12 @@ ENVIRONMENT = {
 
 
 @pytest.fixture
-def bridge(server: RunningServer) -> Iterator[subprocess.Popen[bytes]]:
+def bridge(server: RunningServer) -> Iterator[subprocess.Popen[str]]:
     command = [str(PYTHON), "-m", "armbridge_ros2.bridge", "--ros-args", "-p", f"url:=ws://127.0.0.1:{server.port}"]
-    with subprocess.Popen(command, env=ENVIRONMENT) as process:
+    with running(command, env=ENVIRONMENT) as process:
         yield process
         process.terminate()
-        try:
-            assert process.wait(END_TIMEOUT_S) == 0
-        finally:
-            process.kill()
+        assert process.wait(END_TIMEOUT_S) == 0
 
 
 @pytest.mark.usefixtures("bridge")

@@ -21,8 +21,8 @@ from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, Planni
 from planners.scene import Pose
 from planners.warm_up import warm_up
 from robot.description import model, robot_folder
-from robot.description.example_robots import find_example
 from robot.description.model import RobotModel
+from robot.description.robot_folder import find_example
 from robot.trajectory import Vector
 
 PROBLEMS = 120

@@ -55,17 +55,13 @@ log = logging.getLogger("armbridge.arm")
 
 Answer = TypeVar("Answer", MotionEnded, CommandDone)
 
-# Ends of motions that come with a latched fault.
-FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)
-
-# Motions are numbered from 1 on.
-NO_MOTION = 0
+FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)  # ends of motions that come with a latched fault
+NO_MOTION = 0  # motions are numbered from 1 on
 
 # Orders sent before the process is configured are queued; configuring takes a fraction of a second.
 MAX_EARLY_ORDERS = 16
 
-# A fifth of the shortest watchdog timeout of the arm process.
-HEARTBEAT_S = 0.1
+HEARTBEAT_S = 0.1  # a fifth of the shortest watchdog timeout of the arm process
 
 # Silence after which a process hangs, however busy the machine is; states come at least once a second. Counted in
 # heartbeats, because a server that was stopped itself hears nothing either.
@@ -111,10 +107,7 @@ class ArmClock(ABC):
         """Clock of the arm's control loop, from the latest state [s]."""
 
     async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-        """Wait until all of some futures are done; return True when they are.
-
-        The time counts on the arm's clock; a silent arm is waited for :data:`SILENT_S` at most.
-        """
+        """Wait until all of some futures are done, for a time on the arm's clock; return True when they are."""
         until_s = self.clock_s + timeout_s
         while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
             if self.state_age_s > SILENT_S:
@@ -261,10 +254,7 @@ class Arm(ArmClock):
         return next((one for one in self.state.motions if one.motion_id == number), None)
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
-        """Begin a stream of velocity setpoints in the order of the joints, which stay at rest until the first.
-
-        With ``gripping`` it ends well, with a grip, when a joint stalls.
-        """
+        """Begin a stream of velocity setpoints, at rest until the first; with ``gripping`` a stall ends it well."""
         motion_id = next(self._ids)
         ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch), gripping))
         stream = ArmStream(motion_id, joint_names, ended, self._process.send)
@@ -581,10 +571,7 @@ class ArmProcess:
         await self._child.connect()
 
     def configure(self, config: ArmConfig, last_stop: Stop) -> None:
-        """Send the process its configuration, the last stop, which it cannot know, then the queued orders.
-
-        Without effect when it has ended.
-        """
+        """Send a running process its configuration, the last stop, which it cannot know, then the queued orders."""
         if self._child is None or not self._runs():
             return
         self._configured = True

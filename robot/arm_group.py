@@ -33,8 +33,7 @@ from robot.messages import (
 )
 from robot.trajectory import Trajectory, Vector
 
-# Good ends of a motion.
-_GOOD = (Outcome.REACHED, Outcome.GRIPPED)
+_GOOD = (Outcome.REACHED, Outcome.GRIPPED)  # good ends of a motion
 
 # Modes of several arms, the mode that most keeps an arm from moving first.
 _MODES_BY_WEIGHT = (Mode.FAULT, Mode.DISCONNECTED, Mode.CONNECTED, Mode.MOVING, Mode.RELAXED, Mode.HOLDING)
@@ -55,11 +54,7 @@ _OUTCOMES_BY_WEIGHT = (
 
 
 class ArmGroup(ArmClock):
-    """Several arms by their names and joints, moved as one.
-
-    Attributes:
-        leaders: names of arms that are moved by hand, and enabled by name alone.
-    """
+    """Several arms by their names and joints, moved as one; leaders are moved by hand, and enabled by name alone."""
 
     def __init__(self, arms: Mapping[str, tuple[Arm, tuple[str, ...]]], leaders: Collection[str] = ()) -> None:
         self.leaders = frozenset(leaders)
@@ -86,10 +81,7 @@ class ArmGroup(ArmClock):
 
     @property
     def state(self) -> ArmState:
-        """Latest states as one; an arm that is not read at present stays where it was read last.
-
-        Joints have no positions before each arm was read once.
-        """
+        """Latest states as one, with the last readings of arms not read now; no positions before each has some."""
         present = tuple(arm.state for arm in self._arms.values())
         if self._joined is None or any(a is not b for a, b in zip(self._joined[0], present, strict=True)):
             states = dict(zip(self._arms, present, strict=True))
@@ -155,10 +147,7 @@ class ArmGroup(ArmClock):
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
-        """Send a trajectory to the arms whose joints it moves, as :meth:`robot.arm.Arm.execute`.
-
-        When one arm ends its part early, the other arms stop theirs.
-        """
+        """Send a trajectory to the arms whose joints it moves; when one ends its part early, the others stop."""
         shares = {
             name: [joint for joint in trajectory.joint_names if self._arm_of.get(joint) == name] for name in self._arms
         }

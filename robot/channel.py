@@ -150,10 +150,7 @@ def leave_signals_to_server() -> None:
 
 
 def channel_of_child(arguments: list[str] | None = None) -> Channel:
-    """Open the channel that a child was started with, and log as its server does.
-
-    Ctrl-C and the service manager's signals are ignored here: the server handles them.
-    """
+    """Open the channel that a child was started with, log as its server does, and leave signals to the server."""
     leave_signals_to_server()
     parser = argparse.ArgumentParser()
     parser.add_argument("--fd", type=int, required=True)

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from planners.errors import AssistantError
-from robot.description.elements import root_of
 from robot.description.mesh_files import find_mesh
+from robot.description.urdf import root_of
 
 MESHES = "meshes"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from robot.description.frames import shift_origin
 from robot.description.model import Joint, RobotModel
+from robot.description.urdf import shift_origin
 
 # Libraries want an effort limit, which nothing here reads.
 _EFFORT = "1"

@@ -22,8 +22,7 @@ from robot.hardware.feetech.registers import Register, value_range
 
 FORMAT: Literal["armbridge servo registers 1"] = "armbridge servo registers 1"
 
-# Forty servos with all their registers; an arm has six.
-MAX_FILE_BYTES = 100_000
+MAX_FILE_BYTES = 100_000  # forty servos with all their registers; an arm has six
 
 
 @dataclass(frozen=True)

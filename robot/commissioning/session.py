@@ -75,10 +75,7 @@ class SweptRange:
 
 
 class CalibrationSession:
-    """Calibration of one arm, from holding it to writing the result.
-
-    The motions show the direction of each joint, by joint. With ``recentre`` the servos get new homing offsets.
-    """
+    """Calibration of one arm, from holding it to writing; with ``recentre`` its servos get new homing offsets."""
 
     def __init__(self, servos: Sequence[ServoSpec], motions: Mapping[str, AskedMotion], *, recentre: bool) -> None:
         self._servos = tuple(servos)
@@ -156,10 +153,7 @@ class CalibrationSession:
             self._sweep.add(ticks)
 
     def answer(self, answer: str) -> Act | None:
-        """Take the answer to the present step; return the act that is now due, if any.
-
-        Raises CalibrationError where it cannot go on so; the step stays, and the text names the missing part.
-        """
+        """Take the answer to the present step; return the act that is due. After CalibrationError the step stays."""
         step = self.step
         if step is None or answer not in step.answers:
             allowed = "none" if step is None else ", ".join(step.answers)

@@ -13,8 +13,7 @@ from typing import Any, Protocol
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
-from robot.control.pacing import MAX_TICK_S, PERIOD_S, LoopClock, Pacer, SimulationClock
-from robot.control.realtime import Scheduling, enter_realtime
+from robot.control.pacing import MAX_TICK_S, PERIOD_S, LoopClock, Pacer, Scheduling, SimulationClock, enter_realtime
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
@@ -31,10 +30,7 @@ class HardwareSource(Protocol):
 
 
 def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
-    """Build the source of an arm's hardware; a back end's libraries are imported only where it is used.
-
-    Raises OSError when the log or the control socket of emulated servos cannot be created.
-    """
+    """Build the source of an arm's hardware, and import no other back end; raises OSError for its log or socket."""
     joint_names = config.hardware.joint_names(config.robot)
     bounds = JointBounds.of(config.robot, joint_names)
     match config.hardware:

@@ -32,10 +32,7 @@ def package_path(environment: Mapping[str, str]) -> tuple[Path, ...]:
 
 
 def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Path:
-    """Return the file of a mesh: by a ``package://`` or ``file://`` URL, or by a path relative to the URDF's folder.
-
-    Packages are folders that contain packages, or are packages. The error names the paths that were tried.
-    """
+    """Find the file of a mesh, a URL or a path beside the URDF; the error names the paths that were tried."""
     tried = list(dict.fromkeys(_candidates(name, directory, packages)))
     found = next((path for path in tried if path.is_file()), None)
     if found is not None:

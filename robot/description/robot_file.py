@@ -20,8 +20,7 @@ FILE_NAME = "robot.toml"
 MAX_JOINTS = 100
 MAX_BYTES = 1_000_000
 
-# Below this share of equal letters a proposal misleads.
-LIKENESS = 0.6
+LIKENESS = 0.6  # below this share of equal letters a proposal misleads
 
 Position: TypeAlias = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Rate: TypeAlias = Annotated[float, Field(gt=0.0, le=1e6)]

@@ -17,8 +17,7 @@ from robot.hardware.servos.registers import RegisterT, RegisterTable
 
 FULL_DUTY_PERMILLE = 1000.0
 
-# Unit of the registers of return delay in both families' memory tables.
-RETURN_DELAY_UNIT_S = 2e-6
+RETURN_DELAY_UNIT_S = 2e-6  # unit of the registers of return delay in both families' memory tables
 
 
 class Memory(Generic[RegisterT]):
@@ -256,10 +255,7 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         return self.memory.value(register)
 
     def hold(self, torque_share: float | None = None) -> None:
-        """Hold the present position, as an arm process leaves a servo.
-
-        The torque share limits the motor's duty; None for the present limit.
-        """
+        """Hold the present position, as an arm process leaves a servo, at a share of full duty; None for its limit."""
         if torque_share is not None:
             self.memory.set(self.torque_limit, round(torque_share * self.full_torque))
         self.memory.set(self.table.goal_position, self.present_ticks)

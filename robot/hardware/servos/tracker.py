@@ -18,8 +18,7 @@ from robot.hardware.servos.family import ServoFamily
 from robot.hardware.servos.registers import Telemetry
 from robot.hardware.servos.servo_map import ServoMap
 
-# Misses in a row after which a servo is asked behind the others.
-MISSES_UNTIL_LAST = 2
+MISSES_UNTIL_LAST = 2  # misses in a row after which a servo is asked behind the others
 
 # Reads in a row without any reply, for each servo, after which all count as silent: each has been the first once.
 EMPTY_READS_PER_SERVO = MISSES_UNTIL_LAST

@@ -1,8 +1,5 @@
 """Handle on the arm process: the server's side of motions, streams and orders.
 
-:class:`Arm` is the interface to the server. It numbers motions and orders, resolves a future for each, and restarts the
-process (:class:`ArmProcess`) when it has died.
-
 Time limits of motions and orders count on the arm's own clock, reported with its states, so that a simulated arm on a
 busy machine has all its time. A process that sends no state for :data:`SILENT_S` is killed and restarted.
 """
@@ -121,11 +118,7 @@ class ArmClock(ABC):
 class Arm(ArmClock):
     """Arm driven by the arm process, which is restarted when it dies; motions and orders in progress then end.
 
-    Args:
-        on_state: called in the event loop with every state of the arm.
-        on_health: called in the event loop with the arm's condition, once a second.
-        started: its process, if it was started ahead.
-        observed: returns False when nobody sees the arm's states at the moment.
+    States and health are passed on in the event loop. ``observed`` returns False when nobody sees the states.
     """
 
     def __init__(
@@ -180,7 +173,7 @@ class Arm(ArmClock):
 
     async def start(self, timeout_s: float) -> None:
         """Configure the process, and wait for the arm's first state, connected or not; else raise TimeoutError."""
-        if not self._process.launched:
+        if self._process.pid is None:
             await self.launch()
         self._begun = True
         self._process.configure(self._config, Stop(epoch=self.last_stop))
@@ -229,18 +222,10 @@ class Arm(ArmClock):
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
-        """Send a trajectory to the arm, at once and in order with :meth:`stop`.
+        """Send a trajectory at once and in order with :meth:`stop`; the future of its end never raises.
 
-        Args:
-            trajectory: of some joints; the others hold.
-            gripping: True to end well, with a grip, when a joint stalls; otherwise a stall is a fault.
-            torque_share: share of its torque limit that each joint may use, in (0, 1].
-            continues: motion in progress to splice into without a stop, and the time on it at which the trajectory
-                begins [s]; both must coincide for some time from now on. None to begin at rest.
-            epoch: stop epoch in which the motion was requested; None for now.
-
-        Returns:
-            Future of the motion's end; it never raises.
+        A motion ``continues`` another one from a time on it [s], where both coincide for some time, without a stop. It
+        has the stop epoch in which it was requested, None for now; see :class:`robot.messages.Execute` for the rest.
         """
         motion_id = next(self._ids)
         continuation = None if continues is None else Continuation(self._number(continues[0]), continues[1])
@@ -551,11 +536,6 @@ class ArmProcess:
     def pid(self) -> int | None:
         """Process id; None before the first launch."""
         return None if self._child is None else self._child.pid
-
-    @property
-    def launched(self) -> bool:
-        """True after the first launch."""
-        return self._child is not None
 
     @property
     def configured(self) -> bool:

@@ -280,11 +280,8 @@ def joined_state(
 ) -> ArmState:
     """Return the states of several arms as one state; its mode is the mode that most keeps an arm from moving.
 
-    Args:
-        states: latest state of each arm, by its name.
-        readings: state of each arm whose readings count, without positions while one of them has none; None for the
-            arms that are read at present.
-        leaders: arms that are moved by hand: while relaxed, they keep no other arm from moving.
+    The readings are of the states given for that, without positions while one has none; None for those that are read
+    at present. Leaders are moved by hand: while relaxed, they keep no other arm from moving.
     """
     present = list(states.values())
     known = [state for state in present if state.position_rad is not None] if readings is None else readings
@@ -330,7 +327,7 @@ def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
         mode=min((each.mode for each in all_of), key=_MODES_BY_WEIGHT.index),
         port=", ".join(dict.fromkeys(each.port for each in all_of)),
         joints=tuple(joint for each in all_of for joint in each.joints),
-        bus=_summed(buses) if buses else None,
+        bus=BusCounters(*map(sum, zip(*(vars(bus).values() for bus in buses), strict=True))) if buses else None,
         lateness_s=_greatest([each.lateness_s for each in all_of]),
         round_trip_s=_greatest([each.round_trip_s for each in all_of]),
         real_time=all(each.real_time for each in all_of),
@@ -362,10 +359,6 @@ def _joined(states: Sequence[ArmState], array_of: Callable[[ArmState], Vector | 
 
 def _named(name: str, fault: Fault | None) -> Fault | None:
     return None if fault is None else replace(fault, message=f"{name}: {fault.message}")
-
-
-def _summed(buses: list[BusCounters]) -> BusCounters:
-    return BusCounters(*(sum(values) for values in zip(*(vars(bus).values() for bus in buses), strict=True)))
 
 
 def _greatest(figures: list[tuple[float, float, float]]) -> tuple[float, float, float]:

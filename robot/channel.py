@@ -1,8 +1,4 @@
-"""Socket pair between the server and a child process: encoding of its messages, and the child's end.
-
-Messages are pickled dataclasses behind a four-byte length. Both ends are this program's own; nothing from a client is
-ever unpickled. A child whose socket closes has lost its server.
-"""
+"""Socket pair between the server and a child: pickled dataclasses behind a length, none of them from a client."""
 
 from __future__ import annotations
 

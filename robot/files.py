@@ -1,8 +1,7 @@
-"""Files that several processes may change: locked against each other, and replaced as a whole.
+"""Files that several processes may change: locked against each other by flock(2), and replaced as a whole.
 
-The lock of a file is an advisory one (flock(2)) on ``.NAME.lock`` beside it, which contains the number of the
-process that locked it last. The kernel frees it with the process, however that ends; the lock's file stays, since
-removing it would let two processes lock two files of one name.
+The lock of a file is ``.NAME.lock`` beside it, with the number of the process that locked it last. The lock's file
+stays, since removing it would let two processes lock two files of one name.
 """
 
 from __future__ import annotations

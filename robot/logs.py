@@ -1,11 +1,4 @@
-"""Logging of the server and of its child processes, which share one terminal.
-
-Lines are plain text or JSON. Tokens are blotted out, control characters escaped, and long messages cut, since clients
-choose the texts that are quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter
-applies it to every place in the program that logs. Levels of loggers can be changed while the server runs, in every
-process at once. Child processes send their lines to the server as well, where the last ones are kept
-(:class:`LineHandler`).
-"""
+"""Logging of the server and its children in plain text or JSON, with tokens blotted out and floods limited."""
 
 from __future__ import annotations
 

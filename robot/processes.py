@@ -1,9 +1,4 @@
-"""Child processes, from the server's side.
-
-A child is started as ``python -P -m MODULE --fd N`` with a fresh interpreter: it shares no lock, no heap and no random
-state with the server, only the socket pair of :mod:`robot.channel`. Where the system has no descriptor, process or
-memory left for a child, its start raises OSError.
-"""
+"""Child processes from the server's side: fresh interpreters that share only the sockets of :mod:`robot.channel`."""
 
 from __future__ import annotations
 

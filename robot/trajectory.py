@@ -85,12 +85,8 @@ def bridge(
 ) -> Trajectory:
     """Plan the motion from one state of the joints to another within limits, in a time or as fast as the limits allow.
 
-    The profile is ruckig's, bounded in jerk; raises RuckigError where it finds none.
-
-    Args:
-        start: position [rad], velocity [rad/s] and acceleration [rad/s^2], each of shape (joints,).
-        end: position [rad], NaN for a joint that comes to rest wherever it can, and velocity [rad/s].
-        limits: velocity [rad/s] and acceleration [rad/s^2].
+    The start has position, velocity and acceleration, the end position (NaN: at rest anywhere) and velocity, the limits
+    velocity and acceleration. The profile is ruckig's, bounded in jerk; raises RuckigError where it finds none.
     """
     joints = len(joint_names)
     (position, velocity, acceleration), (max_velocity, max_acceleration) = start, limits

@@ -1,8 +1,4 @@
-"""Direction of each joint, found by a motion of the hand: the request in words, and the meaning of the ticks. Pure.
-
-The words follow from the URDF: the end of the link that the joint carries goes up, forward or to the left, as the
-model has it with every joint at zero; a joint whose axis goes through that end is turned.
-"""
+"""Direction of each joint by a motion of the hand: the request in words of the URDF, and the meaning of the ticks."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Calibration step by step, for a terminal and a server alike: questions to a person and their consequences. Pure.
-
-The session moves and writes nothing. :meth:`CalibrationSession.answer` names the act that is due: relax the arm before
-the sweep, and write the calibration at the end. After the act, the caller goes on with :meth:`CalibrationSession.begin`
-or :meth:`CalibrationSession.finish`.
-"""
+"""Calibration step by step, for a terminal and a server alike: questions to a person and their consequences. Pure."""
 
 from __future__ import annotations
 

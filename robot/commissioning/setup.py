@@ -109,12 +109,8 @@ def search(
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
-    Servos that have their ids already may be connected as well. Raises StartupError where no servo may be meant, or
-    more than one; the text says how to part them.
-
-    Args:
-        only_joint: True when the user names this joint alone. A servo that is alone on the bus then counts as new
-            although it has another joint's id: this parts two servos of one id.
+    Raises StartupError where no servo may be meant, or more than one; the text says how to part them. For the only
+    joint that the user names, a servo alone on the bus counts as new although it has another joint's id.
     """
     found: list[FoundServo] = []
     for baudrate in BAUDRATES:
@@ -325,12 +321,9 @@ def _candidates(
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}
     if only_joint and len(found) == 1:
         others = set()
-    return own or [servo for servo in found if servo.servo_id not in others and not _is_calibrated(servo)]
-
-
-def _is_calibrated(servo: FoundServo) -> bool:
     # Angle limits are of a calibration always; a new servo may have an offset.
-    return servo.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
+    uncalibrated = [servo for servo in found if servo.angle_limits_ticks in (NO_LIMITS, FULL_RANGE_TICKS)]
+    return own or [servo for servo in uncalibrated if servo.servo_id not in others]
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:

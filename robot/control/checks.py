@@ -1,8 +1,4 @@
-"""Checks of the server's configuration, and of every trajectory before it is played.
-
-The arm process relies on its own guards, so it does not trust the server's numbers. A value of the configuration that
-is out of range is replaced by its default; a trajectory is refused with a sentence that names joint, limit and value.
-"""
+"""Checks of the server's configuration and of every trajectory, whose numbers the arm process does not trust."""
 
 from __future__ import annotations
 
@@ -44,11 +40,8 @@ def refusal(
 ) -> str:
     """Check a trajectory; return the reason to refuse it, empty for none.
 
-    The curve that is played between the samples is checked, with its velocities and accelerations.
-
-    Args:
-        held_rad: goals at which the arm holds, shape (joints,) [rad].
-        in_motion: True for a trajectory that continues a motion; any other begins at rest.
+    The curve between the samples is checked, from the goals at which the arm holds, shape (joints,) [rad]; it begins at
+    rest unless it continues a motion.
     """
     malformed = _malformed(trajectory, names)
     if malformed:

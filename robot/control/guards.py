@@ -158,12 +158,7 @@ class Guards:
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None
     ) -> Fault | None:
-        """Check one tick's readings; return the gravest fault, or None.
-
-        Args:
-            torque_limit: share of full duty that each may use, shape (joints,).
-            yielding: joints for which a stall is no fault, shape (joints,); None for none.
-        """
+        """Check one tick's readings; return the gravest fault, or None. A stall of yielding joints is no fault."""
         last, self._last = self._last, (measured, now_s)
         if last is not None and self._unremarkable(goal_rad, measured, last[0]):
             if not self._fresh:

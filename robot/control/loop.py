@@ -1,8 +1,4 @@
-"""Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages.
-
-Nothing else runs in this process, so neither a planner's lock nor a burst of messages can delay a tick. When the server
-asks for the end, or is gone, the arm is brought to its end state and the process ends.
-"""
+"""Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages."""
 
 from __future__ import annotations
 
@@ -129,7 +125,8 @@ class ArmLoop:
 
     def _handle(self, messages: list[Any]) -> None:
         """Handle emergency stops first, the rest in order."""
-        for message in sorted(messages, key=_rank):
+        urgent = [each for each in messages if isinstance(each, Command) and each.order is Order.EMERGENCY_STOP]
+        for message in (*urgent, *(each for each in messages if each not in urgent)):
             self._supervisor.handle(message)
 
     def _send(self, message: object, droppable: bool) -> None:
@@ -143,10 +140,6 @@ class ArmLoop:
                 self._supervisor.lose_server()
             else:
                 self._handle(self._channel.receive(remaining_s))
-
-
-def _rank(message: object) -> int:
-    return 0 if isinstance(message, Command) and message.order is Order.EMERGENCY_STOP else 1
 
 
 def main() -> None:

@@ -1,9 +1,4 @@
-"""Motions in progress: the goal at each tick, the end, and splicing into a new trajectory.
-
-A trajectory is played along its path: it can be slowed, stopped and reversed without leaving the path. A motion ends
-when its joints have settled at the end of the trajectory, or have stopped. A new trajectory can replace the one being
-played without a stop where both coincide for some time (splicing).
-"""
+"""Motions in progress: the goal at each tick along the path, the end, and splicing into a new trajectory."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Supervisor of one arm: handles the server's messages, runs orders between the ticks, watches the server, and reports.
-
-The control loop calls :meth:`Supervisor.tick` 100 times a second, :meth:`Supervisor.work` in between, and
-:meth:`Supervisor.handle` with every message. A latched fault, and the permission to switch the arm on, outlive a loss
-of the hardware. The servos have no watchdog of their own, so the arm process has one on the server. Reports are the
-arm's state many times a second and its health once a second.
-"""
+"""Supervisor of one arm: handles messages, runs orders between the ticks, watches the server, and reports."""
 
 from __future__ import annotations
 

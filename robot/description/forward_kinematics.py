@@ -1,7 +1,4 @@
-"""Forward kinematics of a URDF without a kinematics library, for frames and markers.
-
-Planning has forward kinematics of its own, which is faster in bulk.
-"""
+"""Forward kinematics of a URDF without a kinematics library, for frames and markers."""
 
 from __future__ import annotations
 

@@ -77,7 +77,8 @@ def _meshes(shapes: Iterable[ET.Element]) -> Iterator[ET.Element]:
 def _candidates(name: str, directory: Path | None, packages: Sequence[Path]) -> Iterator[Path]:
     if name.startswith(_PACKAGE):
         package, _, inner = name.removeprefix(_PACKAGE).partition("/")
-        for folder in (*packages, *_around(directory)):
+        around = () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]
+        for folder in (*packages, *around):
             yield from _in_folder(folder, package, inner)
     elif name.startswith(_FILE):
         yield Path(unquote(name.removeprefix(_FILE)))
@@ -100,7 +101,3 @@ def _name_of_package(folder: Path) -> str | None:
         return ET.fromstring((folder / "package.xml").read_text(encoding="utf-8")).findtext("name")  # noqa: S314 - the user's
     except (OSError, UnicodeDecodeError, ET.ParseError):
         return None
-
-
-def _around(directory: Path | None) -> tuple[Path, ...]:
-    return () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]

@@ -128,13 +128,9 @@ def parse(
     needs_meshes: bool = True,
     sources: tuple[str, str] = ("URDF", "SRDF"),
 ) -> RobotModel:
-    """Read a robot from the texts of its URDF and SRDF.
+    """Read a robot from the texts of its URDF and SRDF, whose sources are named in errors.
 
-    Args:
-        limits: limits by joint that replace the URDF's.
-        held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
-        needs_meshes: True to check that the meshes are there, where they have a directory.
-        sources: names of the URDF and of the SRDF, for errors.
+    Limits replace the URDF's. Held joints become fixed at their positions [rad or m]. Meshes must be there if needed.
     """
     tree = read_urdf(urdf, sources[0], limits)
     srdf = with_group(srdf, sources[1], tree)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import robot.arms
 from robot.description import model, robot_file
 from robot.description.model import Gripper, Hull, JointLimits, LinkSurface, RobotModel
-from robot.description.robot_file import GripperTable, HardwareSection, RobotFile, ServoTable
+from robot.description.robot_file import HardwareSection, RobotFile, ServoTable
 from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ProfileSpec, ServoSpec, Zero, ZeroTick
 from robot.errors import DescriptionError, RobotFileError
 
@@ -156,12 +156,7 @@ def problems(name_or_folder: str) -> tuple[str, ...]:
 def load(
     folder: Path, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
 ) -> RobotFolder:
-    """Load an arm from its folder; a RobotFileError names all its problems.
-
-    Args:
-        urdf: URDF in place of the folder's, whose hulls, parts and surfaces then do not apply.
-        package_directories: folders for ``package://``, ahead of the folder's own.
-    """
+    """Load an arm from its folder, without its shapes for another URDF; a RobotFileError names all its problems."""
     path = folder / robot_file.FILE_NAME
     if not folder.is_dir():
         raise DescriptionError(str(folder), "is no folder")
@@ -196,7 +191,7 @@ def load(
     arm = replace(
         arm,
         **shapes,
-        gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
+        gripper=arm.gripper if file.gripper is None else Gripper(**file.gripper.model_dump()),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
         park_state=file.planning.park or arm.park_state,
@@ -372,10 +367,6 @@ def _unknown_names(file: RobotFile, arm: RobotModel) -> Iterable[str]:
         yield f"planning.park: the SRDF has no state {file.planning.park!r}, but {', '.join(sorted(states)) or 'none'}"
     if file.planning.frame not in (None, arm.root_link, arm.planning_frame):
         yield f"planning.frame: must be the root link {arm.root_link!r}, not {file.planning.frame!r}"
-
-
-def _gripper(table: GripperTable) -> Gripper:
-    return Gripper(table.joints, table.open, table.closed)
 
 
 def _hardware(file: RobotFile, arm: RobotModel) -> HardwareTable:

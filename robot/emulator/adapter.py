@@ -1,8 +1,4 @@
-"""USB adapter between the host and the emulated servos; inside the arm process it answers within the call.
-
-There no reply can be late, since the servos' time is the caller's. The packets are the same, byte for byte, as those on
-a pseudo terminal (:mod:`robot.emulator.process`).
-"""
+"""USB adapter between the host and the emulated servos; inside the arm process it answers within the call."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Emulated Feetech STS3215: its registers, how they drive the motor and protect it, its packets, and an arm of it.
-
-Registers and their units follow Feetech's STS3215 memory table V3.6, packets its SCS/STS protocol manual.
-"""
+"""Emulated Feetech STS3215, and an arm of it (memory table V3.6 and SCS/STS protocol manual)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Process of the emulator: its options, and the loop that serves bus, USB adapter and live commands.
-
-The adapter is a pseudo terminal that can be unplugged, freeze, and deliver in frames. Both ``python -m robot.emulator``
-and ``armbridge emulate`` run this process.
-"""
+"""Process of the emulator: its options, its pseudo terminal, and the loop that serves bus and live commands."""
 
 from __future__ import annotations
 

@@ -1,12 +1,4 @@
-"""Rehearsals: live commands to the emulated servos at given times, from a script or ready-made.
-
-A script is a text file with one JSON object a line: live commands and their time
-``at_s`` from the start of the script [s]. A line without a command only marks a time, such as the end of a pause::
-
-    {"at_s": 0, "hand": {"3": 2047}}
-    {"at_s": 2.5, "hand": {"3": null}, "push": {"2": 150}}
-    {"at_s": 5, "push": {"2": 0}}
-"""
+"""Rehearsals: live commands at given times, from a script of JSON lines (docs/rehearsal.md) or ready-made."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Emulated servo, alike in every family: memory, plant, heat and protection. Pure: time is passed in.
-
-A family adds a table of registers, and the rules by which they are written and drive the motor
-(:mod:`robot.emulator.feetech`, :mod:`robot.emulator.dynamixel`).
-"""
+"""Emulated servo, alike in every family: memory, plant, heat and protection. Pure: time is passed in."""
 
 from __future__ import annotations
 

@@ -1,11 +1,8 @@
 """Half-duplex bus of servos: an instruction out, its replies in, and quiet before the next one.
 
-Packets are completed and sent by a servo maker's SDK; replies are received here, in bounded time. After a missing or
-surplus byte the line is disturbed: it is used again once it has fallen quiet, so that no late reply is taken for the
-next one. A family's subclass is the codec of its packets; both makers' protocols number their instructions alike.
-
-Reads and verified writes of one servo are also sequences (:func:`read`, :func:`read_block`, :func:`write_verified`),
-which share the bus with the 100 Hz tick.
+After a missing or surplus byte the line is disturbed: it is used again once it has fallen quiet, so that no late reply
+is taken for the next one. A family's subclass is the codec of its packets. Reads and verified writes of one servo are
+also sequences, which share the bus with the 100 Hz tick.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Survey of the servos before anything is written to them, and the reasons not to drive them.
-
-The survey assumes nothing about the registers: torque may be on or off at power-up, and the goal may have any value.
-"""
+"""Survey of the servos before anything is written to them, and the reasons not to drive them."""
 
 from __future__ import annotations
 

@@ -250,7 +250,8 @@ class ServoTorque:
         if watchdog is not None and self.has_watchdog(servo_id):
             yield from write_verified(self._bus, servo_id, watchdog.register, 0)
         yield from self._set_profile(servo_id)
-        yield from write_verified(self._bus, servo_id, *self._first_limit(servo_id))
+        share = min(FIRST_TORQUE, self._servos.by_servo(self._servos.full_torque)[servo_id])
+        yield from write_verified(self._bus, servo_id, *self._limit(servo_id, share))
         goal = yield from self._set_goal(servo_id, self.reachable(servo_id, (yield from self._present(servo_id))))
         self._check_still(servo_id, (yield from self._present(servo_id)) - goal, "before")
         yield from write_verified(self._bus, servo_id, self._bus.registers.torque_enable, 1)
@@ -276,10 +277,6 @@ class ServoTorque:
         if abs(moved_ticks) > TORQUE_ON_WITHIN_TICKS:
             joint = self._servos.by_id[servo_id].joint
             raise StartupError(f"joint {joint} moved by {moved_ticks} ticks {when} torque came on; torque is off")
-
-    def _first_limit(self, servo_id: int) -> Limit:
-        full = self._servos.by_servo(self._servos.full_torque)[servo_id]
-        return self._limit(servo_id, min(FIRST_TORQUE, full))
 
     def _raise_torque(self, ids: Sequence[int]) -> Steps[None]:
         full, start = self.full_limits(), {}

@@ -110,8 +110,9 @@ class ServoTracker:
         self._frames, self._measured = frames, None
         parse, joints = self._family.parse_telemetry, self._servos.by_id
         readings = {servo: parse(frame, joints[servo]) for servo, frame in frames.items()}
-        if self._family.counts_turns:
-            self._add_turns(readings)
+        for servo, reading in readings.items() if self._family.counts_turns else ():
+            reading.turns_ticks = self._servos.turns_ticks(servo, reading.position_ticks)
+            reading.position_ticks += reading.turns_ticks
         jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
         believed = readings.keys() - (jumped - self._suspect_ids)
         self._suspect_ids = (self._suspect_ids - frames.keys()) | (jumped - believed)
@@ -148,11 +149,6 @@ class ServoTracker:
             stamp_s=stamp_s,
         )
         return self._measured
-
-    def _add_turns(self, readings: Mapping[int, Telemetry]) -> None:
-        for servo, reading in readings.items():
-            reading.turns_ticks = self._servos.turns_ticks(servo, reading.position_ticks)
-            reading.position_ticks += reading.turns_ticks
 
     def _believe(self, readings: Mapping[int, Telemetry], now_s: float) -> None:
         for servo, reading in readings.items():

@@ -91,12 +91,7 @@ _ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1 = "rosapi_msgs/", "rosapi/"
 
 
 def spell_type(type_name: str, dialect: Dialect) -> str:
-    """Return a type's name as clients of a dialect know it: ``std_msgs/msg/String`` or ``std_msgs/String``.
-
-    Args:
-        type_name: canonical name of a message, service or action, or of a member of one of the latter; one in two parts
-            is in ROS 1 spelling except for its package.
-    """
+    """Return a name of a type or member in a dialect's spelling: ``std_msgs/msg/String`` or ``std_msgs/String``."""
     if dialect == "ros2":
         return type_name
     package, *others = _in_ros1(type_name).split("/")
@@ -105,15 +100,7 @@ def spell_type(type_name: str, dialect: Dialect) -> str:
 
 
 def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence_number: int = 0) -> dict[str, Any]:
-    """Spell a complete message as ROS 1 does.
-
-    Values inside arrays and single primitives are passed on as they are, whatever an encoding made of them.
-
-    Args:
-        msg: a message as `protocol.messages.complete` returns it; it is left as it was and may share parts
-            with the returned message.
-        sequence_number: ``seq`` of the message's own header, which publishers of ROS 1 count from 1 (rospy/topics.py).
-    """
+    """Spell a complete message as ROS 1 does; its header's ``seq`` counts from 1 (rospy/topics.py)."""
     translate = _to_ros1(registry, registry.message(type_name).name)
     spelled = dict(msg) if translate is None else translate(msg)
     header = spelled.get("header")
@@ -124,23 +111,13 @@ def to_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence
 
 
 def from_ros1(registry: Registry, type_name: str, msg: object) -> Any:
-    """Spell what a ROS 1 client sent as ROS 2 does; to be validated and completed afterwards.
-
-    Fields may be missing, and what cannot be understood is passed on for the validation to refuse.
-    """
+    """Spell a message of a ROS 1 client as ROS 2 does; unreadable parts are passed on for the validation to refuse."""
     translate = _from_ros1(registry, registry.message(type_name).name)
     return msg if translate is None else translate(msg)
 
 
 def declared_in_ros1(registry: Registry, type_name: str) -> MessageType:
-    """Return a message type as ROS 1 declares it; a type of ROS 2 alone is returned as declared there.
-
-    Args:
-        type_name: name of the type in either generation.
-
-    Raises:
-        InterfaceError: no such type in either.
-    """
+    """Return a message type as ROS 1 declares it, else as ROS 2 does, or raise InterfaceError."""
     name = _in_ros1(type_name)
     return registry.ros1.message(name) if registry.ros1.knows(name) else registry.message(type_name)
 

@@ -26,11 +26,7 @@ class ProtocolError(Exception):
 
 
 class InterfaceError(ProtocolError):
-    """A type name that the interface tables do not know.
-
-    Attributes:
-        type_name: the name as it was given.
-    """
+    """A type name that the interface tables do not know."""
 
     def __init__(self, type_name: str, problem: str) -> None:
         super().__init__(f"type {describe(type_name)}: {problem}")
@@ -38,11 +34,7 @@ class InterfaceError(ProtocolError):
 
 
 class InterfaceFilesError(ProtocolError):
-    """Interface files of the user that cannot be used; ``str(error)`` has a line for each problem.
-
-    Attributes:
-        problems: each with file, line, the text there and the expected text.
-    """
+    """Interface files of the user that cannot be used; ``str(error)`` has a line for each problem."""
 
     def __init__(self, problems: Sequence[object]) -> None:
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
@@ -51,13 +43,7 @@ class InterfaceFilesError(ProtocolError):
 
 
 class MessageError(ProtocolError):
-    """A value that does not fit the field it is meant for.
-
-    Attributes:
-        path: where in the message, as in ``points[3].positions[0]``; empty for the message itself.
-        wanted: what the field takes.
-        got: what came, shortened.
-    """
+    """A value that does not fit the field at ``path``, as ``points[3].positions[0]``; empty for the message itself."""
 
     def __init__(self, wanted: str, got: str, path: str = "") -> None:
         super().__init__(wanted, got, path)
@@ -70,11 +56,7 @@ class MessageError(ProtocolError):
         return f"{place}: wanted {self.wanted}, got {self.got}"
 
     def inside(self, step: str) -> MessageError:
-        """Return this error as seen from one level further out.
-
-        Args:
-            step: a field's name, or an index in brackets.
-        """
+        """Return this error as seen from one level further out."""
         # An index follows its field without a dot.
         separator = "" if not self.path or self.path.startswith("[") else "."
         return MessageError(self.wanted, self.got, f"{step}{separator}{self.path}")
@@ -88,12 +70,7 @@ class LargeMessageError(ProtocolError):
 
 
 class OperationError(ProtocolError):
-    """An operation that is unknown, incomplete, senseless, or one too many.
-
-    Attributes:
-        op: the operation's name, None where none could be read.
-        field: the offending field, None where no single one is to blame.
-    """
+    """An operation that is unknown, incomplete, senseless, or one too many."""
 
     def __init__(self, op: str | None, field: str | None, problem: str) -> None:
         place = [op] if op else []
@@ -108,11 +85,7 @@ class NothingToDoError(OperationError):
 
 
 class FrameError(ProtocolError):
-    """A frame that cannot be decoded.
-
-    Attributes:
-        position: index of the offending character (byte, for invalid UTF-8), None where no place is to blame.
-    """
+    """A frame that cannot be decoded; ``position`` is the index of the offending character or byte."""
 
     def __init__(self, problem: str, position: int | None = None) -> None:
         super().__init__(problem if position is None else f"{problem} at position {position}")

@@ -44,14 +44,7 @@ MAX_REFUSALS_PER_FRAME = 8
 
 
 class FrameReader:
-    """Reads the frames of one client.
-
-    Args:
-        limits: how long an object in several frames may be, and how many objects a frame may hold.
-
-    Attributes:
-        last_was_bson: whether the last frame was BSON; then the client is answered in BSON.
-    """
+    """Reads the frames of one client; ``last_was_bson`` decides whether the answers are BSON."""
 
     def __init__(self, limits: Limits) -> None:
         self.last_was_bson = False
@@ -66,11 +59,7 @@ class FrameReader:
         return not self._pending and not self.last_was_bson
 
     def feed(self, frame: str | bytes, *, light: bool = False) -> list[object | FrameError]:
-        """Return the values that end in this frame, in order; an error stands for a value that cannot be decoded.
-
-        Args:
-            frame: text, or the bytes of a binary frame.
-        """
+        """Return the values that end in this frame, in order; an error stands for a value that cannot be decoded."""
         self.last_was_bson = isinstance(frame, bytes) and bson.is_document(frame)
         try:
             if isinstance(frame, bytes) and self.last_was_bson:
@@ -137,11 +126,7 @@ class FrameReader:
 
 
 class ObjectEnd:
-    """Finds the brace that ends an object, over as many pieces as it takes.
-
-    Attributes:
-        position: how far the object has been read; just past its end, once that is found.
-    """
+    """Finds the brace that ends an object; ``position`` is how far the object has been read."""
 
     __slots__ = ("_depth", "_in_text", "position")
 
@@ -152,14 +137,7 @@ class ObjectEnd:
         self._in_text = False
 
     def find(self, data: bytearray) -> bool:
-        """Read on to the end of the object; False when it has not come yet.
-
-        Args:
-            data: begins with the object; longer every time.
-
-        Raises:
-            FrameError: nested deeper than any message is.
-        """
+        """Read on to the end of the object; False when it has not come yet. The data begins with the object."""
         while self._skip(data):
             mark = data[self.position]
             self.position += 1
@@ -185,15 +163,7 @@ class ObjectEnd:
 
 
 def split(frame: str, size: int, fragment_id: str) -> list[bytes]:
-    """Cut a frame into fragments.
-
-    Args:
-        size: greatest length of a piece [characters], at least 1; the envelope comes on top.
-        fragment_id: a mark that no other frame to the same client has.
-
-    Returns:
-        The fragments' frames, in order.
-    """
+    """Cut a frame into fragments of at most ``size`` characters; ``fragment_id`` is unique among a client's frames."""
     pieces = [frame[start : start + size] for start in range(0, len(frame), size)]
     envelope = {"op": "fragment", "id": fragment_id}
     return [
@@ -204,11 +174,7 @@ def split(frame: str, size: int, fragment_id: str) -> list[bytes]:
 
 @dataclass(slots=True)
 class _Message:
-    """Message with missing fragments.
-
-    Attributes:
-        started_s: when its first fragment came [s].
-    """
+    """Message with missing fragments."""
 
     total: int
     started_s: float
@@ -217,11 +183,7 @@ class _Message:
 
 
 class Reassembly:
-    """Puts the fragments of one client together, in whatever order they come.
-
-    Args:
-        limits: how much may wait for missing fragments.
-    """
+    """Puts the fragments of one client together, in any order."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -231,14 +193,9 @@ class Reassembly:
         self._size_bytes = 0
 
     def add(self, fragment: Fragment, now: float) -> str | None:
-        """Take one fragment; a repeated one changes nothing.
+        """Take one fragment; return the frame with its last missing fragment, else None.
 
-        Returns:
-            The frame, when this was its last missing fragment.
-
-        Raises:
-            OperationError: the fragment contradicts itself or others of its id, or a limit is reached; what was
-                there of its message is given up.
+        Raises OperationError for a contradiction or at a limit, and drops the fragments of this message.
         """
         self._expire(now)
         message = self._messages.get(fragment.id)

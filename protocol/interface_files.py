@@ -70,14 +70,7 @@ _HEADERS_OF_ROS1 = frozenset(("Header", "roslib/Header"))
 
 
 class Problem(NamedTuple):
-    """One thing that is wrong with the interface files.
-
-    Attributes:
-        path: file or folder.
-        line: number of the line, from 1; None where it is no single one.
-        text: what stands there; empty where nothing does.
-        sentence: the problem, or the expected text.
-    """
+    """One problem of the interface files; ``line`` counts from 1, None for the whole file."""
 
     path: Path
     line: int | None
@@ -91,13 +84,7 @@ class Problem(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """A message type that a file refers to, and where.
-
-    Attributes:
-        type_name: its name in two parts.
-        line: number of the line, from 1.
-        text: the line.
-    """
+    """A message type that a file refers to, and its line."""
 
     type_name: str
     line: int
@@ -106,13 +93,7 @@ class Reference(NamedTuple):
 
 @dataclass
 class InterfaceFile:
-    """Contents of one interface file, as far as they can be read.
-
-    Attributes:
-        name: the type's canonical name.
-        definition: as in the tables of `protocol.registry`; without the lines that cannot be read.
-        references: types that it refers to.
-    """
+    """Readable contents of one interface file."""
 
     name: str
     path: Path
@@ -122,21 +103,12 @@ class InterfaceFile:
 
 
 def is_spelled_as_ros1(text: str, *, has_header: bool) -> bool:
-    """Return True for a file that only ROS 1 reads: with ``time``, ``duration``, or ``Header`` without a package.
-
-    Args:
-        has_header: True where the package has a message type Header of its own.
-    """
+    """Return True for a file that only ROS 1 reads: with ``time``, ``duration``, or ``Header`` without a package."""
     return any(match["time"] or not has_header for match in _ROS1_LINE.finditer(text))
 
 
 def read_file(path: Path, text: str, package: str, kind: Kind, generation: Generation) -> InterfaceFile:
-    """Read an interface file.
-
-    Args:
-        text: its content; octets that are no UTF-8 as lone surrogates.
-        generation: the generation of ROS that it is for.
-    """
+    """Read an interface file; octets that are no UTF-8 come as lone surrogates."""
     read = InterfaceFile(f"{package}/{kind}/{path.stem}", path)
     if not _NAMES[generation]["type"].fullmatch(path.stem):
         wanted = _NAME_WORDS[generation]["type"]
@@ -211,14 +183,7 @@ def _check_name(name: str, kind: str, generation: Generation) -> None:
 
 
 class _Declaration(NamedTuple):
-    """Type of a field or constant.
-
-    Attributes:
-        spelled: as the tables spell it.
-        base: the primitive, or the message type's name in two parts.
-        max_length: greatest number of characters of a text; None for no bound.
-        brackets: an array's; empty for a single value.
-    """
+    """Type of a field or constant, as the tables spell it and in its parts."""
 
     spelled: str
     base: str

@@ -61,10 +61,7 @@ class UserInterfaces:
     """Types of the user's packages.
 
     Attributes:
-        ros2: types of ROS 2 packages, by their canonical names.
-        ros1: types of ROS 1 packages, with the messages of their actions.
-        packages: names of the packages.
-        kept: names of types that differ from the packaged ones, which stay, for the program itself uses them.
+        kept: names of types that differ from the packaged ones, which stay, because the program itself uses them.
         replaced: names of types that take the place of packaged ones.
         unread: interface files in folders of packages that are not read.
     """
@@ -92,14 +89,9 @@ class _Package:
 
 
 def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -> UserInterfaces:
-    """Read the interface files of packages.
+    """Read the interface files of packages; the packaged types of ``own_packages`` stay, because the program uses them.
 
-    Args:
-        folders: each a package or a folder of packages.
-        own_packages: names of packages of which the packaged types stay, for the program itself uses them.
-
-    Raises:
-        InterfaceFilesError: something in them cannot be used; with everything that cannot.
+    Raises InterfaceFilesError with all problems.
     """
     reader = _PackageReader()
     packages = [package for folder in folders for package in reader.read_folder(folder)]
@@ -126,11 +118,7 @@ def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -
 
 
 class _PackageReader:
-    """Finds packages and reads their files, within the limits of all folders together.
-
-    Attributes:
-        problems: what is wrong with folders, and with files that cannot be read.
-    """
+    """Finds packages and reads their files, within the limits of all folders together."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []

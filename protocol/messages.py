@@ -36,13 +36,7 @@ class MessageBudget(threading.local):
         self.renew("", MAX_VALUES, MAX_VALUES)
 
     def renew(self, type_name: str, max_values: int, max_values_at_once: int) -> None:
-        """Begin with a message.
-
-        Args:
-            type_name: type of the message, for the error.
-            max_values: values that it may have.
-            max_values_at_once: values beyond which it is not completed now.
-        """
+        """Begin with a message."""
         self._type_name = type_name
         self._max_values = self._left = max_values
         self._at_once_left = max_values_at_once
@@ -53,12 +47,7 @@ class MessageBudget(threading.local):
         return self._max_values - self._left
 
     def take(self, count: int) -> None:
-        """Take a number of values.
-
-        Raises:
-            MessageError: the budget is exhausted.
-            LargeMessageError: there are, but the message is too large to be completed at once.
-        """
+        """Take a number of values."""
         self._left -= count
         self._at_once_left -= count
         if self._left < 0:
@@ -119,11 +108,7 @@ class Stamp(NamedTuple):
 
     @classmethod
     def from_seconds(cls, seconds: float) -> Stamp:
-        """The stamp of a time in seconds since the Unix epoch, as `time.time` gives it.
-
-        A time beyond builtin_interfaces/Time, whose seconds are an int32 and end in January 2038, is the nearest in it:
-        a machine's clock may be set to anything.
-        """
+        """Return the stamp of a Unix time [s], clipped to the int32 seconds of builtin_interfaces/Time."""
         nanoseconds = round(seconds * 1_000_000_000)
         return cls(*divmod(min(max(nanoseconds, _EARLIEST_NS), _LATEST_NS), 1_000_000_000))
 
@@ -155,16 +140,8 @@ def complete(
     Missing fields get their defaults. A header that is omitted, or has no stamp, gets the time of receipt; a
     stamp that is given stays, even if it is zero. The text ``now`` for a Time is the time of receipt.
 
-    Args:
-        type_name: name of a message type, in two parts or three.
-        received: the time of receipt, or a function that returns it, called when needed.
-        max_values: values that the elements of all its lists of messages may have, at most `MAX_VALUES`.
-        max_values_at_once: such values beyond which the message is left to the background.
-
-    Raises:
-        InterfaceError: the type is unknown.
-        MessageError: the value does not fit the type.
-        LargeMessageError: it has more values than are completed at once.
+    Raises InterfaceError for an unknown type, MessageError for a value that does not fit or more than ``max_values`` in
+    lists of messages, and LargeMessageError for more than ``max_values_at_once``.
     """
     BUDGET.renew(type_name, max_values, max_values_at_once)
     strict = _strict_way(registry, type_name)(value)
@@ -175,10 +152,7 @@ def complete(
 
 @functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
 def _strict_way(registry: Registry, type_name: str) -> Callable[[object], dict[str, Any] | None]:
-    """Return the function that completes a message of the strict form; of any other it returns None.
-
-    What counts against the budget, lists of messages, is left to their shape, which takes this way for each element.
-    """
+    """Return the function that completes a message of the strict form; of any other it returns None."""
     strict = strict_type(registry, type_name)
     return _nothing if strict is None or strict.has_lists_of_messages else strict.complete
 

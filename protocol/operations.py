@@ -15,10 +15,7 @@ from protocol.errors import OperationError, describe
 
 
 def qualify(name: str) -> str:
-    """Return the fully qualified name: the same topic has one key, however it is spelled.
-
-    rosbridge clients have no namespace of their own, so a relative name lives in the root namespace.
-    """
+    """Return the fully qualified name; rosbridge clients have no namespace, so a relative name lives in the root."""
     return name if name.startswith("/") else f"/{name}"
 
 
@@ -105,13 +102,7 @@ Level: TypeAlias = Annotated[
 
 
 class Operation(BaseModel):
-    """Base of all operations.
-
-    Attributes:
-        op: the operation's name.
-        id: the client's own mark, returned as it came.
-        fragment_size: greatest length of what the client gets from now on [characters]; None for no change.
-    """
+    """Base of all operations; ``id`` is returned as it came, ``fragment_size`` [characters] holds from now on."""
 
     # Strict: text is no number and 1 is no truth value, or "false" would latch a topic.
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore")
@@ -122,13 +113,7 @@ class Operation(BaseModel):
 
 
 class Advertise(Operation):
-    """Register the client as a publisher of a topic.
-
-    Attributes:
-        latch: keep the last message for clients that subscribe later.
-        queue_size: any value, without effect: there is no queue on the way in.
-        qos: ROS 2 quality of service, accepted and not applied.
-    """
+    """Register the client as a publisher of a topic; ``queue_size`` and ``qos`` have no effect."""
 
     op: Literal["advertise"] = "advertise"
     topic: Name
@@ -146,14 +131,7 @@ class Unadvertise(Operation):
 
 
 class Publish(Operation):
-    """Publish one message.
-
-    Attributes:
-        msg: the message, in any spelling; fields left out get their defaults.
-        type: the message's type, which some clients name; it need not be given.
-        latch: as in `Advertise`, for a topic that was not advertised.
-        queue_size: as in `Advertise`.
-    """
+    """Publish one message; ``type`` and ``queue_size`` have no effect."""
 
     op: Literal["publish"] = "publish"
     topic: Name
@@ -167,15 +145,7 @@ _COMPRESSIONS: Mapping[str, Compression] = {name: name for name in get_args(Comp
 
 
 class Subscribe(Operation):
-    """Ask for the messages of a topic.
-
-    Attributes:
-        type: the messages' type, None for the topic's established type.
-        throttle_rate: least time between two messages, 0 or less for none [ms].
-        queue_length: messages kept for the throttle to let through, 0 for none.
-        compression: the encoding asked for, by any name; see `encoding`.
-        qos: ROS 2 quality of service, accepted and not applied.
-    """
+    """Ask for the messages of a topic; ``throttle_rate`` is in milliseconds, and ``qos`` has no effect."""
 
     op: Literal["subscribe"] = "subscribe"
     topic: Name
@@ -199,13 +169,9 @@ class Unsubscribe(Operation):
 
 
 class CallService(Operation):
-    """Call a service.
+    """Call a service; behind a ``#`` its name may contain the id.
 
-    Attributes:
-        service: its name; what follows a ``#`` is the id, where no id is given.
-        args: the request's fields by name or in order of declaration; anything else stands for no fields.
-        type: the service's type as the client calls it, which shows its dialect.
-        timeout: how long to wait for the response [s], 0 for as long as the server allows, None for its default.
+    ``args`` has the request's fields by name or in order. ``timeout`` [s] 0 is the server's limit, None its default.
     """
 
     op: Literal["call_service"] = "call_service"
@@ -231,13 +197,7 @@ class UnadvertiseService(Operation):
 
 
 class ServiceResponse(Operation):
-    """Answer a call, as its provider.
-
-    Attributes:
-        id: the call's, as the provider got it.
-        values: the response's fields; where it failed a sentence, an object or nothing.
-        result: whether the service succeeded.
-    """
+    """Answer a call by the id that its provider got; ``values`` of a failure are a sentence, an object or nothing."""
 
     op: Literal["service_response"] = "service_response"
     id: GivenId
@@ -247,12 +207,7 @@ class ServiceResponse(Operation):
 
 
 class SendActionGoal(Operation):
-    """Send a goal to an action server.
-
-    Attributes:
-        args: the goal's fields, as in `CallService`.
-        feedback: whether the client wants to hear of the goal's progress.
-    """
+    """Send a goal to an action server."""
 
     op: Literal["send_action_goal"] = "send_action_goal"
     action: Name
@@ -293,14 +248,7 @@ class ActionFeedback(Operation):
 
 
 class ActionResult(Operation):
-    """End a goal, as its provider.
-
-    Attributes:
-        id: the goal's, as the provider got it.
-        values: the result's fields; where it failed a sentence, an object or nothing.
-        status: how it ended, a value of action_msgs/GoalStatus.
-        result: whether there is a result.
-    """
+    """End a goal by the id that its provider got, with a status of action_msgs/GoalStatus."""
 
     op: Literal["action_result"] = "action_result"
     id: GivenId
@@ -311,11 +259,7 @@ class ActionResult(Operation):
 
 
 class Fragment(Operation):
-    """One piece of a longer frame.
-
-    Attributes:
-        num: its place, from 0.
-    """
+    """One piece of a longer frame."""
 
     op: Literal["fragment"] = "fragment"
     id: FragmentId
@@ -332,16 +276,7 @@ class Png(Operation):
 
 
 class Auth(Operation):
-    """Show who the client is, by a token or by a proof of one.
-
-    Attributes:
-        mac: rosauth's proof: SHA-512 of the token and of the fields below, as hexadecimal text.
-        client: the client's address, as it calls it.
-        rand: a text of its own for every proof.
-        t: when the proof was made [s since the epoch].
-        level: a role as rosauth knows them.
-        end: until when the proof is good [s since the epoch].
-    """
+    """Authenticate by a token or by rosauth's proof of one: ``mac``, the SHA-512 of token and other fields."""
 
     op: Literal["auth"] = "auth"
     token: OptionalSecret = None
@@ -375,11 +310,7 @@ OPERATIONS: dict[str, type[Operation]] = {
 
 
 def parse(value: object) -> Operation:
-    """Read one decoded frame as an operation.
-
-    Raises:
-        OperationError: no object, no op, an unknown op, or a field that is missing or senseless.
-    """
+    """Read one decoded frame as an operation, or raise OperationError."""
     if not isinstance(value, dict):
         raise OperationError(None, None, f"wanted an object with the field op, got {describe(value)}")
     op = value.get("op")

@@ -36,12 +36,7 @@ LARGE_BYTES = 65_536
 
 
 class Frame(NamedTuple):
-    """One WebSocket message, text or binary.
-
-    Attributes:
-        data: the frame's bytes; of a text frame they are ASCII.
-        text: whether it goes as a text frame, not a binary one.
-    """
+    """One WebSocket message; the data of a text frame is ASCII."""
 
     data: bytes
     text: bool
@@ -61,15 +56,9 @@ def _header(opening: int, length: int) -> bytes:
 
 
 class EncodedMessage:
-    """Frames that are sent or dropped as a whole.
+    """Frames that are sent or dropped as a whole: one, or the fragments of one.
 
-    Args:
-        frames: one frame, or the fragments of one, in order.
-
-    Attributes:
-        size_bytes: what it costs while it waits; an estimate for a message that is still to be encoded.
-        frame_count: number of frames; none while the message is still to be encoded, or when it cannot be.
-        ready: False while it is still to be encoded.
+    ``size_bytes`` is an estimate until the message is ``ready``; one that cannot be encoded has no frames.
     """
 
     __slots__ = ("_encode", "_frames", "_on_wire", "_parts", "frame_count", "ready", "size_bytes")
@@ -88,11 +77,7 @@ class EncodedMessage:
 
     @classmethod
     def text(cls, *parts: bytes) -> EncodedMessage:
-        """Return a message of one text frame, whose data is put together once, on its way out.
-
-        Args:
-            parts: the frame's data in pieces, ASCII.
-        """
+        """Return a message of one text frame; its parts are joined once, on their way out."""
         encoded = cls()
         encoded._parts = parts
         encoded.frame_count = 1
@@ -109,11 +94,7 @@ class EncodedMessage:
         return encoded
 
     def encode(self) -> None:
-        """Encode a message of :meth:`later`, in any thread; it is ready then, without frames when that fails.
-
-        Raises:
-            ProtocolError: the message cannot be encoded so.
-        """
+        """Encode a message of :meth:`later`, in any thread; on ProtocolError it is ready without frames."""
         if self._encode is None:
             return
         try:
@@ -159,14 +140,7 @@ class EncodedMessage:
 
 
 def pack(frame: Frame, fragment_size: int | None, fragment_id: str) -> EncodedMessage:
-    """Cut a text frame that is too long for its client into fragments.
-
-    Args:
-        frame: the frame; binary ones stay whole.
-        fragment_size: greatest length of a piece [characters], None for any; a message that would become more than
-            `MAX_PIECES` is cut into longer ones.
-        fragment_id: a mark that no other frame to the same client has.
-    """
+    """Cut a text frame beyond ``fragment_size`` [characters] into at most `MAX_PIECES` fragments."""
     length = len(frame.data)
     if fragment_size is None or length <= fragment_size or not frame.text:
         return EncodedMessage(frame)
@@ -188,16 +162,9 @@ class PublishedMessage:
     """A complete message of a topic, and the frames made of it.
 
     Args:
-        msg: the message as `protocol.messages.complete` returns it, or as it came where the registry does not know
-            its type; not to be changed from here on. Or such a message in JSON, as :func:`protocol.codecs.json.encode`
-            writes it.
-        received: when the message came, as a stamp or in seconds since the epoch.
-        publisher: who published it, for those whom it concerns.
-        cost_bytes: what to encode it costs, as an amount of JSON [bytes]; None to find out.
+        msg: the message as `protocol.messages.complete` returns it, which nobody changes any more, or its JSON.
+        cost_bytes: cost of its encoding, as an amount of JSON [bytes]; None to find out.
         light: True for a message that is encoded as JSON quickly, however large it is.
-
-    Attributes:
-        sequence_number: number of the topic's messages up to this one, for ROS 1's ``header.seq``.
     """
 
     __slots__ = (
@@ -262,10 +229,7 @@ class PublishedMessage:
 
     @property
     def size_bytes(self) -> int:
-        """Size of the message as it was encoded for subscribers; as JSON while it has none [bytes].
-
-        That of a large message is estimated.
-        """
+        """Size of the message as it was encoded for subscribers; as JSON while it has none [bytes]."""
         if self.large:
             return self.cost_bytes
         if not self._encoded:
@@ -287,10 +251,9 @@ class PublishedMessage:
     def encoded(
         self, spelled_topic: str, encoding: Encoding, dialect: Dialect, fragment_size: int | None
     ) -> EncodedMessage:
-        """Return the frame for subscribers that ask alike, or its fragments beyond ``fragment_size`` [characters].
+        """Return the frame for subscribers that ask alike, or its fragments; a large message is still to be encoded.
 
-        A large message is not ready yet: it is still to be encoded. A message of a type that the registry does not know
-        goes out as it came, and as ``cbor`` instead of ``cbor-raw``.
+        A message of an unknown type goes out as it came, and as ``cbor`` instead of ``cbor-raw``.
         """
         key = spelled_topic, encoding, dialect, fragment_size
         encoded = self._by_key.get(key)

@@ -132,12 +132,7 @@ _ROS2_NAMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interface
 
 @dataclass(frozen=True, slots=True)
 class ArrayBounds:
-    """Bounds on the number of elements of an array field.
-
-    Attributes:
-        min_length: least number of elements.
-        max_length: greatest number of elements, None for no bound.
-    """
+    """Bounds on the number of elements of an array field; ``max_length`` is None for no bound."""
 
     min_length: int
     max_length: int | None
@@ -150,15 +145,7 @@ class ArrayBounds:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a message.
-
-    Attributes:
-        base: a name of `PRIMITIVES`, or the canonical name of a message type.
-        array: bounds of an array field, None for a single value.
-        default: default of the interface definition, of an array its elements; None where it gives none (then zero,
-            false or empty).
-        max_length: greatest number of characters of a text, or of each text of an array; None for no bound.
-    """
+    """One field of a message; ``base`` is in `PRIMITIVES` or a message type, ``max_length`` is in characters."""
 
     name: str
     base: str
@@ -210,11 +197,9 @@ class ActionType:
 
 
 class Registry:
-    """All interface types the server knows, as one generation of ROS declares them.
+    """All interface types of one generation of ROS.
 
-    Args:
-        table: the interface definitions of this generation.
-        ros1_table: ROS 1's definitions, for the registry of ROS 2.
+    Lookups raise InterfaceError for a name that is unknown or of another kind.
     """
 
     def __init__(self, table: Table, ros1_table: Table | None = None) -> None:
@@ -247,19 +232,11 @@ class Registry:
         return _definition(self._table, canonical) is None and _definition(self._ros1_table, canonical) is not None
 
     def canonical(self, name: str, kind: Kind = "msg") -> str:
-        """Return the three-part name of a type given in two parts or three.
-
-        Raises:
-            InterfaceError: no such type, or one of another kind.
-        """
+        """Return the three-part name of a type given in two parts or three."""
         return self._look_up(name, kind)[0]
 
     def message(self, name: str) -> MessageType:
-        """Look a message type up, ``std_msgs/String``, ``std_msgs/msg/String`` or ``std_srvs/srv/SetBool_Request``.
-
-        Raises:
-            InterfaceError: no such type, or a service or action.
-        """
+        """Look a message type up, ``std_msgs/String``, ``std_msgs/msg/String`` or ``std_srvs/srv/SetBool_Request``."""
         canonical, definition = self._look_up(name, "msg")
         message_type = self._messages.get(canonical)
         # Parsed when first asked for: a server uses a few dozen of the types, and start-up does not pay for the rest.
@@ -268,20 +245,12 @@ class Registry:
         return message_type
 
     def service(self, name: str) -> ServiceType:
-        """Look a service type up, ``std_srvs/SetBool`` or ``std_srvs/srv/SetBool``.
-
-        Raises:
-            InterfaceError: no such type, or a message or action.
-        """
+        """Look a service type up, ``std_srvs/SetBool`` or ``std_srvs/srv/SetBool``."""
         canonical = self.canonical(name, "srv")
         return ServiceType(canonical, *(self.message(f"{canonical}_{member}") for member in ("Request", "Response")))
 
     def action(self, name: str) -> ActionType:
-        """Look an action type up, ``control_msgs/PointHead`` or ``control_msgs/action/PointHead``.
-
-        Raises:
-            InterfaceError: no such type, or a message or service.
-        """
+        """Look an action type up, ``control_msgs/PointHead`` or ``control_msgs/action/PointHead``."""
         canonical = self.canonical(name, "action")
         return ActionType(canonical, *(self.message(f"{canonical}_{part}") for part in ("Goal", "Result", "Feedback")))
 

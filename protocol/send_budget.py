@@ -27,11 +27,7 @@ class Holder(Protocol):
 
 
 class SendBudget:
-    """Bytes that wait to be sent to all clients of a server.
-
-    When they are used up, the client that has read least recently gives up its oldest topic data: a client that stands
-    still loses messages in favour of a client that reads, never the other way round.
-    """
+    """Bytes that wait to be sent to all clients of a server."""
 
     def __init__(self, limit_bytes: int = MAX_SERVER_QUEUED_BYTES) -> None:
         self.limit_bytes = limit_bytes
@@ -52,11 +48,7 @@ class SendBudget:
             self._holders[holder] = None
 
     def release(self, holder: Holder, size_bytes: int, *, empty: bool) -> None:
-        """Count bytes that wait no more.
-
-        Args:
-            empty: True when nothing is left in the queue.
-        """
+        """Count bytes that wait no more."""
         self.used_bytes -= size_bytes
         if empty:
             self._holders.pop(holder, None)

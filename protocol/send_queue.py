@@ -32,11 +32,7 @@ BEHIND_S = 0.25
 
 @dataclass(slots=True)
 class _Waiting:
-    """A message that waits.
-
-    Attributes:
-        size_bytes: its size as it was counted; the estimate is corrected when it has been encoded.
-    """
+    """A message that waits."""
 
     encoded: EncodedMessage
     size_bytes: int
@@ -44,12 +40,7 @@ class _Waiting:
 
 @dataclass(slots=True)
 class _TopicData(_Waiting):
-    """Topic data that waits.
-
-    Attributes:
-        subscription: the subscription that has admitted it.
-        queued_s: since when it waits [s], monotonic.
-    """
+    """Topic data that waits."""
 
     subscription: Subscription
     queued_s: float
@@ -58,15 +49,10 @@ class _TopicData(_Waiting):
 class SendQueue:
     """The messages of one client, in order of queuing.
 
-    Args:
-        budget: shared by all clients of the server; None for a budget of its own.
-
     Attributes:
-        dropped: number of topic messages given up because the client was slow or its queue_length was reached;
-            those that came too early for a throttle without a queue are not counted.
-        throttled: how many of them are to be put down to the client's own throttle.
-        overflowed: True when replies have piled up beyond their bound, or the server's budget is used up and the client
-            does not read.
+        dropped: number of topic messages dropped because the client was slow or its queue_length was reached.
+        throttled: how many of them were dropped by the client's own throttle.
+        overflowed: True when replies exceed their bound, or the client does not read and the budget is used up.
     """
 
     def __init__(self, limits: Limits, budget: SendBudget | None = None) -> None:
@@ -136,11 +122,7 @@ class SendQueue:
         self._budget.make_room_for_reply()
 
     def put_request(self, encoded: EncodedMessage) -> bool:
-        """Queue a call or goal for the client, in order with its replies.
-
-        Returns:
-            False when there is no room for it beside others; one alone may have any size.
-        """
+        """Queue a call or goal; False when there is no room beside others. One alone may have any size."""
         size_bytes = self._request_bytes + encoded.size_bytes
         if self._closed or (self._requests and size_bytes > self._limits.max_queued_request_bytes):
             return False
@@ -157,11 +139,7 @@ class SendQueue:
     def put_topic_data(
         self, subscription: Subscription, encoded: EncodedMessage, now: float, *, in_order: bool = False
     ) -> None:
-        """Queue topic data that its subscription has admitted, and drop what exceeds the bounds then.
-
-        Args:
-            in_order: True when no reply may overtake it.
-        """
+        """Queue topic data that its subscription has admitted, and drop what exceeds the bounds then."""
         if self._closed:
             return
         if subscription in self._waiting:
@@ -224,12 +202,9 @@ class SendQueue:
         return to_encode
 
     def take_due(self, now: float, budget_bytes: int) -> list[EncodedMessage]:
-        """Take out what may leave now, in order of queuing, until the budget is used up.
+        """Take out what may leave now, in order of queuing, until the messages exceed ``budget_bytes``.
 
         Call it when the socket takes more, also when nothing waits: what has been taken out before has left then.
-
-        Args:
-            budget_bytes: no further message is taken once the taken ones have this size.
         """
         if self._leaving_bytes:
             self._count_leaving(0)
@@ -256,10 +231,7 @@ class SendQueue:
         return [encoded for encoded in taken if encoded.frame_count]
 
     def next_due(self, now: float) -> float | None:
-        """Return when the next message may leave [s]: `now` when one is due, None when nothing waits.
-
-        None as well when the first that is due is still to be encoded.
-        """
+        """Return when the next message may leave [s]; None when nothing waits or the first is still to be encoded."""
         if self._unready or self._bulky:
             first = next(self._due(now), None)
             if first is not None:

@@ -50,14 +50,7 @@ LEVELS = ("none", "error", "warning", "info")
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Reason for which a frame, or an operation in it, is not carried out.
-
-    Attributes:
-        op: the operation's name, None where none could be read.
-        id: the operation's id, None where it has none.
-        text: one line that names op, field, limit and value.
-        called: service or action that the operation names, empty where it names none.
-    """
+    """Reason for which a frame, or an operation in it, is not carried out; ``called`` names its service or action."""
 
     op: str | None
     id: Mark
@@ -67,12 +60,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Operation that is packed into another one; to unpack it takes a while.
-
-    Attributes:
-        packing: the operation that holds it.
-        data: text or base64 text that :meth:`Session.unpack` reads.
-    """
+    """Operation that is packed into another one; to unpack it takes a while."""
 
     packing: Fragment | Png
     data: str
@@ -96,15 +84,7 @@ CONGESTED_SHARE = 0.25
 class Session:
     """The protocol state of one client.
 
-    Args:
-        dialect: how the client spells messages, until it shows otherwise.
-        budget: memory for what waits for all clients of the server; None for one of its own.
-
-    Attributes:
-        status_level: which status messages the client gets, one of `LEVELS`.
-        dialect: the spelling of messages that go to the client.
-        send_queue: messages that wait for the client.
-        newest_only: True where a subscription begins with the newest of the messages before it, at most.
+    ``newest_only`` lets a subscription begin with at most the newest of the messages before it.
     """
 
     def __init__(
@@ -140,11 +120,10 @@ class Session:
     def receive_frame(
         self, frame: str | bytes, now: float, *, light: bool = False
     ) -> list[Operation | Refusal | Packed]:
-        """Read one frame; text and binary frames carry the same JSON, binary ones BSON as well.
+        """Read one frame of JSON or BSON; nothing in it makes this raise.
 
-        Carry out the operations in this order, unpack what is packed in its place, and log the refusals; the
-        connection lives on after each of them. Nothing that a client sends makes this raise. A thread may read a
-        long frame, while no other frame of this client is read.
+        Carry out the operations in this order, unpack `Packed` ones in their place, and log the refusals. A thread may
+        read a long frame, while no other frame of this client is read.
         """
         # Before decoding: an oversized frame must not cost the time and memory of its decoding.
         size_bytes = _size_bytes(frame)
@@ -216,15 +195,9 @@ class Session:
         now: float,
         send_at_once: SendAtOnce = never_at_once,
     ) -> bool:
-        """Queue topic data, if the client has subscribed to the topic, under the rules of its subscription.
+        """Queue topic data under the rules of the client's subscription; return True when it was queued.
 
-        After calling this, send what `data_to_send` returns as soon as the socket takes it.
-
-        Returns:
-            True when the message was queued.
-
-        Raises:
-            ProtocolError: the message cannot be encoded as the subscription wants it.
+        Raises ProtocolError for a message that cannot be encoded as the subscription wants it.
         """
         subscription = self.subscriptions.get(published.topic)
         if subscription is None or (subscription.throttle_s > 0 and not subscription.admit(now)):
@@ -241,14 +214,9 @@ class Session:
         return False
 
     def reply(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:
-        """Send or queue an operation, which is never dropped; afterwards look at `overflowed`.
+        """Send or queue an operation, which is never dropped; True when it was queued. Afterwards look at `overflowed`.
 
-        Args:
-            fields: the operation, with the values of its message in the client's dialect; for a large one a function
-                that returns it, called by :meth:`EncodedMessage.encode`.
-
-        Returns:
-            True when it was queued.
+        ``fields`` of a large message is a function, called by :meth:`EncodedMessage.encode`.
         """
         encoded = self._encode_message(fields)
         if self.send_queue.empty and encoded.ready and send_at_once(encoded):
@@ -257,11 +225,7 @@ class Session:
         return True
 
     def ask(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:
-        """Send or queue a call or goal of somebody else, which is never dropped; arguments as of :meth:`reply`.
-
-        Returns:
-            False when too much of it waits already: then nothing is queued.
-        """
+        """Send or queue a call or goal for the client's offer; False, with nothing queued, when too many wait."""
         encoded = self._encode_message(fields)
         if self.send_queue.empty and encoded.ready and send_at_once(encoded):
             return True
@@ -274,21 +238,12 @@ class Session:
     def status(
         self, level: Literal["error", "warning", "info"], text: str, mark: Mark, *, unasked: bool = False
     ) -> None:
-        """Queue a status message, if the client has asked for this level.
-
-        Args:
-            mark: id of the operation it is about, None where it has none.
-            unasked: True to queue it whatever the client has asked for.
-        """
+        """Queue a status message, if the client has asked for this level or it is ``unasked``."""
         if unasked or LEVELS.index(level) <= LEVELS.index(self.status_level):
             self.reply(with_id({"op": "status", "level": level, "msg": text}, mark))
 
     def data_to_send(self, now: float) -> list[EncodedMessage]:
-        """Return messages that are due, in order of queuing, `SEND_BUDGET_BYTES` of them and one message at most.
-
-        Call it only when the socket takes data, and until nothing is due: messages are bounded here
-        until they are fetched.
-        """
+        """Return due messages, `SEND_BUDGET_BYTES` and one message at most; call it when the socket takes data."""
         if self.dropped > self._drops_told:
             self._tell_drops(now)
         return self.send_queue.take_due(now, SEND_BUDGET_BYTES)

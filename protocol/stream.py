@@ -30,12 +30,8 @@ _FILLER = re.compile(rb"[ \t\r\n\0]*+")
 class StreamSplitter:
     """Cuts the stream of one client into frames, however it is cut on its way.
 
-    A stream that cannot be cut has lost its place, and anything behind that could be taken for an operation. So the
-    first byte that belongs nowhere ends it: a web page can have a browser send an HTTP request to any port, with
-    operations in its body.
-
-    Args:
-        max_frame_bytes: greatest size of a frame [bytes].
+    The first byte that belongs nowhere ends the stream: a web page can have a browser send an HTTP request to any port,
+    with operations in its body.
     """
 
     def __init__(self, max_frame_bytes: int) -> None:
@@ -61,12 +57,9 @@ class StreamSplitter:
         self._end = None
 
     def next_frame(self) -> str | bytes | None:
-        """Return the next frame, one BSON document, or one JSON object as text; None when its end has not come yet.
+        """Return the next frame, a BSON document or a JSON object; None when its end has not come yet.
 
-        An object that is no UTF-8 is returned as bytes, for the session to refuse.
-
-        Raises:
-            FrameError: the stream cannot be cut any further; nothing behind this can be read.
+        Raises FrameError for a stream that cannot be cut any further.
         """
         if self._is_bson is None:
             if len(self._data) < _LENGTH_BYTES:

@@ -38,12 +38,7 @@ class _UnsuitedError(Exception):
 
 
 class StrictType:
-    """Message type, for messages that leave nothing out.
-
-    Attributes:
-        struct: msgspec's struct of the type, with the fields' names as they are sent.
-        has_lists_of_messages: True where a completed message may be much larger than the received one.
-    """
+    """Message type, for messages that leave nothing out; ``struct`` has the fields' names as they are sent."""
 
     def __init__(self, registry: Registry, type_name: str) -> None:
         writer = _Writer(registry)
@@ -53,14 +48,7 @@ class StrictType:
         self._octets = tuple(_octet_arrays(registry, message_type, ""))
 
     def complete(self, value: object) -> dict[str, Any] | None:
-        """Copy a decoded message, with whole numbers as floats where the type has floats.
-
-        Args:
-            value: the message; it is not changed.
-
-        Returns:
-            The fields in order of declaration; None for a message that is not as the type declares it.
-        """
+        """Copy a decoded message, whole numbers as floats where the type has floats; None if it does not match."""
         if type(value) is not dict:
             return None
         try:
@@ -83,11 +71,7 @@ class StrictType:
 
 @functools.lru_cache(maxsize=MAX_STRUCTS)
 def strict_type(registry: Registry, type_name: str) -> StrictType | None:
-    """Return the strict form of a message type, None for a type that has none.
-
-    Raises:
-        InterfaceError: the type is unknown.
-    """
+    """Return the strict form of a message type, None for a type that has none."""
     try:
         return StrictType(registry, type_name)
     except _UnsuitedError:
@@ -118,14 +102,9 @@ class PublicationReader:
         self._decode: Callable[[str], Any] = msgspec.json.Decoder(operation).decode
 
     def read(self, frame: str, topic: str) -> bytes | None:
-        """Read a frame.
+        """Return the message of a publish operation as JSON in ASCII.
 
-        Args:
-            topic: the topic, as the client spells it.
-
-        Returns:
-            The message as JSON in ASCII, its fields in order of declaration; None for a frame that is not exactly one
-            publish operation on this topic, without latch, whose message is as its type declares it.
+        None for any other frame, another topic, a latch, or a message that does not match its type exactly.
         """
         try:
             operation = self._decode(frame)
@@ -138,11 +117,7 @@ class PublicationReader:
 
 
 class _Writer:
-    """Writes the structs of a message type and of all types in it.
-
-    Attributes:
-        has_lists_of_messages: True once it has met one.
-    """
+    """Writes the structs of a message type and of all types in it."""
 
     def __init__(self, registry: Registry) -> None:
         self.has_lists_of_messages = False

@@ -20,12 +20,7 @@ T = TypeVar("T", Advertise, Subscribe)
 
 
 class Registrations(Generic[T]):
-    """Operations that have registered something, by topic and id; a topic has one key however it is spelled.
-
-    Args:
-        op: the operation that registers, for errors.
-        opposite: the operation that withdraws.
-    """
+    """Operations ``op`` of one client by topic and id; ``opposite`` withdraws them."""
 
     def __init__(self, op: str, opposite: str, limit: int) -> None:
         self._op = op
@@ -46,14 +41,7 @@ class Registrations(Generic[T]):
         return self._entries.get(qualify(topic), {}).values()
 
     def add(self, operation: T) -> bool:
-        """Register an operation, after the graph has accepted it; the same id on the same topic is replaced.
-
-        Returns:
-            True when this is the first on the topic.
-
-        Raises:
-            OperationError: the limit is reached.
-        """
+        """Register an accepted operation, or raise OperationError at the limit; True for the first on the topic."""
         topic = qualify(operation.topic)
         # A refused operation must leave no empty topic behind, so the topic is made only afterwards.
         if operation.id not in self._entries.get(topic, {}):
@@ -66,13 +54,9 @@ class Registrations(Generic[T]):
         return first
 
     def remove(self, topic: str, entry_id: Mark) -> bool:
-        """Withdraw one entry, or all on the topic when no id is given.
+        """Withdraw one entry, or all on the topic without an id; True when nothing is left.
 
-        Returns:
-            True when nothing is left on the topic.
-
-        Raises:
-            NothingToDoError: there is no such entry.
+        Raises NothingToDoError when there is no such entry.
         """
         ids = self._entries.get(qualify(topic), {})
         withdrawn = list(ids) if entry_id is None else [one for one in ids if one == entry_id]
@@ -93,17 +77,7 @@ COMPRESSIONS: tuple[Compression, ...] = ("cbor-raw", "cbor", "png", "none")
 
 @dataclass(eq=False, slots=True)
 class Subscription:
-    """One topic's delivery to one client.
-
-    Attributes:
-        spelled_topic: the topic as the first subscription spelled it, and as deliveries spell it.
-        throttle_s: least time between two messages [s], 0 for all at once.
-        queue_length: how many messages may wait, 0 for as many as the client's bound allows.
-        compression: the encoding of the messages, one of `COMPRESSIONS`.
-        fragment_size: greatest length of a frame [characters], None for the client's.
-        last_sent_s: when the last message left [s], in the caller's clock.
-        closed: whether the last id has gone; what still waits is not sent any more.
-    """
+    """One topic's delivery to one client: the topic as first spelled, the merged wishes, and the last sending [s]."""
 
     spelled_topic: str
     throttle_s: float = 0.0
@@ -175,14 +149,7 @@ class Subscriptions:
         return self._merged.get(topic)
 
     def add(self, operation: Subscribe) -> bool:
-        """Register a subscription, after the graph has accepted the operation.
-
-        Returns:
-            True when this is the client's first subscription to the topic.
-
-        Raises:
-            OperationError: the client's limit is reached.
-        """
+        """Register a subscription, after the graph has accepted the operation."""
         first = self._asked.add(operation)
         # The delivery outlives the id that opened it: its spelling and its throttle's clock belong to the topic.
         subscription = self._merged.setdefault(qualify(operation.topic), Subscription(operation.topic))
@@ -190,14 +157,7 @@ class Subscriptions:
         return first
 
     def remove(self, topic: str, subscription_id: Mark) -> bool:
-        """Withdraw the subscription with this id, or all to the topic when no id is given.
-
-        Returns:
-            True when nothing is left on the topic: unsubscribe from the graph as well.
-
-        Raises:
-            NothingToDoError: there is no such subscription.
-        """
+        """Withdraw one subscription, or all to the topic; True when nothing is left, else NothingToDoError."""
         none_left = self._asked.remove(topic, subscription_id)
         if none_left:
             # Frames of it may still wait in the send queue, which holds the delivery, not the table.

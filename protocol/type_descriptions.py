@@ -28,11 +28,7 @@ _SEPARATOR = "=" * 80
 
 
 def full_text(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> str:
-    """Return a message type's text followed by the texts of all message types in it.
-
-    Raises:
-        InterfaceError: no such type.
-    """
+    """Return a message type's text followed by the texts of all message types in it."""
     main, *dependencies = _with_dependencies(registry, type_name, dialect)
     # ROS 1 readers know time and duration as primitives.
     sections = (each for each in dependencies if each.name not in ROS1_TIMES)
@@ -44,11 +40,7 @@ def full_text(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> 
 
 
 def typedefs(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> list[dict[str, Any]]:
-    """Return the rosapi TypeDefs of a message type and of all message types in it, depth first.
-
-    Raises:
-        InterfaceError: no such type.
-    """
+    """Return the rosapi TypeDefs of a message type and of all message types in it, depth first."""
     return [_typedef(each, dialect) for each in _with_dependencies(registry, type_name, dialect)]
 
 
@@ -186,22 +178,14 @@ _Row: TypeAlias = dict[str, Any]
 
 @functools.lru_cache(maxsize=MAX_HASHED_TYPES)
 def message_hash(registry: Registry, name: str) -> str:
-    """Return the hash of a message type, with its prefix.
-
-    Raises:
-        InterfaceError: no such type.
-    """
+    """Return the hash of a message type, with its prefix."""
     canonical = registry.canonical(name)
     return _hash(canonical, _with_nested(registry, canonical))
 
 
 @functools.lru_cache(maxsize=MAX_HASHED_TYPES)
 def service_hash(registry: Registry, name: str) -> str:
-    """Return the hash of a service type, which covers its request, its response and the event of both.
-
-    Raises:
-        InterfaceError: no such type.
-    """
+    """Return the hash of a service type, which covers its request, its response and the event of both."""
     service = registry.service(name)
     request, response, event = service.request.name, service.response.name, f"{service.name}_Event"
     fields = {

@@ -84,11 +84,7 @@ def to_float32(value: object) -> float:
 
 
 def converter(name: str, max_length: int | None = None) -> Convert:
-    """Return the converter of a primitive type.
-
-    Args:
-        max_length: greatest number of characters of a text; None for no bound.
-    """
+    """Return the converter of a primitive type."""
     if name in INTEGER_RANGES:
         return _integer_converter(name)
     if name in TEXTS:
@@ -108,14 +104,7 @@ def element_converter(name: str, max_length: int | None = None) -> Convert:
 
 
 def list_converter(name: str, max_length: int | None = None) -> ConvertList:
-    """Return the quick way for lists in which every element is as it should be.
-
-    The converter returned gives None for any other list: then the elements are looked at one by one, which is
-    slower but finds what can be forgiven and the index of what cannot.
-
-    Args:
-        max_length: greatest number of characters of each text; None for no bound.
-    """
+    """Return the quick way for lists in which every element fits; it returns None for any other list."""
     if name in INTEGER_RANGES:
         return _integer_list_converter(name)
     if name in TEXTS:

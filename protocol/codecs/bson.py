@@ -36,11 +36,7 @@ def is_document(frame: bytes) -> bool:
 
 
 def decode(frame: bytes) -> dict[str, Any]:
-    """Decode one frame into the values that JSON would have given; binary data becomes base64 text.
-
-    Raises:
-        FrameError: not BSON, a type that JSON has not, or nested deeper than `MAX_NESTING_DEPTH`.
-    """
+    """Decode one frame into the values that JSON would have given, binary data as base64 text, or raise FrameError."""
     try:
         document = bson.decode(frame)
     except (BSONError, ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -52,9 +48,7 @@ def decode(frame: bytes) -> dict[str, Any]:
 def encode(value: Mapping[str, Any]) -> bytes:
     """Encode one frame.
 
-    Args:
-        value: dicts with text as keys, lists, text, numbers within 64 bits, booleans, None, bytes. Unsigned numbers
-            beyond what BSON's integers hold go out as the nearest float, keys without the zeros that end them in BSON.
+    Unsigned numbers beyond BSON's integers go out as the nearest float, keys without the zeros that end them in BSON.
     """
     try:
         return bson.encode(value)

@@ -44,21 +44,13 @@ _TYPED_ARRAYS = {
 
 
 def with_octets(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a complete message with ``bytes`` for each uint8[] and char[].
-
-    Args:
-        msg: a message as `protocol.messages.complete` returns it; it is left as it was.
-    """
+    """Return a complete message with ``bytes`` for each uint8[] and char[]."""
     pack = _packing(registry, type_name, False)
     return msg if pack is None else pack(msg)
 
 
 def with_typed_arrays(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a complete message with ``bytes`` for each uint8[] and char[], and typed arrays for other numbers.
-
-    Args:
-        msg: a message as `protocol.messages.complete` returns it; it is left as it was.
-    """
+    """Return a complete message with ``bytes`` for each uint8[] and char[], and typed arrays for other numbers."""
     pack = _packing(registry, type_name, True)
     return msg if pack is None else pack(msg)
 
@@ -108,11 +100,7 @@ _MSG_KEY = cbor2.dumps("msg")
 
 
 def encode(msg: Mapping[str, Any]) -> bytes:
-    """Encode a message.
-
-    Args:
-        msg: dicts, lists, text, numbers, booleans, bytes, and typed arrays as `protocol.codecs.cbor` makes them.
-    """
+    """Encode a message."""
     return b"".join(encoded_pieces(msg, _NOTATION))
 
 

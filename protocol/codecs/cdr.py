@@ -58,11 +58,7 @@ Write: TypeAlias = Callable[[bytearray, Any], None]
 
 
 def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> bytes:
-    """Return a complete message as CDR, with its header.
-
-    Args:
-        msg: a message as `protocol.messages.complete` returns it.
-    """
+    """Return a complete message (:func:`protocol.messages.complete`) as CDR, with its header."""
     body = bytearray()
     _message_writer(registry, type_name)(body, msg)
     return HEADER + body
@@ -121,12 +117,7 @@ def primitive_writer(base: str, *, aligned: bool) -> Write:
 
 
 def field_writer(field: Field, write_element: Write, *, aligned: bool) -> Write:
-    """Return the writer of a field, which for an array has its length in front if that is not fixed.
-
-    Args:
-        write_element: writes a single value; arrays of numbers and octets are written as a whole.
-        aligned: True where numbers are aligned to their size, as in CDR.
-    """
+    """Return the writer of a field; ``write_element`` writes one value, arrays of numbers and octets go as a whole."""
     if field.array is None:
         return write_element
     counted, octets = not field.array.fixed, field.base in OCTETS
@@ -199,14 +190,9 @@ _Read: TypeAlias = Callable[[_Body], Any]
 
 
 def deserialize(registry: Registry, type_name: str, octets: bytes) -> dict[str, Any]:
-    """Return the complete message that CDR holds, spelled as `protocol.messages.complete` does.
+    """Return the complete message that CDR with its header holds.
 
-    Args:
-        octets: CDR, little-endian, with its header.
-
-    Raises:
-        InterfaceError: the type is unknown.
-        MessageError: the octets are no message of this type.
+    Raises InterfaceError for an unknown type, MessageError for octets that are no message of this type.
     """
     if octets[: len(HEADER)] != HEADER:
         raise MessageError(f"CDR with the header {HEADER.hex()}", octets[: len(HEADER)].hex() or "nothing")

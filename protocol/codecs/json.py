@@ -35,13 +35,9 @@ _NOT_ASCII = re.compile(r"[^\x00-\x7f]+")
 
 
 def decode(frame: str | bytes, *, light: bool = False) -> object:
-    """Decode one frame.
+    """Decode one frame of JSON text or its UTF-8.
 
-    Args:
-        frame: JSON text; bytes are UTF-8.
-
-    Raises:
-        FrameError: invalid UTF-8, not JSON, nested deeper than `MAX_NESTING_DEPTH`, or too many lists and objects.
+    Raises FrameError: invalid UTF-8, no JSON, deeper than `MAX_NESTING_DEPTH`, or too many lists and objects.
     """
     if len(frame) > 2 * PIECE_BYTES and not light:
         return decode_in_pieces(_utf8(frame), _decode_piece, MAX_NESTING_DEPTH)
@@ -65,11 +61,7 @@ def is_light(frame: str) -> bool:
 
 
 def encode(value: object) -> bytes:
-    """Encode one frame: ASCII, no blanks, NaN and infinities as null.
-
-    Args:
-        value: dicts, lists, text, numbers within 64 bits, booleans, None.
-    """
+    """Encode one frame: ASCII, no blanks, NaN and infinities as null."""
     encoded = orjson.dumps(value)
     if encoded.isascii():
         return encoded

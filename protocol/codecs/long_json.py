@@ -43,16 +43,9 @@ _CLOSED_BY = {b"[": b"]", b"{": b"}"}
 def decode_in_pieces(
     text: bytes, decode: Callable[[bytes, int], object], max_depth: int, piece_bytes: int = PIECE_BYTES
 ) -> object:
-    """Decode a text.
+    """Decode JSON in UTF-8; ``decode`` decodes a piece, given the piece's offset in the text.
 
-    Args:
-        text: JSON in UTF-8.
-        decode: decodes a piece; its second argument is what to add to a position in the piece for that in the text.
-        max_depth: greatest nesting of lists and objects.
-        piece_bytes: least length of a piece.
-
-    Raises:
-        FrameError: not JSON, nested deeper than ``max_depth``, or more lists and objects than `MAX_CONTAINERS`.
+    Raises FrameError: no JSON, nested deeper than ``max_depth``, or more lists and objects than `MAX_CONTAINERS`.
     """
     containers = text.count(b"[") + text.count(b"{")
     if containers > MAX_CONTAINERS:
@@ -78,10 +71,7 @@ def _head(opened: bytes) -> bytes:
 class _Cutter:
     """Finds the commas at which a text is cut.
 
-    Attributes:
-        position: end of the latest piece, and of the comma behind it.
-        open: brackets that are open there, outermost first.
-        lowest: least number of them that were open in the latest piece.
+    ``open`` holds the open brackets at ``position``, behind the latest piece; ``lowest`` the fewest in that piece.
     """
 
     def __init__(self, text: bytes, max_depth: int, piece_bytes: int) -> None:

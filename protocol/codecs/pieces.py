@@ -24,11 +24,7 @@ _PLAIN = frozenset((str, int, float, bool))
 
 
 def encoding_cost_bytes(value: object, limit_bytes: int) -> int:
-    """Estimate the JSON of a message, reading no further than a limit of it [bytes].
-
-    Args:
-        limit_bytes: the most that is returned.
-    """
+    """Estimate the JSON of a message, reading no further than a limit of it [bytes]."""
     if type(value) is dict and _PLAIN.issuperset(map(type, value.values())):
         # Most messages that are asked about are small, and this takes a fifth of the time.
         return min(
@@ -57,12 +53,7 @@ def encoding_cost_bytes(value: object, limit_bytes: int) -> int:
 
 @dataclass(frozen=True)
 class Notation:
-    """Bytes of an encoding around the members of maps and lists.
-
-    Attributes:
-        map_head: returns the head of a map with a number of members.
-        list_head: returns the head of a list with a number of members.
-    """
+    """Bytes of an encoding around the members of maps and lists."""
 
     encode: Callable[[Any], bytes]
     map_head: Callable[[int], bytes]
@@ -79,12 +70,7 @@ def json_notation(encode: Callable[[Any], bytes]) -> Notation:
 
 
 def encoded_pieces(value: Any, notation: Notation, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
-    """Encode a value piece by piece; all pieces together are the encoded value.
-
-    Args:
-        value: dicts, lists, and what the encoder takes.
-        piece_bytes: cost of a piece; a single text or number of more is a piece by itself.
-    """
+    """Encode a value piece by piece, each of a cost of ``piece_bytes``; a single long text is a piece by itself."""
     if type(value) not in (dict, list) or encoding_cost_bytes(value, piece_bytes) < piece_bytes:
         yield notation.encode(value)
         return

@@ -40,11 +40,7 @@ _COMPRESSION_LEVEL = 1
 
 
 def encode(frame: bytes) -> str:
-    """Draw a frame and return the PNG as base64 text.
-
-    Args:
-        frame: JSON text in ASCII.
-    """
+    """Draw a frame of ASCII text and return the PNG as base64 text."""
     pixels = math.ceil(len(frame) / _BYTES_A_PIXEL)
     width = max(1, math.isqrt(pixels))
     height = max(1, math.ceil(pixels / width))
@@ -68,8 +64,7 @@ def _chunk(name: bytes, data: bytes) -> bytes:
 def decode(data: str) -> bytes:
     """Return the frame that a PNG carries, perhaps with newlines behind it.
 
-    Raises:
-        FrameError: no base64, no PNG, or more than `MAX_DECODED_BYTES` inside.
+    Raises FrameError: no base64, no PNG, or more than `MAX_DECODED_BYTES` inside.
     """
     try:
         drawn = binascii.a2b_base64(data, strict_mode=True)

@@ -29,13 +29,7 @@ _TIMES = (*ROS1_TIMES, "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Du
 
 
 def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence_number: int = 0) -> bytes:
-    """Return a complete message in ROS 1's serialization.
-
-    Args:
-        type_name: name of the message's type; a type of ROS 2 alone is written as if ROS 1 had it.
-        msg: a message as `protocol.messages.complete` returns it, in ROS 2 spelling.
-        sequence_number: as of :func:`protocol.dialect.to_ros1`.
-    """
+    """Return a complete message in ROS 1's serialization; a type of ROS 2 alone is written as if ROS 1 had it."""
     octets = bytearray()
     _message_writer(registry, type_name)(octets, to_ros1(registry, type_name, msg, sequence_number))
     return bytes(octets)

@@ -15,7 +15,7 @@ from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.description.robot_folder import _robots, _urdfs, find_example
-from server.moveit.poses import pose_of, write_pose
+from server.moveit.messages import pose_of, write_pose
 
 pytestmark = [
     pytest.mark.skipif(find_example("panda") is None, reason="the package example-robot-data is not installed"),

@@ -19,11 +19,7 @@ _IPV6_FIELDS = 6
 
 
 def host_addresses() -> Sequence[str]:
-    """Return the addresses under which other machines may reach this one: IPv4 first, without loopback and link-local.
-
-    Addresses of the link alone need the name of an interface behind them, which neither certificates nor the
-    addresses of pages can have.
-    """
+    """Return the addresses at which other machines may reach this one: IPv4 first, no loopback or link-local."""
     return [*_ipv4_addresses(), *_ipv6_addresses(_read_table())]
 
 

@@ -40,23 +40,14 @@ class CameraError(ServerError):
 
 
 class Captured(NamedTuple):
-    """Image of a camera.
-
-    Attributes:
-        pixels: red, green and blue, shape (height, width, 3).
-    """
+    """Image of a camera, red, green and blue of shape (height, width, 3)."""
 
     stamp_ns: int
     pixels: Pixels
 
 
 class ImageSource(Protocol):
-    """Something that gives images.
-
-    Attributes:
-        paced: True if it gives them at its own rate, False if the reader has to wait between them.
-        finite: True if it ends of itself, as a file does.
-    """
+    """Source of images, ``paced`` if it gives them at its own rate, ``finite`` if it ends of itself."""
 
     paced: bool
     finite: bool
@@ -97,11 +88,7 @@ class TestPattern:
 
 
 class OpenCvSource:
-    """Camera or video file that OpenCV reads.
-
-    Raises:
-        CameraError: OpenCV is not installed, or cannot open the device.
-    """
+    """Camera or video file that OpenCV reads, or CameraError."""
 
     def __init__(self, device: str, width: int | None) -> None:
         try:
@@ -144,12 +131,7 @@ def even(pixels: int) -> int:
 
 
 def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
-    """Return an image as JPEG, with even width and height.
-
-    Args:
-        pixels: shape (height, width, 3).
-        quality: of JPEG, 1 to 95.
-    """
+    """Return an image of shape (height, width, 3) as JPEG of a quality from 1 to 95, with even width and height."""
     image = Image.fromarray(pixels)
     if width is not None and width != image.width:
         image = image.resize((width, max(2, round(image.height * width / image.width))))
@@ -161,12 +143,7 @@ def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
 
 
 class NewestImage:
-    """Thread that reads a camera and keeps its newest image alone: a late reader gets no old ones.
-
-    Args:
-        period_s: time between two images of a source that is not paced [s].
-        arrived: called, in the thread, after each image and at the end.
-    """
+    """Thread that reads a camera and keeps its newest image alone, and calls ``arrived`` after each and at the end."""
 
     def __init__(
         self,

@@ -32,11 +32,7 @@ class CameraOptions:
 
 
 class CameraClient(PublishingClient):
-    """Client that publishes the images of a camera until they end.
-
-    An image is published when the server has taken the last one. On a slow network there are fewer images, and no old
-    ones. Made where an event loop runs.
-    """
+    """Client that publishes a camera's images, each when the server has taken the last: a slow network gets fewer."""
 
     def __init__(
         self, target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
@@ -103,11 +99,7 @@ def _message(captured: Captured, jpeg: bytes, frame_id: str) -> dict[str, Any]:
 async def publish_camera(
     target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
 ) -> tuple[int, bool]:
-    """Publish a camera's images until they end, SIGINT or SIGTERM.
-
-    Returns:
-        Number of published images, and True if a signal has ended it.
-    """
+    """Publish a camera's images until they end or a signal; return their number, and True for a signal."""
     client = CameraClient(target, options, source, tell)
     by_signal = await run_until_signal(client.run())
     return client.published, by_signal

@@ -50,11 +50,7 @@ class ExportError(ServerError):
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Options of an export.
-
-    Attributes:
-        action_topic: topic of the actions; None for the leader's, else a controller's state, else the next state.
-    """
+    """Options of an export; the actions are the topic's, else the leader's, a controller's, or the next state."""
 
     recordings: Sequence[Path]
     output: Path
@@ -86,13 +82,7 @@ class _Source:
 
 
 def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
-    """Write a dataset of recordings.
-
-    Raises:
-        ExportError: the recordings make no dataset, or an extra is not installed.
-        RecordingError: a recording cannot be read.
-        OSError: the dataset cannot be written.
-    """
+    """Write a dataset of recordings; raises ExportError, RecordingError and OSError."""
     _check(options)
     problems: list[str] = []
     joints: tuple[str, ...] = ()

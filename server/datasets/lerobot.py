@@ -45,11 +45,7 @@ INDEX_COLUMNS = {
 
 @dataclass(frozen=True)
 class Camera:
-    """Video of a camera, as it was written.
-
-    Attributes:
-        statistics: of each episode's frames.
-    """
+    """Video of a camera, as it was written."""
 
     height: int
     width: int
@@ -58,12 +54,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Contents of a dataset.
-
-    Attributes:
-        episodes: frames of each episode, with states and actions in the dataset's units.
-        cameras: key of each video, such as ``observation.images.camera``, and the video.
-    """
+    """Contents of a dataset, its episodes in its units, its cameras by keys such as ``observation.images.camera``."""
 
     fps: int
     joints: Sequence[str]

@@ -17,11 +17,7 @@ LEVELS = 256
 
 
 def statistics_of(values: NDArray[Any]) -> Statistics:
-    """Return the statistics of a feature of numbers, over its frames.
-
-    Args:
-        values: shape (frames,) or (frames, n).
-    """
+    """Return the statistics of a feature of shape (frames,) or (frames, n), over its frames."""
     columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     quantiles = np.quantile(columns, list(QUANTILES.values()), axis=0)
     return {
@@ -42,11 +38,7 @@ class ImageStatistics:
         self._histogram = np.zeros((3, LEVELS), dtype=np.int64)
 
     def add(self, image: NDArray[np.uint8], times: int = 1) -> None:
-        """Add the pixels of a frame.
-
-        Args:
-            image: shape (height, width, 3).
-        """
+        """Add the pixels of a frame, shape (height, width, 3)."""
         self.frames += times
         for channel in range(3):
             self._histogram[channel] += times * np.bincount(image[:, :, channel].ravel(), minlength=LEVELS)

@@ -26,11 +26,7 @@ class VideoError(Exception):
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """Return a compressed image as its pixels, shape (height, width, 3).
-
-    Raises:
-        VideoError: it is none, or too large.
-    """
+    """Return a compressed image as its pixels, shape (height, width, 3), or raise VideoError."""
     try:
         with Image.open(io.BytesIO(data)) as image:
             if max(image.size) > MAX_SIDE_PIXELS:
@@ -41,11 +37,7 @@ def decode(data: bytes) -> NDArray[np.uint8]:
 
 
 class VideoWriter:
-    """MP4 file that is being written.
-
-    Attributes:
-        shape: height and width [pixels]; zeros before the first frame.
-    """
+    """MP4 file that is being written; ``shape`` is (height, width), zeros before the first frame."""
 
     def __init__(self, path: Path, fps: int) -> None:
         # Imported when it is needed: an extra of those who export videos.
@@ -73,14 +65,7 @@ class VideoWriter:
         self._container.close()
 
     def add(self, image: NDArray[np.uint8], times: int) -> None:
-        """Append an image.
-
-        Args:
-            image: shape (height, width, 3).
-
-        Raises:
-            VideoError: it has another size than the first one, or a size that H.264 cannot have.
-        """
+        """Append an image of shape (height, width, 3), or raise VideoError if its size does not fit."""
         height, width = image.shape[:2]
         if not self.frames:
             if height % 2 or width % 2:

@@ -44,11 +44,7 @@ log = logging.getLogger("armbridge.gateway")
 
 
 class Client:
-    """Client of rosbridge.
-
-    Args:
-        context: the parts that its topics, services, actions and authentication share.
-    """
+    """Client of rosbridge."""
 
     def __init__(self, context: ClientContext, auth: AuthContext, scheduling: Scheduling, transport: Transport) -> None:
         self.node = context.node

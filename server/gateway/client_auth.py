@@ -23,14 +23,7 @@ _NOT_FIRST = "the first message must be auth, with a token of this server"
 
 @dataclass(slots=True, eq=False)
 class AuthContext:
-    """Authentication as the connection of a client provides it.
-
-    Attributes:
-        address: IP address of the client, under which its wrong tokens count.
-        throttle: throttle of guesses; None where nobody counts them.
-        disconnect: ends the connection, with a reason.
-        on_authenticated: called when the client has shown a token.
-    """
+    """Authentication as a client's connection provides it; wrong tokens count under the IP ``address``."""
 
     access: Access
     address: str = ""

@@ -31,14 +31,7 @@ _TOPIC_WITHIN = 1024
 
 
 class StrictTopic(NamedTuple):
-    """Topic on which a client has published.
-
-    Attributes:
-        spelled: the topic as the client spells it.
-        name: its fully qualified name.
-        revision: the graph's revision when the topic was looked at.
-        reader: reads messages that are just as the topic's type declares them.
-    """
+    """Topic on which a client has published; ``reader`` holds for the graph's ``revision``."""
 
     spelled: str
     name: str
@@ -124,11 +117,7 @@ class ClientTopics:
             self._strict_topics[spelled_topic] = StrictTopic(spelled_topic, name, self._graph.revision, reader)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
-        """Read a frame with a message on a topic on which the client has published before.
-
-        Returns:
-            None for a frame that is to be read the general way.
-        """
+        """Read a message on a topic that the client has published on; None for a frame to be read the general way."""
         if not self._strict_topics:
             return None
         found = _TOPIC.search(frame, 0, _TOPIC_WITHIN)

@@ -62,16 +62,7 @@ def goals_end_with_client(query: Mapping[str, Sequence[str]], *, unless_asked: b
 
 
 class TrafficCounts(NamedTuple):
-    """Traffic of one connection, or of all of them.
-
-    Attributes:
-        received_messages: WebSocket messages received.
-        received_bytes: bytes received, with the handshake's.
-        sent_messages: WebSocket messages sent; a fragment is one.
-        sent_bytes: bytes of these messages.
-        dropped_messages: messages of topics dropped because the client read too slowly.
-        refused_operations: operations that were not carried out.
-    """
+    """Traffic of one connection, or of all; a sent fragment counts as a message."""
 
     received_messages: int = 0
     received_bytes: int = 0
@@ -82,12 +73,7 @@ class TrafficCounts(NamedTuple):
 
 
 class Connection:
-    """Connection of one client.
-
-    Args:
-        takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
-        ros_version: generation of ROS in whose spelling it gets messages, unless its URL says otherwise.
-    """
+    """Connection of one client; its URL may override ``takes_goals_along`` and ``ros_version``."""
 
     def __init__(
         self,
@@ -304,11 +290,7 @@ class Connection:
 
 
 class Traffic:
-    """Traffic of all connections, those that have ended included; it is added up when it is asked for.
-
-    Attributes:
-        connections: connections that there have ever been.
-    """
+    """Traffic of all connections, those that have ended included; it is added up when it is asked for."""
 
     def __init__(self) -> None:
         self.connections = 0

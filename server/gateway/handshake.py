@@ -46,11 +46,7 @@ _ACCEPTED = (
 
 
 def read_upgrade(data: bytes) -> Request | None:
-    """Return a request that opens a WebSocket and that websockets would accept.
-
-    Returns:
-        The request; None for a request that is incomplete, not plain, or followed by anything.
-    """
+    """Return a request that opens a WebSocket; None for one that is incomplete, not plain, or followed by anything."""
     if len(data) > MAX_REQUEST_BYTES or (found := _REQUEST.fullmatch(data)) is None:
         return None
     path, fields = found[1].decode("ascii"), _fields(found[2])
@@ -61,10 +57,9 @@ def read_upgrade(data: bytes) -> Request | None:
 
 
 def read_post(data: bytes) -> tuple[Request, int] | None:
-    """Return a request that may have a body, and the size of its head; None while its head is incomplete.
+    """Return a request that may have a body, and the size of its head; None while the head is incomplete.
 
-    Raises:
-        ValueError: it is no request.
+    Raises ValueError for anything else.
     """
     end = data.find(_END_OF_HEAD)
     if end < 0 and len(data) <= MAX_HEAD_BYTES:

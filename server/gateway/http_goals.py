@@ -63,13 +63,7 @@ class _RefusedError(Exception):
 
 
 class HttpGoals:
-    """Goals that are posted to ``/goal``.
-
-    Args:
-        arms: names of several arms, one of which the field ``arm`` chooses.
-        takes_goals_along: True where the goal of a client that leaves before its answer is cancelled, unless its URL
-            has another ``on_disconnect``.
-    """
+    """Goals that are posted to ``/goal``; the field ``arm`` chooses one of several arms."""
 
     def __init__(self, graph: Graph, access: Access, arms: Collection[str], *, takes_goals_along: bool) -> None:
         self._graph = graph

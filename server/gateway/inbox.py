@@ -55,12 +55,7 @@ MAX_COMPLETIONS = 3
 
 @dataclass
 class Scheduling:
-    """Turns, threads and memory, which all clients share.
-
-    Attributes:
-        background: threads for long frames and large messages.
-        waiting_bytes: bytes in the inboxes of all clients.
-    """
+    """Turns, threads and memory, which all clients share."""
 
     turns: Turns
     background: Threads
@@ -75,15 +70,7 @@ class Scheduling:
 
 @dataclass(slots=True, eq=False)
 class _Waiting:
-    """Frame that is to be read, or part of a frame that was read.
-
-    Attributes:
-        item: the frame, or an operation of it.
-        epoch: stop epoch in which the frame arrived.
-        repeated: True for an operation that has been carried out ahead of its turn.
-        message: message of the operation, once it has been completed in the background.
-        completions: number of times that this has been done.
-    """
+    """Frame that is to be read, or part of a frame that was read."""
 
     item: str | bytes | Operation | Refusal | Packed | StrictPublication
     size_bytes: int

@@ -52,17 +52,9 @@ _LOCKED = "the key has a passphrase, which nobody can enter; `openssl pkey -in K
 
 
 class Tls:
-    """A certificate with its key.
+    """A certificate with its key; ``context`` stays the same, each handshake gets the certificate read last.
 
-    Args:
-        certificate: PEM file, with the certificates that lead to its issuer.
-
-    Attributes:
-        context: context of the listening sockets, the same as long as the server runs; each handshake gets the
-            certificate that was read last.
-
-    Raises:
-        ConfigurationError: the files cannot be used.
+    Raises ConfigurationError for files that cannot be used.
     """
 
     def __init__(self, certificate: Path, key: Path) -> None:
@@ -237,12 +229,7 @@ class Place(NamedTuple):
 class Listener:
     """Listener on one TCP port of every address of a host; clients may ask for any path and query.
 
-    Args:
-        access: authentication and authorization; None for a server without tokens and limits.
-        takes_goals_along: True where a client's goals are cancelled when it leaves, unless its URL says otherwise.
-
-    Raises:
-        ConfigurationError: the certificate cannot be used.
+    Raises ConfigurationError for a certificate that cannot be used.
     """
 
     def __init__(
@@ -332,9 +319,7 @@ class Listener:
     async def bind(self) -> None:
         """Take the port; clients that connect now wait until :meth:`open`.
 
-        Raises:
-            ConfigurationError: others can reach the address without a token, and no setting allows it.
-            StartError: the address is in use, not allowed or not ours.
+        Raises ConfigurationError for an address open to others, StartError for one that cannot be had.
         """
         places = await resolve(self._host, self._port)
         addresses = [place.address for place in places]
@@ -427,15 +412,7 @@ class Listener:
 
 
 async def resolve(host: str, port: int) -> list[Place]:
-    """Resolve the addresses of a host.
-
-    Args:
-        host: a name or an address; empty for every address of this machine.
-        port: TCP port, for the error.
-
-    Raises:
-        StartError: it has none.
-    """
+    """Resolve the addresses of a host, empty for every address of this machine, or raise StartError."""
     try:
         found = await asyncio.get_running_loop().getaddrinfo(
             host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -450,16 +427,7 @@ async def resolve(host: str, port: int) -> list[Place]:
 
 
 def listen(places: Sequence[Place], host: str, port: int, option: str = "--port") -> list[socket.socket]:
-    """Take a port on every address that this machine has.
-
-    Args:
-        places: at least one.
-        port: TCP port; 0 takes a free one, the same on all.
-        option: option of the command line that chooses another one, for the error.
-
-    Raises:
-        StartError: the port is in use, not allowed, or the machine has no such address.
-    """
+    """Take a port, 0 for a free one, on every address of this machine, or raise StartError naming ``option``."""
     for tries_left in reversed(range(FREE_PORT_TRIES)):
         try:
             return _listen_on_all(places, port)
@@ -521,11 +489,7 @@ def _reason(host: str, port: int, error: OSError | UnicodeError, option: str = "
 
 
 def raise_file_limit(max_clients: int) -> int:
-    """Raise this process's limit of open files as far as it may, and tell when that is not enough.
-
-    Returns:
-        Connections at a time for which there are files.
-    """
+    """Raise the process's limit of open files, warn if it is too low, and return the connections that it allows."""
     wanted = max_clients + SPARE
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft >= wanted or soft == resource.RLIM_INFINITY:

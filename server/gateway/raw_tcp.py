@@ -28,11 +28,7 @@ KEEPALIVE_PROBES = 4
 
 
 class TcpStream(Transport):
-    """Connection of one client by raw TCP.
-
-    Args:
-        identity: identity of clients that have not authenticated; None where they may do nothing.
-    """
+    """Connection of one client by raw TCP."""
 
     framed = False
 
@@ -82,10 +78,7 @@ class TcpStream(Transport):
         return True
 
     def send_all(self, messages: Sequence[EncodedMessage]) -> None:
-        """Send messages, each frame in a turn of the loop, which is a send of its own.
-
-        rosbridge2cpp takes what one `recv` returns for one message.
-        """
+        """Send messages, each frame in a send of its own: rosbridge2cpp takes one `recv` for one message."""
         frames = [frame.data for encoded in messages for frame in encoded.frames]
         size_bytes = sum(map(len, frames))
         self.sent_messages += len(frames)
@@ -127,14 +120,7 @@ class TcpStream(Transport):
 
 
 def keep_alive(listening: socket.socket, interval_s: float, timeout_s: float) -> None:
-    """Have the system ask idle clients whether they are there, and end what they leave unanswered, as pings do.
-
-    Accepted sockets inherit it (tcp(7)).
-
-    Args:
-        interval_s: time without a sign of the client after which it is asked [s].
-        timeout_s: time to answer [s].
-    """
+    """Have the system probe idle clients and end silent ones, as pings do; accepted sockets inherit it (tcp(7))."""
     for option, value in (
         (socket.TCP_KEEPIDLE, math.ceil(interval_s)),
         (socket.TCP_KEEPINTVL, math.ceil(timeout_s / KEEPALIVE_PROBES)),

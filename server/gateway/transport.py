@@ -56,18 +56,10 @@ _RESET = struct.pack("ii", 1, 0)
 class Transport(asyncio.Protocol):
     """Connection of one client.
 
-    Args:
-        transports: every connection of the listener; this one is in it from ``connection_made`` to ``connection_lost``.
-
     Attributes:
         framed: True where the client gets messages one by one; in a stream it may take two for one.
-        identity: identity of the client; None until it has authenticated.
         query: choices of the client, as a URL's query has them: ``ros``, ``on_disconnect``.
         max_message_bytes: size of a received frame beyond which the connection ends, before it is read.
-        is_open: True while frames can be sent.
-        received_bytes: bytes received, with the handshake's.
-        sent_messages: frames sent; a fragment is one.
-        sent_bytes: bytes of these frames.
     """
 
     max_message_bytes: int
@@ -130,11 +122,7 @@ class Transport(asyncio.Protocol):
 
     @abstractmethod
     def end(self, reason: str, code: int = INTERNAL_ERROR) -> None:
-        """End the connection with a reason for the client.
-
-        Args:
-            code: of a WebSocket's close frame (RFC 6455, 7.4).
-        """
+        """End the connection with a reason, and a WebSocket's close code (RFC 6455, 7.4), for the client."""
 
     # From the beginning to the end.
 
@@ -223,12 +211,7 @@ class Transport(asyncio.Protocol):
             await asyncio.wait([self._task])
 
     async def read_to_end(self) -> None:
-        """Wait until no further frame comes.
-
-        Raises:
-            ConnectionResetError: the client has broken the connection off.
-            ConnectionError: it was ended for another reason.
-        """
+        """Wait until no further frame comes; ConnectionResetError if the client broke off, else ConnectionError."""
         await self._read_all.wait()
         if self._failure is not None:
             raise self._failure
@@ -344,8 +327,7 @@ class Transport(asyncio.Protocol):
     def send_at_once(self, encoded: EncodedMessage) -> bool:
         """Send a message, in order of calling, if the socket takes it without waiting; return True when it is sent.
 
-        It is written at once, or in a flood at the end of the event loop's turn: there, a call of the kernel for each
-        message would be a third of all that is spent.
+        In a flood it is written at the end of the event loop's turn: a kernel call for each is a third of all cost.
         """
         if not self.takes_more:
             return False

@@ -36,11 +36,7 @@ MAX_PUBLISHED = 100
 
 @dataclass(slots=True)
 class _TrackedStatus:
-    """A goal on the status topic.
-
-    Attributes:
-        ended_s: when it ended [s], None while it has not.
-    """
+    """A goal on the status topic."""
 
     goal_info: Mapping[str, Any]
     status: int = EXECUTING

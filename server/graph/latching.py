@@ -30,12 +30,7 @@ MAX_RECENT_PER_TOPIC = 10
 
 
 class _Kept(NamedTuple):
-    """A message that is kept.
-
-    Attributes:
-        until_s: time until which it is kept [s], monotonic.
-        client: the client that has latched it; None for the server.
-    """
+    """A message that is kept."""
 
     published: PublishedMessage
     size_bytes: int
@@ -44,11 +39,7 @@ class _Kept(NamedTuple):
 
 
 class _Share:
-    """Latched messages of the server, or of all clients.
-
-    Attributes:
-        ending: topics whose message has an end, the earliest first.
-    """
+    """Latched messages of the server, or of all clients."""
 
     def __init__(self) -> None:
         self.size_bytes = 0
@@ -69,11 +60,7 @@ class LatchedMessages:
         self._next_look_s = -math.inf
 
     def latch(self, published: PublishedMessage, client: Node | None = None) -> str | None:
-        """Keep a message instead of the one latched before it.
-
-        Returns:
-            The limit that it exceeds, as a sentence; then the topic has no latched message. None when it is kept.
-        """
+        """Keep a message in place of the one latched before, or return the limit that it exceeds, as a sentence."""
         self.unlatch(published.topic)
         size_bytes = published.size_bytes
         problem = self._make_room(size_bytes, client)
@@ -118,11 +105,7 @@ class LatchedMessages:
             share.ending.move_to_end(topic)
 
     def keep(self, published: PublishedMessage, now: float, lifespan_s: float) -> None:
-        """Keep a message for a while.
-
-        Args:
-            lifespan_s: for how long [s]; the same for all.
-        """
+        """Keep a message for a while [s], the same for all."""
         topic, size_bytes = published.topic, published.size_bytes
         recent = self._recent.get(topic)
         if recent is None:

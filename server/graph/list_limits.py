@@ -55,13 +55,7 @@ class ListLimits:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """A field that is a list, or has lists in it.
-
-    Attributes:
-        max_elements: limit of a list; None if only its values are counted.
-        values: number of values of an element.
-        inner: members of the message, or of each message in the list.
-    """
+    """A field that is a list, or has lists in it."""
 
     path: str
     is_list: bool

@@ -87,11 +87,7 @@ class Metrics(Collector):
         build.info({"version": metadata.version("armbridge"), "python": platform.python_version()})
 
     def expose(self, accept: str) -> tuple[bytes, str]:
-        """Return the metrics of this moment, and their media type.
-
-        Args:
-            accept: the request's header Accept; empty for the text format of Prometheus.
-        """
+        """Return the metrics as the header Accept asks, else as Prometheus' text, and their media type."""
         encode, media_type = choose_encoder(accept)
         return encode(self.registry), media_type
 
@@ -320,11 +316,7 @@ class Monitor:
         self._notifier.notify_ready("; ".join(self.health().reasons) or "ready")
 
     def notify_stopping(self, *, starts_anew: bool = False) -> None:
-        """Take note of the begin of the stop, and notify systemd.
-
-        Args:
-            starts_anew: True if the server starts again at once: systemd ends a service that says it stops.
-        """
+        """Note the begin of the stop, and notify systemd, which would end a service that starts anew at once."""
         self._sources.stopping = True
         if starts_anew:
             self._notifier.notify_status("starting again")

@@ -51,11 +51,7 @@ class RunningServer:
         self.runs = self.health is not None
 
     def add_to(self, report: Report) -> set[Path]:
-        """Add the server's answers.
-
-        Returns:
-            Directory of its files about faults, if it names one.
-        """
+        """Add the server's answers; return the directory of its files about faults, if it names one."""
         report.add_json("server/health.json", self.health)
         with report.part("server/metrics.txt"):
             report.add("server/metrics.txt", self._get("metrics", self._headers))

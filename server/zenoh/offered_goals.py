@@ -39,12 +39,7 @@ class OfferedGoals:
         self._results: dict[str, asyncio.Future[Result]] = {}
 
     def send(self, action: str, octets: bytes, epoch: int, respond: Respond) -> None:
-        """Serve ``send_goal``.
-
-        Args:
-            octets: the request as CDR.
-            epoch: stop epoch in which the request arrived.
-        """
+        """Serve ``send_goal``, a request as CDR that arrived in a stop epoch."""
         network, type_name = self._network, self._network.graph.actions.type_of(action)
         if type_name is None:
             respond(_no_action(action))

@@ -30,11 +30,7 @@ MAX_INCOMING_STOPS = 64
 
 
 class IncomingCall(NamedTuple):
-    """Call of a service of this server.
-
-    Attributes:
-        epoch: stop epoch in which it arrived.
-    """
+    """Call of a service of this server."""
 
     service: OfferedService
     query: zenoh.Query
@@ -44,11 +40,7 @@ class IncomingCall(NamedTuple):
 
 
 class OfferedService:
-    """Service of this server that other machines may call.
-
-    Attributes:
-        max_calls: calls of all services in progress from which on this one is refused.
-    """
+    """Service of this server that other machines may call."""
 
     def __init__(
         self, network: Network, name: str, endpoint: Endpoint, receive: Callable[[IncomingCall], None]

@@ -212,7 +212,7 @@ class MessageTranslator:
         if not (speaks_bson or speaks_ros1) or not self._registry.knows(type_name):
             return msg
         if speaks_bson:
-            msg = cbor.with_octets(self._registry, type_name, msg)
+            msg = cbor.packed(self._registry, type_name, msg, numbers=False)
         return dialect.to_ros1(self._registry, type_name, msg) if speaks_ros1 else msg
 
     def from_client(self, message: ReceivedMessage) -> ReceivedMessage:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
-from protocol.send_budget import SendBudget
+from protocol.send_queue import SendBudget
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access

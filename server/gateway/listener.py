@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from protocol.messages import Stamp
-from protocol.send_budget import SendBudget
+from protocol.send_queue import SendBudget
 from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
 from server.access.host_addresses import host_addresses

@@ -15,8 +15,8 @@ from typing import Any
 
 from protocol.codecs import bson, json
 from protocol.errors import one_line
+from protocol.framing import StreamSplitter
 from protocol.publication import EncodedMessage
-from protocol.stream import StreamSplitter
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.http import HttpResponse
 from server.gateway.settings import ServerSettings
@@ -115,7 +115,7 @@ class TcpStream(Transport):
         self._failure = ConnectionAbortedError(reason)
         status: dict[str, Any] = {"op": "status", "level": "error", "msg": reason}
         if not self._transport.is_closing():
-            self._write((bson.encode(status) if self._splitter.speaks_bson else json.encode(status),))
+            self._write((bson.encode(status) if self._splitter.is_bson else json.encode(status),))
         self._close_after_replies()
 
 

@@ -50,7 +50,7 @@ MAX_SHARED = 1_000
 
 
 class SharedNames:
-    """Patterns of names, beside which ``always`` lets names pass, and ``never`` none. An action's parts pass with it."""
+    """Patterns of names, beside which ``always`` lets names pass, and ``never`` none. Parts of actions follow them."""
 
     def __init__(
         self,

@@ -14,13 +14,13 @@ from bson import decode as decode_bson
 
 from protocol.codecs.bson import is_document
 from protocol.errors import FrameError
+from protocol.framing import StreamSplitter
 from protocol.interface_files import Generation, read_file
 from protocol.limits import Limits
 from protocol.operations import Operation
 from protocol.publication import Frame
 from protocol.registry import Kind, Registry
 from protocol.session import Packed, Refusal, Session
-from protocol.stream import StreamSplitter
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.settings import AccessSettings

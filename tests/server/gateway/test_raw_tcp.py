@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage, Frame
-from protocol.stream import StreamSplitter
+from protocol.framing import StreamSplitter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.errors import StartError

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from benchmarks.planning import EASY, LONG
 from harness.figures import percentiles, print_table
-from planners.pool import PlannerPool
-from planners.worker_process import NICENESS
+from planners.pool import NICENESS, PlannerPool
 from robot.description.robot_folder import built_in
 from server.app import App
 from server.config_loader import load

@@ -17,15 +17,15 @@ from benchmarks.event_loop import Ticker
 from benchmarks.planning import AT_ZERO, EASY, LONG
 from benchmarks.planning_scenes import SCENES
 from harness.figures import percentiles, print_table
-from planners import worker, worker_process
+from planners import pool as planner_pool
+from planners import worker
 from planners.budget import never
 from planners.files import problem_file
 from planners.pipeline import Planner
-from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool
+from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool, WorkerProcess
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer, StateQuestion
 from planners.scene import Box, Pose, Scene, SceneObject
 from planners.worker import HARD_AFTER_S
-from planners.worker_process import WorkerProcess
 from robot.description.robot_folder import built_in
 
 STARTS = 7
@@ -130,7 +130,7 @@ async def _cancel(worker: WorkerProcess, after_s: float) -> float:
 
 async def _kills() -> list[float]:
     """Cancel requests that hang in native code; the next request waits for the spare process only."""
-    worker_process.WORKER_MODULE = "benchmarks.planner_processes"
+    planner_pool.WORKER_MODULE = "benchmarks.planner_processes"
     pool = PlannerPool(built_in("so101").model)
     await pool.start()
     times_s = []
@@ -142,7 +142,7 @@ async def _kills() -> list[float]:
         hanging.cancel()
         times_s.append(await _timed(pool.ask(STATE)))
     await pool.close()
-    worker_process.WORKER_MODULE = "planners.worker"
+    planner_pool.WORKER_MODULE = "planners.worker"
     return times_s
 
 

@@ -16,7 +16,6 @@ from planners.goals import JointGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
-from planners.warm_up import warm_up
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.model import RobotModel
 from robot.description.robot_folder import built_in
@@ -76,7 +75,7 @@ def _print(what: str, cases: Sequence[Case]) -> None:
 def _measured(robot: RobotModel, scene: Scene) -> tuple[float, list[float], int]:
     """CPU time to take the scene over and of each goal [s], and how many goals were reached."""
     planner = Planner(robot, time.process_time)
-    warm_up(planner, robot)
+    planner.warm_up()
     started_s = time.process_time()
     refusal = planner.set_scene(scene)
     if refusal is not None:

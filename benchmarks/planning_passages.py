@@ -19,13 +19,11 @@ from benchmarks.published_arms import ARMS
 from harness.figures import percentiles, print_table
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
-from planners.geometry.plain_urdf import plain_urdf
-from planners.geometry.shapes import link_name, placement, solid
+from planners.geometry.shapes import link_name, placement, plain_urdf, solid
 from planners.goals import JointGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from planners.scene import Box, Cylinder, Pose, Scene, SceneObject, Shape
-from planners.warm_up import warm_up
 from robot.description import robot_folder
 from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import RobotModel
@@ -213,7 +211,7 @@ def run(seed: int = SEED, problems: int = PROBLEMS) -> None:
     for name, read in (ARMS | {"fetch": lambda: robot_folder.resolve("fetch").model}).items():
         draw = Draw(read(), seed)
         planner = Planner(draw.robot, time.process_time)
-        warm_up(planner, draw.robot)
+        planner.warm_up()
         for kind in KINDS:
             solved, touched, times_s = 0, 0, []
             for (scene, problem), _ in zip(draw.problems(kind), range(problems), strict=False):

@@ -30,7 +30,6 @@ from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem, Request
 from planners.scene import Pose
-from planners.warm_up import warm_up
 from robot.description.robot_folder import built_in
 
 SEED = 1
@@ -84,7 +83,7 @@ def _measured(scene: RandomScene) -> Iterator[tuple[str, tuple[bool, list[str], 
     """Yield the kind of each problem, whether it was solved, the motion's faults, and the CPU time [s]."""
     planner = _planner(scene, warm=True)
     for start, goal in islice(scene.connected_pairs(), PAIRS):
-        for kind, request in _requests(planner, start, goal):
+        for kind, request in _requests(start, goal):
             started_s = time.process_time()
             answer = planner.answer(request)
             cpu_s = time.process_time() - started_s
@@ -96,7 +95,7 @@ def _measured(scene: RandomScene) -> Iterator[tuple[str, tuple[bool, list[str], 
             yield f"{kind}{HOW[0] if straight else HOW[1]}", (isinstance(answer, Plan | CartesianPlan), faults, cpu_s)
 
 
-def _requests(planner: Planner, start: Vector, goal: Vector) -> Iterator[tuple[str, Request]]:
+def _requests(start: Vector, goal: Vector) -> Iterator[tuple[str, Request]]:
     forward = ForwardKinematics(built_in("so101").model, [*JOINTS, "gripper"])
     start_rad = dict(zip(JOINTS, start.tolist(), strict=True)) | {"gripper": GRIPPER_RAD}
     forward.place(np.array([*goal, GRIPPER_RAD]))
@@ -109,7 +108,8 @@ def _requests(planner: Planner, start: Vector, goal: Vector) -> Iterator[tuple[s
     }
     for kind, asked in goals.items():
         yield kind, PlanningProblem("arm", start_rad, asked, allowed_time_s=ALLOWED_TIME_S)
-    from_m = np.array(planner.tip_position_m(start_rad, TIP))
+    forward.place(np.array([*start, GRIPPER_RAD]))
+    from_m = forward.placement(TIP).translation.copy()
     way_m = np.array(there.position_m) - from_m
     end_m = from_m + way_m * min(1.0, PATH_M / max(float(np.linalg.norm(way_m)), 1e-9))
     end = Pose((float(end_m[0]), float(end_m[1]), float(end_m[2])))
@@ -123,7 +123,7 @@ def _planner(scene: RandomScene, *, warm: bool) -> Planner:
         file = problem_file.read(path, built_in("so101").model)
     planner = Planner(file.robot, time.process_time)
     if warm:
-        warm_up(planner, file.robot)
+        planner.warm_up()
     planner.set_scene(file.scene)
     return planner
 
@@ -162,7 +162,7 @@ def _first_and_third(kind: str, seed: int, number: int, warm: bool) -> tuple[flo
     scene = RandomScene(seed, number)
     start, goal = next(scene.connected_pairs())
     planner = _planner(scene, warm=warm)
-    request = dict(_requests(planner, start, goal))[kind]
+    request = dict(_requests(start, goal))[kind]
     times_s = []
     for _ in range(3):
         started_s = time.process_time()

@@ -19,7 +19,6 @@ from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem, Request
 from planners.scene import Pose
-from planners.warm_up import warm_up
 from robot.description import model, robot_folder
 from robot.description.example_robots import find_example
 from robot.description.model import RobotModel
@@ -114,7 +113,7 @@ def run() -> None:
         robot = read()
         planner = Planner(robot, time.process_time)
         loaded_s = time.process_time()
-        warm_up(planner, robot)
+        planner.warm_up()
         loads.append([name, f"{loaded_s - started_s:.2f}", f"{time.process_time() - loaded_s:.2f}"])
         for kind, request in Draw(robot).requests():
             started_s = time.process_time()

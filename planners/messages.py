@@ -1,16 +1,20 @@
-"""Messages between the server and a planner process.
+"""Messages between the server and a planner process, and the transfer of scenes.
 
 The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
-:class:`MoreObjects` until it is whole (:mod:`planners.scene_transfer`), and requests, the next after the answer to the
+:class:`MoreObjects` until it is whole, and requests, the next after the answer to the
 last. Each request gets one :class:`Answered`, and a problem that takes longer than most :class:`StillSearching` before.
+
+A scene is sent once: both ends know it by its version. A scene that is given up half-way is sent from its beginning.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 
 from planners.problem import Answer, Request
-from planners.scene import Scene, SceneObject
+from planners.scene import EMPTY_SCENE, Mesh, Scene, SceneObject
 from robot.description.model import RobotModel
 
 
@@ -80,3 +84,80 @@ class Answered:
     number: int
     answer: Answer
     ending: bool = False
+
+
+# What packing an object costs, in terms of a mesh's bytes (which are only copied): 3 us.
+OBJECT_BYTES = 8 << 10
+
+# This much of a scene is packed within half a millisecond; the server's event loop has its turns between the parts.
+PART_BYTES = 1 << 20
+
+
+class SceneSender:
+    """Scenes on their way to one receiver; ``complete`` is true once all of the last scene was sent.
+
+    ``send`` sends a message, with a ValueError for a message that is too large; ``pause`` is awaited before each part,
+    so that the event loop has its turns.
+    """
+
+    def __init__(self, send: Callable[[object], None], pause: Callable[[], Awaitable[None]]) -> None:
+        self._send_message, self._pause = send, pause
+        self._version = EMPTY_SCENE.version
+        self.complete = True
+
+    def has_sent(self, scene: Scene) -> bool:
+        """Return true if the receiver has this scene."""
+        return self.complete and self._version == scene.version
+
+    async def send(self, scene: Scene) -> None:
+        """Send a scene unless the receiver has it."""
+        if self.has_sent(scene):
+            return
+        self.complete = False
+        self._send_message(NewScene(dataclasses.replace(scene, objects=())))
+        for objects in parts(scene.objects):
+            await self._pause()
+            self._send_message(MoreObjects(objects))
+        self._version, self.complete = scene.version, True
+
+
+class SceneReceiver:
+    """Scene at its receiver, as its parts arrive."""
+
+    def __init__(self) -> None:
+        self._scene = EMPTY_SCENE
+        self._more: list[SceneObject] = []
+
+    def take(self, message: NewScene | MoreObjects) -> None:
+        """Take the beginning of a scene, which drops the one before, or more objects of it."""
+        if isinstance(message, NewScene):
+            self._scene, self._more = message.scene, []
+        else:
+            self._more += message.objects
+
+    def scene(self) -> Scene:
+        """Return the scene of all that has arrived."""
+        if self._more:
+            self._scene = dataclasses.replace(self._scene, objects=(*self._scene.objects, *self._more))
+            self._more = []
+        return self._scene
+
+
+def parts(objects: tuple[SceneObject, ...]) -> Iterator[tuple[SceneObject, ...]]:
+    """Divide objects, in their order, into parts that are quickly packed."""
+    part: list[SceneObject] = []
+    size = 0
+    for each in objects:
+        part.append(each)
+        size += packed_bytes(each)
+        if size >= PART_BYTES:
+            yield tuple(part)
+            part, size = [], 0
+    if part:
+        yield tuple(part)
+
+
+def packed_bytes(packed: SceneObject) -> int:
+    """Return the cost of packing an object, in terms of a mesh's bytes."""
+    meshes = (shape for shape, _ in packed.shapes if isinstance(shape, Mesh))
+    return OBJECT_BYTES + sum(mesh.vertices_m.nbytes + mesh.triangles.nbytes for mesh in meshes)

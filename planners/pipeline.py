@@ -7,25 +7,26 @@ motion that is being executed when the scene has changed.
 from __future__ import annotations
 
 import functools
+import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from planners import checks
 from planners.budget import Budget, never, preempted
-from planners.cartesian.nearest_end import nearest_end
 from planners.cartesian.planning import plan_cartesian
 from planners.errors import StoppedError
+from planners.geometry.certificate import encounter
 from planners.geometry.collision import CollisionModel
-from planners.geometry.concurrent_motions import encounter
 from planners.geometry.joint_space import JointSpace
-from planners.ik.goal_refusals import check_start_place
-from planners.ik.goal_states import GoalQuery, GoalState, GoalStates
+from planners.geometry.shapes import as_point
+from planners.goals import JointGoal, PositionGoal
+from planners.ik.goal_states import GoalQuery, GoalState, GoalStates, check_start_place
 from planners.joint_path import contact_on, invalid_motion, plan_joint_path, touching
 from planners.motions.motion import MotionTask, find_motion
-from planners.nearest_goal import nearest_goal
+from planners.nearest_goal import nearest_end, nearest_goal
 from planners.problem import (
     Answer,
     CartesianProblem,
@@ -33,6 +34,7 @@ from planners.problem import (
     IkAnswer,
     IkQuestion,
     JointPathProblem,
+    Line,
     MoveItErrorCode,
     NearestGoalAnswer,
     NearestGoalQuestion,
@@ -46,11 +48,13 @@ from planners.problem import (
     StateAnswer,
     StateQuestion,
 )
-from planners.scene import Point, Scene
+from planners.scene import Pose, Scene
 from planners.servo.question import ServoQuestion
 from planners.servo.steering import answer_servo
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory, Vector
+
+log = logging.getLogger("armbridge.planner")
 
 NOTHING_TO_DO = "nothing to do"
 
@@ -59,6 +63,9 @@ SOLUTIONS = 1
 
 # Measured positions of an arm that rests on a limit lie beyond it by noise.
 LIMIT_TOLERANCE_RAD = 1e-3
+
+# Travel of each joint [rad], and of the tip [m], in the first plans.
+WARM_UP_RAD, WARM_UP_M = 0.2, 0.02
 
 
 class Planner:
@@ -77,11 +84,33 @@ class Planner:
         """Take over a scene for all further requests, as :meth:`CollisionModel.set_scene` does."""
         return self._collision.set_scene(scene)
 
-    def tip_position_m(self, positions_rad: Mapping[str, float], link: str) -> Point:
-        """Return the position of a link's origin in the root link's frame [m]."""
-        q = np.array([positions_rad[name] for name in self._collision.joint_names])
-        x, y, z = self._collision.tip_positions([q], link)[0].tolist()
-        return x, y, z
+    def warm_up(self) -> None:
+        """Plan a joint goal, a goal of the tip and a path of the tip: first plans take longer than all that follow."""
+        for request in self._first_requests():
+            try:
+                self.answer(request)
+            except Exception:
+                # A bug that shows here shows with the goals as well, which are answered with it.
+                log.exception("the first plans failed on %r", request)
+
+    def _first_requests(self) -> Iterator[Request]:
+        robot = self._robot
+        group = robot.groups[robot.default_group]
+        start = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in robot.movable_joints}
+        start |= next(iter(robot.named_states.get(group.name, {}).values()), {})
+        end = {}
+        for name in group.joints:
+            joint = robot.joints[name]
+            away = WARM_UP_RAD if joint.upper - start[name] > WARM_UP_RAD else -WARM_UP_RAD
+            end[name] = float(np.clip(start[name] + away, joint.lower, joint.upper))
+        yield PlanningProblem(group.name, start, JointGoal(end))
+        if robot.tip_link:
+            x, y, z = as_point(
+                self._collision.tip_positions([self._collision.start(start, group.joints)], robot.tip_link)[0]
+            )
+            near = (x, y, z + WARM_UP_M)
+            yield PlanningProblem(group.name, start, PositionGoal(robot.tip_link, near, WARM_UP_M / 4))
+            yield CartesianProblem(group.name, start, robot.tip_link, (Line(Pose(near)),))
 
     def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:
         """Answer any request; ``should_stop`` is called all the time: once true, the answer is PREEMPTED."""
@@ -94,6 +123,7 @@ class Planner:
     def _answer(self, request: Request, should_stop: Callable[[], bool]) -> Answer:
         robot, collision, states = self._robot, self._collision, self._states
         plan = functools.partial(self.plan, should_stop=should_stop)
+        collision.count_all_contacts()
 
         def budget(allowed_time_s: float) -> Budget:
             return Budget(self._clock, allowed_time_s, should_stop)
@@ -133,13 +163,13 @@ class Planner:
         refusal = checks.check_request(self._robot, problem) or checks.check_start(self._robot, problem.start_rad)
         if refusal is not None:
             return refusal
-        start_q = self._collision.clipped(problem.start_rad)
+        group = self._robot.groups[problem.group]
+        start_q = self._collision.start(problem.start_rad, group.joints)
         contacts = self._collision.colliding_pairs(start_q)
         violations = self._states.condition_set(problem.path_constraints).violations(start_q)
         refusal = check_start_place(contacts, violations)
         if refusal is not None:
             return refusal
-        group = self._robot.groups[problem.group]
         goals = self._states.find(problem.goal, GoalQuery(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
@@ -181,9 +211,10 @@ def answer_ik(
     refusal = checks.check_ik_question(robot, question) or checks.check_start(robot, question.start_rad)
     if refusal is not None:
         return refusal
+    group = robot.groups[question.group]
     query = GoalQuery(
-        robot.groups[question.group],
-        collision.clipped(question.start_rad),
+        group,
+        collision.start(question.start_rad, group.joints),
         question.constraints,
         budget,
         wanted=SOLUTIONS,

@@ -27,12 +27,11 @@ from planners.messages import (
     LoadRobot,
     MoreObjects,
     NewScene,
+    SceneReceiver,
     StillSearching,
 )
 from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request
-from planners.scene_transfer import SceneReceiver
-from planners.warm_up import warm_up
 from robot.channel import Channel, channel_of_child
 from robot.description.model import RobotModel
 
@@ -188,7 +187,7 @@ def main(make_planner: MakePlanner) -> None:
 def warm_planner(robot: RobotModel) -> Planner:
     """Load a robot as :class:`planners.pipeline.Planner` does, and make its first plans."""
     planner = Planner(robot)
-    warm_up(planner, robot)
+    planner.warm_up()
     return planner
 
 

@@ -30,7 +30,7 @@ ALLOWED = {
         "planners.assistant",
         "planners.errors",
         "planners.pool",
-        "planners.pool_host",
+        "planners.shared_pool",
         "planners.shared_pool",
         "planners.servo.question",
     ),
@@ -59,10 +59,8 @@ ASYNCIO_OUTSIDE_SERVER = {
     "robot/arm_group.py",
     "planners/interface.py",
     "planners/pool.py",
-    "planners/pool_host.py",
-    "planners/race.py",
     "planners/shared_pool.py",
-    "planners/worker_process.py",
+    "planners/race.py",
 }
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
-from planners.assistant.gripper import GripperDraft
 from planners.assistant.pairs import UncheckedPair
-from planners.assistant.structure import Structure
+from planners.assistant.structure import GripperDraft, Structure
 from robot.description.model import RobotModel
 
 ARM, GRIPPER = "arm", "gripper"

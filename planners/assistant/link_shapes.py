@@ -1,23 +1,31 @@
-"""Collision shapes of a URDF's links, and their convex parts, in the frames of the links."""
+"""Collision shapes of a URDF's links, their convex parts and their surfaces, in the frames of the links.
+
+``python -m planners.assistant.link_shapes URDF SRDF FILE`` writes the surfaces, for ``robot.surfaces`` of a
+``robot.toml``: the surface of a link decides if a point is inside it.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
+from typing import Any
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose
 from planners.assistant.surface import ConvexPart, Deviation, Surface, merged
 from planners.errors import AssistantError
-from planners.geometry.contacts import Parts, parts_of
-from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import convex, corners, evenly_spread, link_name, urdf_shapes
-from planners.geometry.surfaces import joined
+from planners.geometry.parts import Parts, parts_of
+from planners.geometry.shapes import convex, corners, evenly_spread, kinematic_urdf, link_name, urdf_shapes
+from planners.geometry.surfaces import joined, packed
+from robot.description import model
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
@@ -124,3 +132,29 @@ def parts_in_link(link: str, parts: LinkParts) -> Parts:
 def shapes_in_link(link: str, shapes: list[LinkShape]) -> Parts:
     """Return a link's shapes as they are as the contact checks take them."""
     return parts_of([pin.GeometryObject(link, 0, 0, shape.placement, shape.geometry) for shape in shapes])
+
+
+USAGE = "usage: python -m planners.assistant.link_shapes URDF SRDF FILE"
+
+
+def link_surfaces(robot: RobotModel) -> dict[str, NDArray[Any]]:
+    """Return the arrays of the file for an arm with the meshes that its URDF names; links without meshes have none."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for link, shapes in link_shapes(robot).items():
+        meshes = [(shape.mesh, shape.placement) for shape in shapes if shape.mesh is not None]
+        if meshes:
+            arrays[f"{link}.vertices"], arrays[f"{link}.triangles"] = packed(*joined(meshes))
+    return arrays
+
+
+def main() -> None:
+    """Write the file."""
+    if len(sys.argv) != 4:
+        sys.exit(USAGE)
+    urdf, srdf, path = map(Path, sys.argv[1:])
+    arrays: dict[str, Any] = link_surfaces(model.load(urdf, srdf))
+    np.savez_compressed(path, **arrays)
+
+
+if __name__ == "__main__":
+    main()

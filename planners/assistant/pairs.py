@@ -10,8 +10,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from planners.geometry.contacts import CONTACT_M, GJK_TOLERANCE, PartPair, Parts
+from planners.geometry.broadphase import CONTACT_M, GJK_TOLERANCE
 from planners.geometry.kinematics import ForwardKinematics
+from planners.geometry.parts import PartPair, Parts
 from planners.geometry.shapes import enclosing
 from robot.description.model import RobotModel
 from robot.trajectory import Vector

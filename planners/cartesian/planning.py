@@ -1,29 +1,390 @@
-"""Planning of tip paths: they are followed as far as they go, timed, and certified as they will be executed."""
+"""Planning of tip paths: they are followed as far as they go, timed, and certified as they will be executed.
+
+Each step of following solves the position exactly and uses the remaining freedom for the orientation, after Siciliano &
+Slotine, "A general framework for managing multiple tasks in highly redundant robotic systems", 1991. placo weighs both
+against each other instead: an arm of five joints would leave the path for the sake of an orientation it cannot have.
+
+The points of a followed path become a smooth curve, a natural cubic spline, on which the tip's deviation between points
+is measured.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from planners import checks
 from planners.budget import Budget
-from planners.cartesian.following import FollowedPath, PathEnd, PathFollower, TipTracker, leaves_limits, tip_curve
-from planners.cartesian.tip_path import TipPath, check_path, check_shape, rounded_pose
+from planners.cartesian.tip_path import TipPath, apart_m, apart_rad, check_path, check_shape, rounded_pose
+from planners.checks import in_words
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
-from planners.ik.constraints import ConditionSet, Joints, conditions
-from planners.ik.goal_checks import in_words
-from planners.ik.goal_refusals import check_start_place
+from planners.ik.constraints import ConditionSet, Joints, conditions, norm
+from planners.ik.differential import Task, free_directions, solve
+from planners.ik.goal_states import check_start_place
 from planners.motions.path_timing import MAX_DURATION_S, standing, time_along
 from planners.motions.spline import NaturalSpline
 from planners.problem import CartesianPlan, CartesianProblem, Deviation, MoveItErrorCode, PlanningFailure, RateLimits
 from planners.scene import Pose
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory, Vector
+
+# Nearer is below what any servo resolves.
+ACCURACY_M = 1e-6
+
+# A step that moves no joint by more ends the orientation's descent.
+SETTLED_RAD = 3e-4
+
+# Neighbouring poses take two or three steps; only where a pose is out of reach are there many.
+MAX_STEPS = 25
+
+# Damping of the position's least squares: singular values of an arm's Jacobian are around 0.1 m/rad and this only
+# matters where one vanishes.
+POSITION_DAMPING_M = 1e-4
+
+# Damping of the orientation's least squares where it can be met; where it cannot, the damping's square is the error,
+# which makes the descent to the nearest one converge (Sugihara, "Solvability-unconcerned inverse
+# kinematics by the Levenberg-Marquardt method", 2011).
+ORIENTATION_DAMPING = 0.02
+
+# Joints are slowed down this near to a limit, so that they do not meet it with a jolt (Chan & Dubey, "A weighted
+# least-norm solution based scheme for avoiding joint limits", 1995).
+NEAR_LIMIT_RAD = 0.2
+
+# The curve through the points may pass a limit by a little where a joint stops.
+LIMIT_MARGIN_RAD = 1e-3
+
+# Linear prediction is poor further away.
+LONGEST_STEP_RAD = 0.2
+
+# The tip counts as on the path when this near: a tenth of what the servos resolve at arm's length.
+ON_PATH_M = 2e-5
+
+# Half-way between two points a straight joint line may lead the tip this far off: the curve through all points is
+# then far nearer.
+CHORD_M = 2e-4
+
+# A smooth curve rounds a corner within about a tenth of the steps beside it.
+CORNER_STEP_M = 0.001
+
+# Steps grow with the distance from a corner by this share of it.
+GROWTH = 0.5
+
+# The place where a path ends early is located this closely.
+SHORTEST_STEP_M = 0.0003
+
+# The rest of a path is one step where it is no longer than this number of steps.
+LAST_STEP = 1.5
+
+# For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
+# does so over some centimetres. What the path itself turns comes on top, as long as no singularity is near.
+TURN_RAD_PER_M = 10.0
+
+# Below this share of turning of the tip by turning of the joints a singularity is near: a wrist about to flip has the
+# share 0. UR5 turns in place by 2 rad with a share of 0.4 and more.
+NEAR_SINGULARITY = 0.1
+
+
+class TipTracker:
+    """Follows a pose with some of the joints: points have their positions, shape (n,) [rad].
+
+    ``kinematics`` has the joints in the order of ``collision``; other joints stay at ``start_q``.
+    """
+
+    def __init__(
+        self,
+        kinematics: ForwardKinematics,
+        collision: CollisionModel,
+        joint_names: tuple[str, ...],
+        start_q: Vector,
+        link: str,
+    ) -> None:
+        self.joint_names = joint_names
+        self._kinematics = kinematics
+        self._columns = np.array([collision.joint_names.index(name) for name in joint_names])
+        self._link = link
+        self._q = start_q.copy()
+        self._limits = collision.lower_rad[self._columns], collision.upper_rad[self._columns]
+        self._lower_rad = self._limits[0] + LIMIT_MARGIN_RAD
+        self._upper_rad = self._limits[1] - LIMIT_MARGIN_RAD
+
+    def pose(self, point: Vector) -> pin.SE3:
+        """Return the pose of the tip in the root link's frame."""
+        self._q[self._columns] = point
+        self._kinematics.place(self._q)
+        return self._kinematics.placement(self._link).copy()
+
+    def outside(self, points: Vector) -> NDArray[np.bool_]:
+        """Mark the joints of each point that are beyond their limits, shape (m, n)."""
+        return np.asarray((points < self._limits[0]) | (points > self._limits[1]))
+
+    def speed_m(self, point: Vector, tangent: Vector) -> float:
+        """Return the tip's speed per unit motion of the joints along ``tangent``."""
+        return float(np.linalg.norm(self._jacobian(point)[:3] @ tangent))
+
+    def follow(self, point: Vector, target: pin.SE3, most_turn_rad: float, before: pin.SE3 | None = None) -> Vector:
+        """Return the point nearby with the tip in the target's position, and its orientation as near as possible.
+
+        A target out of reach leaves the tip at the nearest place that a descent from here finds. No joint moves further
+        than ``most_turn_rad`` for the orientation's sake, and than the path demands from its pose ``before`` on.
+        """
+        point = point.copy()
+        for _ in range(MAX_STEPS):
+            error_m, error_rad, jacobian = self._errors(point, target)
+            step, turn = self._step(point, error_m, error_rad, jacobian)
+            if before is not None and float(np.max(np.abs(turn))) > most_turn_rad:
+                most_turn_rad += _demanded_rad(jacobian, before, target)
+                before = None
+            turn *= min(1.0, most_turn_rad / max(float(np.max(np.abs(turn))), 1e-12))
+            most_turn_rad -= float(np.max(np.abs(turn)))
+            step += turn
+            step *= min(1.0, LONGEST_STEP_RAD / max(float(np.max(np.abs(step))), LONGEST_STEP_RAD))
+            settled = float(np.max(np.abs(step))) < SETTLED_RAD
+            if settled and norm(error_m) < ACCURACY_M:
+                break
+            point = np.clip(point + step, self._lower_rad, self._upper_rad)
+            if settled:
+                break
+        return point
+
+    def _errors(self, point: Vector, target: pin.SE3) -> tuple[Vector, Vector, Vector]:
+        """Return the errors of position and orientation, along the root link's axes, and the tip's Jacobian."""
+        jacobian = self._jacobian(point)
+        placement = self._kinematics.placement(self._link)
+        turn = pin.log3(placement.rotation.T @ target.rotation)
+        return target.translation - placement.translation, placement.rotation @ turn, jacobian
+
+    def _jacobian(self, point: Vector) -> Vector:
+        self._q[self._columns] = point
+        return np.asarray(self._kinematics.jacobian(self._q, self._link)[:, self._columns])
+
+    def _step(self, point: Vector, error_m: Vector, error_rad: Vector, jacobian: Vector) -> tuple[Vector, Vector]:
+        """Return the steps for position and orientation; joints near their limits take part only where they must."""
+        weight = np.ones_like(point)
+        for _ in range(len(point)):
+            scaled = weight * jacobian
+            step, _ = solve([Task(scaled[:3], error_m)], POSITION_DAMPING_M)
+            damping = math.sqrt(ORIENTATION_DAMPING**2 + norm(error_rad - scaled[3:] @ step))
+            free = free_directions(scaled[:3], POSITION_DAMPING_M)
+            turned, _ = solve([Task(scaled[3:], error_rad)], damping, before=step, free=free)
+            step, turn = weight * step, weight * (turned - step)
+            room = np.where(step + turn < 0.0, point - self._lower_rad, self._upper_rad - point)
+            allowed = np.sqrt(np.clip(room / NEAR_LIMIT_RAD, 0.0, 1.0))
+            if np.all(allowed >= weight):
+                break
+            weight = np.minimum(weight, allowed)
+        return step, turn
+
+
+def _demanded_rad(jacobian: Vector, before: pin.SE3, target: pin.SE3) -> float:
+    """Return how far the joints turn at most to meet the change of orientation between two poses of a path [rad].
+
+    The change is that of the path, and what moving the tip brings with it. The joints turn further by the inverse of
+    the Jacobian's smallest singular value, among joint motions that leave the tip in its place. It is 0 near a
+    singularity (Chiaverini, "Singularity-robust task-priority redundancy resolution", 1997).
+    """
+    free = free_directions(jacobian[:3], POSITION_DAMPING_M)
+    # n joints have n - 3 directions left for turning.
+    shares = np.linalg.svd(jacobian[3:] @ free, compute_uv=False)[: jacobian.shape[1] - 3]
+    if not len(shares) or shares[-1] < NEAR_SINGULARITY:
+        return 0.0
+    moved, _ = solve([Task(jacobian[:3], target.translation - before.translation)], POSITION_DAMPING_M)
+    return float((apart_rad(before, target) + norm(jacobian[3:] @ moved)) / shares[-1])
+
+
+@dataclass(frozen=True)
+class PathEnd:
+    """Reason for which a path cannot be followed further."""
+
+    reason: str  # "reach", "orientation", "jump", "limit", or a reason of ``PathFollower.check_point``
+    sentence: str  # the reason with its figures
+    details: dict[str, object]  # the figures as plain values
+
+
+@dataclass(frozen=True)
+class FollowedPath:
+    """The part of a path that could be followed."""
+
+    along_m: Vector  # shape (m,), lengths of the path from 0 [m]
+    points: Vector  # shape (m, n), the joints there [rad]
+    ended: PathEnd | None  # reason for which it is not the whole; None for all of it
+
+
+@dataclass(frozen=True)
+class PathFollower:
+    """Conditions under which a path is followed."""
+
+    problem: CartesianProblem  # bounds of the steps and of the orientation
+    tracker: TipTracker  # the tip and its joints
+    path: TipPath  # path of the tip
+    check_point: Callable[[Vector], PathEnd | None]  # returns the reason to end at a point, None to go on
+    should_stop: Callable[[], bool]  # returns true to end it early
+
+    def from_point(self, start: Vector) -> FollowedPath:
+        """Follow the path from its start as far as it goes, or until it is to stop."""
+        along_m, points = [0.0], [start]
+        step_m, ended = CORNER_STEP_M, None
+        while along_m[-1] < self.path.length_m and not self.should_stop():
+            reach_m = self._reach_m(along_m[-1], step_m)
+            before, target = self.path.at(along_m[-1]), self.path.at(reach_m)
+            most_turn_rad = TURN_RAD_PER_M * (reach_m - along_m[-1])
+            point = self.tracker.follow(points[-1], target, most_turn_rad, before)
+            ended = self._ended(points[-1], along_m[-1], point, reach_m)
+            if ended is None:
+                step_m = 2.0 * (reach_m - along_m[-1])
+                along_m.append(reach_m)
+                points.append(point)
+            # A step to the path's end may be half as long again as the shortest, and is never cut in two.
+            elif reach_m - along_m[-1] <= LAST_STEP * SHORTEST_STEP_M:
+                break
+            else:
+                step_m = 0.5 * (reach_m - along_m[-1])
+        return FollowedPath(np.array(along_m), np.array(points), ended)
+
+    def _reach_m(self, from_m: float, step_m: float) -> float:
+        """Choose the next point's distance along the path: short steps beside corners, and one exactly in each."""
+        corners_m = np.array([0.0, *self.path.corners_m])
+        next_m = float(corners_m[np.searchsorted(corners_m, from_m, side="right")])
+        left_m = next_m - from_m
+        # The end is no corner to be rounded.
+        room_m = left_m if next_m == self.path.length_m else max(CORNER_STEP_M, GROWTH * left_m)
+        step_m = max(min(step_m, self.problem.max_step_m, room_m), min(SHORTEST_STEP_M, self.problem.max_step_m))
+        return next_m if left_m < LAST_STEP * step_m and left_m <= self.problem.max_step_m else from_m + step_m
+
+    def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> PathEnd | None:
+        desired, pose = self.path.at(reach_m), self.tracker.pose(point)
+        turned_rad = apart_rad(desired, pose)
+        if apart_m(desired, pose) > ON_PATH_M:
+            end = self.path.at(self.path.length_m)
+            nearest = self.tracker.pose(self.tracker.follow(point, end, 0.0))
+            return _out_of_reach(desired, apart_m(end, nearest))
+        if self.problem.keep_orientation and turned_rad > self.problem.orientation_tolerance_rad:
+            return _turned_away(turned_rad, self.problem.orientation_tolerance_rad)
+        step = np.abs(point - before)
+        most = int(np.argmax(step))
+        halfway = self.tracker.pose(0.5 * (before + point)), self.path.at(0.5 * (from_m + reach_m))
+        if 0.0 < self.problem.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
+            return _jump(self.tracker.joint_names[most], float(step[most]), reach_m - from_m)
+        return self.check_point(point)
+
+
+def leaves_limits(joint: str) -> PathEnd:
+    """Return the end of a path on which a joint would leave its limits."""
+    return PathEnd("limit", f"joint {joint!r} would leave its limits", {"joint": joint})
+
+
+def _out_of_reach(desired: pin.SE3, end_m: float) -> PathEnd:
+    place = ", ".join(f"{value:.4g}" for value in desired.translation)
+    whole = f"the tip comes no nearer to the end of the path than {100.0 * end_m:.1f} cm"
+    sentence = whole if end_m > ON_PATH_M else f"the path leaves the arm's reach at ({place}) m, but not its end"
+    return PathEnd("reach", sentence, {"position_m": desired.translation.tolist(), "distance_m": end_m})
+
+
+def _turned_away(turned_rad: float, tolerance_rad: float) -> PathEnd:
+    return PathEnd(
+        "orientation",
+        f"the tip would have to turn by {np.degrees(turned_rad):.1f} degrees from the orientation asked for,"
+        f" where {np.degrees(tolerance_rad):.1f} are tolerated",
+        {"deviation_rad": turned_rad, "tolerance_rad": tolerance_rad},
+    )
+
+
+def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
+    return PathEnd(
+        "jump",
+        f"joint {joint!r} would jump by {step_rad:.3g} rad within {1000.0 * step_m:.2g} mm of the path",
+        {"joint": joint, "step_rad": step_rad, "step_m": step_m},
+    )
+
+
+# Places in each span between two points at which the tip is measured: half-way, where a curve is furthest off.
+MEASURED_PER_SPAN = 2
+
+# Places in each span at which joint limits are checked: a shorter excursion is negligible.
+LIMIT_CHECKS_PER_SPAN = 16
+
+# Measured places by which the curve runs ahead of the path or behind it beside a corner, at most.
+MEASURED_AROUND = 2
+
+# Each round of new points halves the spans where the curve is off, and its deviation by more than that.
+REFINEMENTS = 5
+
+
+@dataclass(frozen=True)
+class TipCurve:
+    """A curve of the joints for a path of the tip."""
+
+    followed: FollowedPath  # the points it goes through, more where they are needed
+    curve: NaturalSpline  # the spline through them, by the length of the path
+    deviation: Deviation  # greatest deviation of the tip from the path on it
+
+
+def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> TipCurve:
+    """Return the curve through two or more followed points, with further ones where it would leave path or limits."""
+    for _ in range(REFINEMENTS):
+        curve, off_m, turned_rad = _measured(followed, path, tracker)
+        off = np.flatnonzero(off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
+        places = curve(_along_m(followed, LIMIT_CHECKS_PER_SPAN))
+        outside = np.flatnonzero(tracker.outside(places).any(axis=1).reshape(-1, LIMIT_CHECKS_PER_SPAN).any(axis=1))
+        spans = np.union1d(off, outside)
+        if not len(spans):
+            break
+        followed = _halved(followed, spans, path, tracker)
+    else:
+        curve, off_m, turned_rad = _measured(followed, path, tracker)
+    return TipCurve(followed, curve, Deviation(float(off_m.max()), turned_rad))
+
+
+def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> tuple[NaturalSpline, Vector, float]:
+    """Return the curve, the tip's distances from the path on it, shape (m,) [m], and its greatest angle [rad]."""
+    curve = NaturalSpline(followed.along_m, followed.points)
+    along_m = _along_m(followed, MEASURED_PER_SPAN)
+    desired = [path.at(length_m) for length_m in along_m]
+    poses = [tracker.pose(point) for point in curve(along_m)]
+    turned_rad = max(apart_rad(*pair) for pair in zip(desired, poses, strict=True))
+    places_m, line_m = (np.array([pose.translation for pose in part]) for part in (poses, desired))
+    return curve, _distances_m(places_m, line_m), turned_rad
+
+
+def _along_m(followed: FollowedPath, per_span: int) -> Vector:
+    """Return lengths evenly within each span, its end included, shape (spans * per_span,) [m]."""
+    spans = len(followed.points) - 1
+    at = (np.arange(per_span * spans) + 1.0) / per_span
+    return np.interp(at, np.arange(spans + 1), followed.along_m)
+
+
+def _distances_m(places_m: Vector, line_m: Vector) -> Vector:
+    """Return distances of places, shape (m, 3), from the pieces of a polyline around the point of the same index."""
+    nearest_m = np.linalg.norm(places_m - line_m, axis=1)
+    last = len(line_m) - 1
+    for shift in range(-MEASURED_AROUND, MEASURED_AROUND):
+        i = np.clip(np.arange(last + 1) + shift, 0, last - 1)
+        edge = line_m[i + 1] - line_m[i]
+        square = np.maximum(np.sum(edge**2, axis=1), np.finfo(float).tiny)
+        share = np.clip(np.sum((places_m - line_m[i]) * edge, axis=1) / square, 0.0, 1.0)
+        away_m = np.linalg.norm(places_m - line_m[i] - share[:, np.newaxis] * edge, axis=1)
+        nearest_m = np.minimum(nearest_m, away_m)
+    return np.asarray(nearest_m)
+
+
+def _halved(followed: FollowedPath, spans: NDArray[np.int64], path: TipPath, tracker: TipTracker) -> FollowedPath:
+    """Add a point in the middle of some spans: half-way between their ends, brought back to the path."""
+    middle_m = 0.5 * (followed.along_m[spans] + followed.along_m[spans + 1])
+    guesses = zip(middle_m, 0.5 * (followed.points[spans] + followed.points[spans + 1]), strict=True)
+    points = np.array([tracker.follow(guess, path.at(length_m), 0.0) for length_m, guess in guesses])
+    return FollowedPath(
+        np.insert(followed.along_m, spans + 1, middle_m),
+        np.insert(followed.points, spans + 1, points, axis=0),
+        followed.ended,
+    )
+
 
 # Where the tip moves by less per length of the path it stands, and its speed limits nothing.
 STANDING_SHARE = 1e-3
@@ -53,7 +414,8 @@ def plan_cartesian(
     refusal = check_path(robot, problem) or checks.check_start(robot, problem.start_rad)
     if refusal is not None:
         return refusal
-    start_q = collision.clipped(problem.start_rad)
+    names = robot.groups[problem.group].joints
+    start_q = collision.start(problem.start_rad, names)
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
@@ -61,7 +423,6 @@ def plan_cartesian(
     if refusal is not None:
         return refusal
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
-    names = robot.groups[problem.group].joints
     space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
     tracker = TipTracker(forward, collision, names, start_q, problem.link)
     start = tracker.pose(space.point(start_q))

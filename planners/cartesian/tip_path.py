@@ -9,10 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from planners.checks import check_group, rate_flaws
+from planners.checks import (
+    check_constraints,
+    check_group,
+    check_link,
+    invalid_goal,
+    length_flaws,
+    point_flaws,
+    rate_flaws,
+)
 from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.constraints import ROTATION_ARM_M
-from planners.ik.goal_checks import check_constraints, check_link, invalid_goal, length_flaws, point_flaws
 from planners.problem import Arc, CartesianProblem, Line, PlanningFailure
 from planners.scene import Pose
 from robot.description.model import RobotModel

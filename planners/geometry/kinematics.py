@@ -13,8 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import frame_of_link, outline
+from planners.geometry.shapes import frame_of_link, kinematic_urdf, outline
 from robot.description.model import RobotModel
 from robot.description.urdf import Mimic
 from robot.trajectory import Vector
@@ -23,7 +22,7 @@ from robot.trajectory import Vector
 class JointMap:
     """Map from positions of independent joints to positions of pinocchio's joints, which are all joints that move.
 
-    The model is made from :func:`planners.geometry.plain_urdf.plain_urdf`. Joints of a configuration ``q``, shape (n,)
+    The model is made from :func:`planners.geometry.shapes.plain_urdf`. Joints of a configuration ``q``, shape (n,)
     [rad], are ``joint_names``, or else in pinocchio's order.
     """
 

@@ -1,10 +1,11 @@
-"""Collision shapes for coal: convex hulls of points, shapes of the robot's links, and shapes of a scene.
+"""Robot and scene as the planning libraries take them: a plain URDF, shapes of the robot's links and of a scene.
 
 A link has one convex shape, or the URDF's own shapes with meshes replaced by hulls.
 """
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,12 +15,66 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.errors import ShapeError
-from planners.geometry.plain_urdf import plain_urdf
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Point, Pose, Shape, Sphere
+from robot.description.frames import shift_origin
 from robot.description.mesh_files import with_mesh_paths
-from robot.description.model import RobotModel
+from robot.description.model import Joint, RobotModel
 from robot.errors import DescriptionError
 from robot.trajectory import Vector
+
+# Libraries want an effort limit, which nothing here reads.
+_EFFORT = "1"
+
+
+def plain_urdf(robot: RobotModel) -> str:
+    """URDF text without visuals and with plain joints, position limits as the model has them.
+
+    Continuous joints become revolute ones, which :mod:`robot.description.urdf` limits: pinocchio would otherwise
+    describe each by two numbers. Joints that mimic become plain ones, with their offset in their origin: so that their
+    position is a multiple of the other's. Floating and planar joints are fixed.
+    """
+    root = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.urdf
+    for link in root.iterfind("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    for element in root.iterfind("joint"):
+        joint = robot.joints[element.get("name", "")]
+        if joint.mimic is not None and joint.mimic.offset != 0.0:
+            shift_origin(element, joint.mimic.offset)
+        for mimic in element.findall("mimic"):
+            element.remove(mimic)
+        if joint.moves:
+            _set_limits(element, joint, robot)
+        elif joint.type != "fixed":
+            element.set("type", "fixed")
+    return ET.tostring(root, encoding="unicode")
+
+
+def kinematic_urdf(robot: RobotModel) -> str:
+    """As :func:`plain_urdf`, with links and joints only.
+
+    Meshes are left out because placo loads them whatever its flags say (seconds and half a gigabyte).
+    """
+    root = ET.fromstring(plain_urdf(robot))  # noqa: S314 - made above
+    for link in root.iterfind("link"):
+        for shape in link.findall("collision"):
+            link.remove(shape)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _set_limits(element: ET.Element, joint: Joint, robot: RobotModel) -> None:
+    lower, upper = joint.lower, joint.upper
+    if joint.mimic is not None:
+        leader = robot.joints[joint.mimic.joint]
+        lower, upper = sorted((joint.mimic.multiplier * leader.lower, joint.mimic.multiplier * leader.upper))
+    limit = element.find("limit")
+    if limit is None:
+        limit = ET.SubElement(element, "limit", effort=_EFFORT, velocity="1")
+    limit.set("lower", repr(lower))
+    limit.set("upper", repr(upper))
+    if joint.type == "continuous":
+        element.set("type", "revolute")
+
 
 # A check's time grows with the corners: hulls of the SO-101's meshes have thousands, which take five times as long.
 MAX_CORNERS = 250

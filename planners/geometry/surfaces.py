@@ -102,7 +102,7 @@ class TriangleSurface:
         return middles_m, np.add.reduceat(areas_m2, starts)
 
 
-def load(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iterator[tuple[str, TriangleSurface]]:
+def load_surfaces(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iterator[tuple[str, TriangleSurface]]:
     """Yield each link with its surface, in the frame of the joint that carries it; ShapeError: the file is unfit."""
     for link, surface in surfaces.items():
         try:

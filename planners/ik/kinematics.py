@@ -16,8 +16,7 @@ import pinocchio as pin
 import placo
 
 from planners.geometry.kinematics import ForwardKinematics
-from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import frame_of_link
+from planners.geometry.shapes import frame_of_link, kinematic_urdf
 from planners.ik.constraints import (
     AxisCondition,
     Condition,

@@ -14,12 +14,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.checks import check_group, check_start
+from planners.checks import check_group, check_link, check_start, invalid_goal, length_flaws
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.differential import Limit, Task, solve, velocity_limit
-from planners.ik.goal_checks import check_link, invalid_goal, length_flaws
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import (
     ACCELERATION_SHARE,
@@ -33,8 +32,15 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from planners.servo.singularities import PredictedTip, RegularizedMotion, regularized
-from planners.servo.velocity_limits import VelocityBounds, velocity_bounds, watched_m, within_reach
+from planners.servo.velocity_limits import (
+    PredictedTip,
+    RegularizedMotion,
+    VelocityBounds,
+    regularized,
+    velocity_bounds,
+    watched_m,
+    within_reach,
+)
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 

@@ -24,7 +24,7 @@ import uvloop
 import robot.control.loop
 import robot.emulator.feetech
 import robot.hardware.ideal
-from planners.pool_host import PlannerHost
+from planners.shared_pool import PlannerHost
 from robot.processes import OF_SERVICE_MANAGER, StartedChild
 from server.app import Inherited, serve
 from server.arm.setup import Description, check_parameters

@@ -34,6 +34,11 @@ class Tracks:
     image_times_s: Mapping[str, Times]
     action_name: str = ""
 
+    def has_actions_in(self, episode: Episode) -> bool:
+        """Return True if an action was recorded in an episode."""
+        times_s = self.action_times_s
+        return times_s is not None and bool(((times_s >= episode.start_s) & (times_s <= episode.end_s)).any())
+
 
 @dataclass(frozen=True)
 class Frames:

@@ -245,8 +245,8 @@ class WebSocket(Transport):
         self._transport.set_write_buffer_limits(0)
         self._protocol.send_response(response)
         # Without the end of the stream, which comes last.
-        self._transport.writelines([each for each in self._protocol.data_to_send() if each])
-        await self._writable.wait()
+        self._write_now([each for each in self._protocol.data_to_send() if each])
+        await self.drain()
 
     def _end_request(self, timeout_s: float) -> None:
         """Answer a request that has not come to its end in time, and end the connection."""

@@ -6,10 +6,10 @@ import asyncio
 import itertools
 from collections.abc import Callable
 
+from planners.pool import OnHard, ignore
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer
 from planners.scene import EMPTY_SCENE, Scene
 from planners.worker import HARD_AFTER_S
-from planners.worker_process import OnHard, ignore
 from robot.description.model import RobotModel
 from tests.helpers.motions import STILL
 
@@ -25,7 +25,7 @@ SEARCH_S = 3.0 * HARD_AFTER_S
 
 
 class FakeWorker:
-    """A planner process as :class:`planners.worker_process.WorkerProcess` is: same constructor, same methods.
+    """A planner process as :class:`planners.pool.WorkerProcess` is: same constructor, same methods.
 
     Attributes:
         asked: requests so far, in their order.
@@ -145,6 +145,6 @@ class Farm:
         *,
         urgent: bool,
     ) -> FakeWorker:
-        """Make a worker, as the constructor of :class:`planners.worker_process.WorkerProcess` does."""
+        """Make a worker, as the constructor of :class:`planners.pool.WorkerProcess` does."""
         self.workers.append(FakeWorker(self, next(self._pids), on_loaded, on_exit, urgent=urgent))
         return self.workers[-1]

@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from planners.budget import Budget
-from planners.cartesian.following import TipTracker
-from planners.cartesian.planning import plan_cartesian
+from planners.cartesian.planning import TipTracker, plan_cartesian
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import as_pose
 from planners.problem import Arc, CartesianProblem, Line

@@ -15,10 +15,10 @@ import pytest_asyncio
 from harness.waiting import given_up, until
 from planners import pool as pool_module
 from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING
+from planners.messages import OBJECT_BYTES
 from planners.pool import BRIEF_SCENE_BYTES, MAX_ALLOWED_TIME_S, MAX_FAILED_STARTS, PlannerPool, allowed_time_s
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckQuestion, Request
 from planners.scene import Scene
-from planners.scene_transfer import OBJECT_BYTES
 from planners.servo.question import JointVelocities, ServoQuestion
 from tests.helpers.fake_workers import CRASHES, DEAF, HARD, IN_VAIN, PLAN, SEARCH_S, SOUND, TIMED_OUT, Farm
 from tests.helpers.motions import EASY, REQUESTS, START, STATE, STILL

@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planners.messages import OBJECT_BYTES, PART_BYTES, SceneReceiver, SceneSender, parts
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
-from planners.scene_transfer import OBJECT_BYTES, PART_BYTES, SceneReceiver, SceneSender, parts
 from tests.planners.scenes import boxes
 
 

@@ -13,12 +13,11 @@ import pytest
 import pytest_asyncio
 
 from harness.waiting import TIMEOUT_S, given_up, until
-from planners import pool_host, shared_pool
-from planners.pool_host import LONGEST_PLANNING_S, PlannerHost, bounded
+from planners import shared_pool
+from planners.messages import PART_BYTES
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure
 from planners.scene import Box, Mesh, Pose, Scene, SceneObject
-from planners.scene_transfer import PART_BYTES
-from planners.shared_pool import SharedPlanners
+from planners.shared_pool import LONGEST_PLANNING_S, PlannerHost, SharedPlanners, bounded
 from robot import channel
 from tests.helpers.fake_workers import CRASHES, DEAF, SOUND, TOUCHING, FakeWorker, Farm
 from tests.helpers.motions import EASY, STATE
@@ -82,7 +81,7 @@ async def test_a_server_with_many_goals_leaves_every_other_turn_to_one_with_a_si
 async def test_a_cancelled_request_gives_its_planner_to_the_next_server(
     servers: Servers, farm: Farm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pool_host, "LONGEST_PLANNING_S", 3600.0)
+    monkeypatch.setattr(shared_pool, "LONGEST_PLANNING_S", 3600.0)
     await given_up(await under_way(servers[0], farm))
     assert isinstance(await asyncio.wait_for(servers[1].ask(EASY), TIMEOUT_S), Plan)
 

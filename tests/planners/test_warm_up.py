@@ -10,7 +10,6 @@ import pytest
 from planners import worker
 from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Plan, PlanningProblem
-from planners.warm_up import warm_up
 from robot.description import model
 from tests.helpers import robots
 from tests.planners.small_arms import PALLETIZER_SRDF, PALLETIZER_URDF
@@ -38,7 +37,7 @@ ARMS = {
 @pytest.mark.parametrize("texts", ARMS.values(), ids=ARMS)
 def test_goals_and_a_path_are_planned_once(texts):
     planner = Listening(model.parse(*texts))
-    warm_up(planner, planner._robot)
+    planner.warm_up()
     kinds = [type(request) for request, _ in planner.asked]
     assert kinds == [PlanningProblem, PlanningProblem, CartesianProblem]
     assert isinstance(planner.asked[0][1], Plan)
@@ -48,7 +47,7 @@ def test_goals_and_a_path_are_planned_once(texts):
 def test_a_group_without_a_tip_is_warmed_up_by_a_joint_goal_alone():
     robot = dataclasses.replace(model.parse(*ARMS["mimics"]), tip_link="")
     planner = Listening(robot)
-    warm_up(planner, robot)
+    planner.warm_up()
     assert [type(request) for request, _ in planner.asked] == [PlanningProblem]
 
 

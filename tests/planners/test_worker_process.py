@@ -10,7 +10,7 @@ import pytest
 import pytest_asyncio
 
 from harness.waiting import given_up
-from planners import worker_process
+from planners import pool
 from planners.messages import (
     Answered,
     Ask,
@@ -19,11 +19,11 @@ from planners.messages import (
     LoadRobot,
     NewScene,
     StillSearching,
+    parts,
 )
+from planners.pool import CANCEL_TIMEOUT_S, WorkerProcess
 from planners.problem import MoveItErrorCode, PlanningFailure, Request
 from planners.scene import EMPTY_SCENE, Scene
-from planners.scene_transfer import parts
-from planners.worker_process import CANCEL_TIMEOUT_S, WorkerProcess
 from tests.helpers.fake_workers import PLAN, SOUND, TIMED_OUT
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
@@ -92,8 +92,8 @@ class Worked:
 @pytest_asyncio.fixture
 async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
     """A worker that has loaded its robot."""
-    monkeypatch.setattr(worker_process, "StartedChild", lambda _module: None)
-    monkeypatch.setattr(worker_process, "Child", FakeChild)
+    monkeypatch.setattr(pool, "StartedChild", lambda _module: None)
+    monkeypatch.setattr(pool, "Child", FakeChild)
     made = Worked()
     await made.worker.start()
     assert made.sent == [LoadRobot]

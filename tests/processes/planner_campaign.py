@@ -20,7 +20,7 @@ import psutil
 import uvloop
 
 from harness.figures import percentiles, print_table
-from planners import worker_process
+from planners import pool as planner_pool
 from planners.interface import LOAD_TIMEOUT_S
 from planners.pool import OVERTIME_S, PlannerPool
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem
@@ -123,7 +123,7 @@ def _code(answer: Answer) -> str:
 
 
 async def _run(seconds: float, seed: int) -> None:
-    worker_process.WORKER_MODULE = "tests.helpers.broken_planner"
+    planner_pool.WORKER_MODULE = "tests.helpers.broken_planner"
     pool = PlannerPool(built_in("so101").model, memory_limit_bytes=MEMORY_LIMIT_BYTES)
     campaign = Campaign(pool, random.Random(seed))
     process = psutil.Process()

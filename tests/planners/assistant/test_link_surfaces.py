@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planners.assistant.link_surfaces import link_surfaces
+from planners.assistant.link_shapes import link_surfaces
 from robot.description import model
 from tests.helpers import robots
 

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.cartesian.following import (
+from planners.cartesian.planning import (
     CHORD_M,
     FollowedPath,
     tip_curve,

@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.cartesian.nearest_end import end_as_goal
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad, first_part
+from planners.nearest_goal import end_as_goal
 from planners.pipeline import Planner
 from planners.problem import (
     CartesianPlan,

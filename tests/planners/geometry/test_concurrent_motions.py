@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planners.geometry.certificate import encounter
 from planners.geometry.collision import CollisionModel
-from planners.geometry.concurrent_motions import encounter
 from planners.pipeline import Planner
 from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure, RecheckAnswer
 from robot.description import model

@@ -7,12 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.geometry import contacts
+from planners.geometry.broadphase import FEW_SHAPES
 from planners.geometry.collision import CollisionModel
-from planners.geometry.contacts import PartPair, parts_of
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import convex, urdf_shapes
+from planners.geometry.parts import PartPair, parts_of
+from planners.geometry.shapes import convex, kinematic_urdf, urdf_shapes
 from planners.scene import Box, Sphere
 from robot.description import model
 from tests.helpers import robots
@@ -54,10 +53,10 @@ def test_touching_is_overlapping(crowded):
     assert verdicts == {True, False}
 
 
-@pytest.mark.parametrize("few", [0, contacts.FEW_SHAPES])
+@pytest.mark.parametrize("few", [0, FEW_SHAPES])
 def test_few_and_many_shapes_are_searched_alike(crowded, monkeypatch, few):
     build, states = crowded
-    monkeypatch.setattr(contacts, "FEW_SHAPES", few)
+    monkeypatch.setattr("planners.geometry.broadphase.FEW_SHAPES", few)
     broadphase = build()
     for q in states:
         assert (
@@ -139,7 +138,7 @@ def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
 def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
     collision = CollisionModel(robot)
     collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
-    monkeypatch.setattr(contacts, "convex", None)
+    monkeypatch.setattr("planners.geometry.parts.convex", None)
     assert collision.colliding_pairs(np.zeros(6))
 
 

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from planners.geometry.kinematics import ForwardKinematics
-from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.shapes import kinematic_urdf
 from robot.description import model
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 

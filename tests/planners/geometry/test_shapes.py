@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from planners.errors import ShapeError
 from planners.geometry.collision import CollisionModel
-from planners.geometry.plain_urdf import kinematic_urdf
 from planners.geometry.shapes import (
     MAX_CORNERS,
     PLATE_M,
     convex,
     enclosing,
+    kinematic_urdf,
     outline,
     robot_shapes,
     scaled,

@@ -11,7 +11,7 @@ from planners.geometry import surfaces
 from planners.geometry.certificate import certify
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.shapes import kinematic_urdf
 from planners.scene import AttachedObject, Cylinder, Mesh, Sphere
 from robot.trajectory import Trajectory
 from tests.helpers.resources import in_proportion
@@ -35,7 +35,7 @@ def links(robot):
     model = pin.buildModelFromXML(kinematic_urdf(robot))
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
-    loaded = dict(surfaces.load(robot.surfaces, model))
+    loaded = dict(surfaces.load_surfaces(robot.surfaces, model))
     joints = {name: model.frames[model.getFrameId(name)].parentJoint for name in loaded}
     return {name: (surface, data.oMi[joints[name]]) for name, surface in loaded.items() if joints[name] > 0}
 

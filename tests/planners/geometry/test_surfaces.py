@@ -12,7 +12,7 @@ from planners.errors import ShapeError
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
 from planners.geometry import surfaces
-from planners.geometry.plain_urdf import kinematic_urdf
+from planners.geometry.shapes import kinematic_urdf
 from robot.description.model import LinkSurface
 
 # Every so manieth problem of the file: all of them are the benchmark's.
@@ -47,7 +47,7 @@ def test_a_file_that_is_none_of_surfaces_is_named(tmp_path, robot, content, prob
         np.savez(path, **content)
     pin_model = pin.buildModelFromXML(kinematic_urdf(robot))
     with pytest.raises(ShapeError, match=problem.replace("(", r"\(").replace(")", r"\)")) as error:
-        list(surfaces.load({"boom": LinkSurface(path, "boom")}, pin_model))
+        list(surfaces.load_surfaces({"boom": LinkSurface(path, "boom")}, pin_model))
     assert str(path) in str(error.value)
 
 

@@ -4,8 +4,7 @@ import pytest
 
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import Reach
-from planners.geometry.plain_urdf import kinematic_urdf
-from planners.geometry.shapes import outline, robot_shapes
+from planners.geometry.shapes import kinematic_urdf, outline, robot_shapes
 from robot.description import model
 from tests.helpers.robots import so101
 from tests.planners.scenes import around_the_arm

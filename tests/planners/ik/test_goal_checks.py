@@ -3,6 +3,7 @@ import math
 
 import pytest
 
+from planners.checks import MAX_ALTERNATIVES, check_constraints, check_goal
 from planners.goals import (
     AnyOf,
     AxisGoal,
@@ -15,7 +16,6 @@ from planners.goals import (
     PositionConstraint,
     PositionGoal,
 )
-from planners.ik.goal_checks import MAX_ALTERNATIVES, check_constraints, check_goal
 from planners.ik.kinematics import MAX_POINTS
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.geometry.nearness import NearPair
+from planners.geometry.broadphase import NearPair
 from planners.scene import Pose
 from planners.servo.question import (
     Anchor,

@@ -14,8 +14,8 @@ import pytest
 import pytest_asyncio
 
 from harness.waiting import until, wait_until
+from planners import pool as planner_pool
 from planners import pool as pool_module
-from planners import worker_process
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, Request, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
@@ -41,7 +41,7 @@ def made_of(robot: model.RobotModel) -> PlannerPool:
 async def pool() -> AsyncIterator[PlannerPool]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(ROOT))
-        patch.setattr(worker_process, "WORKER_MODULE", "tests.helpers.broken_planner")
+        patch.setattr(planner_pool, "WORKER_MODULE", "tests.helpers.broken_planner")
         # Two, also on a machine with one.
         cores = os.sched_getaffinity(0) | {0, 1}
         patch.setattr(os, "sched_getaffinity", lambda _pid: cores)
@@ -156,13 +156,13 @@ async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both
 
 async def test_processes_that_end_at_once_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.no_such_module")
+    monkeypatch.setattr(planner_pool, "WORKER_MODULE", "planners.no_such_module")
     pool = made_of(so101())
     await pool.start()
     answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
     assert isinstance(answer, PlanningFailure)
     assert "planner processes ended while starting" in answer.message
-    monkeypatch.setattr(worker_process, "WORKER_MODULE", "planners.worker")
+    monkeypatch.setattr(planner_pool, "WORKER_MODULE", "planners.worker")
     await until(lambda: pool.load_failure is None, 60.0)
     assert isinstance(await pool.ask(EASY), Plan)
     await pool.close()

@@ -28,6 +28,7 @@ from planners.problem import (
 )
 from planners.scene import Pose
 from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
+from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.joined import PlacedArm, joined, prefixed
 from tests.helpers.robots import so101
 
@@ -98,7 +99,7 @@ def test_questions_about_the_other_arm_are_answered(request_: Request, answer: t
 
 
 def test_the_tip_of_the_other_arm_follows_a_path() -> None:
-    x, y, z = planner().tip_position_m(START_RAD, "left_gripper_frame_link")
+    x, y, z = ForwardPlacements(PAIR).transforms(START_RAD)["left_gripper_frame_link"][:3, 3].tolist()
     line = Line(Pose((x - 0.05, y, z), (0.0, 0.0, 0.0, 1.0)))
     found = planner().answer(CartesianProblem("left_arm", START_RAD, "left_gripper_frame_link", (line,)))
     assert isinstance(found, CartesianPlan), found

@@ -78,7 +78,6 @@ def _keys_of_arm(name: str) -> list[str]:
 
 
 def _stray_variables() -> list[str]:
-    """Sentences about environment variables with our prefix that set nothing."""
     known = known_keys()
     tables = tuple(f"{key}." for key, _, field in every_field(Settings) if is_table(field))
     names = sorted(name.lower() for name in os.environ if name.upper().startswith(PREFIX))

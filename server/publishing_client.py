@@ -97,7 +97,6 @@ class PublishingClient(ABC):
         await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
 
     async def _listen(self, frames: Any) -> None:
-        """Print the server's complaints, each sentence once."""
         async for frame in frames:
             with contextlib.suppress(ValueError):
                 complaint = _complaint(json.loads(frame))

@@ -278,7 +278,6 @@ def _put(values: dict[str, Any], path: list[str], value: Any) -> None:
 
 
 def _key(text: str) -> str:
-    """Return the key of a text that should be an assignment; the rest may be secret."""
     return re.split(r"[^\w.]", text, maxsplit=1)[0]
 
 

@@ -88,7 +88,6 @@ class VerificationClient:
         return ExitCode.PROBLEMS if findings else ExitCode.DONE
 
     def _show(self) -> None:
-        """Print what the server says, with the distances measured so far."""
         answers = self._state.get("answers", [])
         measured = [
             (each["joint"], f"{math.degrees(abs(each['droop_rad'])):.1f}")

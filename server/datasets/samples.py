@@ -93,7 +93,6 @@ def image_data(message: RecordedMessage, registry: Registry) -> bytes:
 
 
 def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int:
-    """Take a message; return 1 if it was a sample, else 0."""
     topic, type_name, log_s = message.topic, message.type_name, message.log_time_ns / 1e9
     is_sample = type_name in (JOINT_STATE, CONTROLLER_STATE, IMAGE)
     if not is_sample and type_name != ARM_STATE and topic not in (EPISODE_TOPIC, LIMITS_TOPIC):

@@ -61,8 +61,6 @@ _ROSAPI = "rosapi/"
 
 
 class _Done(NamedTuple):
-    """Acknowledgement of an operation: the field with the name of its subject, and the words that follow the name."""
-
     field: str
     words: str
 
@@ -280,8 +278,6 @@ class ClientContext:
             self.wake()
 
     def _translated(self, fields: dict[str, Any], field: str, type_name: str) -> Mapping[str, Any] | LaterFields:
-        """Translate the message of an operation; a large one later."""
-
         def translated() -> Mapping[str, Any]:
             return {**fields, field: self.translator.to_client(type_name, fields[field])}
 

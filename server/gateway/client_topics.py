@@ -80,7 +80,6 @@ class ClientTopics:
         self._doubt_misspelt(operation, topic)
 
     def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
-        """Warn of a topic that this client alone uses, and whose name is nearly a topic's of the server."""
         if not self._client.status.hears_doubts:
             return
         if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
@@ -111,7 +110,6 @@ class ClientTopics:
             self._remember(operation.topic, topic)
 
     def _remember(self, spelled_topic: str, name: str) -> None:
-        """Try the next messages on a topic the strict way."""
         reader = self._graph.strict_reader(self._node, name)
         if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
             self._strict_topics[spelled_topic] = StrictTopic(spelled_topic, name, self._graph.revision, reader)
@@ -187,7 +185,6 @@ class ClientTopics:
             self._client.wake()
 
     def _queue(self, published: PublishedMessage) -> bool:
-        """Send a message if the socket takes it at once; return True when it is queued instead."""
         try:
             return self._session.deliver(published, self._client.clock(), self._client.send_at_once)
         except ProtocolError as error:

@@ -15,8 +15,7 @@ from protocol.send_queue import SendBudget
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
-from server.gateway.client import Client
-from server.gateway.client_auth import AuthContext
+from server.gateway.client import AuthContext, Client
 from server.gateway.client_context import ClientContext
 from server.gateway.inbox import Scheduling
 from server.gateway.transport import Transport
@@ -187,7 +186,6 @@ class Connection:
 
     @property
     def _fields(self) -> dict[str, str]:
-        """Fields of log lines in JSON."""
         return {"client": str(self._client.node)}
 
     async def _write(self, wake: asyncio.Event) -> None:
@@ -215,7 +213,6 @@ class Connection:
                 self._expect_reading(time.monotonic())
 
     def _expect_reading(self, since_s: float) -> None:
-        """Look soon whether the client has read anything."""
         delay_s = min(self._max_delay_s, UNREAD_TIMEOUT_S) / LOOKS
         taken_bytes = self._transport.taken_bytes
         self._watch = asyncio.get_running_loop().call_later(delay_s, self._check_reading, taken_bytes, since_s)
@@ -245,7 +242,6 @@ class Connection:
         self._wake.set()
 
     def _limit_messages(self) -> None:
-        """Set the size of a message beyond which the connection is closed, before the message is read."""
         identity, limit_bytes = self._client.node.identity, self._max_message_bytes
         if identity is None:
             limit_bytes = MAX_UNKNOWN_BYTES

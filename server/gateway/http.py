@@ -464,7 +464,6 @@ class HttpHandler:
         return HttpResponse.of_file(file, media_type(name), _ASK_AGAIN, _cors(ROBOT))
 
     def _tell(self, sentence: str) -> None:
-        """Warn once of a file that is not served; browsers ask for it again and again."""
         self._log.write(log, logging.WARNING, f"not served: {sentence}", sentence)
 
 
@@ -474,7 +473,6 @@ def _sentence(error: ServiceError) -> str:
 
 
 def _name(path: str) -> str | None:
-    """Return the path of a request without its first slash, None for a path that cannot be a file."""
     try:
         name = unquote(path.partition("?")[0], errors="strict")
     except ValueError:
@@ -498,6 +496,5 @@ def _cors(area: str) -> dict[str, str]:
 
 
 def _has(headers: Headers, etag: str) -> bool:
-    """Return True for a client that has the content of that name."""
     held = [item.strip().removeprefix("W/") for line in headers.get_all("If-None-Match") for item in line.split(",")]
     return etag in held or "*" in held

@@ -21,20 +21,19 @@ from protocol.messages import Stamp
 from protocol.send_queue import SendBudget
 from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
-from server.access.host_addresses import host_addresses
 from server.access.rate_limits import is_loopback
 from server.errors import ConfigurationError, StartError
 from server.gateway.admission import (
     AdmissionPolicy,
     ConnectionLimiter,
     check_exposure,
+    host_addresses,
 )
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
 from server.gateway.inbox import Scheduling
-from server.gateway.raw_tcp import TcpStream, keep_alive
 from server.gateway.settings import ServerSettings
-from server.gateway.transport import Transport
+from server.gateway.transport import TcpStream, Transport, keep_alive
 from server.gateway.turns import Threads, Turns, call_soon
 from server.gateway.websocket import WebSocket
 from server.graph.node import Node
@@ -179,7 +178,6 @@ class ClientList:
         self._change()
 
     def _change(self) -> None:
-        """Publish a change, at once unless there has just been another."""
         if self._pause is not None:
             self._changed = True
             return
@@ -390,7 +388,6 @@ class Listener:
         self._threads.close()
 
     async def _serve_client(self, transport: Transport) -> None:
-        """Serve a client until it leaves."""
         connection = Connection(
             transport,
             self._graph,

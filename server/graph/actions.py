@@ -277,7 +277,6 @@ def _cancel_service(action: str) -> str:
 
 
 def _cancel(offer: ActionProvider, request: dict[str, Any]) -> dict[str, Any]:
-    """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
     wanted = request["goal_info"]["goal_id"]["uuid"]
     selected = offer.goals if wanted == ALL_GOALS else {wanted: offer.goals[wanted]} if wanted in offer.goals else {}
     canceling = {goal_id: goal for goal_id, goal in selected.items() if not goal.cancel_requested}

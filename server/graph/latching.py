@@ -30,8 +30,6 @@ MAX_RECENT_PER_TOPIC = 10
 
 
 class _Kept(NamedTuple):
-    """A message that is kept."""
-
     published: PublishedMessage
     size_bytes: int
     until_s: float
@@ -39,8 +37,6 @@ class _Kept(NamedTuple):
 
 
 class _Share:
-    """Latched messages of the server, or of all clients."""
-
     def __init__(self) -> None:
         self.size_bytes = 0
         self.ending: OrderedDict[str, None] = OrderedDict()

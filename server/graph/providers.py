@@ -130,7 +130,6 @@ class Providers(Generic[AnyProvider]):
         return canonical
 
     def _add(self, offer: AnyProvider, rule: Rule | None) -> None:
-        """Enter an offer whose name has been claimed."""
         self._offers[offer.name] = offer
         self.names.add(offer.name, offer.type_name)
         self._by_node.add(offer.node, offer)

@@ -400,7 +400,6 @@ class Graph:
         self._latch(published, None)
 
     def _latch(self, published: PublishedMessage, client: Node | None) -> str | None:
-        """Latch a message of a client, None for the server; return the limit that it exceeds, as a sentence."""
         problem = self._latched_messages.latch(published, client)
         if problem is None:
             return None
@@ -458,7 +457,6 @@ class Graph:
         return not topic.used and self._clock() - topic.last_used_s > self._unregister_timeout_s
 
     def _take_into_use(self, topic: Topic) -> None:
-        """Enter a topic among those in use, before its first user joins."""
         if not topic.used:
             self._unused.pop(topic.name, None)
             self.topic_names.add(topic.name, topic.type_name)

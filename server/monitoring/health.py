@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 from robot.messages import ArmHealth, Mode
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse
-from server.monitoring.goal_counters import GoalCounters
 
 if TYPE_CHECKING:
     from planners.interface import Planners
     from robot.arm_group import AnyArm
     from server.execution.queue import GoalQueue
+    from server.monitoring.monitor import GoalCounters
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
 

@@ -74,7 +74,6 @@ class SystemdNotifier:
             self.flush()
 
     def _is_sent(self, datagram: bytes) -> bool:
-        """Send without waiting; return False if it has to be sent again."""
         try:
             if self._socket is not None:
                 self._socket.send(datagram)
@@ -86,7 +85,6 @@ class SystemdNotifier:
 
 
 def _connected(address: str) -> socket.socket | None:
-    """Return a socket that is connected to systemd; None, with a warning in the log, if it cannot be reached."""
     path = "\0" + address[1:] if address.startswith(_ABSTRACT) else address
     connecting = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
     try:

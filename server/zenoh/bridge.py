@@ -174,7 +174,6 @@ class Sharing:
         self._offered.refresh(entities)
 
     def _is_relevant(self, entity: Entity) -> bool:
-        """Return True for an entity that may be shared; called in a thread of zenoh."""
         name = self._network.namespace.to_local(entity.endpoint.name)
         if entity.kind is EntityKind.SERVICE:
             return self._call.matches(name)

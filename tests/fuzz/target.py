@@ -24,8 +24,7 @@ from protocol.session import Packed, Refusal, Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.gateway.client import Client
-from server.gateway.client_auth import AuthContext
+from server.gateway.client import AuthContext, Client
 from server.gateway.client_context import ClientContext
 from server.gateway.inbox import Scheduling
 from server.gateway.turns import Turns, encode_or_log

@@ -22,16 +22,20 @@ from server.arm.setup import Description, check_parameters
 from server.config import Settings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
-from server.features.arm_control import ArmControl
+from server.features.arms import (
+    ArmControl,
+    CommissioningOfArms,
+    Following,
+    Restart,
+    TaughtMotions,
+    resumed,
+    with_calibration,
+)
 from server.features.clients import Clients
-from server.features.commissioning import CommissioningOfArms, Restart, resumed, with_calibration
 from server.features.context import context_of
-from server.features.monitoring import Logs, Monitoring
+from server.features.monitoring import Logs, Monitoring, Recording
 from server.features.moveit import ArmGoals, GoalQueueing, GoalRecords, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
-from server.features.recording import Recording
-from server.features.teaching import TaughtMotions
-from server.features.teleoperation import Following
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
 from server.installation import PAGE_DIRECTORY

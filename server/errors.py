@@ -15,9 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
-from planners.problem import PlanningFailure
+from planners.problem import MoveItErrorCode, PlanningFailure
+
+Found = TypeVar("Found")
 
 
 class ServerError(Exception):
@@ -55,6 +57,23 @@ class RefusedError(ServerError):
     def __init__(self, failure: PlanningFailure) -> None:
         super().__init__(failure.message)
         self.failure = failure
+
+
+def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError:
+    """Make the error that rejects a request."""
+    return RefusedError(PlanningFailure(code, message, details))
+
+
+def invalid(message: str, **details: Any) -> RefusedError:
+    """Make the error that rejects a goal or a constraint."""
+    return refused(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, **details)
+
+
+def required(found: Found | PlanningFailure) -> Found:
+    """Return an answer of the planners, or a frame's pose; raise RefusedError for a failure."""
+    if isinstance(found, PlanningFailure):
+        raise RefusedError(found)
+    return found
 
 
 class ConfigurationError(ServerError):

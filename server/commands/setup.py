@@ -101,7 +101,13 @@ class _Work:
     @property
     def saved(self) -> SavedServo:
         new_id = next((change.wanted for change in self.changes if change.register is Register.ID), self.servo.servo_id)
-        return SavedServo(self.joint, self.servo.servo_id, new_id, self.servo.baudrate, self.servo.registers)
+        return SavedServo(
+            joint=self.joint,
+            servo_id=self.servo.servo_id,
+            new_id=new_id,
+            baudrate=self.servo.baudrate,
+            registers=dict(self.servo.registers),
+        )
 
 
 class _Visit:

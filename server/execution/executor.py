@@ -48,9 +48,15 @@ from server.execution.motions import (
     plan_sequence,
     with_lead_in,
 )
-from server.execution.motions_in_progress import MotionInProgress, MotionsInProgress, meeting_question
 from server.execution.planned_ahead import PlannedAhead
-from server.execution.player import BRAKING_TIMEOUT_S, CheckedMotion, Player
+from server.execution.player import (
+    BRAKING_TIMEOUT_S,
+    CheckedMotion,
+    MotionInProgress,
+    MotionsInProgress,
+    Player,
+    meeting_question,
+)
 from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")

@@ -34,7 +34,7 @@ from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator, OneAr
 from server.moveit.goals.goal_topics import Confirmation
 from server.moveit.named_states import NamedStates, NamedStatesFile, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
-from server.moveit.requests.context import planning_group
+from server.moveit.requests.constraints import planning_group
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import AssumedStates, SceneState

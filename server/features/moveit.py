@@ -31,19 +31,16 @@ from server.moveit.actions.move_group import (
     ExecuteTrajectory,
     PlanningActions,
 )
-from server.moveit.description import RobotDescription
-from server.moveit.display import TransformsTopics
 from server.moveit.goals.goal_checks import GoalChecks
 from server.moveit.goals.goal_history import GoalHistory
 from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics, final_status
 from server.moveit.named_states import NamedStatesServices, default_path
-from server.moveit.requests.context import planning_group
+from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
-from server.moveit.scene.saved_scene import SavedScene, SceneFile
+from server.moveit.scene.saved_scene import NamedScenes, SavedScene, SceneFile, offer_named_scenes
+from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
+from server.moveit.services.description import RobotDescription, TransformRepublisher, TransformsTopics
 from server.moveit.services.move_group_services import offer_services
-from server.moveit.services.transform_republisher import ACTION as REPUBLISHER_ACTION
-from server.moveit.services.transform_republisher import TransformRepublisher
 from server.moveit.servo.servo_node import ServoNode
 from server.timers import call_later
 

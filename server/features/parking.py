@@ -31,7 +31,7 @@ from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
 from server.lifecycle import BackgroundTask, Feature
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 
 log = logging.getLogger("armbridge.parking")
 

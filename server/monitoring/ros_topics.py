@@ -16,8 +16,7 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot import logs
-from robot.advice import ADVICE, ServoAlert, advise
-from robot.faults import Fault
+from robot.faults import ADVICE, Fault, ServoAlert, advise
 from robot.hardware.config import SIMULATED_PORTS
 from robot.hardware.interface import status_names
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of

@@ -36,8 +36,7 @@ from server.teleop.following import (
     tracking_velocities,
     tracking_velocity,
 )
-from server.teleop.joint_map import JointMap
-from server.teleop.leader import JitterBuffer, LeaderPose
+from server.teleop.leader import JitterBuffer, JointMap, LeaderPose
 
 log = logging.getLogger("armbridge.teleop")
 

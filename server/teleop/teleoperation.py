@@ -23,10 +23,9 @@ from server.execution.monitors import check_ready
 from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING, Rule
 from server.graph.topics import Graph, Subscriber
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 from server.teleop.following import STALE_S, Phase
-from server.teleop.joint_map import joint_map
-from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample
+from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample, joint_map
 from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 
 log = logging.getLogger("armbridge.teleop")

@@ -14,7 +14,7 @@ from server.features.moveit import kept_scene_path
 from server.graph.message_types import MessageTypes
 from server.moveit.named_states import NamedStatesFile
 from server.moveit.scene.saved_scene import SceneFile, complete_scene
-from server.teaching.motion_files import MotionFiles
+from server.teaching.taught_motion import MotionFiles
 from tests.helpers.clock import FakeClock
 from tests.helpers.moveit import REGISTRY, ROBOT
 

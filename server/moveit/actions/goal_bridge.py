@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Motion
 from server.execution.queue import GoalQueue
 from server.graph.actions import Goal, GoalStatus
-from server.moveit.error_codes import error_code
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 
 
 def submit_goal(
@@ -79,8 +77,3 @@ def goal_status(code: MoveItErrorCode) -> GoalStatus:
     if code is MoveItErrorCode.SUCCESS:
         return GoalStatus.SUCCEEDED
     return GoalStatus.CANCELED if code is MoveItErrorCode.PREEMPTED else GoalStatus.ABORTED
-
-
-def code_message(answer: Answer) -> dict[str, Any]:
-    """Write the moveit_msgs/MoveItErrorCodes of an answer."""
-    return error_code(answer.code, answer.message)

@@ -15,7 +15,7 @@ from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.diagnostic_values import key_values
-from server.errors import RefusedError
+from server.errors import RefusedError, invalid
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.goal import Goal as QueuedGoal
 from server.execution.motions import Performed, PlannedMotion
@@ -29,10 +29,9 @@ from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.move_group import answer_of_task, plan_steps
-from server.moveit.error_codes import invalid
 from server.moveit.goals.goal_messages import GoalTranslator, suggestion
 from server.moveit.goals.goal_topics import Confirmation, details_as_json
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
 
 log = logging.getLogger("armbridge.goals")

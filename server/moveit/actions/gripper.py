@@ -23,11 +23,10 @@ from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import is_stopped
-from server.errors import RefusedError
+from server.errors import RefusedError, invalid
 from server.execution.goal import CancelScope
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
-from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.player import BRAKING_TIMEOUT_S
+from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress
 from server.execution.time_limits import ArmClock, TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.list_limits import ListLimits
@@ -35,7 +34,6 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.moveit.actions.goal_bridge import cancel_with_goal
-from server.moveit.error_codes import invalid
 
 log = logging.getLogger("armbridge.gripper")
 

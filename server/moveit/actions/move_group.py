@@ -14,7 +14,7 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
-from server.errors import RefusedError
+from server.errors import RefusedError, refused
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
@@ -24,14 +24,12 @@ from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import cancel_with_goal, code_message, finish_goal, reject_goal, submit_goal
+from server.moveit.actions.goal_bridge import cancel_with_goal, finish_goal, reject_goal, submit_goal
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
-from server.moveit.error_codes import error_code, refused
 from server.moveit.goals.goal_messages import with_suggestion
-from server.moveit.poses import Message
-from server.moveit.requests.list_limits import PLANNING_LIMITS, TRAJECTORY_LIMITS
+from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
-from server.moveit.requests.planning_problems import sequence_requests
+from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, sequence_requests
 from server.moveit.trajectories import external_motion, external_trajectory, to_message
 
 log = logging.getLogger("armbridge.actions")
@@ -360,4 +358,4 @@ class ExecuteTrajectory:
 
 
 def _execution_result(answer: Answer) -> Message:
-    return {"error_code": code_message(answer)}
+    return {"error_code": error_code(answer.code, answer.message)}

@@ -20,7 +20,7 @@ from server.execution.motions import Motion, Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 from server.moveit.trajectories import to_message
 
 HISTORY_SERVICE, HISTORY_TYPE = "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory"

@@ -11,9 +11,8 @@ from planners.scene import Pose
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
-from server.errors import RefusedError
-from server.moveit.error_codes import refused
-from server.moveit.poses import composed, inverse, pose_of
+from server.errors import RefusedError, refused
+from server.moveit.messages import composed, inverse, pose_of
 from server.moveit.scene.collision_objects import IDENTITY
 
 if TYPE_CHECKING:

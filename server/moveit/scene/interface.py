@@ -20,8 +20,8 @@ from server.graph.node import Node
 from server.graph.permissions import LOOKING, WORKING
 from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
+from server.moveit.messages import Message, write_pose
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import Message, write_pose
 from server.moveit.scene.collision_objects import ADD, IDENTITY, MAX_SUBFRAMES, NO_STAMP, REMOVE
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents

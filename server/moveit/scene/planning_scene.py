@@ -15,9 +15,8 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Pose, Scene
 from planners.scene_checks import MAX_LENGTH_M, MAX_SHAPES
 from robot.description.model import RobotModel
-from server.errors import RefusedError
-from server.moveit.error_codes import invalid, refused
-from server.moveit.poses import Message
+from server.errors import RefusedError, invalid, refused
+from server.moveit.messages import Message
 from server.moveit.scene.allowed_collision_matrix import (
     AllowedCollisionMatrix,
     disabled_collisions,

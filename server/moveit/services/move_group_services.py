@@ -19,7 +19,7 @@ from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, St
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
-from server.errors import RefusedError, ServiceError, UnsuccessfulError
+from server.errors import RefusedError, ServiceError, UnsuccessfulError, refused, required
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
@@ -27,17 +27,16 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
 from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
-from server.moveit.error_codes import failure_code, refused, required, success
 from server.moveit.goals.goal_messages import with_suggestion
+from server.moveit.messages import Message, error_code, pose_of, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
-from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
-from server.moveit.requests.list_limits import PLANNING_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (
     OMPL,
     PILZ,
     PIPELINES,
+    PLANNING_LIMITS,
     check_pipeline,
     sequence_requests,
 )
@@ -239,7 +238,9 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     context.display.trajectories(trajectories, start_state)
     return {
         "response": {
-            "error_code": success(*start.warnings, *planned.notes) if failure is None else failure_code(failure),
+            "error_code": success(*start.warnings, *planned.notes)
+            if failure is None
+            else error_code(failure.code, failure.message),
             "sequence_start": start_state,
             "planned_trajectories": trajectories,
             "planning_time": performed.planning_time_s,
@@ -318,7 +319,7 @@ def group_urdf(robot: RobotModel, group: Group) -> str:
 
 def error_response(failure: PlanningFailure) -> dict[str, Any]:
     """Write a response with nothing but an error code."""
-    return {"error_code": failure_code(failure)}
+    return {"error_code": error_code(failure.code, failure.message)}
 
 
 def fail_call(failure: PlanningFailure) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from websockets.http11 import Request
 
 from harness.clients import ArmClient, values_of
 from harness.server import ServerOnBus
-from harness.waiting import wait_until
+from harness.waiting import join, wait_until
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
 from robot.messages import Mode
@@ -293,7 +293,7 @@ def test_the_resources_of_this_process_are_measured() -> None:
     after = figures_of(os.getpid())
     release.set()
     for thread in threads:
-        thread.join()
+        join(thread)
     for end in ends:
         os.close(end)
     size_bytes = len(held)

@@ -17,8 +17,7 @@ from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.player import BRAKING_TIMEOUT_S
+from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, Result
 from server.graph.local_graph import LocalGraph

@@ -20,8 +20,8 @@ from server.errors import RefusedError
 from server.execution.monitors import state_message
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from server.moveit.messages import matrix_of
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import matrix_of
 from server.moveit.scene.interface import (
     ALLOWED_COLLISION_MATRIX,
     APPLY,

@@ -36,8 +36,7 @@ NOMINAL_OVERTRAVEL_RAD = 0.05
 # hides a wrong calibration.
 MAX_ZERO_OFFSET_RAD = 0.5
 
-# Wider ranges come near the seam between tick 4095 and 0, where positions jump by a turn.
-WIDEST_RANGE_TICKS = 4000
+WIDEST_RANGE_TICKS = 4000  # wider ranges come near the seam between tick 4095 and 0, where positions jump by a turn
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,4 @@
-"""Direction of each joint, found by a motion of the hand: the request in words, and the meaning of the ticks. Pure.
-
-The words follow from the URDF: the end of the link that the joint carries goes up, forward or to the left, as the
-model has it with every joint at zero; a joint whose axis goes through that end is turned.
-"""
+"""Direction of each joint by a motion of the hand: the request in words of the URDF, and the meaning of the ticks."""
 
 from __future__ import annotations
 
@@ -20,11 +16,8 @@ from robot.trajectory import Vector
 # A hand moves a joint further than this (9 deg) without noticing; less may be a twitch, or the arm that sinks.
 LEAST_MOTION_TICKS = 100
 
-# A link whose end is seen within this slope (20 deg) of its axis is turned rather than moved.
-ALONG_AXIS = 0.35
-
-# An end that is nearer to the joint's origin gives no direction [m].
-AT_JOINT_M = 0.005
+ALONG_AXIS = 0.35  # a link whose end is seen within this slope (20 deg) of its axis is turned rather than moved
+AT_JOINT_M = 0.005  # an end that is nearer to the joint's origin gives no direction [m]
 
 # Cosine of the angle (18 deg) within which an axis counts as vertical: such a joint turns the arm in any pose.
 VERTICAL = 0.95

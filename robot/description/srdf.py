@@ -7,8 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from robot.description.elements import attribute, number, root_of
-from robot.description.urdf import Joint, Tree
+from robot.description.urdf import Joint, Tree, attribute, number, root_of
 from robot.errors import DescriptionError
 
 log = logging.getLogger("armbridge.description")

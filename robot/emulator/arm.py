@@ -16,10 +16,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from robot.emulator.adapter import InProcessPort
-from robot.emulator.faults import Faults
 from robot.emulator.servo import EmulatedServo
-from robot.emulator.servo_bus import Codec, S, ServoBus
-from robot.emulator.write_log import WriteLog
+from robot.emulator.servo_bus import Codec, Faults, S, ServoBus, WriteLog
 from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.interface import HardwareInterface
 from robot.hardware.servos.family import ServoFamily
@@ -28,8 +26,7 @@ from robot.hardware.servos.servo_map import full_torque
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# A joint that turns by less changes its weight by less than the servo's load resolves [rad].
-WEIGHED_AGAIN_RAD = 0.005
+WEIGHED_AGAIN_RAD = 0.005  # a joint that turns by less changes its weight by less than the servo's load resolves [rad]
 
 GRAVITY_M_S2 = 9.81
 
@@ -129,10 +126,7 @@ class LinkWeights:
                 above = joint.parent
 
     def holding_torques(self, position_rad: Mapping[str, float]) -> dict[str, float]:
-        """Compute the torque of each movable joint that balances the links' weight, the gradient of their energy.
-
-        Positions are of every movable joint [rad or m]; torques are by joint [Nm, or N of a prismatic one].
-        """
+        """Compute the torque by joint that balances the links' weight [Nm, or N], at positions [rad or m]."""
         transforms = self._forward.transforms(position_rad)
         weighed = {link: (mass, transforms[link] @ centre) for link, (mass, centre) in self._masses.items()}
         torques = {}

@@ -116,5 +116,4 @@ class IdealConfig(_SimulatedConfig):
 HardwareConfig: TypeAlias = FeetechConfig | EmulatedConfig | DynamixelConfig | EmulatedDynamixelConfig | IdealConfig
 """Hardware interface of an arm: servos of Feetech or Dynamixel, on a serial port or emulated, and the ideal arm."""
 
-# Names of their ports.
-SIMULATED_PORTS = frozenset({_EmulatedBusConfig.port, IdealConfig.port})
+SIMULATED_PORTS = frozenset({_EmulatedBusConfig.port, IdealConfig.port})  # names of their ports

@@ -18,8 +18,7 @@ from robot.hardware.config import IdealConfig
 from robot.hardware.interface import Actuation, Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.trajectory import Vector
 
-# Duration of relaxing, so that a client sees the same sequence of states as with servos [s].
-RELAX_S = 0.5
+RELAX_S = 0.5  # duration of relaxing, so that a client sees the same sequence of states as with servos [s]
 
 
 class IdealArm(HardwareInterface):

@@ -78,10 +78,7 @@ _MEANINGS: Mapping[Register, str] = MappingProxyType(
 
 
 def profile_of(spec: ProfileSpec | None) -> ServoProfile | None:
-    """Build the profile of table ``[hardware.profile]`` in robot.toml; None for an arm without this table.
-
-    Raises DescriptionError for an unknown register, and for a value that it cannot hold.
-    """
+    """Build the profile of ``[hardware.profile]``; raises DescriptionError for an unknown register or its value."""
     if spec is None:
         return None
     base = PROFILES[spec.base]

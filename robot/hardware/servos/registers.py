@@ -15,8 +15,7 @@ class Area(Enum):
     RAM = "RAM"
 
 
-# Sign of a register in two's complement, in place of the bit of sign and magnitude.
-TWOS_COMPLEMENT = -1
+TWOS_COMPLEMENT = -1  # sign of a register in two's complement, in place of the bit of sign and magnitude
 
 
 @dataclass(frozen=True)

@@ -75,12 +75,7 @@ class Inherited:
 
 
 def serve(settings: Settings, arm_process: StartedChild | None = None, inherited: Inherited | None = None) -> None:
-    """Run the server until SIGINT or SIGTERM.
-
-    Raises:
-        ConfigurationError: settings that contradict each other or the robot.
-        StartError: a part that cannot start, such as a port in use.
-    """
+    """Run the server until SIGINT or SIGTERM; raises ConfigurationError or StartError."""
     # Read once: systemd's variables are gone from the environment then, and a new start goes on notifying.
     notifier = SystemdNotifier.from_environment()
 
@@ -193,12 +188,9 @@ class App:
         feed.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])
 
     async def run(self) -> NewStart | None:
-        """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
+        """Serve until a signal, and stop what was started; a second signal hurries the stop.
 
-        A second signal hurries the stop.
-
-        Returns:
-            The start that is to follow at once, after a calibration; None for the end.
+        Returns the start that is to follow at once, after a calibration; None for the end.
         """
         ending, hurry = stop_signals()
         listener, restart = self._clients.listener, self._restart

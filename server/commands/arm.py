@@ -278,7 +278,6 @@ def relax_arm(
 def _look(
     family: ServoFamily, bus: ServoBus, servos: Sequence[ServoSpec]
 ) -> tuple[dict[int, Limit], dict[int, Limit], list[int]]:
-    """Return present and full torque limits of the servos that hold, by id, and the servos that do not answer."""
     present: dict[int, Limit] = {}
     full: dict[int, Limit] = {}
     silent, arm = [], Calibration.nominal(servos)

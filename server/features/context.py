@@ -27,7 +27,7 @@ from server.execution.time_limits import TimeLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.monitoring.goal_counters import GoalCounters
+from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator, OneArm

@@ -103,11 +103,7 @@ class ClientServices:
         self._client.send(with_id(fields, id_))
 
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
-        """Call a service.
-
-        Raises:
-            PostponedError: the request is to be completed in the background first.
-        """
+        """Call a service, or raise PostponedError while its request is to be completed in the background."""
         name, id_ = _name_and_id(operation)
         self._client.translator.detect_dialect(operation.type, "srv")
         type_name, plans = self._services.type_of(name), self._services.rules.get(name, WORKING).plans

@@ -302,7 +302,6 @@ class Arm(ArmClock):
         return answered
 
     async def _time_out(self, number: int, answered: asyncio.Future[CommandDone]) -> None:
-        """Answer an order in the process's place when its time is over."""
         if not await self.wait((answered,), ORDER_TIMEOUT_S):
             message = f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s"
             _settle(answered, CommandDone(number, done=False, message=message))
@@ -382,7 +381,6 @@ class Arm(ArmClock):
         return ended
 
     def _number(self, motion: asyncio.Future[MotionEnded]) -> int:
-        """Return the number of a motion, :data:`NO_MOTION` when it has ended."""
         return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
 
     def _received(self, message: Any) -> None:
@@ -404,7 +402,6 @@ class Arm(ArmClock):
                 self._answer(message)
 
     def _awaits_state(self, message: MotionEnded | CommandDone) -> bool:
-        """Return True when a state that reflects the message is still to come."""
         if isinstance(message, CommandDone):
             return message.done
         return message.outcome in FAULTS and self.state.mode is not Mode.DISCONNECTED
@@ -452,7 +449,6 @@ class Arm(ArmClock):
         self._disconnect("the arm process ended and is starting again")
 
     async def _start_again(self, ran_s: float) -> None:
-        """Replace a process that has ended, which has sent states for ``ran_s``."""
         await self._process.kill()
         # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
         # not be switched on.
@@ -467,7 +463,6 @@ class Arm(ArmClock):
             ran_s = 0.0
 
     async def _launched_again(self) -> bool:
-        """Start and configure a process; return False when it cannot be started."""
         try:
             await self._process.launch()
         except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try the arm is lost

@@ -172,7 +172,6 @@ class ArmGroup(ArmClock):
     def _continued(
         self, name: str, continues: tuple[asyncio.Future[MotionEnded], float] | None
     ) -> tuple[asyncio.Future[MotionEnded], float] | None:
-        """Return the part of one arm of a motion to splice into."""
         if continues is None:
             return None
         motion, from_s = continues
@@ -352,7 +351,6 @@ def _held_rad(state: ArmState) -> Vector | None:
 
 
 def _joined(states: Sequence[ArmState], array_of: Callable[[ArmState], Vector | None]) -> Vector | None:
-    """Return an array of all joints; None while one arm has none."""
     arrays = [array for state in states if (array := array_of(state)) is not None]
     return np.concatenate(arrays) if arrays and len(arrays) == len(states) else None
 

@@ -75,11 +75,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def replace(path: Path, content: bytes, mode: int | None = None) -> None:
-    """Write a file whose lock is held; a crash, and an OSError, leave the old content or the new one.
-
-    Of a symbolic link, the file that it leads to is written. It has the mode before it has any content; None for the
-    process's default.
-    """
+    """Write a locked file as a whole, through symbolic links; a crash leaves the old content or the new one."""
     path = path.resolve()
     unfinished = path.with_name(f".{path.name}.new")
     try:

@@ -53,7 +53,6 @@ def format_in_use() -> LogFormat:
 
 
 def _log_exception(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
-    """Log the exception that ends the process, in the format of all other lines."""
     logging.getLogger(OUR_LOGGER).critical("ended by an exception", exc_info=(kind, error, traceback))
 
 
@@ -164,8 +163,6 @@ class LogLimiter:
 
 @dataclass(slots=True)
 class _Bucket:
-    """Lines of one key: left now, and suppressed since and before the latest due line."""
-
     left: float
     counted_s: float
     suppressed: int = 0

@@ -29,11 +29,9 @@ class Frequent:
     """Base of messages sent many times a second: arrays are pickled as lists, which costs a third."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes, arrays as lists."""
         return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the attributes, lists as arrays."""
         vars(self).update((name, np.array(value) if type(value) is list else value) for name, value in state.items())
 
 
@@ -83,11 +81,7 @@ TORQUE_LEFT_ON = "Hold the arm, and switch the servos' supply off, or start the 
 
 
 class EndState(Enum):
-    """Policy for the arm when the server has ended or is lost.
-
-    ``PARK`` plays the parking trajectory that the arm process keeps (:class:`KeepParking`), then relaxes the arm; where
-    none can be played, it relaxes it at once.
-    """
+    """Policy for the arm when the server has ended; PARK plays the kept trajectory, where it can, then relaxes."""
 
     HOLD = "hold"
     RELAX = "relax"
@@ -182,11 +176,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """Velocities for a stream's joints.
-
-    They are valid until the next setpoint, for a short time; after it the joints are brought to rest and the stream
-    ends. Setpoints for a stream that has ended are ignored.
-    """
+    """Velocities for a stream's joints, valid for a short time; without a next one the stream ends at rest."""
 
     motion_id: int
     velocity_rad_s: Vector  # in the stream's order, shape (joints,) [rad/s]

@@ -96,11 +96,7 @@ class RestartDelay:
 
 
 class ForkedProcess:
-    """Child of ``fork``: it shares the memory of what this process has loaded, until one of them writes there.
-
-    Fork before this process has threads or an event loop: the child would inherit them dead. The child has a session of
-    its own, as a child of :func:`start_module` has, and ends when its body returns or raises.
-    """
+    """Child of ``fork`` in a session of its own, before this process has threads: it shares the loaded memory."""
 
     def __init__(self, run: Callable[[], None]) -> None:
         self._code: int | None = None
@@ -137,7 +133,6 @@ class ForkedProcess:
 
 
 def _be_child(run: Callable[[], None]) -> NoReturn:
-    """Carry out the body of a forked child, and end without the clean-up of the process that it was forked from."""
     code = 1
     try:
         os.setsid()
@@ -194,7 +189,6 @@ class StartedChild:
 
 
 def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> tuple[Process, socket.socket]:
-    """Start a child that inherits one end of a socket pair; return it and the other end."""
     ours, theirs = socket.socketpair()
     with theirs:
         try:

@@ -65,8 +65,6 @@ def spoken(name: str) -> str:
 
 
 class _Words:
-    """Motions of the joints in words, at the model's zero."""
-
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         forward = ForwardPlacements(robot)
@@ -82,7 +80,6 @@ class _Words:
         self._forward = reach / away_m if away_m > REACH_M else np.array([1.0, 0.0, 0.0])
 
     def motion(self, name: str) -> AskedMotion:
-        """Return the motion to ask for a joint of the arm."""
         joint = self._robot.joints[name]
         place = self._placed[joint.child]
         axis, at_m = place[:3, :3] @ self._axis(joint.child), place[:3, 3]
@@ -103,7 +100,6 @@ class _Words:
         return self._shift(name, joint.child, velocity)
 
     def _shift(self, name: str, link: str, velocity: Vector) -> AskedMotion:
-        """Ask for a motion of a link's end by its greatest part."""
         left = np.cross((0.0, 0.0, 1.0), self._forward)
         parts = {"up": velocity[2], "forward": velocity @ self._forward, "to the left": velocity @ left}
         word = max(parts, key=lambda each: abs(parts[each]))

@@ -137,11 +137,7 @@ def search(
 
 
 def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServo]:
-    """Find and read the servos that answer at one baud rate; nothing is written.
-
-    The ids are also asked one by one, since a reply to a broadcast may get lost. Raises StartupError where several
-    servos have the same id.
-    """
+    """Find and read the servos at one baud rate; ids are also asked alone. Raises StartupError for two of one id."""
     bus = line.at(baudrate)
     garbled = bus.counters.discarded_bytes
     heard = set(bus.broadcast_ping())
@@ -262,7 +258,6 @@ class _Writer:
         self.baudrate = baudrate
 
     def unlock(self) -> None:
-        """Relax the servo, then unlock its EPROM."""
         bus = self._line.at(self.baudrate)
         try:
             self._line.run(write_verified(bus, self.servo_id, Register.TORQUE_ENABLE, 0))
@@ -273,7 +268,6 @@ class _Writer:
         self._line.run(write_verified(bus, self.servo_id, Register.LOCK, 0))
 
     def write(self, change: Change) -> None:
-        """Write a change and read it back."""
         match change.register:
             case Register.ID:
                 self._line.run(self._write_id(change.wanted))
@@ -284,7 +278,6 @@ class _Writer:
                 self._line.run(write_verified(bus, self.servo_id, change.register, change.wanted))
 
     def lock(self) -> None:
-        """Lock the EPROM."""
         self._line.run(write_verified(self._line.at(self.baudrate), self.servo_id, Register.LOCK, 1))
 
     def _write_id(self, new_id: int) -> Steps[None]:

@@ -94,11 +94,7 @@ def expected_width(servo: ServoSpec) -> int:
 
 
 def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
-    """Return True when a joint that covered a range of this width has met both of its stops.
-
-    A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; it has none when
-    it covered nearly a whole turn.
-    """
+    """Return True for a range as wide as two stops make it; a free joint has none when it covered nearly a turn."""
     if servo.turns_freely and width_ticks > WIDEST_RANGE_TICKS:
         return False
     return width_ticks >= STOPS_SHARE * expected_width(servo)

@@ -92,7 +92,6 @@ def _rest_refusal(trajectory: Trajectory, bounds: JointBounds, *, in_motion: boo
 
 
 def _curve_refusal(trajectory: Trajectory, bounds: JointBounds, held_rad: Vector) -> str:
-    """Check the curve between the samples; return the reason to refuse it, empty for none."""
     # An arm that was switched on outside its soft limits may be brought back inside.
     lower = np.minimum(bounds.lower_rad, held_rad) - LIMIT_TOLERANCE_RAD
     upper = np.maximum(bounds.upper_rad, held_rad) + LIMIT_TOLERANCE_RAD
@@ -175,7 +174,6 @@ def _extremes(
 
 
 def _malformed(trajectory: Trajectory, known: tuple[str, ...]) -> str:
-    """Check names, shapes and times of a trajectory; return the reason to refuse it, empty for none."""
     names = trajectory.joint_names
     if reason := names_refusal(names, known):
         return reason

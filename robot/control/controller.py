@@ -246,7 +246,6 @@ class ArmController:
                 motion.limit_speed(change.speed_limit)
 
     def _reset_direction_if_idle(self) -> None:
-        """Return to the direction forward when no motion is in progress that could be paused."""
         if self.pace.direction is not PlaybackDirection.FORWARD and all(motion.gripping for motion in self.motions):
             self.pace = replace(self.pace, direction=PlaybackDirection.FORWARD)
 
@@ -319,7 +318,6 @@ class ArmController:
         return ended
 
     def _drop(self, motion: Motion | Streaming, gripped: Measured | None) -> None:
-        """Remove a motion; its joints hold their goals, or squeeze the gripped object."""
         self.motions.remove(motion)
         columns = motion.columns
         if gripped is None:

@@ -249,7 +249,6 @@ class Guards:
         return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (flagged_s >= VOLTAGE_BIT_TIME_S))
 
     def _fault(self, code: FaultCode, flags: Flags, goal_rad: Vector, measured: Measured) -> Fault:
-        """Build the fault of the flagged joint that is farthest from its goal."""
         errors = [abs(at - goal) for at, goal in zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)]
         joint = max((joint for joint, flag in enumerate(flags.tolist()) if flag), key=errors.__getitem__)
         if code is FaultCode.SERVO_SILENT and measured.age_s.min() > ALL_SILENT_AFTER_S:

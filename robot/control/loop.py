@@ -84,7 +84,6 @@ class ArmLoop:
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
 
     def _open(self) -> HardwareInterface:
-        """Open the hardware, and make its source before the first time."""
         if self._source is None:
             try:
                 self._source = hardware_source(self._config, self._clock)
@@ -133,7 +132,6 @@ class ArmLoop:
         self._channel.send(message, droppable=droppable)
 
     def _wait(self, wait_s: float) -> None:
-        """Handle the server's messages while there is no hardware, until the next attempt to open it."""
         until_s = time.monotonic() + wait_s
         while not self._supervisor.finished() and (remaining_s := until_s - time.monotonic()) > 0.0:
             if self._channel.closed:

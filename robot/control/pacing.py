@@ -135,11 +135,7 @@ def enter_realtime() -> Scheduling:
 
 
 def lock_memory() -> bool:
-    """Keep the process's memory from being swapped out; return True if it is kept, log why not.
-
-    A page that must first be read from a disk makes a tick late by milliseconds. A limit that is reached later would
-    make an allocation fail in the middle of a motion, so memory is not locked under a low one.
-    """
+    """Keep memory from being swapped out, unless a low limit would make allocations fail; return True if it is kept."""
     limit_bytes, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit_bytes != resource.RLIM_INFINITY and limit_bytes < MIN_LOCKABLE_BYTES:
         log.info("memory is not locked: RLIMIT_MEMLOCK is %d bytes, less than %d", limit_bytes, MIN_LOCKABLE_BYTES)

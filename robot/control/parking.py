@@ -113,7 +113,6 @@ class Parking:
             self._park(controller)
 
     def _no_way_back(self, controller: ArmController) -> str:
-        """Return the reason why the motions in progress cannot be played back to the parking start, empty for none."""
         if controller.pace.direction is PlaybackDirection.PAUSED or controller.pace.speed_factor == 0.0:
             return "the motion is paused"
         start_rad = controller.goal_rad.copy()
@@ -154,7 +153,6 @@ class Parking:
         self.stage = Stage.OVER
 
     def _mismatch(self, goal_rad: Vector) -> str:
-        """Return the reason why the trajectory cannot be played from some goals, empty for none."""
         plan = self._plan
         if plan is None:
             return "no way to the rest pose is known in the present scene"

@@ -282,7 +282,6 @@ class Supervisor:
         return True
 
     def _check_servos(self, now_s: float) -> None:
-        """Begin to check the servos, where that is due and nothing else is in progress."""
         orders = self._orders
         if orders is None or self._task is not None or now_s < self._check_at_s:
             return
@@ -292,7 +291,6 @@ class Supervisor:
             self._begin(_Task(CHECKING_AGAIN, orders.survey(), None, now_s))
 
     def _torque_left(self) -> str:
-        """Describe where torque is on, with the remedy."""
         where = f"torque may be on at every joint: the arm is not connected: {self._reason}"
         if self.arm is not None:
             hardware = self.arm.hardware
@@ -403,7 +401,6 @@ class Supervisor:
             self._send(each, False)
 
     def _check_fault(self) -> None:
-        """Log a new fault once, and relax the arm where the fault requires that."""
         fault = self.fault
         if fault is not self._reported_fault:
             self._reported_fault = fault
@@ -440,7 +437,6 @@ class Supervisor:
             self._relax()
 
     def _consequence(self, end: EndState) -> str:
-        """Describe the arm's reaction to the loss of the server, for the log."""
         controller = self._controller
         if controller is not None and controller.moving:
             return "stopping"

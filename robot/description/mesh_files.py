@@ -96,7 +96,6 @@ def _in_folder(folder: Path, package: str, inner: str) -> Iterator[Path]:
 
 
 def _name_of_package(folder: Path) -> str | None:
-    """Return the name in a folder's package.xml; None without one."""
     try:
         return ET.fromstring((folder / "package.xml").read_text(encoding="utf-8")).findtext("name")  # noqa: S314 - the user's
     except (OSError, UnicodeDecodeError, ET.ParseError):

@@ -167,7 +167,6 @@ def _passive_positions(tree: Tree, semantics: Semantics) -> dict[str, float]:
 
 
 def _following_positions(tree: Tree, still: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of the joints that mimic a joint that stays."""
     return {
         joint.name: joint.mimic.multiplier * still[joint.mimic.joint] + joint.mimic.offset
         for joint in tree.joints.values()
@@ -201,7 +200,6 @@ def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gri
 
 
 def _ends(joint: Joint, states: Mapping[str, Mapping[str, float]]) -> tuple[float, float]:
-    """Return where a joint of a gripper is when it is open and when it is closed [rad or m]."""
     opened, closed = (
         next((states[name][joint.name] for name in names if joint.name in states.get(name, {})), limit)
         for names, limit in ((OPEN_STATES, joint.upper), (CLOSED_STATES, joint.lower))

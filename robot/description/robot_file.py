@@ -158,7 +158,6 @@ def read(path: Path) -> RobotFile:
 
 
 def _sentence(error: ErrorDetails) -> str:
-    """Return a sentence on an invalid value, by its key."""
     place = [part for part in error["loc"] if not str(part).startswith(("literal[", "ZeroTable", "constrained"))]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if error["type"] == "extra_forbidden":
@@ -188,7 +187,6 @@ _TABLES: Mapping[str, type[_Table]] = {
 
 
 def _keys_beside(place: list[int | str]) -> list[str]:
-    """Return the keys that are allowed where an unknown one stands."""
     names = [part for part in place[:-1] if isinstance(part, str)] or [""]
     table = JointTable if names[0] == "joints" else _TABLES[names[-1]]
     return sorted(table.model_fields)

@@ -56,7 +56,6 @@ def find_example(name: str) -> ExampleRobot | None:
 
 
 def _robots() -> Path | None:
-    """Return the package's folder of robots; None without the package."""
     try:
         folder = Path(str(metadata.distribution(PACKAGE).locate_file(_SHARE))) / "robots"
     except metadata.PackageNotFoundError:
@@ -65,7 +64,6 @@ def _robots() -> Path | None:
 
 
 def _urdfs(robots: Path) -> dict[str, Path]:
-    """Return the URDF of each robot by its name, from packages with a folder urdf or robots."""
     files = [*robots.glob("*/urdf/*.urdf"), *robots.glob("*/robots/*.urdf")]
     found: dict[str, Path] = {}
     for ending in _ENDINGS:
@@ -218,11 +216,9 @@ class _Problems:
             return instead
 
     def add(self, sentences: Iterable[str]) -> None:
-        """Add problems, a sentence each."""
         self._sentences += sentences
 
     def error(self) -> RobotFileError:
-        """Return the error that lists them."""
         return RobotFileError(self._path, self._sentences)
 
 
@@ -329,7 +325,6 @@ def _points(vertices: object) -> NDArray[np.float64]:
 
 
 def _unknown_names(file: RobotFile, arm: RobotModel) -> Iterable[str]:
-    """Yield a sentence for each joint, link or group that the description does not have."""
     movable = {joint.name for joint in arm.movable_joints}
     listed = ", ".join(sorted(movable))
     named = [(f"gripper.joints[{i}]", name) for i, name in enumerate(file.gripper.joints if file.gripper else ())]

@@ -63,7 +63,6 @@ def number(element: ET.Element, name: str, where: str) -> float:
 
 
 def _macros(element: ET.Element) -> list[str]:
-    """Return the parts of an element that xacro replaces: the element itself, and expressions in its attributes."""
     if element.tag.startswith(tuple(f"{{{namespace}}}" for namespace in XACRO_NAMESPACES)):
         return [f"the element <xacro:{element.tag.rpartition('}')[2]}>"]
     return [f'{name}="{value}"' for name, value in element.attrib.items() if "${" in value or "$(" in value]

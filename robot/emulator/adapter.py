@@ -54,11 +54,7 @@ class Adapter(ABC):
 
 
 class InProcessPort(Adapter):
-    """Port of an emulated bus; implements :class:`robot.hardware.port.BusPort` for the host.
-
-    Without wire time a reply is there at once, or, if a command delays it, not waited for; frames delay nothing. With
-    wire time, ``wait`` lets the time of bus and caller pass [s].
-    """
+    """Port of an emulated bus for the host; with wire time, ``wait`` lets the time of bus and caller pass [s]."""
 
     def __init__(
         self, bus: ServoBus[Any], clock: Callable[[], float], wait: Callable[[float], None] | None = None

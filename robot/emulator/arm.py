@@ -85,7 +85,6 @@ def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[Emul
     weighed: dict[str, float] = {}
 
     def weigh() -> None:
-        """Load the servos with the weight at the present pose."""
         position_rad = {joint.joint: joint.rad_from_ticks(servo.joint_ticks) for joint, servo in joints}
         if all(abs(at - weighed.get(name, math.inf)) < WEIGHED_AGAIN_RAD for name, at in position_rad.items()):
             return
@@ -145,7 +144,6 @@ class LinkWeights:
 
 
 def _mass(link: ET.Element) -> tuple[float, Vector]:
-    """Return a link's mass [kg] and its centre in the link's frame, shape (4,), homogeneous [m]."""
     mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
     xyz = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
     value = 0.0 if mass is None else float(mass.get("value", "0"))

@@ -46,7 +46,6 @@ class Emulation:
 
 
 def _servo_of(name: object, info: ValidationInfo[Sequence[FeetechServo]]) -> FeetechServo:
-    """Return the servo of an id or a joint's name; validation has the servos as its context."""
     return _named(name, {str(servo.servo_id): servo for servo in info.context}, info.context, "a servo id")
 
 
@@ -353,7 +352,6 @@ class ControlSocket:
 
 
 def _received(controller: socket.socket) -> bytes | None:
-    """Return the bytes that have arrived, None for none; no bytes at the end of the connection."""
     try:
         return controller.recv(READ_BYTES)
     except BlockingIOError:

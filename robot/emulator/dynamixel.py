@@ -319,7 +319,6 @@ class DynamixelServo(EmulatedServo[Register]):
         return self.plant.current_a / STALL_CURRENT_A * FULL_DUTY_PERMILLE
 
     def _follow_status(self) -> None:
-        """Show the errors until a reboot; errors in register SHUTDOWN switch torque off."""
         errors = sum(bit for flag, bit in _BITS.items() if self.protection.status & flag)
         self.memory.set(Register.HARDWARE_ERROR_STATUS, errors)
         if errors & self.value(Register.SHUTDOWN):

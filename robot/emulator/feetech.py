@@ -335,11 +335,7 @@ def emulated_feetech_arm(
 def build_servos(
     calibration: Calibration, start_rad: Sequence[float], population: Population = FACTORY, *, as_read: bool = False
 ) -> list[FeetechServo]:
-    """Build the arm's servos at a pose [rad]; the calibrated ranges are the joints' mechanical stops.
-
-    ``as_read`` is True for the pose that the calibration makes of the servos' readings, which may have another zero.
-    Raises ValueError for another number of joints, and for a pose outside the ranges.
-    """
+    """Build an arm's servos at a pose [rad], as true or as read; raises ValueError for a pose outside the ranges."""
     if len(start_rad) != len(calibration.joints):
         raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")
     return [

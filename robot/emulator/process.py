@@ -305,7 +305,6 @@ class Control:
 
 
 def _play(due: TimedCommand, emulation: Emulation) -> None:
-    """Carry out a command of a script, and print it and its answer to standard error."""
     line = json.dumps(due.command)
     answered = answer(line.encode(), emulation).decode()
     with contextlib.suppress(OSError):
@@ -316,7 +315,6 @@ def _end_on_signals(*, controlled: bool) -> None:
     """Exit cleanly on SIGTERM and Ctrl-C; a controlled emulator leaves all but SIGTERM to its controller."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
-        """Exit."""
         sys.exit(0)
 
     signal.signal(signal.SIGTERM, end)
@@ -337,7 +335,6 @@ def _option(name: str) -> str:
 
 def _number(name: str) -> Callable[[str], float]:
     def number(text: str) -> float:
-        """Parse the number of a live command."""
         value = float(text)
         try:
             check(LiveCommand, {name: value}, ())

@@ -305,7 +305,6 @@ class EmulatedServo(ABC, Generic[RegisterT]):
 
     @property
     def _load_permille(self) -> float:
-        """Load that counts for the overload timer [0.1 %]."""
         return self.plant.duty_permille
 
     def _follow_registers(self) -> None:
@@ -316,7 +315,6 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         self._follow_drive()
 
     def _follow_write(self, address: int) -> None:
-        """Bring everything that depends on the registers from an address on up to date."""
         if address < self.table.torque_enable:
             self._follow_registers()
         else:
@@ -328,5 +326,4 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         self._measured_at = ()
 
     def _follow_status(self) -> None:
-        """Let errors that came or went act on registers and drive."""
         self._follow_registers()

@@ -400,7 +400,6 @@ class ServoBus(Generic[S]):
                 break
 
     def _words(self, parameters: bytes) -> list[int]:
-        """Return addresses and lengths among the parameters."""
         size = self._codec.word_bytes
         return [int.from_bytes(parameters[at : at + size], "little") for at in range(0, len(parameters), size)]
 
@@ -456,7 +455,6 @@ def _sync_write(hearers: Sequence[S], address: int, length: int, blocks: bytes, 
 
 
 def _write(servo: EmulatedServo[Any], address: int, data: bytes, written: Written) -> int:
-    """Write memory of a servo, and note that if it takes the bytes; return the number of the error, 0 for none."""
     error = servo.write(address, data)
     if not error:
         written.setdefault(address, {})[servo.servo_id] = data

@@ -14,19 +14,14 @@ from robot.hardware.feetech.profiles import ServoProfile
 
 @dataclass(frozen=True)
 class _ServosConfig:
-    """Servos of an arm."""
-
     calibration: Calibration  # servos of the joints, in the order of every array
 
     def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
-        """Return the joints that have a servo."""
         return tuple(joint.joint for joint in self.calibration.joints)
 
 
 @dataclass(frozen=True)
 class _SerialConfig(_ServosConfig):
-    """Servos on a serial port."""
-
     simulated: ClassVar[bool] = False
 
     port: str  # serial device, ``socket://host:port``, USB id or ``auto``
@@ -38,8 +33,6 @@ class _SerialConfig(_ServosConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class _SimulatedConfig:
-    """Joints of a simulation."""
-
     simulated: ClassVar[bool] = True
 
     # Joint -> position at the start [rad]; joints not named start at 0, or at the limit nearest to it.

@@ -48,7 +48,6 @@ class IdealArm(HardwareInterface):
         self._no_status = np.zeros(joints, dtype=int)
 
     def open(self) -> HardwareInterface:
-        """Open the arm, which is always there."""
         return self
 
     def survey(self) -> Steps[Survey]:
@@ -64,7 +63,6 @@ class IdealArm(HardwareInterface):
         )
 
     def read(self) -> Measured | None:
-        """Advance the joints to the present, and read them."""
         self._advance(self._clock())
         return Measured(
             position_rad=self._position_rad,

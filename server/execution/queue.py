@@ -154,7 +154,7 @@ class GoalQueue:
         def report(progress: Progress) -> None:
             self._report(goal, progress)
 
-        goal = Goal(next(self._ids), request, report, ExecutionDeadline(self._executors.time_limits))
+        goal = Goal(next(self._ids), request, report, deadline=ExecutionDeadline(self._executors.time_limits))
         return goal
 
     def cancel(self, goal_id: str, reason: str) -> None:

@@ -37,7 +37,7 @@ from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics, final_
 from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.saved_scene import NamedScenes, SavedScene, SceneFile, offer_named_scenes
+from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named_scenes
 from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
 from server.moveit.services.description import RobotDescription, TransformRepublisher, TransformsTopics
 from server.moveit.services.move_group_services import offer_services
@@ -72,8 +72,8 @@ class PlanningScene(Feature):
         self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
         if settings.scene.keep:
-            file = SceneFile(settings.scene.file or kept_scene_path(settings, robot))
-            self._saved = SavedScene(file, scene, graph.message_types)
+            path = settings.scene.file or kept_scene_path(settings, robot)
+            self._saved = SavedScene(path, scene, graph.message_types)
         # Beside the file of the present scene, in a folder of their own.
         folder = default_path("scenes", robot, os.environ).with_suffix("")
         offer_named_scenes(graph, NamedScenes(folder, scene, graph.message_types), planning.current)

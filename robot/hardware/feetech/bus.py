@@ -200,7 +200,6 @@ class Bus(ServoBus):
         self._padding_is_safe = False
 
     def _choose_padding(self) -> int:
-        """Choose the padding that distinguishes a sync read from those whose replies may still come."""
         if self._clock() - self._disturbed_s > CALM_S:
             self._padding = 0
         elif not self._padding_is_safe:

@@ -206,7 +206,6 @@ class Feetech(ServoFamily):
         plain = super().actuation(joints, found)
 
         def each(register: Register) -> Vector:
-            """Return the values of a register."""
             return np.array([float(found[joint.servo_id].values[register]) for joint in joints])
 
         def threshold(register: Register) -> Vector:
@@ -266,7 +265,6 @@ def _firmware(values: Values) -> tuple[int, int]:
 
 
 def _named_model(joint: JointCalibration) -> int:
-    """Return the model number that the robot's folder names, by name or by number."""
     name = joint.servo.model
     return int(name) if name.isdecimal() else MODELS.get(name, MODELS["sts3215"])
 

@@ -111,7 +111,6 @@ def meaning(register: Register, value: int) -> str:
 
 
 def _registers(named: Mapping[str, int], key: str) -> dict[Register, int]:
-    """Convert names of registers, checked against what each can hold."""
     settings = {register.name: register for register in LAYOUT if LAYOUT[register].area is Area.EEPROM}
     found = {}
     for name, value in named.items():

@@ -304,7 +304,6 @@ def write_verified(bus: ServoBus, servo_id: int, register: IntEnum, value: int) 
 
 
 def _before(bus: ServoBus, attempt: int) -> Steps[None]:
-    """Yield before a transaction; count it when it is repeated."""
     yield 0.0
     if attempt:
         bus.count_retry()

@@ -51,11 +51,7 @@ def limits_warnings(
 
 
 def calibration_refusal(family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
-    """Return the reason not to drive servos that contradict the calibration, empty for none.
-
-    With another homing offset every position means another angle. With the calibrated offset, but limits of another
-    one, its limits stop the joint at wrong angles.
-    """
+    """Return the reason not to drive servos with another homing offset, or limits of another one; empty for none."""
     shifted = []
     for joint in servos.joints:
         held = found[joint.servo_id].values[family.registers.homing_offset]

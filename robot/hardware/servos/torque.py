@@ -191,7 +191,6 @@ class ServoTorque:
         return self._family.limit(self._servos.by_id[servo_id], self._found[servo_id].values, share)
 
     def _check_position(self, servo_id: int, present_ticks: int) -> None:
-        """Raise StartupError for a servo that must not be switched on at its position."""
         soft, own = self._soft[servo_id], self.goal_limits_ticks(servo_id)
         inside = soft[0] - OUTSIDE_LIMIT_TICKS <= present_ticks <= soft[1] + OUTSIDE_LIMIT_TICKS
         # The servo clamps or refuses a goal beyond its own limits: torque would move it, or it could not stay there.
@@ -243,7 +242,6 @@ class ServoTorque:
         return goal_ticks
 
     def _switch_on(self, servo_id: int) -> Steps[int]:
-        """Switch torque on at the present position and at reduced torque; return the goal [ticks]."""
         found, watchdog = self._found[servo_id], self._family.watchdog
         values = yield from self._family.prepare(self._bus, self._servos.by_id[servo_id], found.values)
         self._found[servo_id] = replace(found, values=values)

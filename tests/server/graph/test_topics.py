@@ -119,9 +119,9 @@ def test_the_type_of_a_topic_outlives_its_last_user_for_a_while(graph: Graph, cl
 
 def test_the_refusal_of_a_topic_without_a_type_says_which_operation_can_name_one(graph: Graph) -> None:
     listener = Listening()
-    with pytest.raises(GraphError, match="topic /t: has no type yet: advertise the topic with its type first$"):
+    with pytest.raises(GraphError, match=r"topic /t: has no type yet: advertise the topic with its type first$"):
         graph.publish(TALKER, "/t", {"data": "x"})
-    sentence = "topic /t: has no type yet: subscribe with the type, or advertise the topic first$"
+    sentence = r"topic /t: has no type yet: subscribe with the type, or advertise the topic first$"
     with pytest.raises(GraphError, match=sentence):
         graph.subscribe(listener.node, "/t", None, listener.subscriber)
     graph.subscribe(listener.node, "/t", "std_msgs/String", listener.subscriber)

@@ -236,7 +236,7 @@ class Stage:
         return answer
 
     async def begin(self, motion: PlannedMotion | ExternalTrajectory, limits: TimeLimits | None = None) -> None:
-        self.goal = Goal("1", GoalRequest("/goal", motion), self.news.append, ExecutionDeadline(limits))
+        self.goal = Goal("1", GoalRequest("/goal", motion), self.news.append, deadline=ExecutionDeadline(limits))
         self.running = asyncio.create_task(self.executor.run(self.goal))
         await settle()
 

@@ -68,7 +68,7 @@ class Stage:
         self.arm.pass_time(seconds)
 
     def next_goal(self) -> Goal:
-        return Goal("1", GoalRequest("/goal"), self.news.append, ExecutionDeadline(LIMITS))
+        return Goal("1", GoalRequest("/goal"), self.news.append, deadline=ExecutionDeadline(LIMITS))
 
     async def begin(self) -> None:
         self.running = asyncio.create_task(self.player.play(self.goal, MOTION, questions))

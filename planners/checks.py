@@ -38,11 +38,8 @@ from robot.description.model import Group, RobotModel
 # Quaternions and directions from single precision are off by less; longer and shorter ones are mistakes.
 LENGTH_TOLERANCE = 1e-3
 
-# Each alternative takes milliseconds to solve.
-MAX_ALTERNATIVES = 64
-
-# Each constraint is checked in every configuration of a search.
-MAX_CONSTRAINTS = 64
+MAX_ALTERNATIVES = 64  # each alternative takes milliseconds to solve
+MAX_CONSTRAINTS = 64  # each constraint is checked in every configuration of a search
 
 
 def check_goal(robot: RobotModel, group: Group, goal: Goal) -> PlanningFailure | None:
@@ -242,8 +239,7 @@ MAX_PLANNING_TIME_S = 3600.0
 # Pairs in contact that an answer names; a scene of 1000 shapes has thousands where the arm is amid them.
 MAX_PAIRS = 100
 
-# A joint that is measured while it moves at its limit may be reported a little faster.
-SPEED_TOLERANCE = 1e-6
+SPEED_TOLERANCE = 1e-6  # a joint that is measured while it moves at its limit may be reported a little faster
 
 
 def check_request(robot: RobotModel, problem: PlanningProblem) -> PlanningFailure | None:

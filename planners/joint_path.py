@@ -26,8 +26,7 @@ METHOD = "given path"
 # The spline may leave the limits between points that keep them, by no more than the arm's controller tolerates.
 LIMIT_TOLERANCE_RAD = 0.002
 
-# The arm's own links are thicker than this, so a check this sparse misses only grazing contacts.
-SPARSE_STEP_M = 0.03
+SPARSE_STEP_M = 0.03  # the arm's own links are thicker than this, so a check this sparse misses only grazing contacts
 
 
 def plan_joint_path(

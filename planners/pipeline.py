@@ -58,14 +58,9 @@ log = logging.getLogger("armbridge.planner")
 
 NOTHING_TO_DO = "nothing to do"
 
-# The first solution is the nearest to the robot's configuration; a service's caller waits for no more.
-SOLUTIONS = 1
-
-# Measured positions of an arm that rests on a limit lie beyond it by noise.
-LIMIT_TOLERANCE_RAD = 1e-3
-
-# Travel of each joint [rad], and of the tip [m], in the first plans.
-WARM_UP_RAD, WARM_UP_M = 0.2, 0.02
+SOLUTIONS = 1  # the first solution is the nearest to the robot's configuration; a service's caller waits for no more
+LIMIT_TOLERANCE_RAD = 1e-3  # measured positions of an arm that rests on a limit lie beyond it by noise
+WARM_UP_RAD, WARM_UP_M = 0.2, 0.02  # travel of each joint [rad], and of the tip [m], in the first plans
 
 
 class Planner:

@@ -34,8 +34,7 @@ PLANNER_IDS = (
     "BITstar",
 )
 
-# How a motion was found where two straight lines were enough, which RRTConnect tries first.
-VIA_POINT = "via point"
+VIA_POINT = "via point"  # how a motion was found where two straight lines were enough, which RRTConnect tries first
 
 
 class MoveItErrorCode(IntEnum):

@@ -45,8 +45,7 @@ from robot.description.urdf import MOVABLE_TYPES
 
 MESHES = "meshes"
 
-# Size of the meshes of one robot: twenty times the SO-101's.
-MAX_MESH_BYTES = 500 << 20
+MAX_MESH_BYTES = 500 << 20  # size of the meshes of one robot: twenty times the SO-101's
 
 
 def parse_urdf(urdf_path: Path) -> ET.Element:
@@ -120,11 +119,8 @@ MAX_SAMPLES = 1_000_000
 HOME_TRIES = 2_000
 PROOF_TRIES = 5
 
-# Points on a finger and on the hand that their distance is taken from.
-GRIPPER_POINTS = 300
-
-# Digits of the shapes' coordinates: 10 um.
-DIGITS = 5
+GRIPPER_POINTS = 300  # points on a finger and on the hand that their distance is taken from
+DIGITS = 5  # digits of the shapes' coordinates: 10 um
 
 PICTURE = "parts.png"
 

@@ -24,8 +24,7 @@ FINGER_JOINT = re.compile(r"^(?!.*(wrist|roll|arm_|_arm)).*(grip|finger|jaw|claw
 FINGER_LINK = re.compile(r"finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
 TOOL_FRAME = re.compile(r"tcp|tip|tool|grasp|gripper_frame|ee_|_ee|end_?eff|flange|pinch", re.IGNORECASE)
 
-# Joints of one finger: more in a chain is an arm, whatever its name.
-MAX_FINGER_JOINTS = 4
+MAX_FINGER_JOINTS = 4  # joints of one finger: more in a chain is an arm, whatever its name
 
 MIN_ARM_JOINTS = 2
 
@@ -176,8 +175,7 @@ def _find_tip(tree: Tree, hand: str, shaped: frozenset[str]) -> str:
 # Farthest share of a finger's points from its joint: its tip, for its other end is at the palm however it stands.
 TIP_SHARE = 0.3
 
-# The room differs by more than this between open and closed [m].
-CLEAR_M = 0.002
+CLEAR_M = 0.002  # the room differs by more than this between open and closed [m]
 
 
 @dataclass(frozen=True)

@@ -25,20 +25,11 @@ from planners.scene import Pose
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# Shorter pieces are repeated points, which have neither direction nor speed.
-SHORTEST_M = 1e-7
-
-# Directions of neighbouring pieces that differ by less go on smoothly.
-SMOOTH_TURN_RAD = 1e-3
-
-# Points nearer to each other do not tell an arc's plane.
-SHORTEST_CHORD_M = 1e-5
-
-# Flatter arcs lose digits, and no arm can show that they are not lines.
-LARGEST_RADIUS_M = 100.0
-
-# Following takes some 0.3 ms a point, 3 s in all.
-MOST_POINTS = 10_000
+SHORTEST_M = 1e-7  # shorter pieces are repeated points, which have neither direction nor speed
+SMOOTH_TURN_RAD = 1e-3  # directions of neighbouring pieces that differ by less go on smoothly
+SHORTEST_CHORD_M = 1e-5  # points nearer to each other do not tell an arc's plane
+LARGEST_RADIUS_M = 100.0  # flatter arcs lose digits, and no arm can show that they are not lines
+MOST_POINTS = 10_000  # following takes some 0.3 ms a point, 3 s in all
 
 
 @dataclass(frozen=True)

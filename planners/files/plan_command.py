@@ -23,14 +23,9 @@ from planners.problem import MoveItErrorCode, Plan, PlanningFailure
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
-# As many rows as one picture can show.
-MAX_MOTIONS = 20
-
-# Points a curve is drawn with.
-POINTS = 400
-
-# Inches of a row, wide and high.
-ROW_SIZE_IN = (12.0, 2.6)
+MAX_MOTIONS = 20  # as many rows as one picture can show
+POINTS = 400  # points a curve is drawn with
+ROW_SIZE_IN = (12.0, 2.6)  # inches of a row, wide and high
 
 # Exit codes: every answer is accepted by its file; some are not; nothing was planned.
 EXIT_EXPECTED = 0
@@ -41,8 +36,7 @@ _ROW = "{:<{}} {:>5}  {:<26} {:>8}  {:>12}  {:>12}\n"
 _TITLES = ("code", "", "CPU [ms]", "duration [s]", "length [rad]")
 _NAME_WIDTH = 20
 
-# Back to the begin of the line, and clear it (ECMA-48).
-_CLEAR_LINE = "\r\x1b[K"
+_CLEAR_LINE = "\r\x1b[K"  # back to the begin of the line, and clear it (ECMA-48)
 
 
 def check_available() -> None:

@@ -125,15 +125,13 @@ def _violated(code: MoveItErrorCode, what: str, violations: Sequence[Violation])
     return PlanningFailure(code, f"{what}: {sentences}", {"violations": [dict(v.details) for v in violations]})
 
 
-# Restarts without a new solution, when there is one, after which more rarely find any.
-FRUITLESS_RESTARTS = 6
+FRUITLESS_RESTARTS = 6  # restarts without a new solution, when there is one, after which more rarely find any
 
 # Restarts in a row that come no nearer to a goal out of reach; of 1000 poses within reach none needed more.
 HOPELESS_RESTARTS = 20
 NEARER_M = 0.001
 
-# Solutions closer than this to a known one in every joint, whole turns apart, are the same.
-DISTINCT_RAD = 0.1
+DISTINCT_RAD = 0.1  # solutions closer than this to a known one in every joint, whole turns apart, are the same
 
 # A whole turn of a joint leaves the robot where it is, so each solution is also a goal with joints turned once around
 # where their limits allow it. The nearest of these goals is reached soonest; where it is blocked, as by the floor below
@@ -141,8 +139,7 @@ DISTINCT_RAD = 0.1
 TURN_RAD = 2.0 * math.pi
 TURNED_A_SOLUTION = 4
 
-# More goals than this hardly shorten the motion.
-MAX_SOLUTIONS = 6
+MAX_SOLUTIONS = 6  # more goals than this hardly shorten the motion
 
 # Preferences that are missed by this much more than in the best configuration count as equal: a servo arm cannot show
 # the difference.
@@ -152,14 +149,9 @@ PREFERENCE_SLACK_RAD = 0.02
 SAMPLES = 2000
 SAMPLE_SEED = 7
 
-# Of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30.
-RESTARTS = 30
-
-# Further restarts, from free samples, where all of these end in contact.
-RESTARTS_AMONG_OBSTACLES = 100
-
-# A joint goal this near already holds: a servo's step is 1.5 mrad.
-ALREADY_THERE_RAD = 1e-6
+RESTARTS = 30  # of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30
+RESTARTS_AMONG_OBSTACLES = 100  # further restarts, from free samples, where all of these end in contact
+ALREADY_THERE_RAD = 1e-6  # a joint goal this near already holds: a servo's step is 1.5 mrad
 
 
 @dataclass(frozen=True)

@@ -44,28 +44,18 @@ from planners.servo.velocity_limits import (
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# Joints that it takes to move a tip in any direction.
-POSITION_DIRECTIONS = 3
-
-# An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
-GAIN_PER_S = 4.0
+POSITION_DIRECTIONS = 3  # joints that it takes to move a tip in any direction
+GAIN_PER_S = 4.0  # an error shrinks to a third in a quarter of a second: ten times the delay from question to servo
 
 # Further than this from its anchor the tip is not drifting but held off, by a limit or an obstacle; the anchor then
 # comes along.
 MAX_DRIFT_M = 0.02
 MAX_DRIFT_RAD = 0.35
 
-# While it is held off it is pulled no more than keeps it from sliding away by itself, at 2 cm/s.
-HELD_DRIFT_M = 0.005
-
-# A smaller share of the desired speed counts as halted.
-HALTED = 0.05
-
-# A rotation is reported as given up when it lacks more than this share.
-GIVEN_UP = 0.1
-
-# An orientation is reported as not kept from 3 degrees on.
-NOT_KEPT_RAD = math.radians(3.0)
+HELD_DRIFT_M = 0.005  # while it is held off it is pulled no more than keeps it from sliding away by itself, at 2 cm/s
+HALTED = 0.05  # a smaller share of the desired speed counts as halted
+GIVEN_UP = 0.1  # a rotation is reported as given up when it lacks more than this share
+NOT_KEPT_RAD = math.radians(3.0)  # an orientation is reported as not kept from 3 degrees on
 
 _SINGULARITIES = {
     ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY: "the arm nears a singularity: this direction is slowed",
@@ -76,11 +66,8 @@ _SINGULARITIES = {
 # Keeps joints from running where it does hardly anything; a hundredth of what an arm's tip moves by [m/rad].
 POSITION_DAMPING = 0.002
 
-# Turns that need more than twenty times their speed of the joints are mostly given up.
-TURN_DAMPING = 0.05
-
-# Weight of keeping the last rotation: without it the rotation flutters between two obstacles.
-STEADINESS = 0.5
+TURN_DAMPING = 0.05  # turns that need more than twenty times their speed of the joints are mostly given up
+STEADINESS = 0.5  # weight of keeping the last rotation: without it the rotation flutters between two obstacles
 
 # At a velocity bound the tip could go on by turning about the obstacle. A turn of a radian costs as much as this way,
 # so that the tip stops instead [m/rad].

@@ -26,8 +26,7 @@ CURVATURE_M = 0.003
 # Share of the joints' braking that is counted on: several inequalities may need it, and directions change on the way.
 BRAKING_SHARE = 0.5
 
-# Cost of exceeding an inequality, in changes of the joints' velocities.
-EXCESS_COST = 30.0
+EXCESS_COST = 30.0  # cost of exceeding an inequality, in changes of the joints' velocities
 
 # Pairs further apart than this are watched by an arm that is fast only: they limit no speed below 0.3 m/s.
 WATCHED_M = 0.12
@@ -113,17 +112,10 @@ def within_reach(wanted: Vector, reach: Vector, limit: Limit) -> Vector:
     return np.asarray(found[:size])
 
 
-# Time over which a motion is predicted to tell if it approaches a singularity.
-PREDICTION_S = 0.005
-
-# The way out of one is of second order, so it takes longer to show.
-EXIT_PREDICTION_S = 0.1
-
-# A greater change of the least singular value is no rounding [m/rad].
-NOTICED_M_PER_RAD = 1e-6
-
-# Leaving, the tip must get this share of the way it was to go: less is turning about itself.
-LEAST_PROGRESS = 0.01
+PREDICTION_S = 0.005  # time over which a motion is predicted to tell if it approaches a singularity
+EXIT_PREDICTION_S = 0.1  # the way out of one is of second order, so it takes longer to show
+NOTICED_M_PER_RAD = 1e-6  # a greater change of the least singular value is no rounding [m/rad]
+LEAST_PROGRESS = 0.01  # leaving, the tip must get this share of the way it was to go: less is turning about itself
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from planners.problem import (
     MoveItErrorCode,
     PathGoal,
     Plan,
+    PlanningError,
     PlanningFailure,
     PlanningProblem,
 )
@@ -76,11 +77,14 @@ def nearest_goal(
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
 ) -> JointGoal | PositionGoal | PoseGoal | None:
-    """Find the goal; None where none was found."""
-    flaw = checks.check_request(robot, problem)
-    beyond_limits = flaw is not None and "upper_rad" in flaw.details
-    if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
-        return None
+    """Find the goal; None where none was found, PlanningError where the problem is refused for another reason."""
+    try:
+        checks.check_request(robot, problem)
+    except PlanningError as error:
+        # A goal beyond the limits is moved to the limits.
+        if "upper_rad" not in error.failure.details:
+            raise
+    checks.check_start(robot, problem.start_rad)
     start_q = collision.clipped(problem.start_rad)
     group, allowed = robot.groups[problem.group], collision.overlaps_m(start_q)
     holds, project = states.within(group, problem.path_constraints, start_q)
@@ -293,7 +297,10 @@ def nearest_end(
     """
 
     def follow(path: CartesianProblem) -> CartesianPlan | PlanningFailure:
-        return plan_cartesian(path, robot, collision, forward, budget)
+        try:
+            return plan_cartesian(path, robot, collision, forward, budget)
+        except PlanningError as error:
+            return error.failure
 
     followed = follow(problem)
     if isinstance(followed, PlanningFailure) and followed.code not in UNFOLLOWED:

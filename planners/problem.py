@@ -246,6 +246,14 @@ class PlanningFailure:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
+class PlanningError(Exception):
+    """A request is refused; ``failure`` is its answer."""
+
+    def __init__(self, failure: PlanningFailure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
+
+
 @dataclass(frozen=True)
 class Deviation:
     """Deviation of a motion's end from its goal: position [m] and rotation [rad]."""

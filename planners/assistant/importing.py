@@ -18,7 +18,7 @@ import numpy as np
 
 from planners.assistant import picture
 from planners.assistant.decomposition import MAX_PARTS, MAX_TIME_S, TOLERANCE_M, Limits
-from planners.assistant.draft import ARM, Draft, robot_toml, srdf
+from planners.assistant.draft import ARM, Draft, Structure, Tree, draft_gripper, find_structure, robot_toml, srdf
 from planners.assistant.link_shapes import (
     LinkParts,
     LinkShape,
@@ -30,7 +30,6 @@ from planners.assistant.link_shapes import (
     surface_of,
 )
 from planners.assistant.pairs import NEVER, SelfContacts, free_state, unchecked_pairs
-from planners.assistant.structure import Structure, Tree, draft_gripper, find_structure
 from planners.assistant.surface import ConvexPart, Surface, sample
 from planners.errors import AssistantError
 from planners.geometry.shapes import enclosing

@@ -383,27 +383,22 @@ def plan_cartesian(
 ) -> CartesianPlan | PlanningFailure:
     """Plan the motion along a path of the tip, as far as the path can be followed.
 
-    The plan is for the whole path or its first part, which may be nothing. It is a failure where the problem or the
-    start is refused or time is up. ``forward`` has the joints in the order of ``collision``.
+    The plan is for the whole path or its first part, which may be nothing. It is a failure where time is up;
+    PlanningError: the problem or the start is refused. ``forward`` has the joints in the order of ``collision``.
     """
-    refusal = check_path(robot, problem) or checks.check_start(robot, problem.start_rad)
-    if refusal is not None:
-        return refusal
+    check_path(robot, problem)
+    checks.check_start(robot, problem.start_rad)
     start_q = collision.clipped(problem.start_rad)
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
-    refusal = check_start_place(contacts, constraints.violations(start_q))
-    if refusal is not None:
-        return refusal
+    check_start_place(contacts, constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
     names = robot.groups[problem.group].joints
     space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
     tracker = TipTracker(forward, collision, names, start_q, problem.link)
     start = tracker.pose(space.point(start_q))
-    refusal = check_shape(start.translation, problem)
-    if refusal is not None:
-        return refusal
+    check_shape(start.translation, problem)
     limits = RateLimits.of(
         [robot.joints[name] for name in names], problem.velocity_scaling, problem.acceleration_scaling
     )

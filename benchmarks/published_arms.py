@@ -20,8 +20,8 @@ from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem, Request
 from planners.scene import Pose
 from robot.description import model, robot_folder
-from robot.description.example_robots import find_example
 from robot.description.model import RobotModel
+from robot.description.robot_folder import find_example
 from robot.trajectory import Vector
 
 PROBLEMS = 120

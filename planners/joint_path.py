@@ -92,7 +92,8 @@ def contact_on(
     Contacts that are shallow at its start do not count unless it deepens them, as at the start of a plan.
     """
     names = motion.joint_names
-    start_q = collision.clipped({**others_rad, **dict(zip(names, motion.positions_rad[0].tolist(), strict=True))})
+    moving_rad = dict(zip(names, motion.positions_rad[0].tolist(), strict=True))
+    start_q = collision.start({**others_rad, **moving_rad}, names)
     contacts = collision.colliding_pairs(start_q)
     if any(pair.depth_m > checks.START_CONTACT_DEPTH_M for pair in contacts):
         return Contact(0.0, tuple(contacts))

@@ -85,8 +85,9 @@ def nearest_goal(
         if "upper_rad" not in error.failure.details:
             raise
     checks.check_start(robot, problem.start_rad)
-    start_q = collision.clipped(problem.start_rad)
-    group, allowed = robot.groups[problem.group], collision.overlaps_m(start_q)
+    group = robot.groups[problem.group]
+    start_q = collision.start(problem.start_rad, group.joints)
+    allowed = collision.overlaps_m(start_q)
     holds, project = states.within(group, problem.path_constraints, start_q)
     space = JointSpace(collision, group.joints, start_q, allowed, holds, should_stop=budget.should_stop)
     search = _Search(problem, states, group, space, project, budget)
@@ -305,7 +306,7 @@ def nearest_end(
     followed = follow(problem)
     if isinstance(followed, PlanningFailure) and followed.code not in UNFOLLOWED:
         return None
-    forward.place(collision.clipped(problem.start_rad))
+    forward.place(collision.start(problem.start_rad, robot.groups[problem.group].joints))
     start = forward.placement(problem.link).copy()
     length_m = TipPath(start, problem.segments).length_m
     most_m = followed.fraction * length_m if isinstance(followed, CartesianPlan) else length_m

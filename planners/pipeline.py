@@ -102,7 +102,9 @@ class Planner:
             end[name] = float(np.clip(start[name] + away, joint.lower, joint.upper))
         yield PlanningProblem(group.name, start, JointGoal(end))
         if robot.tip_link:
-            x, y, z = as_point(self._collision.tip_positions([self._collision.clipped(start)], robot.tip_link)[0])
+            x, y, z = as_point(
+                self._collision.tip_positions([self._collision.start(start, group.joints)], robot.tip_link)[0]
+            )
             near = (x, y, z + WARM_UP_M)
             yield PlanningProblem(group.name, start, PositionGoal(robot.tip_link, near, WARM_UP_M / 4))
             yield CartesianProblem(group.name, start, robot.tip_link, (Line(Pose(near)),))
@@ -120,6 +122,7 @@ class Planner:
     def _answer(self, request: Request, should_stop: Callable[[], bool]) -> Answer:
         robot, collision, states = self._robot, self._collision, self._states
         plan = functools.partial(self.plan, should_stop=should_stop)
+        collision.count_all_contacts()
 
         def budget(allowed_time_s: float) -> Budget:
             return Budget(self._clock, allowed_time_s, should_stop)
@@ -162,11 +165,11 @@ class Planner:
     def _plan(self, problem: PlanningProblem, budget: Budget) -> Plan | PlanningFailure:
         checks.check_request(self._robot, problem)
         checks.check_start(self._robot, problem.start_rad)
-        start_q = self._collision.clipped(problem.start_rad)
+        group = self._robot.groups[problem.group]
+        start_q = self._collision.start(problem.start_rad, group.joints)
         contacts = self._collision.colliding_pairs(start_q)
         violations = self._states.condition_set(problem.path_constraints).violations(start_q)
         check_start_place(contacts, violations)
-        group = self._robot.groups[problem.group]
         goals = self._states.find(problem.goal, GoalQuery(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
@@ -207,9 +210,10 @@ def answer_ik(
     """Find configurations in which a goal holds."""
     checks.check_ik_question(robot, question)
     checks.check_start(robot, question.start_rad)
+    group = robot.groups[question.group]
     query = GoalQuery(
-        robot.groups[question.group],
-        collision.clipped(question.start_rad),
+        group,
+        collision.start(question.start_rad, group.joints),
         question.constraints,
         budget,
         wanted=SOLUTIONS,

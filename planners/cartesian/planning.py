@@ -388,13 +388,13 @@ def plan_cartesian(
     """
     check_path(robot, problem)
     checks.check_start(robot, problem.start_rad)
-    start_q = collision.clipped(problem.start_rad)
+    names = robot.groups[problem.group].joints
+    start_q = collision.start(problem.start_rad, names)
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
     check_start_place(contacts, constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
-    names = robot.groups[problem.group].joints
     space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
     tracker = TipTracker(forward, collision, names, start_q, problem.link)
     start = tracker.pose(space.point(start_q))

@@ -180,6 +180,7 @@ class CollisionModel:
         joints = [robot.joints[name] for name in self.joint_names]
         self.lower_rad = np.array([joint.lower for joint in joints])
         self.upper_rad = np.array([joint.upper for joint in joints])
+        self._unchanged: frozenset[int] = frozenset()
         self._build(EMPTY_SCENE)
 
     def set_scene(self, scene: Scene) -> PlanningFailure | None:
@@ -191,10 +192,21 @@ class CollisionModel:
             self._build(scene)
         return refusal
 
-    def clipped(self, positions_rad: Mapping[str, float]) -> Vector:
-        """Return the configuration of positions by name, which may lie a little beyond the limits, within them."""
-        q = np.array([positions_rad[name] for name in self.joint_names])
-        return np.clip(q, self.lower_rad, self.upper_rad)
+    def start(self, positions_rad: Mapping[str, float], moving: Collection[str]) -> Vector:
+        """Return the start of a motion within the limits, beyond which positions may lie a little.
+
+        Contacts there that the ``moving`` joints cannot change do not count until the next start or
+        :meth:`count_all_contacts`: a relaxed arm that sags onto itself blocks no motion of another arm.
+        """
+        q = np.clip([positions_rad[name] for name in self.joint_names], self.lower_rad, self.upper_rad)
+        columns = [self.joint_names.index(name) for name in moving]
+        touching = self._broadphase.touching(q)
+        self._unchanged = frozenset(pair for pair in touching if not self._approach_m[pair, columns].any())
+        return q
+
+    def count_all_contacts(self) -> None:
+        """Count contacts again that the last :meth:`start` left out."""
+        self._unchanged = frozenset()
 
     def in_collision(
         self,
@@ -205,9 +217,9 @@ class CollisionModel:
         """Return true if a checked pair touches."""
         if not self._broadphase.touches(q):
             return False
-        if not allowed and not refined:
+        if not (allowed or refined or self._unchanged):
             return True
-        return self._any_touches(self._broadphase.touching(q), allowed, refined)
+        return self._any_touches(self._touching(q), allowed, refined)
 
     def margins_m(self, joint_travel: Vector) -> Vector:
         """Return how far each pair can approach when joints travel, (m, n) [rad]: shape (m, pairs) [m]."""
@@ -228,6 +240,7 @@ class CollisionModel:
         """
         broadphase = self._broadphase
         near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
+        near = [pair for pair in near if pair not in self._unchanged]
         if near and (allowed or refined):
             broadphase.place(q)
             near = [pair for pair in near if not self._is_allowed(pair, float(margin_m[pair]), allowed, refined)]
@@ -250,7 +263,7 @@ class CollisionModel:
         Parts decide for the pairs of names ``refined``; for all pairs where it is None.
         """
         deepest: dict[frozenset[str], CollidingPair] = {}
-        for index in self._broadphase.touching(q):
+        for index in self._touching(q):
             first, second = (self._bodies[i].name for i in self._pairs[index])
             nearest = self._broadphase.nearest(index)
             depth_m = max(0.0, float(self._apart_m[index]) - nearest.distance_m)
@@ -266,7 +279,7 @@ class CollisionModel:
     def overlaps_m(self, q: Vector) -> dict[frozenset[str], float]:
         """Return the depth of overlap of pairs of names, by their parts where these are known [m]."""
         deepest_m: dict[frozenset[str], float] = {}
-        for pair in self._broadphase.touching(q):
+        for pair in self._touching(q):
             if not self._apart(pair, 0.0):
                 names = self._names[pair]
                 deepest_m[names] = max(deepest_m.get(names, 0.0), self._overlap_m(pair))
@@ -274,13 +287,13 @@ class CollisionModel:
 
     def collides(self, q: Vector) -> bool:
         """Return true if anything overlaps by its parts, where these are known."""
-        return any(not self._apart(pair, 0.0) for pair in self._broadphase.touching(q))
+        return any(not self._apart(pair, 0.0) for pair in self._touching(q))
 
     def hull_only_pairs(self, q: Vector) -> set[frozenset[str]]:
         """Return the pairs of names that overlap in their hulls but not in their parts: to be checked ``refined``."""
         if not self._parts.available:
             return set()
-        return {self._names[pair] for pair in self._broadphase.touching(q) if self._apart(pair, 0.0)}
+        return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
 
     def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
         """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient."""
@@ -311,14 +324,19 @@ class CollisionModel:
         reach_m = np.vstack((self._links_reach_m, self._reach.of_shapes(added), resting))
         self._scaled, self._bodies = frozenset(scene.link_scale), [*movers, *around]
         self._known_parts: dict[int, Parts] = {}
+        self._unchanged = frozenset()
         self._pairs = checked_pairs(self._robot, scene.allowed, movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
         self._apart_m = padding(self._bodies, self._pairs)
-        self._approach_m = self._joints.travel_by_joint(approach(reach_m, self._pairs))
+        self._approach_m: Vector = self._joints.travel_by_joint(approach(reach_m, self._pairs))
         self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
         shapes = [body.shape for body in self._bodies]
         self._broadphase = Broadphase(self._model, shapes, self._pairs, self._apart_m, self._joints)
         self._version = scene.version
+
+    def _touching(self, q: Vector) -> list[int]:
+        """Return the pairs that touch and count, with the shapes placed at a configuration."""
+        return [pair for pair in self._broadphase.touching(q) if pair not in self._unchanged]
 
     def _any_touches(
         self, pairs: Sequence[int], allowed: Mapping[frozenset[str], float], refined: RefinedPairs

@@ -7,53 +7,62 @@ cannot be read or written raises BackupError.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError
 
 from robot import files
 from robot.description.servo_table import MAX_SERVO_ID
 from robot.errors import BackupError
 from robot.hardware.feetech.registers import Register, value_range
 
-FORMAT: Literal["armbridge servo registers 1"] = "armbridge servo registers 1"
-
-# Forty servos with all their registers; an arm has six.
-MAX_FILE_BYTES = 100_000
+MAX_FILE_BYTES = 100_000  # forty servos with all their registers; an arm has six
 
 
-@dataclass(frozen=True)
-class SavedServo:
+def _by_register(held: Mapping[str | Register, int]) -> dict[Register, int]:
+    """Convert names of registers; raises ValueError for an unknown one, and for a value that it cannot hold."""
+    found = {}
+    for name, value in held.items():
+        if name not in Register.__members__ and name not in list(Register):
+            raise ValueError(f"there is no register {name}")
+        register = name if isinstance(name, Register) else Register[name]
+        lowest, highest = value_range(register)
+        if not lowest <= value <= highest:
+            raise ValueError(f"{name} must be {lowest} to {highest}, not {value}")
+        found[register] = value
+    return found
+
+
+ServoId: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SERVO_ID)]
+Registers: TypeAlias = Annotated[
+    dict[Register, int],
+    BeforeValidator(_by_register),
+    PlainSerializer(lambda held: {register.name: value for register, value in held.items()}),
+]
+
+
+class SavedServo(BaseModel):
     """Registers of one servo before it was changed."""
 
-    joint: str  # joint of the arm that it was to turn
-    servo_id: int  # id that it had
-    new_id: int  # id that it was to get
-    baudrate: int  # baud rate at which it answered
-    registers: Mapping[Register, int]
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, populate_by_name=True)
 
-
-class _Servo(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid")
-
-    joint: Annotated[str, Field(max_length=200)]
-    id: Annotated[int, Field(ge=0, le=MAX_SERVO_ID)]
-    new_id: Annotated[int, Field(ge=0, le=MAX_SERVO_ID)]
-    baudrate: Annotated[int, Field(gt=0)]
-    registers: dict[str, int]
+    joint: Annotated[str, Field(max_length=200)]  # joint of the arm that it was to turn
+    servo_id: ServoId = Field(alias="id")  # id that it had
+    new_id: ServoId  # id that it was to get
+    baudrate: Annotated[int, Field(gt=0)]  # baud rate at which it answered
+    registers: Registers
 
 
 class _Content(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
 
-    format: Literal["armbridge servo registers 1"]
+    format: Literal["armbridge servo registers 1"] = "armbridge servo registers 1"
     robot: str
     saved_at: str
-    servos: list[_Servo]
+    servos: tuple[SavedServo, ...]
 
 
 class BackupFile:
@@ -64,7 +73,7 @@ class BackupFile:
             raise BackupError(path, "is there already, and a backup is never overwritten: choose another name")
         self.path = path
         self._robot = robot
-        self._servos: list[SavedServo] = []
+        self._servos: tuple[SavedServo, ...] = ()
 
     @property
     def empty(self) -> bool:
@@ -73,35 +82,29 @@ class BackupFile:
 
     def save(self, servo: SavedServo, now: datetime) -> None:
         """Save a servo; on return the file holds it, also after a loss of power."""
-        servos = [*self._servos, servo]
-        content = _Content(
-            format=FORMAT,
-            robot=self._robot,
-            saved_at=now.astimezone(UTC).isoformat(timespec="seconds"),
-            servos=[_as_entry(each) for each in servos],
-        )
+        saved_at = now.astimezone(UTC).isoformat(timespec="seconds")
+        content = _Content(robot=self._robot, saved_at=saved_at, servos=(*self._servos, servo))
         try:
             if self.empty:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 self.path.open("xb").close()
-            files.replace(self.path, content.model_dump_json(indent=2).encode() + b"\n")
+            files.replace(self.path, content.model_dump_json(indent=2, by_alias=True).encode() + b"\n")
         except OSError as error:
             raise BackupError(self.path, f"cannot be written: {error}") from error
-        self._servos = servos
+        self._servos = content.servos
 
 
 def read_backup(path: Path) -> tuple[SavedServo, ...]:
     """Read a backup."""
     try:
         with path.open("rb") as file:
-            content = _Content.model_validate_json(file.read(MAX_FILE_BYTES))
+            return _Content.model_validate_json(file.read(MAX_FILE_BYTES)).servos
     except OSError as error:
         raise BackupError(path, f"cannot be read: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "content"
         raise BackupError(path, f"is no backup of servo registers: {place}: {first['msg']}") from error
-    return tuple(_from_entry(path, entry) for entry in content.servos)
 
 
 def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, SavedServo]:
@@ -118,33 +121,3 @@ def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, 
         if len(got or kept) == 1:
             found[servo_id] = (got or kept)[0]
     return found
-
-
-def _as_entry(servo: SavedServo) -> _Servo:
-    return _Servo(
-        joint=servo.joint,
-        id=servo.servo_id,
-        new_id=servo.new_id,
-        baudrate=servo.baudrate,
-        registers={register.name: value for register, value in servo.registers.items()},
-    )
-
-
-def _from_entry(path: Path, entry: _Servo) -> SavedServo:
-    return SavedServo(
-        joint=entry.joint,
-        servo_id=entry.id,
-        new_id=entry.new_id,
-        baudrate=entry.baudrate,
-        registers=dict(_registers(path, entry)),
-    )
-
-
-def _registers(path: Path, entry: _Servo) -> Iterable[tuple[Register, int]]:
-    for name, value in entry.registers.items():
-        if name not in Register.__members__:
-            raise BackupError(path, f"servo {entry.id}: there is no register {name}")
-        lowest, highest = value_range(Register[name])
-        if not lowest <= value <= highest:
-            raise BackupError(path, f"servo {entry.id}: {name} must be {lowest} to {highest}, not {value}")
-        yield Register[name], value

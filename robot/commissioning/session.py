@@ -1,9 +1,4 @@
-"""Calibration step by step, for a terminal and a server alike: questions to a person and their consequences. Pure.
-
-The session moves and writes nothing. :meth:`CalibrationSession.answer` names the act that is due: relax the arm before
-the sweep, and write the calibration at the end. After the act, the caller goes on with :meth:`CalibrationSession.begin`
-or :meth:`CalibrationSession.finish`.
-"""
+"""Calibration step by step, for a terminal and a server alike: questions to a person and their consequences. Pure."""
 
 from __future__ import annotations
 
@@ -75,10 +70,7 @@ class SweptRange:
 
 
 class CalibrationSession:
-    """Calibration of one arm, from holding it to writing the result.
-
-    The motions show the direction of each joint, by joint. With ``recentre`` the servos get new homing offsets.
-    """
+    """Calibration of one arm, from holding it to writing; with ``recentre`` its servos get new homing offsets."""
 
     def __init__(self, servos: Sequence[ServoSpec], motions: Mapping[str, AskedMotion], *, recentre: bool) -> None:
         self._servos = tuple(servos)
@@ -156,10 +148,7 @@ class CalibrationSession:
             self._sweep.add(ticks)
 
     def answer(self, answer: str) -> Act | None:
-        """Take the answer to the present step; return the act that is now due, if any.
-
-        Raises CalibrationError where it cannot go on so; the step stays, and the text names the missing part.
-        """
+        """Take the answer to the present step; return the act that is due. After CalibrationError the step stays."""
         step = self.step
         if step is None or answer not in step.answers:
             allowed = "none" if step is None else ", ".join(step.answers)

@@ -40,8 +40,7 @@ BAUDRATE_BY_CODE: Mapping[int, int] = MappingProxyType(dict(zip((0, 1, 2, 3, 4, 
 # Time for the last bytes to leave the adapter, and for the servo to store its new rate, before the port is reopened.
 REOPENING_S = 0.05
 
-# Register RESPONSE_LEVEL of a servo that acknowledges every instruction.
-ACKNOWLEDGES_ALL = 1
+ACKNOWLEDGES_ALL = 1  # Register RESPONSE_LEVEL of a servo that acknowledges every instruction
 
 FULL_RANGE_TICKS = (0, 4095)
 
@@ -50,8 +49,7 @@ FULL_RANGE_TICKS = (0, 4095)
 PROBES = 6
 MAX_DISTURBED = 2
 
-# Longest return delay, 0.5 ms, and the time of a reply through a slow adapter.
-PROBE_INTERVAL_S = 0.01
+PROBE_INTERVAL_S = 0.01  # longest return delay, 0.5 ms, and the time of a reply through a slow adapter
 
 NO_ANSWER = (
     "no servo answers at any baud rate: is the supply on, the adapter's jumper on B, and the servo's plug pushed home?"
@@ -111,12 +109,8 @@ def search(
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
-    Servos that have their ids already may be connected as well. Raises StartupError where no servo may be meant, or
-    more than one; the text says how to part them.
-
-    Args:
-        only_joint: True when the user names this joint alone. A servo that is alone on the bus then counts as new
-            although it has another joint's id: this parts two servos of one id.
+    Raises StartupError where no servo may be meant, or more than one; the text says how to part them. For the only
+    joint that the user names, a servo alone on the bus counts as new although it has another joint's id.
     """
     found: list[FoundServo] = []
     for baudrate in BAUDRATES:
@@ -143,11 +137,7 @@ def search(
 
 
 def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServo]:
-    """Find and read the servos that answer at one baud rate; nothing is written.
-
-    The ids are also asked one by one, since a reply to a broadcast may get lost. Raises StartupError where several
-    servos have the same id.
-    """
+    """Find and read the servos at one baud rate; ids are also asked alone. Raises StartupError for two of one id."""
     bus = line.at(baudrate)
     garbled = bus.counters.discarded_bytes
     heard = set(bus.broadcast_ping())
@@ -191,10 +181,7 @@ def supply_complaint(servo: FoundServo) -> str:
 def choose_profile(
     name: str | None, own: ServoProfile | None, servos: Iterable[tuple[FoundServo, bool]]
 ) -> ServoProfile:
-    """Choose the profile of settings for some servos, which come with True for a gripper's.
-
-    It is the named one, or without a name the arm's own, or without both the nearest.
-    """
+    """Choose a profile: the named one, else the arm's own, else the nearest; grippers' servos come with True."""
     if name is not None:
         return PROFILES[name]
     return own or nearest_profile((servo.registers, gripper) for servo, gripper in servos)
@@ -226,10 +213,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
 
 
 def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[Change, ...]:
-    """Return the registers to change for a servo to be as it was saved.
-
-    Only a servo alone on the bus gets id and baud rate back: among others it might become the second one of its id.
-    """
+    """Return the registers to change for a servo to be as saved; id and baud rate only of a servo alone on the bus."""
     back = {register: saved.registers[register] for register in EPROM if register in saved.registers}
     if not alone:
         back.pop(Register.ID, None)
@@ -245,10 +229,7 @@ def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
 
 
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
-    """Relax a servo and write its changes, each read back; return it as read afterwards.
-
-    Its EPROM is locked at the end, also after a failure. Raises StartupError where it keeps another value.
-    """
+    """Relax a servo, write its changes and verify them, and lock its EPROM; return it as read afterwards."""
     writer = _Writer(line, servo.servo_id, servo.baudrate)
     try:
         writer.unlock()
@@ -277,7 +258,6 @@ class _Writer:
         self.baudrate = baudrate
 
     def unlock(self) -> None:
-        """Relax the servo, then unlock its EPROM."""
         bus = self._line.at(self.baudrate)
         try:
             self._line.run(write_verified(bus, self.servo_id, Register.TORQUE_ENABLE, 0))
@@ -288,7 +268,6 @@ class _Writer:
         self._line.run(write_verified(bus, self.servo_id, Register.LOCK, 0))
 
     def write(self, change: Change) -> None:
-        """Write a change and read it back."""
         match change.register:
             case Register.ID:
                 self._line.run(self._write_id(change.wanted))
@@ -299,7 +278,6 @@ class _Writer:
                 self._line.run(write_verified(bus, self.servo_id, change.register, change.wanted))
 
     def lock(self) -> None:
-        """Lock the EPROM."""
         self._line.run(write_verified(self._line.at(self.baudrate), self.servo_id, Register.LOCK, 1))
 
     def _write_id(self, new_id: int) -> Steps[None]:
@@ -331,20 +309,14 @@ class _Writer:
 def _candidates(
     found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec], *, only_joint: bool
 ) -> list[FoundServo]:
-    """Return the candidates for a joint: the servo with its id, else the servos without a calibration or another's id.
-
-    The first joint has the id of new servos; its calibration distinguishes it from a new servo.
-    """
+    """Return the candidates for a joint: the servo with its id, else those without a calibration or another's id."""
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}
     if only_joint and len(found) == 1:
         others = set()
-    return own or [servo for servo in found if servo.servo_id not in others and not _is_calibrated(servo)]
-
-
-def _is_calibrated(servo: FoundServo) -> bool:
     # Angle limits are of a calibration always; a new servo may have an offset.
-    return servo.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
+    uncalibrated = [servo for servo in found if servo.angle_limits_ticks in (NO_LIMITS, FULL_RANGE_TICKS)]
+    return own or [servo for servo in uncalibrated if servo.servo_id not in others]
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:

@@ -15,11 +15,8 @@ from robot.calibration import MAX_TICK, RAD_PER_TICK, TICKS_PER_TURN, WIDEST_RAN
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError
 
-# Tick of the middle in lerobot.
-MIDDLE_TICK = 2047
-
-# Least range of a sweep; the smallest range of a joint, the gripper's, has 1400 ticks.
-LEAST_SWEEP_TICKS = 500
+MIDDLE_TICK = 2047  # tick of the middle in lerobot
+LEAST_SWEEP_TICKS = 500  # least range of a sweep; the smallest range of a joint, the gripper's, has 1400 ticks
 
 # The middle of a wider range leaves no room on both sides: the register's 11 bits may put it one tick off.
 WIDEST_SWEEP_TICKS = MAX_TICK - 1
@@ -35,8 +32,7 @@ CERTAIN_SHARE = 0.97
 # A stop is met at the same position again, by hand within 2 deg; a hand that turns round before it is not so exact.
 SAME_STOP_TICKS = 20
 
-# A joint has left its stop at this distance from it, 9 deg.
-LEFT_STOP_TICKS = 100
+LEFT_STOP_TICKS = 100  # a joint has left its stop at this distance from it, 9 deg
 
 # lerobot's format takes MIDDLE_TICK for the middle of the joint that turns freely; further off (9 deg) its zero would
 # be wrong.
@@ -98,11 +94,7 @@ def expected_width(servo: ServoSpec) -> int:
 
 
 def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
-    """Return True when a joint that covered a range of this width has met both of its stops.
-
-    A joint that the robot's folder calls free may have stops all the same, as the SO-101's wrist has; it has none when
-    it covered nearly a whole turn.
-    """
+    """Return True for a range as wide as two stops make it; a free joint has none when it covered nearly a turn."""
     if servo.turns_freely and width_ticks > WIDEST_RANGE_TICKS:
         return False
     return width_ticks >= STOPS_SHARE * expected_width(servo)
@@ -167,10 +159,7 @@ def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Pla
 
 
 def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) -> Placed:
-    """Place a joint that turns freely: its range is the turn, and its middle the tick that lerobot takes for it.
-
-    Middle, and register HOMING_OFFSET when it was shown, are in ticks.
-    """
+    """Place a joint that turns freely: its range is the turn, its middle the tick that lerobot takes for it [ticks]."""
     if recentre:
         return Placed(_centred(servo, middle, offset)[0], 0, MAX_TICK)
     middle %= TICKS_PER_TURN
@@ -185,10 +174,7 @@ def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) ->
 
 
 def _centred(servo: ServoSpec, middle: int, offset: int) -> tuple[int, int]:
-    """Return the homing offset that makes a position the middle, and the shift of positions with it [ticks].
-
-    The register has 11 bits and a sign: where 2048 would be needed, the middle is one tick off.
-    """
+    """Return the homing offset that makes a position the middle, within the register's range, and the shift with it."""
     encoder = middle + offset
     centred = (encoder - MIDDLE_TICK) % TICKS_PER_TURN
     if centred > TICKS_PER_TURN // 2:

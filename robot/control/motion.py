@@ -1,9 +1,4 @@
-"""Motions in progress: the goal at each tick, the end, and splicing into a new trajectory.
-
-A trajectory is played along its path: it can be slowed, stopped and reversed without leaving the path. A motion ends
-when its joints have settled at the end of the trajectory, or have stopped. A new trajectory can replace the one being
-played without a stop where both coincide for some time (splicing).
-"""
+"""Motions in progress: the goal at each tick along the path, the end, and splicing into a new trajectory."""
 
 from __future__ import annotations
 
@@ -23,14 +18,9 @@ from robot.trajectory import Trajectory, Vector
 # in 161 plans of the SO-101 take as long with 0.02 as with 0.5, because that joint is slowed down by the path itself.
 BRAKING_SHARE = 0.05
 
-# Change of the rate where nothing moves, at the ends of a motion [1/s]: stops within one tick.
-STANDSTILL_BRAKING = 1e3
-
-# Below this rate the rest of the stop is shorter than one tick.
-STOPPED_RATE = 1e-3
-
-# Ticks in a row within the goal tolerance, after which a joint counts as settled.
-SETTLED_TICKS = 3
+STANDSTILL_BRAKING = 1e3  # change of the rate where nothing moves, at the ends of a motion [1/s]: stops within one tick
+STOPPED_RATE = 1e-3  # below this rate the rest of the stop is shorter than one tick
+SETTLED_TICKS = 3  # ticks in a row within the goal tolerance, after which a joint counts as settled
 
 # Spliced trajectories coincide to within these [rad], [rad/s]: far below a servo's tick.
 SAME_POSITION_RAD = 1e-6
@@ -139,10 +129,7 @@ class Playback:
 
 
 class Motion(Playback):
-    """Motion in progress: the playback of a command until its joints have settled or stopped.
-
-    The goal tolerance is of each of the arm's joints, shape (joints,) [rad]; None for the limits' tolerance.
-    """
+    """Motion in progress: the playback of a command until its joints have settled within a tolerance, or stopped."""
 
     def __init__(
         self,
@@ -154,6 +141,9 @@ class Motion(Playback):
         speed_limit: float = 1.0,
     ) -> None:
         self.command = command
+        self.motion_id = command.motion_id  # number of the motion, reported with its end
+        self.joint_names = command.trajectory.joint_names
+        self.gripping = command.gripping  # True when a stall on the way is a grip
         self._limits = limits
         # Indices of its joints in the controller's arrays.
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
@@ -167,53 +157,17 @@ class Motion(Playback):
         self._settled_ticks = 0
 
     @property
-    def motion_id(self) -> int:
-        """Number of the motion, reported with its end."""
-        return self.command.motion_id
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joints that move."""
-        return self.trajectory.joint_names
-
-    @property
-    def start_rad(self) -> Vector:
-        """Start of its path, shape (joints,) [rad]."""
-        return self.trajectory.sample(0.0)[0]
-
-    @property
-    def reversible(self) -> bool:
-        """True while it can be played back to the start of its path."""
-        return not self.gripping and not self.ending
-
-    @property
-    def at_start(self) -> bool:
-        """True at the start of its path."""
-        return self.fraction == 0.0
-
-    @property
-    def gripping(self) -> bool:
-        """True when a stall on the way is a grip."""
-        return self.command.gripping
-
-    @property
     def rate(self) -> float:
         """Share of the planned speed at which it may be played now, 0 while it is paused."""
         return min(abs(self.pace), self.ceiling)
 
     def limit_speed(self, share: float) -> None:
-        """Play all of it so much slower that no joint is faster than a share of its velocity limit, above 0 to 1.
-
-        Plans may exceed the share as they may exceed the velocity limits, by VELOCITY_TOLERANCE.
-        """
+        """Play it slower, so that no joint exceeds a share of its velocity limit by more than VELOCITY_TOLERANCE."""
         planned = self._peak_share <= share * checks.VELOCITY_TOLERANCE
         self._fastest = 1.0 if planned else share / self._peak_share
 
     def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
-
-        The rate is the wanted path time per time, below 0 to go back, and is bounded by the fastest.
-        """
+        """Advance at a wanted rate, below 0 to go back, bounded by the fastest; return its joints' goals [rad]."""
         self.pace, self.ceiling = rate, min(fastest, self._fastest)
         return self.advance(elapsed_s)
 
@@ -222,10 +176,7 @@ class Motion(Playback):
         return MotionEnded(self.motion_id, outcome, message)
 
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
-        """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
-
-        Goals and measured positions are of all joints of the arm [rad].
-        """
+        """Return the regular end, None while in progress; goals and measured positions are of all joints [rad]."""
         if not self.finished:
             return None
         if not self.completed:

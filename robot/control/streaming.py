@@ -14,8 +14,7 @@ from robot.description.limits import JointBounds
 from robot.messages import Commanded, MotionEnded, Outcome, Stream
 from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, Vector
 
-# Slower targets count as rest: this is a servo's tick in two seconds.
-LEAST_SPEED_RAD_S = 1e-3
+LEAST_SPEED_RAD_S = 1e-3  # slower targets count as rest: this is a servo's tick in two seconds
 
 # Six ticks. A stream that is steered at 50 Hz may lose two setpoints in a row. With the braking, joints are at rest
 # within 0.15 s of the moment at which the server stands still.
@@ -23,10 +22,7 @@ SETPOINT_LASTS_S = 0.06
 
 
 class Streaming:
-    """Stream in progress, with the interface of :class:`robot.control.motion.Motion`.
-
-    It begins where the arm holds, shape (joints,) [rad].
-    """
+    """Stream in progress from where the arm holds, with the interface of :class:`robot.control.motion.Motion`."""
 
     fraction = 0.0
     remaining_s = 0.0
@@ -40,7 +36,8 @@ class Streaming:
         held_rad: Vector,
         speed_limit: float = 1.0,
     ) -> None:
-        self.command = command
+        self.motion_id = command.motion_id
+        self.joint_names = command.joint_names
         self.gripping = command.gripping
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.joint_names])
         self._max_velocity = bounds.max_velocity[self.columns]
@@ -49,16 +46,6 @@ class Streaming:
         self._velocity_rad_s = np.zeros(len(self.columns))
         self._at_s = self._silence_s = 0.0
         self._ending = ""
-
-    @property
-    def motion_id(self) -> int:
-        """Number of the stream, reported with its end."""
-        return self.command.motion_id
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joints that follow."""
-        return self.command.joint_names
 
     @property
     def finished(self) -> bool:
@@ -92,11 +79,7 @@ class Streaming:
         self._ending = self._ending or "stopped"
 
     def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
-
-        The rate is a share of the setpoints' speed, bounded by the fastest; a stream cannot go back, so it waits below
-        0.
-        """
+        """Advance at a share of the setpoints' speed, 0 below 0; return its joints' goals, shape (joints,) [rad]."""
         self._at_s += elapsed_s
         self._silence_s += elapsed_s
         resting = bool(self._ending) or self._silent

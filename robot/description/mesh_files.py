@@ -32,10 +32,7 @@ def package_path(environment: Mapping[str, str]) -> tuple[Path, ...]:
 
 
 def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Path:
-    """Return the file of a mesh: by a ``package://`` or ``file://`` URL, or by a path relative to the URDF's folder.
-
-    Packages are folders that contain packages, or are packages. The error names the paths that were tried.
-    """
+    """Find the file of a mesh, a URL or a path beside the URDF; the error names the paths that were tried."""
     tried = list(dict.fromkeys(_candidates(name, directory, packages)))
     found = next((path for path in tried if path.is_file()), None)
     if found is not None:
@@ -80,7 +77,8 @@ def _meshes(shapes: Iterable[ET.Element]) -> Iterator[ET.Element]:
 def _candidates(name: str, directory: Path | None, packages: Sequence[Path]) -> Iterator[Path]:
     if name.startswith(_PACKAGE):
         package, _, inner = name.removeprefix(_PACKAGE).partition("/")
-        for folder in (*packages, *_around(directory)):
+        around = () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]
+        for folder in (*packages, *around):
             yield from _in_folder(folder, package, inner)
     elif name.startswith(_FILE):
         yield Path(unquote(name.removeprefix(_FILE)))
@@ -98,12 +96,7 @@ def _in_folder(folder: Path, package: str, inner: str) -> Iterator[Path]:
 
 
 def _name_of_package(folder: Path) -> str | None:
-    """Return the name in a folder's package.xml; None without one."""
     try:
         return ET.fromstring((folder / "package.xml").read_text(encoding="utf-8")).findtext("name")  # noqa: S314 - the user's
     except (OSError, UnicodeDecodeError, ET.ParseError):
         return None
-
-
-def _around(directory: Path | None) -> tuple[Path, ...]:
-    return () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]

@@ -1,8 +1,4 @@
-"""USB adapter between the host and the emulated servos; inside the arm process it answers within the call.
-
-There no reply can be late, since the servos' time is the caller's. The packets are the same, byte for byte, as those on
-a pseudo terminal (:mod:`robot.emulator.process`).
-"""
+"""USB adapter between the host and the emulated servos; inside the arm process it answers within the call."""
 
 from __future__ import annotations
 
@@ -17,8 +13,7 @@ from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
 
-# What a frozen adapter keeps, as a pseudo terminal does (N_TTY_BUF_SIZE in Linux).
-MAX_WAITING_BYTES = 4096
+MAX_WAITING_BYTES = 4096  # what a frozen adapter keeps, as a pseudo terminal does (N_TTY_BUF_SIZE in Linux)
 
 
 class Adapter(ABC):
@@ -39,10 +34,7 @@ class Adapter(ABC):
         """Remove the port, and drop the bytes not delivered yet."""
 
     def take(self, replies: Sequence[Reply]) -> None:
-        """Queue replies of the servos, to be delivered to the host when they are due.
-
-        Without frames a burst is delivered as a whole, which wakes the host once.
-        """
+        """Queue replies until they are due for the host; without frames a burst wakes it once, as a whole."""
         for reply in replies:
             due_s = math.ceil(reply.due_s / self.frame_s) * self.frame_s if self.frame_s else replies[-1].due_s
             self._outbox.append((due_s, reply))
@@ -62,11 +54,7 @@ class Adapter(ABC):
 
 
 class InProcessPort(Adapter):
-    """Port of an emulated bus; implements :class:`robot.hardware.port.BusPort` for the host.
-
-    Without wire time a reply is there at once, or, if a command delays it, not waited for; frames delay nothing. With
-    wire time, ``wait`` lets the time of bus and caller pass [s].
-    """
+    """Port of an emulated bus for the host; with wire time, ``wait`` lets the time of bus and caller pass [s]."""
 
     def __init__(
         self, bus: ServoBus[Any], clock: Callable[[], float], wait: Callable[[float], None] | None = None

@@ -16,10 +16,8 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from robot.emulator.adapter import InProcessPort
-from robot.emulator.faults import Faults
 from robot.emulator.servo import EmulatedServo
-from robot.emulator.servo_bus import Codec, S, ServoBus
-from robot.emulator.write_log import WriteLog
+from robot.emulator.servo_bus import Codec, Faults, S, ServoBus, WriteLog
 from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.interface import HardwareInterface
 from robot.hardware.servos.family import ServoFamily
@@ -28,8 +26,7 @@ from robot.hardware.servos.servo_map import full_torque
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# A joint that turns by less changes its weight by less than the servo's load resolves [rad].
-WEIGHED_AGAIN_RAD = 0.005
+WEIGHED_AGAIN_RAD = 0.005  # a joint that turns by less changes its weight by less than the servo's load resolves [rad]
 
 GRAVITY_M_S2 = 9.81
 
@@ -88,7 +85,6 @@ def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[Emul
     weighed: dict[str, float] = {}
 
     def weigh() -> None:
-        """Load the servos with the weight at the present pose."""
         position_rad = {joint.joint: joint.rad_from_ticks(servo.joint_ticks) for joint, servo in joints}
         if all(abs(at - weighed.get(name, math.inf)) < WEIGHED_AGAIN_RAD for name, at in position_rad.items()):
             return
@@ -129,10 +125,7 @@ class LinkWeights:
                 above = joint.parent
 
     def holding_torques(self, position_rad: Mapping[str, float]) -> dict[str, float]:
-        """Compute the torque of each movable joint that balances the links' weight, the gradient of their energy.
-
-        Positions are of every movable joint [rad or m]; torques are by joint [Nm, or N of a prismatic one].
-        """
+        """Compute the torque by joint that balances the links' weight [Nm, or N], at positions [rad or m]."""
         transforms = self._forward.transforms(position_rad)
         weighed = {link: (mass, transforms[link] @ centre) for link, (mass, centre) in self._masses.items()}
         torques = {}
@@ -151,7 +144,6 @@ class LinkWeights:
 
 
 def _mass(link: ET.Element) -> tuple[float, Vector]:
-    """Return a link's mass [kg] and its centre in the link's frame, shape (4,), homogeneous [m]."""
     mass, origin = link.find("inertial/mass"), link.find("inertial/origin")
     xyz = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
     value = 0.0 if mass is None else float(mass.get("value", "0"))

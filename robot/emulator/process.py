@@ -1,8 +1,4 @@
-"""Process of the emulator: its options, and the loop that serves bus, USB adapter and live commands.
-
-The adapter is a pseudo terminal that can be unplugged, freeze, and deliver in frames. Both ``python -m robot.emulator``
-and ``armbridge emulate`` run this process.
-"""
+"""Process of the emulator: its options, its pseudo terminal, and the loop that serves bus and live commands."""
 
 from __future__ import annotations
 
@@ -23,24 +19,21 @@ from pathlib import Path
 from types import FrameType, MappingProxyType
 
 from robot.calibration import Calibration
-from robot.control.realtime import take_priority
+from robot.control.pacing import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.emulator.adapter import Adapter
 from robot.emulator.arm import weight_of
 from robot.emulator.control import CommandStream, Emulation, LiveCommand, answer, carry_out, check
-from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.populations import POPULATIONS
 from robot.emulator.rehearsal import REHEARSALS, Rehearsal, TimedCommand, read_script
-from robot.emulator.servo_bus import ServoBus
-from robot.emulator.write_log import WriteLog
+from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
 from robot.errors import DescriptionError
 
 READ_BYTES = 4096
 
-# Index of the output speed in the result of tcgetattr.
-_OSPEED = 5
+_OSPEED = 5  # index of the output speed in the result of tcgetattr
 
 # Baud rates of the servos that termios knows.
 _BAUDRATES: Mapping[int, int] = MappingProxyType(
@@ -121,11 +114,8 @@ def _close(descriptors: Iterable[int]) -> None:
         os.close(descriptor)
 
 
-# Time step of the arm while the bus is silent.
-TICK_S = 0.02
-
-# When the controlling process has ended, its arm process may still be bringing the arm to rest.
-LINGER_S = 1.0
+TICK_S = 0.02  # time step of the arm while the bus is silent
+LINGER_S = 1.0  # when the controlling process has ended, its arm process may still be bringing the arm to rest
 
 
 STDIN, STDOUT = 0, 1
@@ -191,10 +181,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def build_bus(
     options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True
 ) -> ServoBus[FeetechServo]:
-    """Build the servo bus of the options, at a monotonic time [s]; the resources take over the files to close.
-
-    Raises as :func:`run` does.
-    """
+    """Build the servo bus of the options at a monotonic time [s]; the resources take over the files to close."""
     calibration = _calibration(options)
     start_rad = options.start or [0.0] * len(calibration.joints)
     servos = build_servos(calibration, start_rad, POPULATIONS[options.population])
@@ -255,10 +242,7 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
 
 
 def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
-    """Serve the bus for ever, or until an essential controller has ended and the bus is silent.
-
-    The timed commands of the rehearsal start with the first byte from a host.
-    """
+    """Serve the bus until an essential controller has ended; the rehearsal starts with the first byte from a host."""
     emulation = Emulation(bus, adapter)
     control.announce(adapter.port)
     last_heard_s = time.monotonic()
@@ -321,7 +305,6 @@ class Control:
 
 
 def _play(due: TimedCommand, emulation: Emulation) -> None:
-    """Carry out a command of a script, and print it and its answer to standard error."""
     line = json.dumps(due.command)
     answered = answer(line.encode(), emulation).decode()
     with contextlib.suppress(OSError):
@@ -332,7 +315,6 @@ def _end_on_signals(*, controlled: bool) -> None:
     """Exit cleanly on SIGTERM and Ctrl-C; a controlled emulator leaves all but SIGTERM to its controller."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
-        """Exit."""
         sys.exit(0)
 
     signal.signal(signal.SIGTERM, end)
@@ -353,7 +335,6 @@ def _option(name: str) -> str:
 
 def _number(name: str) -> Callable[[str], float]:
     def number(text: str) -> float:
-        """Parse the number of a live command."""
         value = float(text)
         try:
             check(LiveCommand, {name: value}, ())

@@ -1,12 +1,4 @@
-"""Rehearsals: live commands to the emulated servos at given times, from a script or ready-made.
-
-A script is a text file with one JSON object a line: live commands and their time
-``at_s`` from the start of the script [s]. A line without a command only marks a time, such as the end of a pause::
-
-    {"at_s": 0, "hand": {"3": 2047}}
-    {"at_s": 2.5, "hand": {"3": null}, "push": {"2": 150}}
-    {"at_s": 5, "push": {"2": 0}}
-"""
+"""Rehearsals: live commands at given times, from a script of JSON lines (docs/rehearsal.md) or ready-made."""
 
 from __future__ import annotations
 
@@ -24,18 +16,14 @@ from robot.emulator.feetech import FeetechServo
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.servo_bus import ServoBus
 
-# A day; a later time is likely a mistaken unit.
-MAX_AT_S = 86_400.0
-
-# Shortest duration of a repeated script [s]: a shorter one would keep the loop that plays it busy.
-MIN_REPEATED_S = 0.1
+MAX_AT_S = 86_400.0  # a day; a later time is likely a mistaken unit
+MIN_REPEATED_S = 0.1  # shortest duration of a repeated script [s]: a shorter one would keep the loop that plays it busy
 
 # Time from the host's first byte to the first event of a ready-made rehearsal: a person reads the question of
 # `armbridge calibrate` and presses Enter, a server takes the arm over.
 LEAD_S = 10.0
 
-# A hand rests at each end, so that readings every 20 ms see the joint there even when the machine is busy.
-REST_S = 1.0
+REST_S = 1.0  # a hand rests at each end, so that readings every 20 ms see the joint there even when the machine is busy
 
 # Most of the load that the default torque limit (800) can hold; the position loop gives way by 30 ticks.
 PUSH_PERMILLE = 500
@@ -45,8 +33,7 @@ PUSH_S = 5.0
 # named target `ready` moves by 0.5 rad.
 OBSTACLE_SHARE = 0.05
 
-# Time to send a goal and see it fail.
-OBSTACLE_S = 30.0
+OBSTACLE_S = 30.0  # time to send a goal and see it fail
 
 
 @dataclass(frozen=True)
@@ -58,10 +45,7 @@ class TimedCommand:
 
 
 class Rehearsal:
-    """Schedule of commands in the order of their times, perhaps without any.
-
-    Raises ValueError for a schedule that repeats, but is shorter than :data:`MIN_REPEATED_S`.
-    """
+    """Schedule of commands in order; raises ValueError for a repeated one shorter than :data:`MIN_REPEATED_S`."""
 
     def __init__(self, commands: Sequence[TimedCommand] = (), *, repeats: bool = False) -> None:
         if repeats and (not commands or commands[-1].at_s < MIN_REPEATED_S):
@@ -78,10 +62,7 @@ class Rehearsal:
             self._start_s = now_s
 
     def commands_due(self, now_s: float) -> list[TimedCommand]:
-        """Return the commands that have become due since the last call, each once in a round.
-
-        A round ends with its last command, and the next one starts when that is noticed.
-        """
+        """Return the commands due since the last call; the next round starts when the last command is noticed."""
         due: list[TimedCommand] = []
         if self._start_s is None:
             return due
@@ -100,11 +81,7 @@ class ScriptLine(LiveCommand):
 
 
 def read_script(path: Path, bus: ServoBus[FeetechServo]) -> tuple[TimedCommand, ...]:
-    """Read a script and check all of its commands; raises OSError for a file that cannot be read.
-
-    Raises ValueError for a line that is no command with a later time than the line before; the text names file and
-    line.
-    """
+    """Read a script and check its commands; raises OSError, and ValueError that names file and line."""
     commands: list[TimedCommand] = []
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):
         if not line.strip():
@@ -128,10 +105,7 @@ def _timed_command(line: bytes, previous_s: float, bus: ServoBus[FeetechServo]) 
 
 
 def sweep(calibration: Calibration) -> tuple[TimedCommand, ...]:
-    """Move the arm by hand to its middle pose, then every joint from stop to stop and back, as for ``calibrate``.
-
-    The joint that turns freely stays in the middle.
-    """
+    """Move the arm by hand to its middle, then every joint with stops from stop to stop, as for ``calibrate``."""
     joints = calibration.joints
     swept = [joint for joint in joints if not joint.servo.turns_freely]
     across_s = max(joint.range_max - joint.range_min for joint in swept) / HAND_TICKS_S

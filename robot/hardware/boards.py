@@ -113,7 +113,6 @@ def _stable_name(info: ListPortInfo) -> str:
 
 
 def _explain_missing(plugged_in: Sequence[ListPortInfo]) -> str:
-    """Return the devices that are plugged in instead, and the remedy."""
     if plugged_in:
         others = ", ".join(
             f"{info.device} ({usb_id_text((info.vid, info.pid))}, {info.product or 'without a name'})"
@@ -125,7 +124,6 @@ def _explain_missing(plugged_in: Sequence[ListPortInfo]) -> str:
 
 
 def _advice_here() -> str:
-    """Return the advice for this machine, on which no USB serial device is seen."""
     if "microsoft" in _text(KERNEL_RELEASE).lower():
         return "WSL 2 sees a USB device once Windows hands it over: usbipd attach --wsl --busid BUSID"
     if any(mark.exists() for mark in CONTAINER_MARKS):

@@ -28,22 +28,16 @@ from robot.hardware.boards import find_board, find_usb_id
 
 AUTO = "auto"
 
-# Start bit, eight data bits and stop bit.
-BITS_PER_BYTE = 10
+BITS_PER_BYTE = 10  # start bit, eight data bits and stop bit
 
 _USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
 WRITE_TIMEOUT_S = 0.1
 
-# Timeout of a read from a port without a file descriptor.
-BLOCKING_READ_S = 0.004
-
-# More than any burst of replies: six telemetry blocks have 126 bytes.
-READ_BYTES = 4096
-
-# Bound on clearing the input of a device that sends faster than it is read.
-MAX_CLEARING_READS = 16
+BLOCKING_READ_S = 0.004  # timeout of a read from a port without a file descriptor
+READ_BYTES = 4096  # more than any burst of replies: six telemetry blocks have 126 bytes
+MAX_CLEARING_READS = 16  # bound on clearing the input of a device that sends faster than it is read
 
 # Latency of replies through the host's own serial port (USB frames, scheduling) and through a network. Behind a pseudo
 # terminal is a program, which replies when it gets its turn: on two cores, half of them taken by a virtual machine's
@@ -60,8 +54,7 @@ TERMINAL_QUIET_S = 0.1
 # Pseudo terminals are not claimed: their other end would keep the claim of a process that has died.
 PSEUDO_TERMINALS = "/dev/pts/"
 
-# Errors of an unplugged adapter; ``termios.error`` is not an OSError.
-DEVICE_ERRORS = (OSError, termios.error)
+DEVICE_ERRORS = (OSError, termios.error)  # errors of an unplugged adapter; ``termios.error`` is not an OSError
 
 _NOT_FOUND = frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV})
 _PERMISSION = frozenset({errno.EACCES, errno.EPERM})
@@ -69,10 +62,7 @@ _BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
 
 
 class BusPort(Protocol):
-    """Port of a servo bus, as :class:`robot.hardware.servos.bus.ServoBus` and the makers' SDKs use it.
-
-    Every method may raise PortLost when the port is gone.
-    """
+    """Port of a servo bus, as the bus and the makers' SDKs use it; every method may raise PortLost."""
 
     port_name: str  # name in errors
     baudrate: int  # bits per second
@@ -100,10 +90,7 @@ def wire_time_s(byte_count: int, baudrate: int) -> float:
 
 
 def resolve_port(port: str) -> str:
-    """Find the device to open: a path or URL unchanged, or the board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``.
-
-    Raises PortError for no such board, and for several.
-    """
+    """Find the device: a path or URL as it stands, or the one board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``."""
     if port == AUTO:
         return find_board()
     if usb_id := _USB_ID.fullmatch(port):
@@ -246,10 +233,7 @@ def _refusal(port: str, code: int | None, reason: str) -> PortError:
 
 
 def _owning_group(port: str) -> str:
-    """Return the group that may open a device, its number if it has no name here.
-
-    A device of root alone, or without an answer, gets Debian's group, which udev rules give it.
-    """
+    """Return the group that may open a device, or its number; Debian's group for a device of root alone."""
     try:
         number = os.stat(port).st_gid  # noqa: PTH116 - a port may be a URL
     except OSError:

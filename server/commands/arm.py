@@ -12,8 +12,15 @@ from typing import Any
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
 from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
-from robot.commissioning.scan import BAUDRATES, ScanResult, ServoRegisters, explain_missing, scan
-from robot.commissioning.timing import measure_cycles, measure_reads
+from robot.commissioning.scan import (
+    BAUDRATES,
+    ScanResult,
+    ServoRegisters,
+    explain_missing,
+    measure_cycles,
+    measure_reads,
+    scan,
+)
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.dynamixel.family import Dynamixel
@@ -271,7 +278,6 @@ def relax_arm(
 def _look(
     family: ServoFamily, bus: ServoBus, servos: Sequence[ServoSpec]
 ) -> tuple[dict[int, Limit], dict[int, Limit], list[int]]:
-    """Return present and full torque limits of the servos that hold, by id, and the servos that do not answer."""
     present: dict[int, Limit] = {}
     full: dict[int, Limit] = {}
     silent, arm = [], Calibration.nominal(servos)

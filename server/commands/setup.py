@@ -94,17 +94,20 @@ def _set_up(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 @dataclass(frozen=True)
 class _Work:
-    """Servo of a joint, and the registers to be written to it."""
-
     joint: str
     servo: FoundServo
     changes: tuple[Change, ...]
 
     @property
     def saved(self) -> SavedServo:
-        """Its registers before that."""
         new_id = next((change.wanted for change in self.changes if change.register is Register.ID), self.servo.servo_id)
-        return SavedServo(self.joint, self.servo.servo_id, new_id, self.servo.baudrate, self.servo.registers)
+        return SavedServo(
+            joint=self.joint,
+            servo_id=self.servo.servo_id,
+            new_id=new_id,
+            baudrate=self.servo.baudrate,
+            registers=dict(self.servo.registers),
+        )
 
 
 class _Visit:

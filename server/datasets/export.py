@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Sequence
-from contextlib import ExitStack
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,8 +16,9 @@ import numpy as np
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.datasets import lerobot
-from server.datasets.episodes import MAX_GAP_S, checked_task, episodes_of
+from server.datasets.episodes import MAX_GAP_S, Episode, checked_task, episodes_of
 from server.datasets.frames import Frames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
+from server.datasets.lerobot import ImageStatistics, VideoError, VideoWriter, decode
 from server.datasets.samples import (
     CONTROLLER_STATE,
     IMAGE,
@@ -32,14 +34,13 @@ from server.datasets.samples import (
     series,
     times_s,
 )
-from server.datasets.statistics import ImageStatistics
-from server.datasets.video import VideoError, VideoWriter, decode
 from server.errors import ServerError
 
 # The end of an image topic's name says how it is sent, not which camera it is.
 _TRANSPORT = frozenset({"image", "image_raw", "image_color", "image_rect", "compressed", "color", "rgb"})
 
 NO_TASK = "no task named"
+NEXT_STATE = "the next state"
 
 Tell = Callable[[str], None]
 
@@ -50,11 +51,7 @@ class ExportError(ServerError):
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Options of an export.
-
-    Attributes:
-        action_topic: topic of the actions; None for the leader's, else a controller's state, else the next state.
-    """
+    """Options of an export; actions are the topic's, else, an episode, the leader's, controllers' or the next state."""
 
     recordings: Sequence[Path]
     output: Path
@@ -80,19 +77,13 @@ class Exported:
 @dataclass
 class _Source:
     samples: Samples
-    actions: str
     cameras: dict[str, str]
     episodes: list[Frames] = field(default_factory=list)
+    actions: list[str] = field(default_factory=list)
 
 
 def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
-    """Write a dataset of recordings.
-
-    Raises:
-        ExportError: the recordings make no dataset, or an extra is not installed.
-        RecordingError: a recording cannot be read.
-        OSError: the dataset cannot be written.
-    """
+    """Write a dataset of recordings; raises ExportError, RecordingError and OSError."""
     _check(options)
     problems: list[str] = []
     joints: tuple[str, ...] = ()
@@ -103,9 +94,9 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
             raise ExportError(f"{path}: has no messages of sensor_msgs/JointState on {STATE_TOPIC}")
         joints = joints or samples.joints[STATE_TOPIC][0].names
         source = _source(samples, joints, options, problems)
-        if sources and (source.actions, source.cameras) != (sources[0].actions, sources[0].cameras):
-            wanted = _told(sources[0])
-            raise ExportError(f"{path}: must have what the first recording has, {wanted}, not {_told(source)}")
+        if sources and source.cameras != sources[0].cameras:
+            wanted, found = (", ".join(each.cameras.values()) or "none" for each in (sources[0], source))
+            raise ExportError(f"{path}: must have the cameras of the first recording, {wanted}, not {found}")
         sources.append(source)
         tell(f"{path}: {len(source.episodes)} episodes, {sum(each.count for each in source.episodes)} frames")
     episodes = [each for source in sources for each in source.episodes]
@@ -121,7 +112,9 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
         lerobot.write(root, lerobot.Dataset(options.fps, joints, robot, episodes, cameras))
         root.rename(options.output)
     count = sum(each.count for each in episodes)
-    return Exported(len(episodes), count, tuple(cameras), sources[0].actions, tuple(problems))
+    actions = Counter(name for source in sources for name in source.actions)
+    named = ", ".join(actions) if len(actions) == 1 else ", ".join(f"{name} ({n})" for name, n in actions.items())
+    return Exported(len(episodes), count, tuple(cameras), named, tuple(problems))
 
 
 def _check(options: ExportOptions) -> None:
@@ -135,68 +128,70 @@ def _check(options: ExportOptions) -> None:
         raise ExportError(str(error)) from error
 
 
-def _told(source: _Source) -> str:
-    return f"actions: {source.actions}, cameras: {', '.join(source.cameras.values()) or 'none'}"
-
-
 def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
-    """Return a recording with its episodes; omissions are added to the problems."""
     path = samples.path
     states_s, states = series(samples.joints[STATE_TOPIC], joints)
     if not states_s.size:
         raise ExportError(f"{path}: {STATE_TOPIC} must have the joints {', '.join(joints)}")
-    action_name, action_samples = _actions(samples, joints, options.action_topic)
-    action_s, actions = series(action_samples, joints) if action_name else (None, None)
     cameras = camera_keys(samples.images) if options.video else {}
     if cameras and find_spec("av") is None:
         raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
     # From the first state on: times since then are short, and exact.
     zero_s = float(states_s[0])
-    tracks = Tracks(
-        states_s - zero_s,
-        states,
-        None if action_s is None else action_s - zero_s,
-        actions,
-        {key: _image_times_s(samples.images[topic]) - zero_s for key, topic in cameras.items()},
-        action_name,
-    )
+    image_times_s = {key: _image_times_s(samples.images[topic]) - zero_s for key, topic in cameras.items()}
+    commanded: list[Tracks] = []
+    for name, action_samples in _actions(samples, joints, options.action_topic):
+        action_s, actions = series(action_samples, joints)
+        commanded.append(Tracks(states_s - zero_s, states, action_s - zero_s, actions, image_times_s, name))
+    next_state = Tracks(states_s - zero_s, states, None, None, image_times_s, NEXT_STATE)
     marks = [(at_s - zero_s, text) for at_s, text in samples.marks]
     episodes, notes = episodes_of(marks, 0.0, float(states_s[-1]) - zero_s)
     problems += [f"{path}: {note}" for note in notes]
     if samples.unreadable:
         problems.append(f"{path}: {samples.unreadable} messages do not fit their types and are left out")
-    source = _Source(samples, action_name or "the next state", cameras)
+    source = _Source(samples, cameras)
     for number, episode in enumerate(episodes, 1):
         try:
             tasked = replace(episode, task=episode.task or options.task or NO_TASK)
+            tracks = _tracks_of(episode, commanded, next_state, options)
             frames = frames_of(tasked, tracks, options.fps, options.max_gap_s)
         except LeftOutError as error:
             where = f"episode {number} ({episode.start_s:.1f} to {episode.end_s:.1f} s)"
             problems.append(f"{path}: {where} is left out: {error}")
         else:
             source.episodes.append(_in_units(frames, joints, samples, options))
+            source.actions.append(tracks.action_name)
     return source
 
 
-def _actions(samples: Samples, joints: Sequence[str], topic: str | None) -> tuple[str, Sequence[JointSample]]:
-    """Return name and messages of the actions; an empty name for the next state."""
-    if topic is not None:
-        if topic not in samples.joints:
-            known = ", ".join(sorted(samples.joints))
-            raise ExportError(f"{samples.path}: --action-topic must be one of {known}, not {topic}")
-        missing = set(joints) - {name for sample in samples.joints[topic] for name in sample.names}
+def _tracks_of(episode: Episode, commanded: Sequence[Tracks], next_state: Tracks, options: ExportOptions) -> Tracks:
+    """Return the first tracks with actions that an episode can be made of, else the first with any action in it."""
+    if options.action_topic is not None:
+        return commanded[0]
+    present = [tracks for tracks in commanded if tracks.has_actions_in(episode)]
+    for tracks in present:
+        with suppress(LeftOutError):
+            frames_of(episode, tracks, options.fps, options.max_gap_s)
+            return tracks
+    return present[0] if present else next_state
+
+
+def _actions(samples: Samples, joints: Sequence[str], topic: str | None) -> Iterator[tuple[str, Sequence[JointSample]]]:
+    """Yield names and messages of the sources of actions, the preferred first."""
+    if topic is not None and topic not in samples.joints:
+        known = ", ".join(sorted(samples.joints))
+        raise ExportError(f"{samples.path}: --action-topic must be one of {known}, not {topic}")
+    for name in [topic] if topic is not None else [LEADER_TOPIC] if LEADER_TOPIC in samples.joints else []:
+        chosen = samples.joints[name]
+        missing = set(joints) - {joint for sample in chosen for joint in sample.names}
         # A leader or a program may command the arm alone; the gripper has a controller of its own.
         others = _controllers(samples, sorted(missing))
-        if missing and not others:
+        if missing and not others and topic is not None:
             raise ExportError(f"{samples.path}: --action-topic {topic} has no {', '.join(sorted(missing))}")
-        added = [[_only(sample, missing) for sample in samples.joints[name]] for name in others]
-        chosen = samples.joints[topic]
-        return " and ".join([topic, *others]), merged([chosen, *added]) if added else chosen
-    if samples.joints.get(LEADER_TOPIC):
-        return LEADER_TOPIC, samples.joints[LEADER_TOPIC]
-    if controllers := _controllers(samples, joints):
-        return " and ".join(controllers), merged([samples.joints[name] for name in controllers])
-    return "", ()
+        added = [[_only(sample, missing) for sample in samples.joints[each]] for each in others]
+        yield " and ".join([name, *others]), merged([chosen, *added]) if added else chosen
+    if topic is None and (controllers := _controllers(samples, joints)):
+        yield " and ".join(controllers), merged([samples.joints[name] for name in controllers])
 
 
 def _only(sample: JointSample, joints: Collection[str]) -> JointSample:
@@ -233,7 +228,6 @@ def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: 
 
 
 def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:
-    """Return the times of a camera's images in the order of the file [s], not decreasing."""
     return np.maximum.accumulate(times_s([log_s for log_s, _ in images], [stamp_s for _, stamp_s in images]))
 
 
@@ -269,7 +263,6 @@ def _write_videos(
 def _add_images(
     source: _Source, writers: dict[str, VideoWriter], statistics: dict[str, list[ImageStatistics]], registry: Registry
 ) -> None:
-    """Append the images of a recording's episodes to the videos; one image at a time is in memory."""
     keys = {topic: key for key, topic in source.cameras.items()}
     # Camera -> image -> episodes that show it, each with the number of its frames.
     shown: dict[str, dict[int, list[tuple[int, int]]]] = {key: {} for key in writers}

@@ -41,11 +41,7 @@ class GoalStatus(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Result:
-    """The end of a goal.
-
-    Attributes:
-        values: the complete result message; without one a sentence, or what the provider gave.
-    """
+    """The end of a goal."""
 
     ok: bool
     status: int
@@ -53,12 +49,7 @@ class Result:
 
 
 class Goal(PendingRequest[Result]):
-    """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
-
-    Attributes:
-        goal_id: sixteen octets that no other goal has.
-        sender_id: the sender's own mark for it, None where it has none.
-    """
+    """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts."""
 
     def __init__(
         self,
@@ -101,8 +92,7 @@ class Goal(PendingRequest[Result]):
     def finish(self, status: GoalStatus, values: object) -> None:
         """End the goal with a result message; what it leaves out gets its default.
 
-        Raises:
-            MessageError: the values do not fit the action's type; the goal has failed, and its sender knows.
+        Raises MessageError for values that do not fit: the goal has failed, and its sender knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Result", values)
@@ -150,11 +140,7 @@ ALL_GOALS = b64encode(bytes(16)).decode()
 
 @dataclass(eq=False)
 class ActionProvider(Provider):
-    """An action that somebody offers.
-
-    Attributes:
-        goals: those in flight by their id in base64, the oldest first.
-    """
+    """An action that somebody offers, and its goals in flight by their id in base64, the oldest first."""
 
     start: Callable[[Goal], None]
     check_lists: CheckLists | None = None
@@ -163,11 +149,7 @@ class ActionProvider(Provider):
 
 
 class Actions(Providers[ActionProvider]):
-    """All actions.
-
-    Args:
-        services: where each action gets its service ``<action>/_action/cancel_goal``.
-    """
+    """All actions; each has a service ``<action>/_action/cancel_goal``."""
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
         super().__init__("action", MAX_ACTIONS, message_types)
@@ -192,16 +174,9 @@ class Actions(Providers[ActionProvider]):
         rule: Rule | None = None,
         max_goal_s: float = MAX_GOAL_S,
     ) -> None:
-        """Offer an action; a client takes the place of a client that offered it before.
+        """Offer an action, in place of another client's; ``start`` gets each goal, and ends it later.
 
-        Args:
-            start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
-                `Goal.when_canceled` calls back when somebody wants it ended, `Goal.when_ended` when it has ended.
-            rule: requirements of the senders of goals; None for the rule of a client's action.
-            max_goal_s: time after which a goal fails [s].
-
-        Raises:
-            GraphError: the type is unknown, or the name is taken by a part of the server.
+        Without a rule it has a client's. Raises GraphError for an unknown type or a name of the server's.
         """
         canonical = self._claim(node, name, type_name)
         check_lists = None
@@ -217,10 +192,7 @@ class Actions(Providers[ActionProvider]):
             self._topics.open(node, name, canonical)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left: its actions end; it hears no more of goals that it has sent.
-
-        They go on, as in ROS, unless the node takes them along.
-        """
+        """Forget a node that has left: its actions end; its goals go on, as in ROS, unless it takes them along."""
         for goal in self._sent.of(node):
             goal.forget_sender()
             if node.takes_goals_along:
@@ -237,14 +209,9 @@ class Actions(Providers[ActionProvider]):
         on_feedback: Callable[[dict[str, Any]], None] | None = None,
         goal_id: bytes | None = None,
     ) -> Goal | None:
-        """Send a goal.
+        """Send a goal; return it, or None when it was not taken on.
 
-        Args:
-            on_result: called once, perhaps before this returns; not if the sender leaves before.
-            goal_id: sixteen octets by which the sender knows the goal; None for new ones.
-
-        Returns:
-            The goal, to be cancelled perhaps; None when it was not taken on.
+        ``on_result`` is called once, perhaps before this returns, unless the sender leaves before.
         """
         try:
             offer = self._offer(name, type_name, goal_id)
@@ -310,7 +277,6 @@ def _cancel_service(action: str) -> str:
 
 
 def _cancel(offer: ActionProvider, request: dict[str, Any]) -> dict[str, Any]:
-    """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
     wanted = request["goal_info"]["goal_id"]["uuid"]
     selected = offer.goals if wanted == ALL_GOALS else {wanted: offer.goals[wanted]} if wanted in offer.goals else {}
     canceling = {goal_id: goal for goal_id, goal in selected.items() if not goal.cancel_requested}

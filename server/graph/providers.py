@@ -63,12 +63,7 @@ AnyProvider = TypeVar("AnyProvider", bound=Provider)
 
 
 class Providers(Generic[AnyProvider]):
-    """All offers of one kind, one a name; base of :class:`Services` and :class:`Actions`.
-
-    Attributes:
-        names: names that are offered, with their types.
-        rules: rules of the offers of local parts, by name.
-    """
+    """All offers of one kind, one a name; base of :class:`Services` and :class:`Actions`."""
 
     def __init__(self, kind: ProvidedKind, limit: int, message_types: MessageTypes) -> None:
         self.names = TypedNames()
@@ -120,11 +115,7 @@ class Providers(Generic[AnyProvider]):
         raise NotImplementedError
 
     def _claim(self, node: Node, name: str, type_name: str) -> str:
-        """Check that a node may offer something, and end the offer that is there; `_add` the new one afterwards.
-
-        A client takes the place of a client that offered the same before. Returns the type's canonical name; raises
-        GraphError when the type is unknown, the name is taken by a part of the server, or there are too many offers.
-        """
+        """Check that a node may offer a name, end another client's offer, and return the type's canonical name."""
         try:
             canonical = self._message_types.canonical(type_name, _TYPE_KINDS[self._kind])
         except InterfaceError as error:
@@ -139,7 +130,6 @@ class Providers(Generic[AnyProvider]):
         return canonical
 
     def _add(self, offer: AnyProvider, rule: Rule | None) -> None:
-        """Enter an offer whose name has been claimed."""
         self._offers[offer.name] = offer
         self.names.add(offer.name, offer.type_name)
         self._by_node.add(offer.node, offer)

@@ -43,12 +43,7 @@ ServiceFunction: TypeAlias = Callable[[dict[str, Any]], Answered | Awaitable[Ans
 
 @dataclass(frozen=True)
 class Response:
-    """The end of a call.
-
-    Attributes:
-        values: the complete response message; of a call that failed a sentence, or what the provider gave.
-        reason: why the response says that the service has not succeeded, for types without a field for it.
-    """
+    """The end of a call."""
 
     ok: bool
     values: Any
@@ -79,11 +74,7 @@ class Call(PendingRequest[Response]):
     def succeed(self, values: object, reason: str = "") -> None:
         """Answer with a response message; what it leaves out gets its default.
 
-        Args:
-            reason: as in `Response`.
-
-        Raises:
-            MessageError: the values do not fit the service's type; the call has failed, and its caller knows.
+        Raises MessageError for values that do not fit: the call has failed, and its caller knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Response", values)
@@ -93,10 +84,7 @@ class Call(PendingRequest[Response]):
         self._end(Response(ok=True, values=completed, reason=reason))
 
     def succeed_prevalidated(self, response: Mapping[str, Any], reason: str = "") -> None:
-        """Answer with a response message that is complete and valid already.
-
-        For a large response of the server's own that has mostly been sent before. Nobody may change it from here on.
-        """
+        """Answer with a large message of the server's own, complete and valid; nobody may change it any more."""
         self._end(Response(ok=True, values=response, reason=reason))
 
     def fail(self, values: object) -> None:
@@ -185,15 +173,9 @@ class Services(Providers[ServiceProvider]):
         *,
         rule: Rule | None = None,
     ) -> None:
-        """Offer a service of a local part.
+        """Offer a service of a local part; its function returns or raises ServiceError.
 
-        Args:
-            function: gets the complete request and returns the response, at once or when awaited. It raises
-                ServiceError with the reason when it cannot.
-            rule: requirements of its callers; None for the rule of a client's service.
-
-        Raises:
-            GraphError: the type is unknown, or the name is taken by another part of the server.
+        Without a rule it has a client's. Raises GraphError for an unknown type or a name of another part.
         """
         self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits, rule=rule)
 
@@ -210,8 +192,7 @@ class Services(Providers[ServiceProvider]):
     ) -> None:
         """Offer a service whose calls are handed over one by one, to be ended by `Call.succeed` or `Call.fail`.
 
-        A client takes the place of a client that offered the service before. Its requests have no limits, None: what
-        another client answers costs the server no more than to pass it on.
+        A client takes the place of another client. Its requests have no limits: the server only passes them on.
         """
         canonical = self._claim(node, name, type_name)
         check_lists = None
@@ -236,11 +217,7 @@ class Services(Providers[ServiceProvider]):
         timeout_s: float | None = None,
         dialect: Dialect = "ros2",
     ) -> None:
-        """Call a service.
-
-        Args:
-            timeout_s: how long to wait [s], 0 for `MAX_TIMEOUT_S`, None for what the service's offer says.
-        """
+        """Call a service; wait [s] 0 for `MAX_TIMEOUT_S`, None for the offer's time."""
         offer = self._offers.get(name)
         if offer is None:
             # The words of rosbridge_library (internal/services.py), which clients look for.

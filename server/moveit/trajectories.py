@@ -16,10 +16,9 @@ from robot.control.checks import VELOCITY_TOLERANCE, refusal
 from robot.description.limits import JointBounds
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector, bridge
-from server.errors import RefusedError
+from server.errors import RefusedError, invalid, refused
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint
-from server.moveit.error_codes import invalid, refused
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 
 NANOSECONDS_PER_S = 1_000_000_000
 

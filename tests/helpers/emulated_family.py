@@ -18,7 +18,7 @@ from robot.emulator.servo_bus import Codec
 from robot.hardware.dynamixel import packets as dynamixel_packets
 from robot.hardware.dynamixel import registers as dynamixel_registers
 from robot.hardware.dynamixel.registers import MODELS, TICKS_S_PER_VELOCITY_UNIT
-from robot.hardware.feetech import packets as feetech_packets
+from robot.hardware.feetech import bus as feetech_packets
 from robot.hardware.feetech import registers as feetech_registers
 from tests.helpers import emulator
 

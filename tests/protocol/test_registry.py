@@ -63,9 +63,8 @@ def test_every_message_type_of_the_tables_and_all_that_it_refers_to_can_be_read(
     "name", ["std_msgs/string", "Std_msgs/String", "String", "", "/", "a/b/c/d", "std_msgs/srv/String", "std_msgs/"]
 )
 def test_a_name_that_does_not_match_to_the_letter_is_refused(registry, name):
-    with pytest.raises(InterfaceError, match="unknown") as refusal:
+    with pytest.raises(InterfaceError, match="unknown"):
         registry.message(name)
-    assert refusal.value.type_name == name
 
 
 @pytest.mark.parametrize("name", ["std_srvs/srv/Trigger", "control_msgs/action/PointHead"])

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import FrameError
+from protocol.framing import StreamSplitter
 from protocol.session import Refusal, Session
-from protocol.stream import StreamSplitter
 from tests.protocol.test_framing import operations, pieces
 
 LIMIT = 10_000
@@ -23,7 +23,7 @@ def frames_of(*data: bytes, limit: int = LIMIT) -> tuple[list[bytes], str | None
         for piece in data:
             splitter.add(piece)
             while (frame := splitter.next_frame()) is not None:
-                assert isinstance(frame, bytes) or not splitter.speaks_bson
+                assert isinstance(frame, bytes) or not splitter.is_bson
                 frames.append(frame.encode() if isinstance(frame, str) else frame)
     except FrameError as error:
         return frames, str(error)

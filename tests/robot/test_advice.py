@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot.advice import ADVICE, ServoAlert, advise
-from robot.faults import REMEDIES, SIMULATED_REMEDIES, FaultCode
+from robot.faults import ADVICE, REMEDIES, SIMULATED_REMEDIES, FaultCode, ServoAlert, advise
 from robot.hardware.interface import StatusFlag
 
 # Their sentences say what to do.

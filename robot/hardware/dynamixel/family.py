@@ -15,9 +15,9 @@ from functools import partial
 
 from dynamixel_sdk import INST_REBOOT, PacketHandler
 
-from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import JointCalibration
 from robot.errors import NoReply, StartupError
+from robot.faults import ServoAlert, ServoWarning
 from robot.hardware.dynamixel.packets import ALERT, instruction_packet, parse_status_frames, status_bytes, stuffed_bytes
 from robot.hardware.dynamixel.registers import (
     AMPERE_PER_UNIT,
@@ -86,10 +86,7 @@ LONGEST_RETURN_DELAY_S = 254 * 2e-6
 
 
 class Bus(ServoBus):
-    """Bus of any number of Dynamixel servos: packets of protocol 2.0.
-
-    Replies are received without the SDK, which polls for up to 34 ms for each, more than three ticks.
-    """
+    """Bus of Dynamixel servos, protocol 2.0; the SDK would poll up to 34 ms for each reply, more than three ticks."""
 
     registers = TABLE
     word_bytes = 2
@@ -105,10 +102,7 @@ class Bus(ServoBus):
         return replies * LONGEST_RETURN_DELAY_S
 
     def _instruction_error(self, error: int) -> int:
-        """Return 4 and 6 for a value out of its range, 7 for a register that cannot be written now.
-
-        E-manual, DYNAMIXEL Protocol 2.0, Status Packet, Error.
-        """
+        """Return 4, 6 (out of range) or 7 (cannot be written now); e-manual, DYNAMIXEL Protocol 2.0, Status Packet."""
         return error & ~ALERT
 
     def _note_disturbance(self) -> None:
@@ -177,10 +171,7 @@ class Dynamixel(ServoFamily):
         return values[Register.MIN_POSITION_LIMIT], values[Register.MAX_POSITION_LIMIT]
 
     def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:
-        """Return a servo's own limits in position mode, where its turns are certain in all modes.
-
-        E-manual, Min/Max Position Limit (48, 52).
-        """
+        """Return a servo's own limits in position mode; e-manual, Min/Max Position Limit (48, 52)."""
         if values[Register.OPERATING_MODE] != OperatingMode.POSITION:
             return certain_ticks
         lowest, highest = self.position_limits_ticks(values)
@@ -220,10 +211,7 @@ class Dynamixel(ServoFamily):
         return {Register.PROFILE_ACCELERATION: PROFILE_ACCELERATION, Register.PROFILE_VELOCITY: velocity}
 
     def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:
-        """Return the current of a servo in current-based position mode, the duty of another.
-
-        A stalled motor at a share of full duty draws that share of its stall current.
-        """
+        """Return a share of the stall current for a servo in current-based position mode, of the duty for others."""
         if values[Register.OPERATING_MODE] == OperatingMode.CURRENT_BASED_POSITION:
             wanted = round(share * model_of(joint).stall_current_ma)
             return Limit(Register.GOAL_CURRENT, min(wanted, values[Register.CURRENT_LIMIT]))

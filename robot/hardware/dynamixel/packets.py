@@ -17,20 +17,14 @@ HEADER = b"\xff\xff\xfd\x00"
 _HEADER_IN_BODY = b"\xff\xff\xfd"
 _STUFFED = b"\xff\xff\xfd\xfd"
 
-# Header, id and LEN: what LEN does not count.
-PREFIX_BYTES = 7
-
-# INST and CRC; a status packet has ERR as well.
-LENGTH_OVERHEAD = 3
-
-# Bytes of a status packet besides its data: header, id, LEN, INST, ERR, CRC.
-STATUS_OVERHEAD_BYTES = 11
+PREFIX_BYTES = 7  # header, id and LEN: what LEN does not count
+LENGTH_OVERHEAD = 3  # INST and CRC; a status packet has ERR as well
+STATUS_OVERHEAD_BYTES = 11  # bytes of a status packet besides its data: header, id, LEN, INST, ERR, CRC
 
 # Bit of ERR: HARDWARE_ERROR_STATUS is not 0. The other bits are the number of an error of the instruction.
 ALERT = 0x80
 
-# Longest packet of the SDK.
-MAX_PACKET_BYTES = 1024
+MAX_PACKET_BYTES = 1024  # longest packet of the SDK
 
 CRC_POLYNOMIAL = 0x8005
 

@@ -112,8 +112,7 @@ WATCHDOG_TRIPPED = -1
 VOLT_PER_UNIT = 0.1
 AMPERE_PER_UNIT = 0.001
 
-# Full motor duty in registers GOAL_PWM and PRESENT_PWM.
-FULL_PWM = 885
+FULL_PWM = 885  # full motor duty in registers GOAL_PWM and PRESENT_PWM
 
 # 0.229 rev/min in ticks of 4096 a turn, and 214.577 rev/min^2.
 TICKS_S_PER_VELOCITY_UNIT = 0.229 / 60.0 * 4096.0

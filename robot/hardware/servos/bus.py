@@ -1,11 +1,8 @@
 """Half-duplex bus of servos: an instruction out, its replies in, and quiet before the next one.
 
-Packets are completed and sent by a servo maker's SDK; replies are received here, in bounded time. After a missing or
-surplus byte the line is disturbed: it is used again once it has fallen quiet, so that no late reply is taken for the
-next one. A family's subclass is the codec of its packets; both makers' protocols number their instructions alike.
-
-Reads and verified writes of one servo are also sequences (:func:`read`, :func:`read_block`, :func:`write_verified`),
-which share the bus with the 100 Hz tick.
+After a missing or surplus byte the line is disturbed: it is used again once it has fallen quiet, so that no late reply
+is taken for the next one. A family's subclass is the codec of its packets. Reads and verified writes of one servo are
+also sequences, which share the bus with the 100 Hz tick.
 """
 
 from __future__ import annotations
@@ -24,23 +21,12 @@ from robot.hardware.interface import BusCounters, Steps
 from robot.hardware.port import QUIET_S, BusPort, open_port, wire_time_s
 from robot.hardware.servos.registers import Block, RegisterTable
 
-# Attempts before a servo counts as silent: single packets get lost while others draw current.
-ATTEMPTS = 3
-
-# Attempts of a sequence: five lost packets in a row mean that no servo is there.
-STEP_ATTEMPTS = 5
-
-# Id that every servo takes for its own, in both makers' protocols.
-BROADCAST_ID = 254
-
-# Result of both SDKs' txPacket for a packet that was sent.
-COMM_SUCCESS = 0
-
-# A line that does not fall quiet is used after this time; the parser rejects what does not fit.
-QUIET_LIMIT_S = 0.03
-
-# More than 20 ms of wire time: no servo sends that much in reply to one instruction.
-MAX_BURST_BYTES = 2048
+ATTEMPTS = 3  # attempts before a servo counts as silent: single packets get lost while others draw current
+STEP_ATTEMPTS = 5  # attempts of a sequence: five lost packets in a row mean that no servo is there
+BROADCAST_ID = 254  # id that every servo takes for its own, in both makers' protocols
+COMM_SUCCESS = 0  # result of both SDKs' txPacket for a packet that was sent
+QUIET_LIMIT_S = 0.03  # a line that does not fall quiet is used after this time; the parser rejects what does not fit
+MAX_BURST_BYTES = 2048  # more than 20 ms of wire time: no servo sends that much in reply to one instruction
 
 
 class StatusFrame(NamedTuple):
@@ -64,10 +50,7 @@ class Sdk(Protocol):
 
 
 class ServoBus(ABC):
-    """Bus of any number of servos on an open port, which it closes; the clock is the port's [s].
-
-    Every method raises PortLost when the port is gone, and NoReply when a servo gives no valid reply.
-    """
+    """Bus of servos on an open port, which it closes; its methods raise PortLost, and NoReply without a valid reply."""
 
     registers: ClassVar[RegisterTable[Any]]
     word_bytes: ClassVar[int] = 1  # bytes of an address or length among the parameters, little endian
@@ -161,10 +144,7 @@ class ServoBus(ABC):
         return self._instruction_error(self.ask(servo_id, packet, attempts).error)
 
     def sync_read(self, ids: Sequence[int], address: int, length: int) -> dict[int, StatusFrame]:
-        """Read the same block of several servos in one transaction, in the order of the ids.
-
-        Return the valid replies that came in time, by id.
-        """
+        """Read the same block of several servos in one transaction; return the valid replies in time, by id."""
         self._await_quiet()
         return self._exchange(self._sync_read_packet(ids, address, length), ids, length)
 
@@ -180,10 +160,7 @@ class ServoBus(ABC):
         self._send(self._write_packet(BROADCAST_ID, self.registers.torque_enable, 0))
 
     def sync_write(self, address: int, data_by_id: dict[int, bytes]) -> None:
-        """Write the same block of several servos in one packet, which is not acknowledged.
-
-        The dict must not be changed afterwards. Raises ValueError for bytes of several lengths.
-        """
+        """Write a block of several servos, unacknowledged; the dict's bytes have one length and never change."""
         if data_by_id is not self._written or address != self._written_address:
             lengths = set(map(len, data_by_id.values()))
             if len(lengths) != 1:
@@ -314,10 +291,7 @@ def read_registers(bus: ServoBus, servo_id: int, block: Block[Any]) -> Steps[dic
 
 
 def write_verified(bus: ServoBus, servo_id: int, register: IntEnum, value: int) -> Steps[None]:
-    """Write a register until it reads back, as a sequence: the reply to a write that worked may be lost.
-
-    Raises StartupError for a servo that keeps another value, and NoReply.
-    """
+    """Write a register until it reads back; raises StartupError for a servo that keeps another value, and NoReply."""
     error = 0
     for attempt in range(STEP_ATTEMPTS):
         yield from _before(bus, attempt)
@@ -330,7 +304,6 @@ def write_verified(bus: ServoBus, servo_id: int, register: IntEnum, value: int) 
 
 
 def _before(bus: ServoBus, attempt: int) -> Steps[None]:
-    """Yield before a transaction; count it when it is repeated."""
     yield 0.0
     if attempt:
         bus.count_retry()

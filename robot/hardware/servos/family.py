@@ -14,9 +14,9 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
-from robot.advice import ServoWarning
 from robot.calibration import Calibration, JointCalibration
 from robot.errors import OrderRefused
+from robot.faults import ServoWarning
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame
 from robot.hardware.servos.registers import Block, RegisterTable, Telemetry
@@ -98,10 +98,7 @@ class ServoFamily(ABC):
 
     @abstractmethod
     def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Any]]:
-        """Return the blocks that a survey reads of a joint's servo.
-
-        They have TORQUE_ENABLE, GOAL_POSITION, HOMING_OFFSET, and PRESENT_POSITION of a servo that counts turns.
-        """
+        """Return the blocks of a survey, with TORQUE_ENABLE, GOAL_POSITION, HOMING_OFFSET and a turn's position."""
 
     @abstractmethod
     def check_settings(self, joint: JointCalibration, values: Values) -> None:
@@ -177,25 +174,16 @@ class ServoFamily(ABC):
 
     @abstractmethod
     def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:
-        """Clear a latched error; torque is off at the end.
-
-        Raises StartupError for a servo that keeps it, and NoReply.
-        """
+        """Clear a latched error, and torque; raises StartupError for a servo that keeps it, and NoReply."""
 
     @abstractmethod
     def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:
-        """Return True for a driven servo whose registers are as after power-up, and not the limit that was written.
-
-        The values are of a block of :attr:`read_back`.
-        """
+        """Return True for a driven servo whose registers, a block of :attr:`read_back`, are as after power-up."""
 
     # Calibration.
 
     def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:  # noqa: ARG002 - likewise
-        """Compare a calibration with the servos' registers.
-
-        Raises OrderRefused for servos that keep no calibration of this kind.
-        """
+        """Compare a calibration with the servos' registers; raises OrderRefused for servos that keep none."""
         yield 0.0
         raise OrderRefused(CALIBRATION_NOT_KEPT)
 

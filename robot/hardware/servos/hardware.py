@@ -35,12 +35,10 @@ NEEDS_SURVEY = (
     "arm is enabled only once every servo has answered to the check"
 )
 
-# Supply and temperature are read ten times a second where the reply is shorter without them.
-TELEMETRY_EVERY = 10
+TELEMETRY_EVERY = 10  # supply and temperature are read ten times a second where the reply is shorter without them
 
 
-# Cycles between register checks: each of six servos is checked about once a second.
-CYCLES_BETWEEN = 16
+CYCLES_BETWEEN = 16  # cycles between register checks: each of six servos is checked about once a second
 
 
 class SerialServos:
@@ -67,10 +65,7 @@ class SerialServos:
 
 
 class ServoHardware(HardwareInterface):
-    """Servos of one arm on an open bus, which it closes; emulated ones have no cable and supply to check.
-
-    Every array is in the order of the calibration's joints; the clock is the control loop's [s].
-    """
+    """Servos of one arm on an open bus, in the calibration's order; emulated ones have no cable and supply to check."""
 
     def __init__(
         self,
@@ -312,11 +307,7 @@ class RegisterChecks:
         return changed
 
     def check(self, servo_id: int, values: Values, stamp_s: float) -> Fault | None:
-        """Compare registers of a driven servo with what was written to it.
-
-        Return the fault, at a wall-clock time [s since the epoch], of a servo that has rebooted, was relaxed, or was
-        stopped by its watchdog.
-        """
+        """Return the fault of a servo that has rebooted, was relaxed, or was stopped by its watchdog; None for none."""
         limit, joint = self._expected.get(servo_id), self._servos.by_id[servo_id].joint
         torque_on = values.get(self._family.registers.torque_enable)
         if torque_on is not None:

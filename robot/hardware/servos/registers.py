@@ -15,8 +15,7 @@ class Area(Enum):
     RAM = "RAM"
 
 
-# Sign of a register in two's complement, in place of the bit of sign and magnitude.
-TWOS_COMPLEMENT = -1
+TWOS_COMPLEMENT = -1  # sign of a register in two's complement, in place of the bit of sign and magnitude
 
 
 @dataclass(frozen=True)
@@ -65,11 +64,7 @@ class Block(Generic[RegisterT]):
 
 
 class RegisterTable(Generic[RegisterT]):
-    """Registers of a family, in the order of their addresses.
-
-    The driver finds the registers that every servo has by their names: MODEL_NUMBER, TORQUE_ENABLE, GOAL_POSITION,
-    PRESENT_POSITION and HOMING_OFFSET.
-    """
+    """Registers of a family in the order of their addresses, those that every servo has by their names."""
 
     def __init__(self, registers: type[RegisterT]) -> None:
         self.layout = {register: register.layout for register in registers}

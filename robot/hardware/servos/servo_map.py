@@ -18,18 +18,14 @@ from robot.hardware.servos.family import ServoFamily, label
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
-# A servo may be this much faster than its joint, so that it can catch up.
-VELOCITY_CAP_FACTOR = 1.3
+VELOCITY_CAP_FACTOR = 1.3  # a servo may be this much faster than its joint, so that it can catch up
 
 # Distance of a joint's limits from the place half a turn from its middle, where its turns become ambiguous (18 deg).
 SEAM_TICKS = 200
 
 
 class ServoMap:
-    """Servos of an arm, in the order of the calibration's joints.
-
-    The joints' greatest velocities become the servos' velocity caps.
-    """
+    """Servos of an arm in the calibration's order; the joints' greatest velocities become their velocity caps."""
 
     def __init__(
         self, family: ServoFamily, calibration: Calibration, bounds: JointBounds, limits: GuardLimits | None = None
@@ -80,10 +76,7 @@ class ServoMap:
         return head + self._encode(self._goal, goal_ticks) + tail
 
     def goal_blocks(self, goal_rad: Vector, turns_ticks: Mapping[int, int]) -> dict[int, bytes]:
-        """Build the blocks of all servos for goals, shape (joints,) [rad].
-
-        The servos' turns are by id [ticks], as :meth:`turns_ticks` gives them; 0 without an entry.
-        """
+        """Build all servos' blocks for goals, shape (joints,) [rad], less their turns by id [ticks]."""
         goals = self.goals_ticks(goal_rad)
         if turns_ticks:
             goals = {servo: ticks - turns_ticks.get(servo, 0) for servo, ticks in goals.items()}

@@ -18,8 +18,7 @@ from robot.hardware.servos.family import ServoFamily
 from robot.hardware.servos.registers import Telemetry
 from robot.hardware.servos.servo_map import ServoMap
 
-# Misses in a row after which a servo is asked behind the others.
-MISSES_UNTIL_LAST = 2
+MISSES_UNTIL_LAST = 2  # misses in a row after which a servo is asked behind the others
 
 # Reads in a row without any reply, for each servo, after which all count as silent: each has been the first once.
 EMPTY_READS_PER_SERVO = MISSES_UNTIL_LAST
@@ -111,8 +110,9 @@ class ServoTracker:
         self._frames, self._measured = frames, None
         parse, joints = self._family.parse_telemetry, self._servos.by_id
         readings = {servo: parse(frame, joints[servo]) for servo, frame in frames.items()}
-        if self._family.counts_turns:
-            self._add_turns(readings)
+        for servo, reading in readings.items() if self._family.counts_turns else ():
+            reading.turns_ticks = self._servos.turns_ticks(servo, reading.position_ticks)
+            reading.position_ticks += reading.turns_ticks
         jumped = {servo for servo, reading in readings.items() if self._jumps(servo, reading, now_s)}
         believed = readings.keys() - (jumped - self._suspect_ids)
         self._suspect_ids = (self._suspect_ids - frames.keys()) | (jumped - believed)
@@ -149,11 +149,6 @@ class ServoTracker:
             stamp_s=stamp_s,
         )
         return self._measured
-
-    def _add_turns(self, readings: Mapping[int, Telemetry]) -> None:
-        for servo, reading in readings.items():
-            reading.turns_ticks = self._servos.turns_ticks(servo, reading.position_ticks)
-            reading.position_ticks += reading.turns_ticks
 
     def _believe(self, readings: Mapping[int, Telemetry], now_s: float) -> None:
         for servo, reading in readings.items():

@@ -22,7 +22,7 @@ from server.graph.node import Node
 from server.graph.permissions import PLANNING
 from server.graph.topics import Graph
 from server.moveit.goals.goal_messages import GoalTranslator
-from server.moveit.poses import Message, matrix_of
+from server.moveit.messages import Message, matrix_of
 from server.moveit.requests.planning_context import PlanningContext
 
 SERVICE = "/check_goals"

@@ -17,14 +17,13 @@ from typing import Any
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
 from robot import files
-from server.errors import RefusedError, UnsuccessfulError
+from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, WORKING
 from server.graph.topics import Graph
-from server.moveit.error_codes import invalid
-from server.moveit.poses import Message
-from server.moveit.scene import shapes
+from server.moveit.messages import Message
+from server.moveit.scene import collision_objects as shapes
 from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState

@@ -18,11 +18,11 @@ from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorC
 from planners.scene import Pose, Scene
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory, Vector
+from server.errors import invalid, required
 from server.execution.monitors import state_message
 from server.execution.motions import deviation_note
 from server.graph.node import Node
-from server.moveit.error_codes import invalid, required, success
-from server.moveit.poses import Message, pose_of
+from server.moveit.messages import Message, pose_of, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.trajectories import to_message
 

@@ -17,16 +17,15 @@ from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch, is_stopped
-from server.errors import RefusedError, UnsuccessfulError
+from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING
 from server.graph.topics import Subscriber
-from server.moveit.error_codes import invalid
+from server.moveit.messages import Message
 from server.moveit.parameters import LEAST_TIMEOUT_S, MoveItParameters
-from server.moveit.poses import Message
-from server.moveit.requests.context import planning_group, tip_link
+from server.moveit.requests.constraints import planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import (
     ServoInput,

@@ -62,9 +62,8 @@ def test_integers_beyond_64_bits_come_in_as_floats_with_and_without_nan_beside_t
 
 @pytest.mark.parametrize("frame", ["", "{", '{"a":1}x', "{'a':1}", '"\\ud800"', "[NaN", '["\\ud800",NaN]', "[nan]"])
 def test_text_that_is_no_json_is_refused_with_a_position(frame):
-    with pytest.raises(FrameError, match="not JSON, ") as refusal:
+    with pytest.raises(FrameError, match=r"not JSON, .* at position ") as refusal:
         json.decode(frame)
-    assert refusal.value.position is not None
     assert "\n" not in str(refusal.value)
 
 
@@ -75,9 +74,8 @@ def test_a_digit_flood_beside_nan_is_read_or_refused_without_delay():
 
 
 def test_invalid_utf8_is_refused_at_its_byte():
-    with pytest.raises(FrameError, match="invalid UTF-8 at position 2") as refusal:
+    with pytest.raises(FrameError, match=r"invalid UTF-8 at position 2$"):
         json.decode(b'"a\xff"')
-    assert refusal.value.position == 2
 
 
 def test_text_with_a_lone_surrogate_is_refused():

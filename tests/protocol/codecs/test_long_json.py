@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.waiting import join
 from protocol.codecs import json as codec
 from protocol.codecs.long_json import MAX_CONTAINERS, decode_in_pieces
 from protocol.errors import FrameError
@@ -114,5 +115,5 @@ def test_other_threads_have_their_turn_between_the_pieces() -> None:
     thread.start()
     while not done.wait(0.0):
         turns += 1
-    thread.join()
+    join(thread)
     assert turns > 3

@@ -13,7 +13,7 @@ NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 def servo(servo_id=1, new_id=6, **values):
     registers = {Register.ID: servo_id, **{Register[name]: value for name, value in values.items()}}
-    return SavedServo("gripper", servo_id, new_id, 1_000_000, registers)
+    return SavedServo(joint="gripper", servo_id=servo_id, new_id=new_id, baudrate=1_000_000, registers=registers)
 
 
 def test_what_is_saved_reads_back_and_grows_servo_by_servo(tmp_path):

@@ -285,7 +285,13 @@ def test_an_interrupted_write_leaves_the_eprom_locked(kit):
 def saved(kit, place, joint):
     kit.plug(place)
     servo = find(kit, joint)
-    return SavedServo(joint.joint, servo.servo_id, joint.servo_id, servo.baudrate, servo.registers)
+    return SavedServo(
+        joint=joint.joint,
+        servo_id=servo.servo_id,
+        new_id=joint.servo_id,
+        baudrate=servo.baudrate,
+        registers=dict(servo.registers),
+    )
 
 
 def test_a_servo_alone_gets_back_all_that_it_had(kit):
@@ -303,5 +309,5 @@ def test_neither_the_id_among_others_nor_a_baud_rate_that_makes_a_servo_unreacha
     changed = [change.register for change in changes_back(after, entry, alone=False)]
     assert Register.RETURN_DELAY in changed
     assert Register.ID not in changed
-    odd = SavedServo("gripper", 1, 6, 1_000_000, {**entry.registers, Register.BAUD_RATE: 5})
+    odd = entry.model_copy(update={"registers": {**entry.registers, Register.BAUD_RATE: 5}})
     assert Register.BAUD_RATE not in [change.register for change in changes_back(after, odd, alone=True)]

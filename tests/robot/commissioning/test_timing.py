@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from robot.commissioning.timing import measure_cycles, measure_reads
-from robot.hardware.feetech.packets import status_bytes
+from robot.commissioning.scan import measure_cycles, measure_reads
+from robot.hardware.feetech.bus import status_bytes
 from robot.hardware.port import wire_time_s
 
 IDS = (1, 2, 3, 4, 5, 6)

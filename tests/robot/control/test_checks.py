@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 from robot.control.checks import (
     ACCELERATION_TOLERANCE,
-    CONFIG_RANGES,
-    GUARD_RANGES,
     VELOCITY_TOLERANCE,
     checked,
     refusal,
@@ -27,11 +25,13 @@ from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
 
 CONFIG = ArmConfig(so101(), IdealConfig())
-ALL_RANGES = {**CONFIG_RANGES, **GUARD_RANGES}
+ALL_RANGES = {
+    each.name: each.metadata["range"] for part in (ArmConfig, GuardLimits) for each in fields(part) if each.metadata
+}
 
 
 def with_value(name: str, value: Any) -> ArmConfig:
-    if name in CONFIG_RANGES:
+    if hasattr(CONFIG, name):
         return replace(CONFIG, **{name: value})
     return replace(CONFIG, guard_limits=replace(GuardLimits(), **{name: value}))
 

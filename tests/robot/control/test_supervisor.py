@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from robot.control.cycle import ControlCycle
-from robot.control.pacing import PERIOD_S, Pacer
-from robot.control.realtime import Scheduling
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, arm_health, arm_state
 from robot.faults import FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig

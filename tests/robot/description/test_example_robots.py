@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from robot.description import model, robot_folder
-from robot.description.example_robots import PACKAGE, _robots, _urdfs, find_example
 from robot.description.model import RobotModel
+from robot.description.robot_folder import PACKAGE, _robots, _urdfs, find_example
 from robot.errors import DescriptionError
 
 # Of the arms, those whose files lack something, and the sentence about it.

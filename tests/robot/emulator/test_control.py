@@ -19,11 +19,9 @@ from robot.emulator.control import (
     LiveCommand,
     answer,
 )
-from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos, emulated_feetech_arm
 from robot.emulator.process import UsbAdapter
-from robot.emulator.servo_bus import ServoBus
-from robot.emulator.write_log import WriteLog
+from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.registers import Register, encode

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH
-from robot.hardware.feetech.packets import parse_status_frames
+from robot.emulator.servo_bus import Faults
+from robot.hardware.feetech.bus import parse_status_frames
 
 ID = 1
 SENT = FEETECH.status_packet(ID, 0, bytes(15))

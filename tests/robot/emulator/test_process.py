@@ -12,9 +12,8 @@ import serial
 
 from robot.emulator.adapter import InProcessPort
 from robot.emulator.control import Emulation
-from robot.emulator.faults import Faults
 from robot.emulator.process import Control, UsbAdapter, add_options, build_bus, configure
-from robot.emulator.servo_bus import Reply
+from robot.emulator.servo_bus import Faults, Reply
 from robot.hardware.feetech.registers import Register
 
 

@@ -13,11 +13,10 @@ import pytest
 from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator.adapter import InProcessPort
 from robot.emulator.control import Emulation, LiveCommand, answer, check
-from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.process import add_options, build_rehearsal
 from robot.emulator.rehearsal import LEAD_S, REHEARSALS, Rehearsal, TimedCommand, push, read_script, stall, sweep
-from robot.emulator.servo_bus import ServoBus
+from robot.emulator.servo_bus import Faults, ServoBus
 from robot.hardware.feetech.registers import Register, encode
 from tests.helpers.robots import nominal_calibration
 

@@ -12,11 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.dynamixel import CRC_ERROR, INSTRUCTION_ERROR
-from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH as FEETECH_CODEC
 from robot.emulator.feetech import FeetechServo, build_servos
-from robot.emulator.servo_bus import PARTIAL_PACKET_S, Instruction, InstructionParser, ServoBus, superimposed
-from robot.emulator.write_log import WriteLog
+from robot.emulator.servo_bus import (
+    PARTIAL_PACKET_S,
+    Faults,
+    Instruction,
+    InstructionParser,
+    ServoBus,
+    WriteLog,
+    superimposed,
+)
 from robot.hardware.feetech.registers import Register, encode
 from tests.helpers.emulated_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 from tests.helpers.emulator import (

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from robot.emulator.feetech import build_servos
-from robot.emulator.write_log import WriteLog
+from robot.emulator.servo_bus import WriteLog
 from robot.hardware.feetech.registers import goal_block
 from tests.helpers.robots import nominal_calibration
 

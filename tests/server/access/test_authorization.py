@@ -17,7 +17,7 @@ from server.graph import permissions
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, WORKING, Identity, Role
 from server.graph.topics import Graph, Subscriber
-from server.moveit.services import transform_republisher
+from server.moveit.services import description
 from tests.helpers.clock import FakeClock
 from tests.helpers.rules import server_rules, with_server_rules
 
@@ -361,9 +361,7 @@ async def test_every_service_of_the_server_stands_in_the_table_and_no_other(clie
 async def test_every_action_of_the_server_but_that_of_transforms_drives(client: ArmClient) -> None:
     offered = (await client.call("/rosapi/action_servers"))["action_servers"]
     assert set(offered) == set(SERVER.actions.rules)
-    assert [name for name in offered if not authorization.rule_of_action(name, SERVER).drives] == [
-        transform_republisher.ACTION
-    ]
+    assert [name for name in offered if not authorization.rule_of_action(name, SERVER).drives] == [description.ACTION]
 
 
 async def test_every_topic_that_the_server_listens_to_has_a_rule(client: ArmClient) -> None:

@@ -199,6 +199,43 @@ def test_without_a_leader_the_positions_that_the_controllers_of_all_joints_comma
     assert column(tmp_path / "data", "action") == pytest.approx(expected)
 
 
+LEADER = "/teleop/leader_joint_states"
+
+
+def test_each_episode_has_the_actions_of_who_commanded_the_arm_in_it(recorded: Record, tmp_path: Path) -> None:
+    """The leader leads in the first and stops early in the second; in the third nothing is recorded but states."""
+    marks = [mark(kind, at_s) for n in range(3) for kind, at_s in (("start", 3.0 * n), ("stop", 3.0 * n + 2.0))]
+    led = states(3.4, topic=LEADER, offset=0.2)
+    commands = [commanded(joint, n / 10, 0.7) for n in range(55) for joint in JOINTS]
+    done = exported(tmp_path / "data", recorded([*states(9.0), *led, *commands, *marks]))
+    controllers = "/gripper_controller/controller_state and /shoulder_pan_controller/controller_state"
+    assert (done.episodes, done.problems) == (3, ())
+    assert done.actions == f"{LEADER} (1), {controllers} (1), the next state (1)"
+    first, second, third = (column(tmp_path / "data", "action")[n : n + 20, 0] for n in (0, 21, 42))
+    assert first == pytest.approx(0.2 + np.arange(20) / 100, abs=0.0021)
+    assert second == pytest.approx(0.7)
+    assert third == pytest.approx(0.601 + np.arange(20) / 100, abs=0.01)
+
+
+def test_an_episode_whose_leader_falls_silent_is_left_out_where_nothing_else_commanded(
+    recorded: Record, tmp_path: Path
+) -> None:
+    marks = [mark(kind, at_s) for n in range(2) for kind, at_s in (("start", 3.0 * n), ("stop", 3.0 * n + 2.0))]
+    done = exported(tmp_path / "data", recorded([*states(9.0), *states(4.0, topic=LEADER), *marks]))
+    assert (done.episodes, done.actions) == (1, LEADER)
+    assert "episode 2 (3.0 to 5.0 s) is left out: the actions on" in done.problems[0]
+
+
+def test_a_gripper_that_the_leader_lacks_has_the_commands_of_its_controller(recorded: Record, tmp_path: Path) -> None:
+    message = {"name": [JOINTS[0]], "position": [0.3]}
+    led = [entry(LEADER, "sensor_msgs/JointState", {"header": stamp(n / 10), **message}, n / 10) for n in range(11)]
+    gripper = [commanded(JOINTS[1], n / 10, 0.1 * n) for n in range(11)]
+    done = exported(tmp_path / "data", recorded([*states(1.0), *led, *gripper]))
+    assert done.actions == f"{LEADER} and /gripper_controller/controller_state"
+    expected = np.column_stack([np.full(11, 0.3), 0.1 * np.arange(11)])
+    assert column(tmp_path / "data", "action") == pytest.approx(expected)
+
+
 def test_a_gripper_that_the_action_topic_lacks_has_the_commands_of_its_controller(
     recorded: Record, tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@ import pytest
 from protocol.codecs import png
 from server.access.authentication import MAX_WRONG, AuthThrottle
 from server.access.settings import AccessSettings
-from server.gateway.client_auth import MAX_FIRST_BYTES
+from server.gateway.client import MAX_FIRST_BYTES
 from server.graph.permissions import Identity, Role
 from tests.helpers.gateway import InProcess
 

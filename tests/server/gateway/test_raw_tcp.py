@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from protocol.framing import StreamSplitter
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage, Frame
-from protocol.stream import StreamSplitter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.errors import StartError

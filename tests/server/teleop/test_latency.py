@@ -32,8 +32,7 @@ from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
-from server.teleop.joint_map import joint_map
-from server.teleop.leader import JitterBuffer, LeaderSample
+from server.teleop.leader import JitterBuffer, LeaderSample, joint_map
 from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.moveit import planner, planning_of

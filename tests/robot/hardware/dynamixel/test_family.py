@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from dynamixel_sdk import INST_READ, INST_REBOOT
 
-from robot.advice import ServoAlert
 from robot.emulator.dynamixel import ACCESS_ERROR, DATA_LIMIT_ERROR, DYNAMIXEL, REBOOT_S
 from robot.errors import NoReply, StartupError
-from robot.faults import FaultCode
+from robot.faults import FaultCode, ServoAlert
 from robot.hardware.dynamixel.family import WATCHDOG, Bus, Dynamixel
 from robot.hardware.dynamixel.packets import instruction_packet, packet
 from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, encode

@@ -10,7 +10,7 @@ from harness.server import read_write_log
 from robot.calibration import Calibration
 from robot.commissioning.scan import scan
 from robot.errors import RobotError
-from robot.hardware.feetech.calibration import differences, read_differences, write_to_servos
+from robot.hardware.feetech.family import differences, read_differences, write_to_servos
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
 from tests.helpers.emulator import SteppedEmulator

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from harness.server import read_write_log
-from robot.advice import ServoAlert
 from robot.errors import StartupError
+from robot.faults import ServoAlert
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
 from robot.hardware.feetech.profiles import LEROBOT, ServoProfile

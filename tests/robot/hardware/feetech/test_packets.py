@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from robot.emulator.feetech import FEETECH
 from robot.emulator.servo_bus import InstructionParser
-from robot.hardware.feetech.packets import (
+from robot.hardware.feetech.bus import (
     MAX_INSTRUCTION_BYTES,
     StatusFrame,
     checksum,

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from planners.scene import Pose
 from server.errors import RefusedError
-from server.moveit.poses import composed, inverse, matrix_of, pose_of, read_pose, write_pose
+from server.moveit.messages import composed, inverse, matrix_of, pose_of, read_pose, write_pose
 
 numbers = st.floats(-1.0, 1.0)
 directions = st.tuples(numbers, numbers, numbers, numbers).filter(lambda q: np.linalg.norm(q) > 0.1)

@@ -1,13 +1,20 @@
-"""Transforms between chosen frames for viewers in a browser, as tf2_web_republisher sends them.
+"""Description of the robot for clients: latched topics, parameters, the files that the URDF names, and transforms.
 
-ros3djs and roslib's TFClients ask by an action, whose feedback has the transforms, or by a service, which names a
-topic. A transform is sent again once it has moved beyond the viewer's thresholds.
+MoveIt's clients read the URDF and SRDF from latched topics (ROS 2) or parameters (ROS 1), and fetch meshes by
+``package://`` URLs from file_server's service ``/file_server/get_file`` (compas_robots, ros-sharp). Those that fetch
+by HTTP are answered by :mod:`server.gateway.http`. Viewers in a browser get transforms between chosen frames as
+tf2_web_republisher sends them: ros3djs and roslib's TFClients ask by an action, whose feedback has the transforms, or
+by a service, which names a topic. A transform is sent again once it has moved beyond the viewer's thresholds.
 """
 
 from __future__ import annotations
 
+import asyncio
+import base64
 import functools
 import itertools
+import json
+import logging
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +22,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from planners.scene import Pose
+from protocol.messages import Stamp
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.errors import RefusedError, ServiceError
 from server.graph.actions import Goal, GoalStatus
@@ -22,9 +32,93 @@ from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
-from server.moveit.display import EARLY_S
-from server.moveit.poses import Message, write_transform
+from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.scene.frames import Frames, seen_from
+from server.robot_files import RobotFiles, package_name, with_package_urls
+
+log = logging.getLogger("armbridge.description")
+
+URDF_TOPIC = "/robot_description"
+SRDF_TOPIC = "/robot_description_semantic"
+# Nodes that have these parameters in ROS 2.
+NODES = ("/robot_state_publisher", "/move_group")
+
+FILE_SERVICE = "/file_server/get_file"
+
+TRANSFORMS_TOPIC = "/tf"
+STATIC_TRANSFORMS_TOPIC = "/tf_static"
+
+# A state that is due a little early still counts.
+EARLY_S = 0.005
+
+
+class RobotDescription:
+    """Topics, parameters and file service of the description."""
+
+    def __init__(self, graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._files = RobotFiles(robot)
+        self._keep_parameter = keep_parameter
+        self._node = Node("robot description")
+        package = package_name(self._robot)
+        texts = {URDF_TOPIC: with_package_urls(self._robot.urdf, package), SRDF_TOPIC: self._robot.srdf}
+        for topic, text in texts.items():
+            self._graph.advertise(self._node, topic, "std_msgs/String", latch=True)
+            self._graph.publish(self._node, topic, {"data": text})
+            name = topic.removeprefix("/")
+            # ROS 1 clients ask for the name with its slash or without, clients of ROS 2 for a parameter of a node.
+            for parameter in (topic, name, *(f"{node}:{name}" for node in NODES)):
+                self._keep_parameter(parameter, json.dumps(text))
+        self._graph.services.offer(self._node, FILE_SERVICE, "file_server/GetBinaryFile", self._get_file, rule=LOOKING)
+
+    async def _get_file(self, request: dict[str, Any]) -> dict[str, Any]:
+        # A slow disk must not hold up whatever else the server does; the call itself is bounded.
+        octets = await asyncio.to_thread(self._files.read, request["name"])
+        return {"value": base64.b64encode(octets).decode("ascii")}
+
+
+class TransformsTopics:
+    """Transforms of the arm: transforms of movable joints with the joint states, the others once."""
+
+    def __init__(self, graph: Graph, robot: RobotModel, rate_hz: float) -> None:
+        self._graph = graph
+        self._period_s = 1.0 / rate_hz
+        self._placements = ForwardPlacements(robot)
+        joints = robot.joints.values()
+        self._moving = [joint.child for joint in joints if joint.moves]
+        self._fixed = [joint.child for joint in joints if not joint.moves]
+        self._node = Node("robot state publisher")
+        self._published_s = 0.0
+        self._graph.advertise(self._node, TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
+        self._graph.advertise(self._node, STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
+        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, time.time()))
+
+    def take_state(self, state: ArmState) -> None:
+        """Publish a state of the arm, if there are subscribers and it is due."""
+        if state.position_rad is None or not self._graph.subscribers(TRANSFORMS_TOPIC):
+            return
+        # The clock of a process that has started again may be behind; that must not silence the topic.
+        if 0.0 <= state.clock_s - self._published_s < self._period_s - EARLY_S:
+            return
+        self._published_s = state.clock_s
+        positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
+        self._graph.publish(self._node, TRANSFORMS_TOPIC, self._message(self._moving, positions_rad, state.stamp_s))
+
+    def _message(self, links: list[str], positions_rad: Mapping[str, float], stamp_s: float) -> dict[str, Any]:
+        stamp = Stamp.from_seconds(stamp_s).as_message()
+        transforms = []
+        for link in links:
+            parent, transform_link_to_parent = self._placements.joint_transform(link, positions_rad)
+            transforms.append(
+                {
+                    "header": {"stamp": stamp, "frame_id": parent},
+                    "child_frame_id": link,
+                    "transform": write_transform(pose_of(transform_link_to_parent)),
+                }
+            )
+        return {"transforms": transforms}
+
 
 ACTION, SERVICE = "/tf2_web_republisher", "/republish_tfs"
 ACTION_TYPE, SERVICE_TYPE = "tf2_web_republisher/action/TFSubscription", "tf2_web_republisher/srv/RepublishTFs"

@@ -1,16 +1,29 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from planners.scene import Pose
+from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server.actionlib import ActionlibBridge
-from server.moveit.poses import pose_of
+from server.graph.node import Node
+from server.graph.topics import Graph, Subscriber
+from server.moveit.messages import matrix_of, pose_of
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
-from server.moveit.services import transform_republisher
-from server.moveit.services.transform_republisher import ACTION, SERVICE, TransformRepublisher
+from server.moveit.services import description
+from server.moveit.services.description import (
+    ACTION,
+    SERVICE,
+    STATIC_TRANSFORMS_TOPIC,
+    TRANSFORMS_TOPIC,
+    TransformRepublisher,
+    TransformsTopics,
+)
 from tests.helpers.gateway import InProcess
 from tests.helpers.moveit import ROBOT
 
@@ -127,9 +140,67 @@ def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> Non
 
 
 def test_the_number_of_subscriptions_is_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transform_republisher, "MAX_SUBSCRIPTIONS", 1)
+    monkeypatch.setattr(description, "MAX_SUBSCRIPTIONS", 1)
     world.send_goal("a")
     world.say("c", op="call_service", service=SERVICE, args=REQUEST)
     world.send_goal("c")
     for answer in world.heard("c"):
         assert (answer["result"], answer["values"]) == (False, "there are 1 subscriptions already, the limit")
+
+
+class Screen:
+    """The topics, and what somebody hears who subscribes after the start."""
+
+    def __init__(self, rate_hz: float = 50.0) -> None:
+        self.graph = Graph(Registry.load())
+        self.topics = TransformsTopics(self.graph, ROBOT, rate_hz)
+        self.heard: list[Any] = []
+        for topic in (TRANSFORMS_TOPIC, STATIC_TRANSFORMS_TOPIC):
+            before = self.graph.subscribe(
+                Node("watcher"), topic, None, Subscriber(lambda published: self.heard.append(published.msg))
+            )
+            self.heard += [published.msg for published in before]
+
+    def show(self, clock_s: float, position_rad: float = 0.0, stamp_s: float = 0.0) -> None:
+        positions = np.full(len(JOINTS), position_rad)
+        self.topics.take_state(ArmState(stamp_s, Mode.HOLDING, JOINTS, position_rad=positions, clock_s=clock_s))
+
+
+@pytest.fixture
+def screen() -> Screen:
+    return Screen()
+
+
+def test_both_transform_topics_together_place_every_link_as_forward_kinematics_does(screen: Screen) -> None:
+    screen.show(1.0, 0.4)
+    placed = {ROBOT.root_link: np.eye(4)}
+    transforms = {each["child_frame_id"]: each for message in screen.heard for each in message["transforms"]}
+    for link in ROBOT.links[1:]:
+        parent, own = transforms[link]["header"]["frame_id"], transforms[link]["transform"]
+        translation, rotation = own["translation"], own["rotation"]
+        pose = Pose(tuple(translation[axis] for axis in "xyz"), tuple(rotation[axis] for axis in "xyzw"))
+        placed[link] = placed[parent] @ matrix_of(pose)
+    for link, transform in ForwardPlacements(ROBOT).transforms(dict.fromkeys(JOINTS, 0.4)).items():
+        assert placed[link] == pytest.approx(transform, abs=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 50.0, 100.0])
+def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
+    screen = Screen(rate_hz)
+    for tick in range(100):
+        screen.show(10.0 + tick * 0.01)
+    assert len(screen.heard) == pytest.approx(1 + rate_hz, abs=1)
+
+
+@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
+def test_a_machines_clock_that_is_set_neither_silences_transforms_nor_brings_more(
+    screen: Screen, jump_s: float
+) -> None:
+    for tick in range(100):
+        screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
+    assert len(screen.heard) == pytest.approx(1 + 50, abs=1)
+
+
+def test_a_disconnected_arm_has_no_transforms(screen: Screen) -> None:
+    screen.topics.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
+    assert len(screen.heard) == 1

@@ -1,17 +1,17 @@
-"""Conversions of poses: geometry_msgs/Pose, the planners' Pose and 4 x 4 matrices."""
+"""Conversions between messages and the planners' types: poses, positions of joints, and error codes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.trajectory import Vector
-from server.errors import RefusedError
+from server.errors import invalid, refused
 
 Message: TypeAlias = Mapping[str, Any]
 
@@ -19,15 +19,26 @@ Message: TypeAlias = Mapping[str, Any]
 MIN_NORM = 1e-6
 
 
+def check_finite(values: Mapping[str, float], where: str) -> None:
+    """Reject the first number that is not finite; ``where`` is the path of the message with these fields."""
+    for field, value in values.items():
+        if not math.isfinite(value):
+            raise invalid(f"{where}.{field} must be a finite number, not {value}", field=f"{where}.{field}")
+
+
+def read_point(message: Message, where: str) -> tuple[float, float, float]:
+    """Read a geometry_msgs/Point or Vector3."""
+    check_finite(message, where)
+    return float(message["x"]), float(message["y"]), float(message["z"])
+
+
 def read_pose(message: Message, where: str) -> Pose:
     """Read a geometry_msgs/Pose; its quaternion is normalised, one of only zeros is no rotation."""
-    point, quaternion = message["position"], message["orientation"]
-    if not all(map(math.isfinite, (*point.values(), *quaternion.values()))):
-        raise _not_finite(message, where)
+    position_m, quaternion = read_point(message["position"], f"{where}.position"), message["orientation"]
+    check_finite(quaternion, f"{where}.orientation")
     x, y, z, w = (quaternion[axis] for axis in "xyzw")
     norm = math.hypot(x, y, z, w)
-    turned = (x / norm, y / norm, z / norm, w / norm) if norm > MIN_NORM else (0.0, 0.0, 0.0, 1.0)
-    return Pose((float(point["x"]), float(point["y"]), float(point["z"])), turned)
+    return Pose(position_m, (x / norm, y / norm, z / norm, w / norm) if norm > MIN_NORM else (0.0, 0.0, 0.0, 1.0))
 
 
 def write_pose(pose: Pose) -> dict[str, Any]:
@@ -40,10 +51,8 @@ def write_pose(pose: Pose) -> dict[str, Any]:
 
 def write_transform(pose: Pose) -> dict[str, Any]:
     """Return the geometry_msgs/Transform of a pose."""
-    return {
-        "translation": dict(zip("xyz", pose.position_m, strict=True)),
-        "rotation": dict(zip("xyzw", pose.orientation, strict=True)),
-    }
+    written = write_pose(pose)
+    return {"translation": written["position"], "rotation": written["orientation"]}
 
 
 def matrix_of(pose: Pose) -> Vector:
@@ -89,18 +98,28 @@ def inverse(pose: Pose) -> Pose:
     return pose_of(back)
 
 
-def _not_finite(message: Message, where: str) -> RefusedError:
-    """Return the error that names the first number of a pose that is not finite."""
-    field, axis, value = next(
-        (field, axis, value)
-        for field in ("position", "orientation")
-        for axis, value in message[field].items()
-        if not math.isfinite(value)
-    )
-    return RefusedError(
-        PlanningFailure(
-            MoveItErrorCode.INVALID_GOAL_CONSTRAINTS,
-            f"{where}.{field}.{axis} must be a finite number, not {value}",
-            {"field": f"{where}.{field}.{axis}"},
-        )
-    )
+def read_joint_positions(joint_state: Message, known: Collection[str], where: str) -> dict[str, float]:
+    """Read the positions of some of the known joints in a sensor_msgs/JointState, by joint [rad]."""
+    names, positions = joint_state["name"], joint_state["position"]
+    if len(names) != len(positions):
+        text = f"{where}: name has {len(names)} entries and position {len(positions)}; they must be as many"
+        raise refused(MoveItErrorCode.INVALID_ROBOT_STATE, text)
+    for name, position in zip(names, positions, strict=True):
+        text = ""
+        if name not in known:
+            text = f"{where}.name: there is no joint {name!r}; the robot has {', '.join(sorted(known))}"
+        elif not math.isfinite(position):
+            text = f"{where}.position of joint {name!r} must be a finite number, not {position}"
+        if text:
+            raise refused(MoveItErrorCode.INVALID_ROBOT_STATE, text, joint=name)
+    return dict(zip(names, map(float, positions), strict=True))
+
+
+def error_code(code: MoveItErrorCode, message: str = "") -> dict[str, Any]:
+    """Write a moveit_msgs/MoveItErrorCodes, as source the name where MoveIt puts its pipeline's stage."""
+    return {"val": int(code), "message": message, "source": "armbridge"}
+
+
+def success(*notes: str) -> dict[str, Any]:
+    """Write the code of a success; notes that are not empty become its message."""
+    return error_code(MoveItErrorCode.SUCCESS, "; ".join(filter(None, notes)))

@@ -15,7 +15,7 @@ from server.errors import FileTooLargeError, ServiceError
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
-from server.moveit.description import FILE_SERVICE, SRDF_TOPIC, URDF_TOPIC, RobotDescription
+from server.moveit.services.description import FILE_SERVICE, SRDF_TOPIC, URDF_TOPIC, RobotDescription
 from server.robot_files import RobotFiles, package_name, with_package_urls
 from tests.helpers.robots import so101
 

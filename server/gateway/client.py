@@ -34,9 +34,8 @@ from protocol.session import Packed, Refusal
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access, Authorizer
 from server.errors import GraphError
-from server.gateway.client_actions import ClientActions
 from server.gateway.client_context import ClientContext
-from server.gateway.client_services import ClientServices
+from server.gateway.client_requests import ClientActions, ClientServices
 from server.gateway.client_topics import ClientTopics, StrictPublication
 from server.gateway.inbox import Inbox, Scheduling
 from server.gateway.transport import Transport

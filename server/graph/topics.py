@@ -414,7 +414,11 @@ class Graph:
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
-                problem = "has no type yet: advertise it first, or name the type"
+                # A publication's own `type` does not count, a subscription's does.
+                remedy = "advertise the topic with its type first"
+                if node is not None:
+                    remedy = "subscribe with the type, or advertise the topic first"
+                problem = f"has no type yet: {remedy}"
                 meant = self.nearest_topic(name)
                 raise GraphError("topic", name, f"{problem}; did you mean {meant}?" if meant else problem)
             canonical = self._canonical(name, type_name)

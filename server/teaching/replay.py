@@ -68,19 +68,16 @@ class ReplayAction:
         queue: GoalQueue,
         problems: ProblemBuilder,
     ) -> None:
-        self._graph = graph
         self._robot = robot
         self._motions = motions
         self._queue = queue
         self._problems = problems
-        # The event loop keeps only weak references to tasks.
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
+        graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         task = asyncio.create_task(self._submit(goal), name="a replay")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        # The goal keeps the task alive, which the event loop does not.
+        goal.when_ended(lambda _end: task)
 
     async def _submit(self, goal: Goal) -> None:
         try:

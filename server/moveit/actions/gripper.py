@@ -375,7 +375,6 @@ class GripperActions:
             graph.resolve(FETCH_ACTION): simple,
             graph.resolve(PARALLEL_ACTION): ParallelGripperCommandMessages(gripper.joints),
         }
-        self._tasks: set[asyncio.Task[None]] = set()
         node = Node("gripper")
         for name in ACTIONS:
             graph.offer_action(
@@ -392,9 +391,8 @@ class GripperActions:
         claim = self._gripper.claim()
         cancel_with_goal(goal, claim.cancel)
         task = asyncio.create_task(self._execute(goal, messages, claim, command), name="gripper")
-        # The event loop keeps no task alive.
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        # The goal keeps the task alive, which the event loop does not.
+        goal.when_ended(lambda _end: task)
 
     async def _execute(self, goal: Goal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
         try:

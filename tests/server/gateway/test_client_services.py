@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from protocol.limits import Limits
-from server.gateway import client_services
+from server.gateway import client_requests
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.services import Call
@@ -165,7 +165,7 @@ def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
 
 
 def test_values_in_calls_that_wait_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client_services, "MAX_VALUES_IN_FLIGHT", 2500)
+    monkeypatch.setattr(client_requests, "MAX_VALUES_IN_FLIGHT", 2500)
     world = InProcess()
     started: list[Call] = []
     world.graph.services.offer_calls(Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append)

@@ -117,6 +117,18 @@ def test_the_type_of_a_topic_outlives_its_last_user_for_a_while(graph: Graph, cl
     graph.advertise(TALKER, "/t", "std_msgs/Bool")
 
 
+def test_the_refusal_of_a_topic_without_a_type_says_which_operation_can_name_one(graph: Graph) -> None:
+    listener = Listening()
+    with pytest.raises(GraphError, match=r"topic /t: has no type yet: advertise the topic with its type first$"):
+        graph.publish(TALKER, "/t", {"data": "x"})
+    sentence = r"topic /t: has no type yet: subscribe with the type, or advertise the topic first$"
+    with pytest.raises(GraphError, match=sentence):
+        graph.subscribe(listener.node, "/t", None, listener.subscriber)
+    graph.subscribe(listener.node, "/t", "std_msgs/String", listener.subscriber)
+    graph.publish(TALKER, "/t", {"data": "x"})
+    assert listener.messages == [{"data": "x"}]
+
+
 def test_for_how_long_can_be_set(clock: FakeClock) -> None:
     graph = Graph(REGISTRY, clock, unregister_timeout_s=1.0)
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)

@@ -20,11 +20,8 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMes
 
 STOP_EVERY_S = 0.1
 
-# A handshake that the server does not answer is tried again: it may be held up.
-CONNECT_TIMEOUT_S = 600.0
-
-# The attacker takes time from the others through the server's work for it, not through the scheduler.
-NICENESS = 19
+CONNECT_TIMEOUT_S = 600.0  # a handshake that the server does not answer is tried again: it may be held up
+NICENESS = 19  # the attacker takes time from the others through the server's work for it, not through the scheduler
 
 # Stands in the id of a call behind the attack: its answer shows that all before it has been carried out.
 LAST = "the-last-operation"

@@ -29,8 +29,7 @@ LARGER_SHAPES: tuple[Shape, ...] = (
 # Texts deeper than this are not made long: there are hundreds in a scene, and the server treats them alike.
 MAX_TEXT_DEPTH = 2
 
-# Lists deeper than this are not made long either: a scene has the same ones in several places.
-MAX_DEPTH = 4
+MAX_DEPTH = 4  # lists deeper than this are not made long either: a scene has the same ones in several places
 
 # An action without topics of actionlib, from which the types of the others are read.
 MORE_ACTIONS = {"/parallel_gripper_controller/gripper_cmd": "control_msgs/ParallelGripperCommand"}

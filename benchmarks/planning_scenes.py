@@ -30,8 +30,7 @@ SCENES = Path(__file__).parent / "scenes"
 ALLOWED_TIME_S = 1.0
 LONG_OPTIMIZATION_S = 0.06
 
-# Goals at which hulls touch: a file of their own, of straight lines and refusals.
-NEAR_CONTACTS = "near_contacts"
+NEAR_CONTACTS = "near_contacts"  # goals at which hulls touch: a file of their own, of straight lines and refusals
 
 
 @dataclass(frozen=True)

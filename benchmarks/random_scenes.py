@@ -30,8 +30,7 @@ LIMITS = {
 GRIPPER_RAD = 0.3
 TOLERANCE_M = 0.005
 
-# Above the table by more than the size of the gripper's fingers.
-LOWEST_TIP_M = 0.02
+LOWEST_TIP_M = 0.02  # above the table by more than the size of the gripper's fingers
 
 # Edges of the slow search are checked this finely: 2 mm at the tip for the base joint.
 CHECK_RAD = 0.005

@@ -34,8 +34,7 @@ PLANNER_IDS = (
     "BITstar",
 )
 
-# How a motion was found where two straight lines were enough, which RRTConnect tries first.
-VIA_POINT = "via point"
+VIA_POINT = "via point"  # how a motion was found where two straight lines were enough, which RRTConnect tries first
 
 
 class MoveItErrorCode(IntEnum):
@@ -245,6 +244,14 @@ class PlanningFailure:
     message: str  # one sentence with the figures
     # What was found, as plain values: colliding pairs, joint and limit, nearest reachable point.
     details: Mapping[str, Any] = field(default_factory=dict)
+
+
+class PlanningError(Exception):
+    """A request is refused; ``failure`` is its answer."""
+
+    def __init__(self, failure: PlanningFailure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, Pla
 # Seed stride between racers: a search counts up from the problem's seed with each tree that it gives up.
 SEED_STEP = 1 << 20
 
-# OMPL takes seeds of 32 bits.
-SEEDS = 1 << 31
+SEEDS = 1 << 31  # OMPL takes seeds of 32 bits
 
 # Failures that another racer need not have. All others are of the problem itself.
 INCONCLUSIVE = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.CRASH, MoveItErrorCode.PREEMPTED)

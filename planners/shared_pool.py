@@ -40,8 +40,7 @@ log = logging.getLogger("armbridge.planners")
 # Longest planning of one request, whatever it allows itself: others wait for the same planners. MoveIt's default is 5.
 LONGEST_PLANNING_S = 10.0
 
-# A server that asks for one motion and one question at a time has two requests under way.
-REQUESTS_OF_SERVER = 2
+REQUESTS_OF_SERVER = 2  # a server that asks for one motion and one question at a time has two requests under way
 
 # Rounds that a request may wait for its turn, each of the longest planning: the host itself answers long before.
 ROUNDS = 6

@@ -37,8 +37,7 @@ from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.planner")
 
-# Of linux/prctl.h.
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 # When the machine runs out of memory a planner is to go first: it costs one goal, the arm process costs the arm.
 OOM_SCORE = "600"

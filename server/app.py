@@ -34,7 +34,7 @@ from server.features.arms import (
 from server.features.clients import Clients
 from server.features.context import context_of
 from server.features.monitoring import Logs, Monitoring, Recording
-from server.features.moveit import ArmGoals, GoalQueueing, GoalRecords, MoveGroup, PlanningScene, Servo
+from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
@@ -143,7 +143,6 @@ class App:
         )
         parkings = Parkings(context)
         goals = (
-            GoalRecords(context),
             MoveGroup(context),
             ArmGoals(context),
             TaughtMotions(context),
@@ -232,7 +231,7 @@ class App:
             raise StartError(f"the planners cannot load the robot: {refusal}")
 
     def _nothing_moves(self) -> bool:
-        return not self._context.goals.queue.busy and not moves(self._arms.whole.arm)
+        return not self._context.goals.queue.busy() and not moves(self._arms.whole.arm)
 
     def _what_runs_where(self) -> str:
         arms = "; ".join(map(_what_arm_runs, self._arms.each))

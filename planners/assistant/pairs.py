@@ -17,11 +17,8 @@ from planners.geometry.shapes import enclosing
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# States between two looks at the pairs that are decided.
-BATCH = 500
-
-# Reports of progress, at most.
-REPORTS = 5
+BATCH = 500  # states between two looks at the pairs that are decided
+REPORTS = 5  # reports of progress, at most
 
 ADJACENT, NEVER, ALWAYS = "Adjacent", "Never", "Always"
 

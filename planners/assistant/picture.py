@@ -32,8 +32,7 @@ VIEWS = (
 )
 LIGHT = np.array([0.5, -0.4, 0.77])
 
-# A turn of the colour wheel by the golden ratio keeps neighbours apart.
-HUE_STEP = 0.618034
+HUE_STEP = 0.618034  # a turn of the colour wheel by the golden ratio keeps neighbours apart
 
 
 def draw(

@@ -25,14 +25,12 @@ SAME_VERTEX = 1e-6
 # Points whose least extent is below this are flat: qhull takes them with a plate of this thickness around them [m].
 PLATE_M = 1e-4
 
-# Points nearer than this to another part are not on the outside of the union [m].
-TOUCH_M = 1e-4
+TOUCH_M = 1e-4  # points nearer than this to another part are not on the outside of the union [m]
 
 # Points on a surface of 200 cm2 are then 0.3 mm apart, which makes a distance of 3 mm at most 0.02 mm too long.
 REFERENCE_POINTS = 200_000
 
-# Points on the parts and on the surface at which the deviation is measured.
-TEST_POINTS = 4_000
+TEST_POINTS = 4_000  # points on the parts and on the surface at which the deviation is measured
 
 
 @dataclass(frozen=True)

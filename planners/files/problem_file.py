@@ -52,8 +52,7 @@ _GOALS: Mapping[str, type[Any]] = {
 _NOT_OPTIONS = {"group", "start_rad", "goal"}
 _ANY_OF = "any_of"
 
-# As much of a refused value as fits in a line.
-SHOWN_CHARACTERS = 60
+SHOWN_CHARACTERS = 60  # as much of a refused value as fits in a line
 
 _Rate = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _Angle = Annotated[float, Field(allow_inf_nan=False)]

@@ -31,11 +31,8 @@ from planners.scene_checks import check_scene
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# Depths of the same contact differ by this much between runs of the penetration algorithm.
-DEPTH_ACCURACY_M = 0.0002
-
-# A hull reaches at most this far beyond its link.
-HULL_EXCESS_M = 0.02
+DEPTH_ACCURACY_M = 0.0002  # depths of the same contact differ by this much between runs of the penetration algorithm
+HULL_EXCESS_M = 0.02  # a hull reaches at most this far beyond its link
 
 NO_CONTACT: Mapping[frozenset[str], float] = {}
 

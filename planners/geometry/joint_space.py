@@ -13,8 +13,7 @@ from planners.geometry.collision import DEPTH_ACCURACY_M, NO_CONTACT, CollidingP
 from planners.geometry.sweep import ALL_PAIRS, CandidatePairs, line_is_free
 from robot.trajectory import Vector
 
-# A search need not check more finely: its motions are certified afterwards.
-CHECK_STEP_M = 0.001
+CHECK_STEP_M = 0.001  # a search need not check more finely: its motions are certified afterwards
 
 # An allowed overlap has to shrink by this share of the way from where it was allowed, so that it is left and does not
 # come again further on, where the same depth of parts wider than the links would be a contact of the links themselves.
@@ -23,8 +22,7 @@ LEAVING = 0.05
 # Conditions have no margin as contacts have, so they are checked this often, in travel of the fastest point.
 CONDITION_STEP_M = 0.01
 
-# Stands for the condition among the candidate pairs of a range.
-CONDITION = -1
+CONDITION = -1  # stands for the condition among the candidate pairs of a range
 
 
 class JointSpace:

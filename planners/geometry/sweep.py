@@ -27,8 +27,7 @@ NO_CANDIDATES: CandidatePairs = ()
 # Contacts deeper than half of this are found: it is the width of ranges that are not halved any more.
 FINEST_STEP_M = 0.0001
 
-# On longer pieces than this only the middle is checked.
-WIDEST_MARGIN_M = 0.1
+WIDEST_MARGIN_M = 0.1  # on longer pieces than this only the middle is checked
 
 # After the first contact, earlier ones are searched for this finely only: enough for the time of the contact.
 EARLIEST_STEP_M = 0.01

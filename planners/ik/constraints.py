@@ -29,14 +29,9 @@ from planners.goals import (
 from planners.problem import Deviation
 from robot.trajectory import Vector
 
-# Rotations count as the motion of a point this far away: half the length of a small gripper.
-ROTATION_ARM_M = 0.1
-
-# Sine below which unit vectors span no plane.
-PARALLEL = 1e-9
-
-# Rounding in the placement of a link must not break a condition that was met to its very edge.
-ROUNDING = 1e-9
+ROTATION_ARM_M = 0.1  # rotations count as the motion of a point this far away: half the length of a small gripper
+PARALLEL = 1e-9  # sine below which unit vectors span no plane
+ROUNDING = 1e-9  # rounding in the placement of a link must not break a condition that was met to its very edge
 
 # Messages without weights carry 0; MoveIt gives such constraints full weight.
 LEAST_WEIGHT = 1e-6

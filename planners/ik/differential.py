@@ -22,8 +22,7 @@ from robot.trajectory import Vector
 # solution that is not optimal yet is of use.
 MAX_STEPS = 40
 
-# Shorter steps and smaller multipliers are rounding.
-ROUNDING = 1e-9
+ROUNDING = 1e-9  # shorter steps and smaller multipliers are rounding
 
 NONE_ACTIVE = np.array([], dtype=np.intp)
 

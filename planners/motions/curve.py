@@ -32,26 +32,16 @@ Ticks = NDArray[np.int64]
 # accelerations over a tick still have seven digits.
 TICK_S = 1e-4
 
-# The servo loop runs at 100 Hz.
-SAMPLE_TICKS = 100
-
-# Samples of the 100 Hz grid this close to a knot add nothing to it.
-NEAR_KNOT_TICKS = 10
-
-# Points nearer than this are one point: directions between them are rounding errors.
-SAME_POINT_RAD = 1e-9
+SAMPLE_TICKS = 100  # the servo loop runs at 100 Hz
+NEAR_KNOT_TICKS = 10  # samples of the 100 Hz grid this close to a knot add nothing to it
+SAME_POINT_RAD = 1e-9  # points nearer than this are one point: directions between them are rounding errors
 
 # A moving joint that has to be slower than its neighbours may only be able to be much slower, by turning back.
 LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
 
-# Share of the limits for which ramps are solved: rounding to ticks makes them a little steeper.
-SHARE_OF_LIMITS = 0.999
-
-# Each of the two ramps of a joint is rounded up by up to a tick.
-ROUNDING_TICKS = 2
-
-# Rates may exceed a limit by this share: rounding errors.
-ROUNDING_SHARE = 1e-9
+SHARE_OF_LIMITS = 0.999  # share of the limits for which ramps are solved: rounding to ticks makes them a little steeper
+ROUNDING_TICKS = 2  # each of the two ramps of a joint is rounded up by up to a tick
+ROUNDING_SHARE = 1e-9  # rates may exceed a limit by this share: rounding errors
 
 
 def seconds(ticks: Ticks) -> Vector:

@@ -26,8 +26,7 @@ from robot.trajectory import Vector
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000
 
-# On longer pieces than this something is nearly always near: only their middle is checked.
-WIDEST_MARGIN_M = 0.05
+WIDEST_MARGIN_M = 0.05  # on longer pieces than this something is nearly always near: only their middle is checked
 
 # No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
 # is there, but past this most are blocked: SO-101, of 0.4 m, and arms of 1 m have the same best length.
@@ -55,17 +54,10 @@ PROJECTED_SEARCH = "RRTConnect on constraints"
 # Steps this long stay near the condition in between, and most descents back to it take two or three steps.
 STEP_RAD = 0.15
 
-# A step that has been brought back to less than this share of its length leads nowhere new.
-LEAST_PROGRESS = 0.2
-
-# Trees that reach out further at once are caught in corners.
-STEPS_AT_ONCE = 20
-
-# Via points drawn at once, and compared in one numpy call.
-VIA_POINTS = 1024
-
-# Checks after which a tree finds a path sooner: no quick via point is free then as a rule.
-MOST_CHECKS = 100
+LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
+STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
+VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
+MOST_CHECKS = 100  # checks after which a tree finds a path sooner: no quick via point is free then as a rule
 
 
 def checks_in(time_s: float) -> int:

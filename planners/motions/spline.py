@@ -9,8 +9,7 @@ import numpy as np
 
 from robot.trajectory import Vector
 
-# They leave 6e-14 of the first error: about rounding.
-HALVINGS = 44
+HALVINGS = 44  # they leave 6e-14 of the first error: about rounding
 
 # On a curve of few points the progress along it still has to rise and fall within this many steps.
 LEAST_GRID_STEPS = 20

@@ -11,8 +11,7 @@ from enum import IntEnum
 
 from planners.scene import Point, Pose
 
-# With a longer period the arm moves too far between two commands.
-MAX_PERIOD_S = 0.1
+MAX_PERIOD_S = 0.1  # with a longer period the arm moves too far between two commands
 
 # Share of the joints' acceleration that steering uses; the arm, which rounds the corners, needs some of the rest.
 ACCELERATION_SHARE = 0.7

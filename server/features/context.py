@@ -151,7 +151,7 @@ class ArmContext:
     def running(self) -> RunningGoal | None:
         """Return the goal that occupies the arm or its gripper; None when there is none."""
         remaining_s = None if self.gripper is None else self.gripper.remaining_s
-        return self.goals.queue.running_with(self.joints) or (
+        return self.goals.queue.running(self.joints) or (
             None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
         )
 

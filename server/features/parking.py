@@ -181,7 +181,7 @@ class Parking:
         """Keep the way from where the arm holds up to date, until cancelled; return at once where none is needed."""
         while self._parks_at_end and self._pose is not None:
             await asyncio.sleep(CHECK_S)
-            if not self._queue.busy and self._pool.idle_count and self._is_due:
+            if not self._queue.busy() and self._pool.idle_count and self._is_due:
                 await self._plan()
 
     async def prepare_exit(self) -> None:
@@ -319,7 +319,7 @@ class LastClient:
             log.info("the last client that may drive has left; arm.on_last_client = %r", self._policy)
         if self._left_s is None or self._clock() - self._left_s < self._delay_s:
             return False
-        if self._queue.busy or self._arm.state.mode is Mode.MOVING:
+        if self._queue.busy() or self._arm.state.mode is Mode.MOVING:
             return False
         self._left_s = None
         return True

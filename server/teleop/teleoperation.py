@@ -283,7 +283,7 @@ class Teleoperation:
     async def _until_unused(self, follower: Follower) -> None:
         """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake."""
         until_s = self._clock() + BRAKING_S
-        while busy := self._queue.busy_with(follower.joints):
+        while busy := self._queue.busy(follower.joints):
             if self._clock() > until_s:
                 raise ServiceError(f"{follower.name} cannot follow: it is in use: {busy}")
             await asyncio.sleep(POLL_S)

@@ -265,7 +265,7 @@ class JointTrajectoryController:
         context.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         # A client without a stamp has the stamp of its arrival.
         stamped = abs(starts_in_s) > SAME_STAMP_S
-        moving = bool(self._queue.busy_with(self._group.joints))
+        moving = bool(self._queue.busy(self._group.joints))
         timing = TrajectoryTiming(
             now_s + starts_in_s,
             stamped=stamped,

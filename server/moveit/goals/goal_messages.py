@@ -105,7 +105,7 @@ class GoalTranslator:
         group = options.group or self.group
         found = self._states.find(message["data"], group.name)
         if found is None:
-            names = self._states.names_in(group.name)
+            names = self._states.names(group.name)
             text = f"there is no named target {message['data']!r}; known are: {', '.join(names) or 'none'}"
             nearest = self._states.nearest_name(message["data"], group.name)
             raise invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))

@@ -103,15 +103,15 @@ async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
 
 
 async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:
-    assert desk.queue.running is None
+    assert desk.queue.running() is None
     desk.queue.submit(GoalRequest("/goals", desk.move("first"), client="unity"))
     await settle()
-    assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", None, 0)
+    assert desk.queue.running() == RunningGoal("goal 1 of unity from /goals", None, 0)
     desk.queue.submit(GoalRequest("/goals", desk.move("second")))
     desk.runner.report(Progress(GoalState.EXECUTING, "", 0.25, 3.0))
-    assert desk.queue.running == RunningGoal("goal 1 of unity from /goals", 3.0, 1)
+    assert desk.queue.running() == RunningGoal("goal 1 of unity from /goals", 3.0, 1)
     await desk.finish()
-    assert desk.queue.running == RunningGoal("goal 2 from /goals", None, 0)
+    assert desk.queue.running() == RunningGoal("goal 2 from /goals", None, 0)
 
 
 async def test_a_goal_over_the_capacity_is_rejected_with_the_limit(desk: Desk) -> None:

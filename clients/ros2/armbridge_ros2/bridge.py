@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
@@ -54,8 +54,8 @@ class Bridge(Node):
         token_file: str = self.declare_parameter("token_file", "").value
         token = Path(token_file).read_text().strip() if token_file else ""
         self._from_server: dict[str, Any] = {}
-        self._action_servers: list[ActionServer] = []
-        self._connection = Server(url, token, self._on_message, lambda sentence: self.get_logger().info(sentence))
+        self._action_servers: list[ActionServer[Any, Any, Any]] = []
+        self._connection = Server(url, token, self._on_message, self._report)
         # One after the other: of a goal and a stop that wait together the stop, the last of the list, goes last.
         self._in_order = MutuallyExclusiveCallbackGroup()
         self._side_by_side = ReentrantCallbackGroup()
@@ -74,6 +74,9 @@ class Bridge(Node):
         """Leave the server and the graph."""
         self._connection.close()
         self.destroy_node()
+
+    def _report(self, sentence: str) -> None:
+        self.get_logger().info(sentence)
 
     def _join(self, joined: Joined, join: Any) -> None:
         try:

@@ -11,7 +11,7 @@ from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
 from planners.servo.steering import WATCHED_M
-from robot.control.streaming import VelocityTracking
+from robot.control.motion import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from server.moveit.servo.servo_loop import LEAD_S

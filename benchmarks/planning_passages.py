@@ -41,8 +41,7 @@ STATES = 200
 TRIES = 2000
 BOARD = 0.02
 
-# The judge moves no joint further between two checks [rad or m].
-STEP = 0.01
+STEP = 0.01  # the judge moves no joint further between two checks [rad or m]
 
 
 def board(size: Sequence[float], at: Sequence[float]) -> tuple[Shape, Pose]:

@@ -30,8 +30,7 @@ PATH_M = 0.08
 POSITION_TOLERANCE_M = 0.002
 TURN_TOLERANCE_RAD = 0.02
 
-# UR5's own SRDF has no group.
-UR5_GROUP = '<group name="arm"><chain base_link="world" tip_link="tool0"/></group>'
+UR5_GROUP = '<group name="arm"><chain base_link="world" tip_link="tool0"/></group>'  # UR5's own SRDF has no group
 
 
 def published(name: str, more_srdf: str = "") -> RobotModel:

@@ -14,9 +14,8 @@ import numpy as np
 
 from robot.control.checks import names_refusal, refusal
 from robot.control.guards import Guards, Persistence, Temperatures
-from robot.control.motion import Motion, splice, splice_refusal
+from robot.control.motion import Motion, Streaming, splice, splice_refusal
 from robot.control.pacing import MAX_TICK_S
-from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Flags, Measured

@@ -21,8 +21,7 @@ from robot.emulator.plant import NO_LOAD_TICKS_S, STALL_CURRENT_A, Drive, Plant
 from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction
 from robot.hardware.config import EmulatedDynamixelConfig
-from robot.hardware.dynamixel.family import Dynamixel, model_of
-from robot.hardware.dynamixel.packets import ALERT, HEADER, PREFIX_BYTES, crc16, packet
+from robot.hardware.dynamixel.family import ALERT, HEADER, PREFIX_BYTES, Dynamixel, crc16, model_of, packet
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
     HARDWARE_ERRORS,
@@ -350,7 +349,7 @@ _SHORTEST_LENGTH = 3  # INST and CRC
 
 
 class DynamixelCodec(Codec):
-    """Packets of protocol 2.0, as :mod:`robot.hardware.dynamixel.packets` describes them."""
+    """Packets of protocol 2.0, as :mod:`robot.hardware.dynamixel.family` describes them."""
 
     header = HEADER
     word_bytes = 2

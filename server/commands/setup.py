@@ -10,20 +10,23 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from robot.commissioning.register_backup import BackupFile, SavedServo, match_saved, read_backup
 from robot.commissioning.scan import BAUDRATES, FACTORY_ID
 from robot.commissioning.setup import (
     BAUDRATE,
     NO_ANSWER,
+    BackupFile,
     Change,
     FoundServo,
+    SavedServo,
     ServoLine,
     changes_back,
     changes_for,
     check_model,
     choose_profile,
     look,
+    match_saved,
     needs_writing,
+    read_backup,
     search,
     supply_complaint,
     write,

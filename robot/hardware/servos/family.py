@@ -18,8 +18,7 @@ from robot.calibration import Calibration, JointCalibration
 from robot.errors import OrderRefused
 from robot.faults import ServoWarning
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
-from robot.hardware.servos.bus import ServoBus, StatusFrame
-from robot.hardware.servos.registers import Block, RegisterTable, Telemetry
+from robot.hardware.servos.bus import Block, RegisterTable, ServoBus, StatusFrame, Telemetry
 
 Values: TypeAlias = Mapping[Any, int]
 """Values of registers."""

@@ -66,10 +66,6 @@ def goals(**joints: float) -> np.ndarray:
     return np.array([joints.get(name, rest) for name, rest in zip(NAMES, REST, strict=True)])
 
 
-def test_every_movable_joint_of_the_robot_is_a_joint_of_the_arm() -> None:
-    assert NAMES == ("rail", "shoulder", "elbow")
-
-
 @pytest.mark.parametrize(
     ("start_rad", "stands_rad"),
     [

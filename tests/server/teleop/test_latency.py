@@ -22,9 +22,9 @@ from harness.full_meshes import Judge
 from planners.geometry.collision import CollisionModel
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import MAX_PERIOD_S, ServoAnswer, ServoLimits, ServoQuestion
-from planners.servo.velocity_limits import WATCHED_M
+from planners.servo.steering import WATCHED_M
 from robot.arm import ArmStream
-from robot.control.streaming import Streaming
+from robot.control.motion import Streaming
 from robot.description.limits import JointBounds
 from robot.messages import MotionEnded, Setpoint, Stream
 from server.execution.executor import GoalExecutors

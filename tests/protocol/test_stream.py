@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import random
 
 import bson
 import pytest
@@ -135,14 +134,6 @@ def test_a_stream_of_bson_stays_bson():
     frames, end = frames_of(document + b'{"op":"x"}')
     assert frames == [document]
     assert "a BSON document of" in str(end)
-
-
-def test_random_cuts_of_a_long_stream_give_every_document():
-    draw = random.Random(1)
-    documents = [bson.encode({"op": "publish", "n": n, "x": "y" * draw.randrange(300)}) for n in range(300)]
-    stream = b"".join(documents)
-    cut = [stream[at : at + 7] for at in range(0, len(stream), 7)]
-    assert frames_of(*cut) == (documents, None)
 
 
 def test_an_object_comes_as_text_and_one_that_is_no_utf8_as_bytes_to_be_refused():

@@ -50,17 +50,6 @@ def test_calls_beyond_the_limit_fail_at_once_and_ended_ones_make_room(world: InP
     assert len(world.heard("p")) == 3
 
 
-def test_a_call_that_timed_out_is_forgotten(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
-    world.say("c", op="call_service", service="/s", timeout=1)
-    world.clock.advance(2.0)
-    assert world.heard("c")[0]["result"] is False
-    assert world.clock.waiting == 0
-    world.heard("p")
-    respond(world, 1)
-    assert world.heard("c") == []
-    assert "no call of this id waits for a response" in caplog.text
-
-
 def test_a_late_response_is_never_taken_for_the_next_call(world: InProcess) -> None:
     world.say("c", op="call_service", service="/s", id="old", timeout=1)
     world.clock.advance(2.0)

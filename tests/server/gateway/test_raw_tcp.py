@@ -261,15 +261,6 @@ async def test_a_client_that_has_said_its_last_still_gets_its_answers(
         assert await client.next_frame() is None
 
 
-async def test_the_end_of_what_a_client_says_leaves_the_way_for_its_answers_open(listener: Listener) -> None:
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.send(op="call_service", service="/trigger")
-        await client.receive()
-        (stream,) = streams_of(listener)
-        assert stream.eof_received()
-        assert await client.next_frame() is None
-
-
 async def test_a_client_that_goes_on_sending_is_told_why_it_is_closed(listener: Listener) -> None:
     async with await RawClient.connect(port_of(listener)) as client:
         for _ in range(100):

@@ -298,11 +298,15 @@ class CollisionModel:
             return set()
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
 
-    def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
-        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient."""
+    def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
+        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient.
+
+        ``moving`` are the joints that may move, from which the motions of other arms are told apart.
+        """
         self._broadphase.turn(q)
+        columns = [self.joint_names.index(name) for name in moving]
         found = [(index, self._nearest(index)) for index in self._broadphase.within(within_m).tolist()]
-        near = [self._near_pair(index, nearest) for index, nearest in found]
+        near = [self._near_pair(index, nearest, columns) for index, nearest in found]
         return [pair for pair in near if pair.distance_m < within_m]
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:
@@ -331,6 +335,8 @@ class CollisionModel:
         self._pairs = checked_pairs(self._robot, scene.allowed, movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
         self._apart_m = padding(self._bodies, self._pairs)
+        # Whether each joint carries each body.
+        self._carried = self._joints.travel_by_joint(reach_m) > 0.0
         self._approach_m: Vector = self._joints.travel_by_joint(approach(reach_m, self._pairs))
         self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
         shapes = [body.shape for body in self._bodies]
@@ -379,14 +385,16 @@ class CollisionModel:
             return by_hulls
         return self._parts_of_pair(pair).nearest()
 
-    def _near_pair(self, pair: int, nearest: Nearest) -> NearPair:
+    def _near_pair(self, pair: int, nearest: Nearest, moving: Sequence[int]) -> NearPair:
         first, second = (self._bodies[i] for i in self._pairs[pair])
+        carried = self._carried[self._pairs[pair]]
         return NearPair(
             first.name,
             second.name,
             not (first.is_link and second.is_link),
             nearest.distance_m - float(self._apart_m[pair]),
             self._broadphase.distance_gradient(pair, nearest),
+            any(joints.any() and not joints[moving].any() for joints in carried),
         )
 
     def _apart(self, pair: int, margin_m: float) -> bool:

@@ -131,7 +131,7 @@ def _servo_state(
     max_change = ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints])
     velocity_rad_s = np.array([question.velocity_rad_s.get(name, 0.0) for name in names])
     ahead_m = watched_m(collision.travel_m_per_rad[columns], velocity_rad_s, max_change, question.period_s)
-    pairs = collision.near_pairs(q, ahead_m)
+    pairs = collision.near_pairs(q, ahead_m, names)
     bounds = velocity_bounds(q[columns], lower, upper, columns, pairs, limits, max_change, question.period_s)
     jacobian = forward.jacobian(q, question.link)[:, columns]
     return ServoState(
@@ -150,6 +150,7 @@ def _joint_outcome(command: JointVelocities, names: tuple[str, ...], state: Serv
     """Return the outcome of a joint command: only named joints move, also where others could help past a bound."""
     desired = np.array([command.velocity_rad_s.get(name, 0.0) for name in names])
     desired = desired * _share_of_speed(desired, state.max_velocity)
+    desired = desired * state.velocity_bounds.share_towards_arms(desired)
     named = np.eye(len(names))[:, desired != 0.0]
     velocity, active = solve([Task(np.eye(len(names)), desired)], POSITION_DAMPING, state.velocity_bounds, free=named)
     return Outcome(velocity, active, desired, velocity)

@@ -246,10 +246,11 @@ def _cancel_service(action: str) -> str:
 
 def _cancel(offer: Provider[Goal], request: dict[str, Any]) -> dict[str, Any]:
     wanted = request["goal_info"]["goal_id"]["uuid"]
-    selected = (
-        offer.requests if wanted == ALL_GOALS else {wanted: offer.requests[wanted]} if wanted in offer.requests else {}
-    )
-    canceling = {goal_id: goal for goal_id, goal in selected.items() if not goal.cancel_requested}
+    canceling = {
+        goal_id: goal
+        for goal_id, goal in offer.requests.items()
+        if wanted in (goal_id, ALL_GOALS) and not goal.cancel_requested
+    }
     for goal in canceling.values():
         goal.cancel()
     return {

@@ -7,8 +7,7 @@ import socket
 import subprocess
 import sys
 
-START_TIMEOUT_S = 10.0
-END_TIMEOUT_S = 5.0
+from harness.waiting import TIMEOUT_S
 
 
 class RunningEmulator:
@@ -21,7 +20,7 @@ class RunningEmulator:
                 [sys.executable, "-P", "-m", "robot.emulator", "--control-fd", str(theirs.fileno()), *options],
                 pass_fds=[theirs.fileno()],
             )
-        ours.settimeout(START_TIMEOUT_S)
+        ours.settimeout(TIMEOUT_S)
         self._socket = ours
         self._lines = ours.makefile("rb")
         self.port: str = json.loads(self._lines.readline())["port"]
@@ -41,4 +40,7 @@ class RunningEmulator:
         """End the process, whatever it does."""
         self.let_go()
         self.process.terminate()
-        self.process.wait(END_TIMEOUT_S)
+        try:
+            self.process.wait(TIMEOUT_S)
+        finally:
+            self.process.kill()

@@ -81,12 +81,20 @@ class RunningServer:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         self._ready.wait(START_TIMEOUT_S)
-        assert self.port, "the server did not start:\n" + "\n".join(self.lines)
+        if not self.port:
+            self.process.kill()
+            self.__exit__()
+            raise AssertionError("the server did not start:\n" + "\n".join(self.lines))
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
-            self.end(signal.SIGTERM)
+        try:
+            if self.process.poll() is None:
+                self.end(signal.SIGTERM)
+        finally:
+            # A server that does not end fails its test, and outlives it no longer.
+            self.process.kill()
+            self.process.wait()
         self._reader.join(5.0)
         assert self.process.stderr is not None
         self.process.stderr.close()

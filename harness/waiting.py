@@ -1,14 +1,21 @@
-"""Waits until something is so: never for a time in which it should be so."""
+"""Waits for events, each with a timeout that only a broken program meets."""
 
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 # What takes a millisecond takes much longer on a busy machine.
 TIMEOUT_S = 30.0
+
+# Longest run of a program that a test starts.
+PROGRAM_TIMEOUT_S = 180.0
 
 
 async def until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) -> None:
@@ -24,6 +31,30 @@ def wait_until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) ->
     while not condition():
         assert time.monotonic() < until_s, "it has not come to it in time"
         time.sleep(0.005)
+
+
+def join(thread: threading.Thread) -> None:
+    """Wait for the end of a thread."""
+    thread.join(TIMEOUT_S)
+    assert not thread.is_alive(), f"{thread.name} does not end"
+
+
+@contextmanager
+def running(command: Sequence[str | Path], **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """Run a program; the end of the block or of its time kills it, so that no read from it waits without an end.
+
+    Args:
+        command: program and arguments.
+        options: of ``subprocess.Popen``.
+    """
+    with subprocess.Popen(command, text=True, **options) as process:
+        overdue = threading.Timer(PROGRAM_TIMEOUT_S, process.kill)
+        overdue.start()
+        try:
+            yield process
+        finally:
+            overdue.cancel()
+            process.kill()
 
 
 async def given_up(*asking: asyncio.Task[Any]) -> None:

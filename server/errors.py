@@ -15,9 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
-from planners.problem import PlanningFailure
+from planners.problem import MoveItErrorCode, PlanningFailure
+
+Found = TypeVar("Found")
 
 
 class ServerError(Exception):
@@ -41,11 +43,7 @@ class FileTooLargeError(ServiceError):
 
 
 class UnsuccessfulError(ServerError):
-    """A service that has not succeeded, as its response says; the response has no field for the reason.
-
-    Attributes:
-        complete: True if the response has every field.
-    """
+    """A service that has not succeeded, as its response says, which has no field for the reason."""
 
     def __init__(self, response: Mapping[str, Any], reason: str, *, complete: bool = False) -> None:
         super().__init__(reason)
@@ -59,6 +57,23 @@ class RefusedError(ServerError):
     def __init__(self, failure: PlanningFailure) -> None:
         super().__init__(failure.message)
         self.failure = failure
+
+
+def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError:
+    """Make the error that rejects a request."""
+    return RefusedError(PlanningFailure(code, message, details))
+
+
+def invalid(message: str, **details: Any) -> RefusedError:
+    """Make the error that rejects a goal or a constraint."""
+    return refused(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, **details)
+
+
+def required(found: Found | PlanningFailure) -> Found:
+    """Return an answer of the planners, or a frame's pose; raise RefusedError for a failure."""
+    if isinstance(found, PlanningFailure):
+        raise RefusedError(found)
+    return found
 
 
 class ConfigurationError(ServerError):

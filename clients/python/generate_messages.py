@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from protocol.registry import Field, MessageType, Registry
-from server.features.interface import type_hashes
+from server.features.clients import type_hashes
 
 TARGET = Path(__file__).parent / "armbridge_client" / "messages.py"
 

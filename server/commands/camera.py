@@ -54,8 +54,7 @@ def add_camera_parser(subparsers: Subparsers) -> None:
 
 def _publish(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.datasets.camera import open_source
-    from server.datasets.camera_client import CameraOptions, publish_camera
+    from server.datasets.camera import CameraOptions, open_source, publish_camera
     from server.publishing_client import PublishedTopic
 
     token = read_token(options)

@@ -8,21 +8,20 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from planners.problem import MoveItErrorCode, RecheckQuestion
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, RecheckQuestion
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
-from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
+from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
-from server.execution.motions import HORIZON_S, SENDING_S, PathTime, Positions, SplicePoint, splice_point_of
-from server.execution.motions_in_progress import MotionsInProgress
+from server.execution.motions import HORIZON_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
 from server.execution.time_limits import ArmClock
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
@@ -76,6 +75,56 @@ class OutgoingMotion:
         if self.ended.done():
             return None
         return splice_point_of(self.motion.trajectory, self.path_time, now_s, horizon_s)
+
+
+class MotionWatch:
+    """Watch over one motion of a request until it ends: brakes it after a cancellation, and counts its time.
+
+    Args:
+        gripping: True for a motion that keeps its own speed where others are paused or slowed down.
+    """
+
+    def __init__(
+        self,
+        arm: AnyArm,
+        motion: asyncio.Future[MotionEnded],
+        scope: CancelScope,
+        clock: Callable[[], float],
+        *,
+        gripping: bool = False,
+    ) -> None:
+        self._arm, self._motion, self._scope, self._gripping = arm, motion, scope, gripping
+        self._arm_clock = ArmClock(arm, clock)
+        self._awaited: tuple[asyncio.Future[Any], ...] = (motion, scope.cancelled)
+
+    @property
+    def over(self) -> bool:
+        """True once the motion has ended or its time is over."""
+        return self._motion.done() or self._scope.deadline.exceeded is not None
+
+    async def step(self, period_s: float) -> MotionProgress | None:
+        """Wait for a period, the motion's end or its cancellation; return its progress, None where it is unknown."""
+        await asyncio.wait(self._awaited, timeout=period_s, return_when=asyncio.FIRST_COMPLETED)
+        if self._scope.reason and not self._scope.replaced and len(self._awaited) > 1:
+            self._arm.stop(self._motion)
+            self._awaited = (self._motion,)
+        progress = self._arm.progress(self._motion)
+        pace = Pace() if self._gripping else self._arm.state.pace
+        if progress is not None:
+            # A motion that the speed limit slows down uses its time up as slowly.
+            pace = replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
+        self._scope.deadline.pass_time(self._arm_clock.elapsed_s(), pace)
+        return None if self._motion.done() else progress
+
+    async def end(self) -> MotionEnded:
+        """Return the end of the motion; a motion whose time is over is braked."""
+        if not self._motion.done():
+            self._arm.stop(self._motion)
+            await self._arm.wait((self._motion,), BRAKING_TIMEOUT_S)
+        if not self._motion.done():
+            message = f"{self._scope.deadline.exceeded}, and does not brake either"
+            return MotionEnded(0, Outcome.PROCESS_LOST, message)
+        return self._motion.result()
 
 
 class Player:
@@ -168,30 +217,20 @@ class Player:
         self, goal: Goal, ended: asyncio.Future[MotionEnded], motion: CheckedMotion, to_come_s: float
     ) -> Answer:
         goal.deadline.begin(motion.trajectory.duration_s)
-        arm_clock = ArmClock(self._arm, self._clock)
-        awaited: tuple[asyncio.Future[Any], ...] = (ended, goal.cancelled)
-        while not ended.done() and goal.deadline.exceeded is None:
-            await asyncio.wait(awaited, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
-            if goal.reason and not ended.done():
-                if goal.replaced and self._end is None:
+        watch = MotionWatch(self._arm, ended, goal, self._clock)
+        while not watch.over:
+            progress = await watch.step(PROGRESS_PERIOD_S)
+            if goal.reason and self._end is None:
+                if goal.replaced and not ended.done():
                     return self._hand_over(goal, motion, ended)
-                if len(awaited) > 1:
-                    self._brake(Answer(MoveItErrorCode.PREEMPTED, goal.reason))
-                    awaited = (ended,)
-            progress, pace = self._arm.progress(ended), self._arm.state.pace
-            # A motion that the speed limit slows down uses its time up as slowly.
-            pace = pace if progress is None else replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
-            goal.deadline.pass_time(arm_clock.elapsed_s(), pace)
-            if not ended.done() and progress is not None:
+                self._end = Answer(MoveItErrorCode.PREEMPTED, goal.reason)
+            if progress is not None:
                 left_s = progress.remaining_s + to_come_s
                 goal.report(Progress(GoalState.EXECUTING, motion.summary, progress.fraction, left_s))
         if not ended.done():
             lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
-            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}"))
-            await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
-        if not ended.done():
-            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{goal.deadline.exceeded}, and does not brake either")
-        return self._answer(ended.result())
+            self._end = self._end or Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}")
+        return self._answer(await watch.end())
 
     def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
         path_time = self._path_time(motion.trajectory, ended)
@@ -218,10 +257,91 @@ class Player:
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:
-    """Return a sentence that names the joint, of some, that is farthest from its goal."""
     if state.goal_rad is None or state.position_rad is None:
         return "its joint positions are unknown"
     error_rad = np.abs(state.goal_rad - state.position_rad)
     lags = {name: float(error_rad[state.joint_names.index(name)]) for name in joints}
     worst = max(lags, key=lambda name: lags[name])
     return f"joint {worst} is {lags[worst]:.3f} {robot.joints[worst].unit} behind"
+
+
+@dataclass(frozen=True)
+class MotionInProgress:
+    """Motion that the arm plays."""
+
+    trajectory: Trajectory
+    ended: asyncio.Future[MotionEnded]
+
+    @property
+    def title(self) -> str:
+        """Its joints, for people."""
+        names = self.trajectory.joint_names
+        return f"the motion of {names[0]}" + (f" to {names[-1]}" if len(names) > 1 else "")
+
+
+class MotionsInProgress:
+    """Motions of all goals, by which motions of some joints are planned around motions of others.
+
+    Attributes:
+        turn: held by the goal that is being planned, so that the next one knows where its motions end.
+    """
+
+    def __init__(self) -> None:
+        self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}
+        self._announced: dict[Joints, Mapping[str, float]] = {}
+        self.turn = asyncio.Lock()
+
+    def announce(self, joints: Joints, end_rad: Mapping[str, float]) -> None:
+        """Tell where motions of some joints that are planned will end [rad]."""
+        self._announced[joints] = end_rad
+
+    def withdraw(self, joints: Joints) -> None:
+        """Forget what was announced of some joints."""
+        self._announced.pop(joints, None)
+
+    def add(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> None:
+        """Add a motion, until it ends."""
+        if not ended.done():
+            self._motions[ended] = MotionInProgress(trajectory, ended)
+            ended.add_done_callback(lambda _ended: self._motions.pop(ended, None))
+
+    def of(self, joints: Iterable[str]) -> list[MotionInProgress]:
+        """Return the motions of any of some joints."""
+        wanted = frozenset(joints)
+        return [one for one in self._live if wanted & set(one.trajectory.joint_names)]
+
+    def beside(self, joints: Joints) -> list[MotionInProgress]:
+        """Return the motions of none but other joints."""
+        return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
+
+    def expected_rad(self, held_rad: Mapping[str, float], joints: Joints) -> dict[str, float]:
+        """Return where the joints will hold when every motion of others, begun or announced, has ended [rad].
+
+        Args:
+            joints: those for which this is asked; they are where they hold now.
+        """
+        expected_rad = dict(held_rad)
+        for one in self.beside(joints):
+            end_rad = one.trajectory.positions_rad[-1].tolist()
+            expected_rad |= zip(one.trajectory.joint_names, end_rad, strict=True)
+        for announced, end_rad_of in self._announced.items():
+            if not announced & joints:
+                expected_rad |= end_rad_of
+        return expected_rad
+
+    @property
+    def _live(self) -> list[MotionInProgress]:
+        # The callback of an end comes a turn of the event loop later than the end.
+        return [one for one in self._motions.values() if not one.ended.done()]
+
+
+def meeting_question(
+    first: Trajectory, second: MotionInProgress, expected_rad: Mapping[str, float]
+) -> ConcurrencyQuestion:
+    """Return the question to planners if a motion may touch one in progress.
+
+    The whole of the other is asked about, not its rest alone: paused motions can be sent back to where they began.
+    """
+    moving = {*first.joint_names, *second.trajectory.joint_names}
+    others_rad = {name: value for name, value in expected_rad.items() if name not in moving}
+    return ConcurrencyQuestion(first, second.trajectory, others_rad)

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
+import hashlib
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
+from importlib import metadata
+from typing import Any
+
+from websockets.http11 import Request
+
+from protocol.registry import Registry
+from protocol.type_descriptions import message_hash, service_hash
+from server.access.authorization import rule_of_action, rule_of_service, rule_of_topic
 from server.access.one_time_tokens import OneTimeTokenService
-from server.features.context import ServerContext
-from server.features.interface import PATH, InterfaceDocument
+from server.features.context import ArmContext, ServerContext
 from server.gateway import http_goals
-from server.gateway.http import HttpHandler, Route
+from server.gateway.http import HttpHandler, HttpResponse, Route
 from server.gateway.listener import Listener
+from server.graph.permissions import NameFilter, Role, Rule
+from server.graph.services import MAX_TIMEOUT_S
+from server.graph.topics import Graph
 from server.lifecycle import Feature
 
 
@@ -42,3 +56,91 @@ class Clients(Feature):
 
     async def stop(self) -> None:
         await self.listener.close()
+
+
+PATH = "armbridge/interface.json"
+
+# Of the document's own form; it grows when a field changes its meaning.
+FORMAT = 1
+
+
+class InterfaceDocument:
+    """Document about the server for clients; topics, services and actions are listed as they are at the moment."""
+
+    def __init__(self, context: ServerContext) -> None:
+        self._context = context
+
+    async def answer(self, _request: Request) -> HttpResponse:
+        """Return the document."""
+        context, graph, access = self._context, self._context.graph, self._context.access
+        settings = context.settings
+        # 70 ms for the hashes of all types, the first time.
+        types = await asyncio.to_thread(type_hashes, graph.message_types.registry)
+        document = {
+            "format": FORMAT,
+            "version": metadata.version("armbridge"),
+            "roles": [role.name.lower() for role in Role],
+            "settings": {
+                "ros_version": settings.server.ros_version,
+                "control": settings.access.control,
+                "on_disconnect": settings.goals.on_disconnect,
+                "confirm": context.goals.confirmation.enabled,
+                "confirm_timeout_s": settings.goals.confirm_timeout_s,
+                "max_message_bytes": settings.server.limits.max_message_bytes,
+                "max_call_s": MAX_TIMEOUT_S,
+            },
+            "arms": [_arm(arm) for arm in context.arms],
+            "topics": _names(graph.topic_types(), rule_of_topic, graph, access.topics, "topic"),
+            "services": _names(graph.services.types(), rule_of_service, graph, access.services, "service"),
+            "actions": _names(graph.actions.types(), rule_of_action, graph, access.services, "action"),
+            "types": types,
+            "types_sha256": hashlib.sha256("".join(map("{0[0]}{0[1]}".format, types.items())).encode()).hexdigest(),
+        }
+        return HttpResponse.of_json(HTTPStatus.OK, document)
+
+
+def type_hashes(registry: Registry) -> dict[str, str]:
+    """Return the hash of every type by its name.
+
+    Messages and services have ROS 2's (REP-2016); an action has the SHA-256 of its goal's, result's and feedback's.
+    """
+    return {name: _type_hash(registry, name) for name in sorted(registry.type_names())}
+
+
+def _type_hash(registry: Registry, name: str) -> str:
+    kind = name.split("/")[1]
+    if kind == "srv":
+        return service_hash(registry, name)
+    if kind == "msg":
+        return message_hash(registry, name)
+    members = "".join(message_hash(registry, f"{name}_{member}") for member in ("Goal", "Result", "Feedback"))
+    return f"sha256_{hashlib.sha256(members.encode()).hexdigest()}"
+
+
+def _arm(arm: ArmContext) -> dict[str, Any]:
+    robot = arm.robot
+    return {
+        "name": arm.name,
+        "robot": robot.name,
+        "group": arm.planning.problems.group("").name if not arm.name else robot.default_group,
+        "groups": {group.name: list(group.joints) for group in robot.groups.values()},
+        "gripper": [] if robot.gripper is None else list(robot.gripper.joints),
+        "frame": robot.root_link,
+        "tip": arm.parameters.end_effector_link or robot.tip_link,
+    }
+
+
+def _names(
+    types: Mapping[str, str],
+    rule_of: Callable[[str, Graph], Rule],
+    graph: Graph,
+    allowed: NameFilter,
+    kind: str,
+) -> dict[str, dict[str, Any]]:
+    """Return type and rule of the names that no setting hides; the rule of a topic is the rule of publishing on it."""
+    rules = {name: rule_of(name, graph) for name in sorted(types)}
+    return {
+        name: {"type": types[name], "role": rule.role.name.lower(), "drives": rule.drives, "stops": rule.stops}
+        for name, rule in rules.items()
+        if rule.stops or allowed.refusal(kind, name) is None
+    }

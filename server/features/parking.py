@@ -33,7 +33,7 @@ from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
 from server.lifecycle import BackgroundTask, Feature
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 
 log = logging.getLogger("armbridge.parking")
 
@@ -185,7 +185,7 @@ class Parking:
         """Keep the way from where the arm holds up to date, until cancelled; return at once where none is needed."""
         while self._parks_at_end and self._pose is not None:
             await asyncio.sleep(CHECK_S)
-            if not self._queue.busy and self._pool.idle_count and self._is_due:
+            if not self._queue.busy() and self._pool.idle_count and self._is_due:
                 await self._plan()
 
     async def prepare_exit(self) -> None:
@@ -218,7 +218,6 @@ class Parking:
         return self._arm.state.mode is Mode.HOLDING
 
     def _here(self) -> _Place | None:
-        """Return where the arm holds; None unless it does."""
         if not self.holds or (held_rad := self._current.positions_rad()) is None:
             return None
         state = self._arm.state
@@ -290,7 +289,7 @@ class CommonParking:
         while self._parkings:
             await asyncio.sleep(CHECK_S)
             place = self._here()
-            if self._queue.busy or not self._planning.pool.idle_count or place is None or place.same_as(self._place):
+            if self._queue.busy() or not self._planning.pool.idle_count or place is None or place.same_as(self._place):
                 continue
             await self._plan(place)
 
@@ -364,7 +363,6 @@ class _Place:
     speed_limit: float
 
     def same_as(self, other: _Place | None) -> bool:
-        """Return True when a way from another place is one from here."""
         if other is None or (self.version, self.arms, self.speed_limit) != (
             other.version,
             other.arms,
@@ -413,7 +411,7 @@ class LastClient:
             log.info("the last client that may drive has left; arm.on_last_client = %r", self._policy)
         if self._left_s is None or self._clock() - self._left_s < self._delay_s:
             return False
-        if self._queue.busy or self._arm.state.mode is Mode.MOVING:
+        if self._queue.busy() or self._arm.state.mode is Mode.MOVING:
             return False
         self._left_s = None
         return True

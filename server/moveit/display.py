@@ -1,20 +1,17 @@
-"""Topics for viewers: the arm's transforms, planned motions, contacts, and the state of the pipeline."""
+"""Topics for viewers: planned motions, contacts, and the state of the pipeline."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from protocol.messages import Stamp
-from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from robot.messages import ArmState
 from server.execution.monitors import state_message
 from server.execution.motions import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.poses import Message, pose_of, write_transform
+from server.moveit.messages import Message
 from server.moveit.trajectories import to_message
 
 PATH_TOPIC = "/display_planned_path"
@@ -34,12 +31,6 @@ CONTACT_COLOR = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 0.7}
 
 # More of them hide the arm.
 MAX_CONTACTS = 50
-
-TRANSFORMS_TOPIC = "/tf"
-STATIC_TRANSFORMS_TOPIC = "/tf_static"
-
-# A state that is due a little early still counts.
-EARLY_S = 0.005
 
 
 class DisplayTopics:
@@ -88,7 +79,6 @@ class DisplayTopics:
 
 
 def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a sphere at a contact; its namespace names the two bodies."""
     position = dict(zip("xyz", pair["point_m"], strict=True))
     return {
         "header": header,
@@ -101,45 +91,3 @@ def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> d
         "color": CONTACT_COLOR,
         "lifetime": {"sec": CONTACT_LIFETIME_S, "nanosec": 0},
     }
-
-
-class TransformsTopics:
-    """Transforms of the arm: transforms of movable joints with the joint states, the others once."""
-
-    def __init__(self, graph: Graph, robot: RobotModel, rate_hz: float) -> None:
-        self._graph = graph
-        self._period_s = 1.0 / rate_hz
-        self._placements = ForwardPlacements(robot)
-        joints = robot.joints.values()
-        self._moving = [joint.child for joint in joints if joint.moves]
-        self._fixed = [joint.child for joint in joints if not joint.moves]
-        self._node = Node("robot state publisher")
-        self._published_s = 0.0
-        self._graph.advertise(self._node, TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
-        self._graph.advertise(self._node, STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
-        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, time.time()))
-
-    def take_state(self, state: ArmState) -> None:
-        """Publish a state of the arm, if there are subscribers and it is due."""
-        if state.position_rad is None or not self._graph.subscribers(TRANSFORMS_TOPIC):
-            return
-        # The clock of a process that has started again may be behind; that must not silence the topic.
-        if 0.0 <= state.clock_s - self._published_s < self._period_s - EARLY_S:
-            return
-        self._published_s = state.clock_s
-        positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
-        self._graph.publish(self._node, TRANSFORMS_TOPIC, self._message(self._moving, positions_rad, state.stamp_s))
-
-    def _message(self, links: list[str], positions_rad: Mapping[str, float], stamp_s: float) -> dict[str, Any]:
-        stamp = Stamp.from_seconds(stamp_s).as_message()
-        transforms = []
-        for link in links:
-            parent, transform_link_to_parent = self._placements.joint_transform(link, positions_rad)
-            transforms.append(
-                {
-                    "header": {"stamp": stamp, "frame_id": parent},
-                    "child_frame_id": link,
-                    "transform": write_transform(pose_of(transform_link_to_parent)),
-                }
-            )
-        return {"transforms": transforms}

@@ -16,7 +16,7 @@ from planners.goals import JointGoal
 from planners.problem import MoveItErrorCode
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
-from server.errors import RefusedError, ServiceError
+from server.errors import RefusedError, ServiceError, invalid
 from server.execution.goal import Answer, Progress
 from server.execution.motions import PlannedMotion, Positions, Step
 from server.execution.queue import GoalQueue
@@ -24,13 +24,11 @@ from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import code_message, reject_goal, submit_goal
-from server.moveit.error_codes import invalid
-from server.moveit.poses import Message
+from server.moveit.actions.goal_bridge import reject_goal, submit_goal
+from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_problems import ProblemBuilder
-from server.teaching.motion_files import MotionFiles
 from server.teaching.services import CHECK_TIME_S
-from server.teaching.taught_motion import TaughtMotion, read_speed
+from server.teaching.taught_motion import MotionFiles, TaughtMotion, read_speed
 
 log = logging.getLogger("armbridge.teaching")
 
@@ -70,19 +68,16 @@ class ReplayAction:
         queue: GoalQueue,
         problems: ProblemBuilder,
     ) -> None:
-        self._graph = graph
         self._robot = robot
         self._motions = motions
         self._queue = queue
         self._problems = problems
-        # The event loop keeps only weak references to tasks.
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
+        graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         task = asyncio.create_task(self._submit(goal), name="a replay")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        # The goal keeps the task alive, which the event loop does not.
+        goal.when_ended(lambda _end: task)
 
     async def _submit(self, goal: Goal) -> None:
         try:
@@ -158,4 +153,4 @@ def result(answer: Answer, note: str = "") -> dict[str, Any]:
         answer = replace(answer, message=answer.message.removeprefix(f"items[{item}]: "))
     followed = f"the arm has followed the motion{note}"
     message = followed if answer.code is MoveItErrorCode.SUCCESS else answer.message
-    return {"error_code": code_message(replace(answer, message=message)), "message": message}
+    return {"error_code": error_code(answer.code, message), "message": message}

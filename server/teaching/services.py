@@ -19,11 +19,11 @@ from server.execution.monitors import CurrentState, SceneSource
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
 from server.graph.topics import Graph
-from server.moveit.poses import Message
-from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
-from server.teaching.motion_files import MotionFiles
+from server.moveit.messages import Message
+from server.moveit.requests.planning_problems import TRAJECTORY_LIMITS
 from server.teaching.taught_motion import (
     MAX_DURATION_S,
+    MotionFiles,
     TaughtMotion,
     from_message,
     of_recording,

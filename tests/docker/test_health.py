@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from docker import health
+from harness.waiting import join
 from tests.helpers.resources import make_pair
 
 
@@ -37,7 +38,7 @@ def running(monkeypatch: pytest.MonkeyPatch, context: ssl.SSLContext | None = No
         thread.start()
         yield
         server.shutdown()
-        thread.join()
+        join(thread)
 
 
 def test_a_server_that_lives_is_healthy(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 
 import pytest
@@ -18,6 +17,7 @@ from websockets.sync.client import connect
 
 from harness.clients import call_on
 from harness.server import CLIENT_ENVIRONMENT, FAST_ARMS, RunningServer, free_port
+from harness.waiting import running
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
 
@@ -164,21 +164,18 @@ def test_two_arms_are_moved_each_by_its_name_and_then_together(run_example: RunE
 def test_an_arm_follows_its_leader_until_ctrl_c() -> None:
     with RunningServer(f"--port 0 --config {EXAMPLES / 'leader_follower.toml'}", FAST_ARMS) as arms:
         command = [sys.executable, str(EXAMPLES / "leader_follower.py"), "--url", arms.url]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=CLIENT_ENVIRONMENT) as following:
+        with running(command, stdout=subprocess.PIPE, env=CLIENT_ENVIRONMENT) as following:
             assert following.stdout is not None
-            overdue = threading.Timer(EXAMPLE_TIMEOUT_S, following.kill)
-            overdue.start()
             lines = list(itertools.takewhile(lambda line: not line.startswith("following"), following.stdout))
             following.send_signal(signal.SIGINT)
             rest, _ = following.communicate(timeout=EXAMPLE_TIMEOUT_S)
-            overdue.cancel()
     assert "idle: " in rest, (lines, rest)
     assert following.returncode == 0
 
 
 def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: RunningServer) -> None:
     command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--url", server.url]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=CLIENT_ENVIRONMENT) as wave:
+    with running(command, stdout=subprocess.PIPE, env=CLIENT_ENVIRONMENT) as wave:
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]
         wave.send_signal(signal.SIGINT)
@@ -192,7 +189,7 @@ def test_the_wave_tells_why_it_may_not_move_the_arm(server: RunningServer) -> No
     command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--url", server.url]
     with (
         connect(server.url) as other,
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=CLIENT_ENVIRONMENT) as wave,
+        running(command, stdout=subprocess.PIPE, env=CLIENT_ENVIRONMENT) as wave,
     ):
         assert call_on(other, "/arm/take_control")["success"]
         assert wave.stdout is not None

@@ -30,7 +30,7 @@ from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalTranslator
 from server.moveit.named_states import Change, NamedStates, States
 from server.moveit.parameters import MoveItParameters, PlannerParameters
-from server.moveit.requests.context import RequestContext
+from server.moveit.requests.constraints import RequestContext
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.scene.frames import Frames, LinkTransforms
 from server.moveit.scene.planning_scene import SceneDraft

@@ -26,13 +26,10 @@ from robot.messages import ArmState, Command, Mode, Order
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.config import Settings
-from server.features.arm_control import ArmControl
-from server.features.commissioning import CommissioningOfArms, Restart
+from server.features.arms import ArmControl, CommissioningOfArms, Following, Restart, TaughtMotions
 from server.features.context import context_of
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
 from server.features.parking import Parkings
-from server.features.teaching import TaughtMotions
-from server.features.teleoperation import Following
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.teaching.taught_motion import TaughtMotion

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from harness.emulator import RunningEmulator
+from harness.waiting import running
 from tests.helpers.kit import KIT
 from tests.helpers.robots import SO101_SERVOS
 
@@ -27,9 +28,7 @@ pytestmark = pytest.mark.skipif(not PYTHON.exists(), reason="lerobot is not inst
 @contextmanager
 def driver(port: str) -> Iterator[Callable[[str], object]]:
     """Start lerobot's driver; the yielded function carries out a step of the scenario and returns its result."""
-    with subprocess.Popen(
-        [PYTHON, SCENARIO, port, *JOINTS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
+    with running([PYTHON, SCENARIO, port, *JOINTS], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None
 

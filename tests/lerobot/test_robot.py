@@ -20,7 +20,7 @@ import pytest
 from armbridge_client import Arm, connect
 from armbridge_client.messages import Header, JointState, Time
 from harness.server import FAST, FAST_ARMS, ROOT, RunningServer
-from harness.waiting import wait_until
+from harness.waiting import running, wait_until
 
 BIN = ROOT / "build" / "lerobot" / "bin"
 SCENARIO = Path(__file__).with_name("robot_scenario.py")
@@ -75,11 +75,8 @@ def leader(port: int) -> Iterator[None]:
 @contextmanager
 def camera(port: int) -> Iterator[None]:
     command = [str(ROOT / ".venv" / "bin" / "armbridge"), "camera", "test", "--width", "320"]
-    with subprocess.Popen([*command, "--connect", f"ws://127.0.0.1:{port}"], stderr=subprocess.DEVNULL) as process:
-        try:
-            yield
-        finally:
-            process.terminate()
+    with running([*command, "--connect", f"ws://127.0.0.1:{port}"], stderr=subprocess.DEVNULL):
+        yield
 
 
 def lerobot(command: str, *options: str) -> str:
@@ -205,13 +202,8 @@ def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, d
 
 @contextmanager
 def scenario(port: int, *arm: str) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen(
-        [str(BIN / "python"), str(SCENARIO), "robot", f"ws://127.0.0.1:{port}", *arm],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        bufsize=1,
-    ) as process:
+    command = [BIN / "python", SCENARIO, "robot", f"ws://127.0.0.1:{port}", *arm]
+    with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1) as process:
         yield process
         process.communicate(timeout=60)
 

@@ -14,6 +14,7 @@ from websockets.sync import client as blocking
 from harness.clients import call, publish, values_of
 from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from harness.server import RunningServer
+from harness.waiting import join
 from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def test_a_page_that_stood_still_moves_nothing_after_the_stop_of_another(
     stopping = threading.Timer(0.5, stop_from_elsewhere, (server.url, stop))
     stopping.start()
     page.page.evaluate("(() => { const end = performance.now() + 1500; while (performance.now() < end); })()")
-    stopping.join()
+    join(stopping)
     time.sleep(0.2)
     assert record.stands(WATCHED_S)
     page.until_state(f"s.arm.last_stop !== '{last_stop}'")

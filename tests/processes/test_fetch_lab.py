@@ -18,6 +18,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
 from harness.server import FAST, ROOT, RunningServer
+from harness.waiting import running
 from robot.description import robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
 
@@ -183,7 +184,7 @@ async def test_a_cancel_without_an_id_ends_all_goals_and_the_arm_stands(lab: Lab
 
 def test_the_example_waves_until_ctrl_c_and_leaves_no_goal(server: RunningServer) -> None:
     command = [sys.executable, str(ROOT / "examples" / "fetch_wave.py"), "--url", server.url]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as wave:
+    with running(command, stdout=subprocess.PIPE) as wave:
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]
         wave.send_signal(signal.SIGINT)

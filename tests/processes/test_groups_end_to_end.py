@@ -15,7 +15,7 @@ from harness.clients import ArmClient, FrameClient, arm_client, frame_client, st
 from harness.server import RunningServer
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
-from server.moveit.poses import pose_of, write_pose
+from server.moveit.messages import pose_of, write_pose
 from tests.helpers.robots import LIFTED_GRIPPER, LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF, folder_arguments
 
 LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)

@@ -14,7 +14,7 @@ from harness.server import RunningServer
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from server.moveit.poses import pose_of, write_pose
+from server.moveit.messages import pose_of, write_pose
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 
 # The last joint moves the hand along its axis instead of about it.

@@ -23,7 +23,7 @@ from harness.server import ROOT, RunningServer, ServerOnBus, server_on_bus
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
-from robot.hardware import boards
+from robot.hardware import port
 from robot.hardware.config import FeetechConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
@@ -92,7 +92,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPort
     found: list[ListPortInfo] = []
     monkeypatch.setattr(list_ports, "comports", lambda: found)
     for name in ("NAMES_BY_DEVICE", "NAMES_BY_SOCKET", "KERNEL_RELEASE", "BOARD_MODEL"):
-        monkeypatch.setattr(boards, name, tmp_path / name)
+        monkeypatch.setattr(port, name, tmp_path / name)
     return found
 
 

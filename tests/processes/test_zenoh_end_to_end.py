@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import signal
 import subprocess
@@ -17,7 +16,7 @@ from websockets.asyncio.client import connect
 
 from harness.clients import arm_client, frame_client
 from harness.server import RunningServer
-from harness.waiting import until, wait_until
+from harness.waiting import running, until, wait_until
 from protocol.codecs import json
 from tests.helpers.zenoh_network import RosMachine, free_port
 
@@ -170,21 +169,12 @@ async def test_a_client_of_another_server_calls_a_service_of_the_arm(lab: Lab) -
     assert answer["values"] == {"success": True, "message": "the arm does not move"}
 
 
-@contextlib.contextmanager
-def deaf_machine(port: int) -> Iterator[subprocess.Popen[str]]:
-    """A machine that has asked for joint states, and then reads nothing any more."""
-    with subprocess.Popen([sys.executable, "-c", DEAF, str(port)], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "up\n"
-            os.kill(process.pid, signal.SIGSTOP)
-            yield process
-        finally:
-            process.kill()
-
-
 async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(lab: Lab) -> None:
-    with deaf_machine(lab.port):
+    # A machine that has asked for joint states, and then reads nothing any more.
+    with running([sys.executable, "-c", DEAF, str(lab.port)], stdout=subprocess.PIPE) as deaf:
+        assert deaf.stdout is not None
+        assert deaf.stdout.readline() == "up\n"
+        os.kill(deaf.pid, signal.SIGSTOP)
         heard = lab.machine.hear("/arm1/joint_states", JOINT_STATE)
         await until(lambda: len(heard) >= 100)
         code, _ = await asyncio.to_thread(lab.arm.end, signal.SIGTERM, END_TIMEOUT_S)

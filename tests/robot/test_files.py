@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.waiting import running
 from robot import files
 from robot.files import FileLock, FileLockedError, FileSeries, lock_path, locked, replace, set_aside
 
@@ -30,7 +31,7 @@ def path(tmp_path: Path) -> Path:
 
 def test_a_lock_that_another_process_has_is_refused_with_its_number_and_free_after_its_death(path: Path) -> None:
     command = [sys.executable, "-c", HOLDER, str(path.with_name("other")), str(path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+    with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
         assert holder.stdout.readline() == "locked\n"
         with pytest.raises(FileLockedError) as raised:
             FileLock(path).acquire()

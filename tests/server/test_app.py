@@ -11,7 +11,7 @@ from protocol.registry import Registry
 from server.app import App
 from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
-from server.features.recording import Recording, open_recorder
+from server.features.monitoring import Recording, open_recorder
 from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
 from server.recording.replay import Recording as RecordedMessages

@@ -22,7 +22,7 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.arrival import arrival_epoch, is_stopped
-from server.errors import GraphError, RefusedError
+from server.errors import GraphError, RefusedError, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
@@ -33,10 +33,9 @@ from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
-from server.moveit.error_codes import refused
-from server.moveit.poses import Message
-from server.moveit.requests.list_limits import TRAJECTORY_LIMITS
+from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_problems import TRAJECTORY_LIMITS
 from server.moveit.trajectories import TrajectoryTiming, check_speed, external_motion, read_seconds
 
 log = logging.getLogger("armbridge.actions")
@@ -266,7 +265,7 @@ class JointTrajectoryController:
         context.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         # A client without a stamp has the stamp of its arrival.
         stamped = abs(starts_in_s) > SAME_STAMP_S
-        moving = bool(self._queue.busy_with(self._group.joints))
+        moving = bool(self._queue.busy(self._group.joints))
         timing = TrajectoryTiming(
             now_s + starts_in_s,
             stamped=stamped,

@@ -22,7 +22,7 @@ from server.graph.node import Node
 from server.graph.permissions import PLANNING
 from server.graph.topics import Graph
 from server.moveit.goals.goal_messages import GoalTranslator
-from server.moveit.poses import Message, matrix_of
+from server.moveit.messages import Message, matrix_of
 from server.moveit.requests.planning_context import PlanningContext
 
 SERVICE = "/check_goals"
@@ -99,7 +99,6 @@ class GoalChecks:
 def _problem(
     translate: Callable[[Message], PlannedMotion], message: Message, present_rad: Positions
 ) -> PlanningProblem | PlanningFailure:
-    """Return the problem that would be planned for a goal from here, or the reason why there is none."""
     try:
         problem = translate(message).steps[0](present_rad)
     except RefusedError as error:

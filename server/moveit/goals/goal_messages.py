@@ -11,12 +11,12 @@ from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
+from server.errors import invalid, refused
 from server.execution.motions import PlannedMotion, Positions
-from server.moveit.error_codes import invalid, refused
+from server.moveit.messages import Message, composed, read_pose
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import Message, composed, read_pose
-from server.moveit.requests.context import checked_tip, chooses_orientation, planning_group, tip_link
+from server.moveit.requests.constraints import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
@@ -105,7 +105,7 @@ class GoalTranslator:
         group = options.group or self.group
         found = self._states.find(message["data"], group.name)
         if found is None:
-            names = self._states.names_in(group.name)
+            names = self._states.names(group.name)
             text = f"there is no named target {message['data']!r}; known are: {', '.join(names) or 'none'}"
             nearest = self._states.nearest_name(message["data"], group.name)
             raise invalid(text, known=names, **({} if nearest is None else {"nearest_name": nearest}))
@@ -217,7 +217,6 @@ class GoalTranslator:
 
 
 def _position_m(message: Message) -> tuple[float, float, float]:
-    """Read the position of a geometry_msgs/Pose [m]."""
     point = message["position"]
     for axis in "xyz":
         if not math.isfinite(point[axis]):
@@ -226,7 +225,6 @@ def _position_m(message: Message) -> tuple[float, float, float]:
 
 
 def _whole_pose(message: Message, group: Group) -> Pose:
-    """Read a geometry_msgs/Pose whose orientation counts."""
     pose = read_pose(message, "pose")
     length = math.hypot(*(message["orientation"][axis] for axis in "xyzw"))
     if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -315,7 +313,6 @@ def _joints(positions_rad: Mapping[str, float], robot: RobotModel, what: str) ->
 
 
 def _within_limits(message: Message, robot: RobotModel) -> Suggestion:
-    """Return the joint goal with every joint within its limits."""
     named = zip(message["name"], message["position"], strict=True)
     known = {name: value for name, value in named if name in robot.joints}
     limits = {name: (robot.joints[name].lower, robot.joints[name].upper) for name in known}

@@ -34,7 +34,7 @@ from server.moveit.goals.goal_messages import (
     GoalTranslator,
     suggestion,
 )
-from server.moveit.poses import Message
+from server.moveit.messages import Message
 
 log = logging.getLogger("armbridge.goals")
 

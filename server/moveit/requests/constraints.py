@@ -1,11 +1,11 @@
-"""moveit_msgs/Constraints, read as a goal to reach and as path constraints."""
+"""Context in which the fields of a request are read, and moveit_msgs/Constraints read as goal and path constraints."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from planners.goals import (
     AnyOf,
@@ -15,22 +15,24 @@ from planners.goals import (
     JointConstraint,
     JointGoal,
     OrientationConstraint,
-    Point,
     PoseGoal,
     PositionConstraint,
     PositionGoal,
     SingleGoal,
 )
-from planners.scene import Pose
-from robot.description.model import Joint
-from server.moveit.error_codes import invalid
-from server.moveit.poses import Message
-from server.moveit.requests.context import RequestContext, chooses_orientation
+from planners.problem import MoveItErrorCode
+from planners.scene import Point, Pose
+from robot.description.model import Group, Joint, RobotModel
+from server.errors import invalid, refused
+from server.moveit.messages import Message, check_finite, read_point, read_pose
+from server.moveit.parameters import MoveItParameters
+from server.moveit.scene.frames import Frames, in_root
+
+# A pose has six dimensions: a group with fewer joints cannot reach any orientation.
+FREE_POSE_JOINTS = 6
 
 # Positions this near to each other are one: MoveGroupInterface's default joint tolerance.
 LEAST_JOINT_TOLERANCE_RAD = 1e-4
-
-AXES = ("x", "y", "z")
 
 # MoveGroupInterface's default; a search cannot end exactly on a point.
 LEAST_ORIENTATION_TOLERANCE_RAD = 1e-3
@@ -58,6 +60,80 @@ ELONGATED_FACTOR = 2.0
 MAX_ALTERNATIVES = 64
 
 
+@dataclass(frozen=True)
+class RequestContext:
+    """Context of one request.
+
+    Attributes:
+        warnings: a sentence for each part of the request that is not followed; grows while the request is read.
+    """
+
+    robot: RobotModel
+    group: Group
+    frames: Frames
+    start_rad: Mapping[str, float]
+    parameters: MoveItParameters
+    warnings: list[str] = field(default_factory=list)
+
+    def link(self, name: str) -> str:
+        """Return the name of a link; the tip's for an empty name."""
+        if not name:
+            return checked_tip(tip_link(self.robot, self.group, self.parameters), self.group)
+        if name not in self.robot.links:
+            known = ", ".join(self.robot.links)
+            raise refused(
+                MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {name!r}; it has: {known}", link=name
+            )
+        return name
+
+    def placed(self, frame_id: str, message: Message, where: str) -> Pose:
+        """Transform a geometry_msgs/Pose from a frame into the root link.
+
+        Args:
+            frame_id: the frame; empty for the root link.
+        """
+        frame = self.frames.resolve(frame_id, self.start_rad)
+        return in_root(frame, read_pose(message, where))
+
+
+def chooses_orientation(group: Group) -> bool:
+    """Return true if a group has the joints to reach any orientation."""
+    return len(group.joints) >= FREE_POSE_JOINTS
+
+
+def checked_tip(link: str, group: Group) -> str:
+    """Return the tip of a group."""
+    if not link:
+        raise refused(
+            MoveItErrorCode.INVALID_LINK_NAME,
+            f"group {group.name} has no tip, for its joints are not one chain: name a link, or another group",
+            group=group.name,
+        )
+    return link
+
+
+def tip_link(robot: RobotModel, group: Group, parameters: MoveItParameters) -> str:
+    """Return the link that goals of a group move when they name none; empty where the group is not one chain."""
+    if group.name != (parameters.group_name or robot.default_group):
+        return group.tip_link
+    if parameters.end_effector_link:
+        return parameters.end_effector_link
+    return robot.tip_link if group.name == robot.default_group else group.tip_link
+
+
+def planning_group(robot: RobotModel, name: str, parameters: MoveItParameters) -> Group:
+    """Return a planning group; for an empty name the configured one, or else the robot's default."""
+    wanted = name or parameters.group_name or robot.default_group
+    if wanted not in robot.groups:
+        known = ", ".join(sorted(robot.groups))
+        raise refused(
+            MoveItErrorCode.INVALID_GROUP_NAME,
+            f"there is no planning group {wanted!r}; there are: {known}",
+            group=wanted,
+        )
+    return robot.groups[wanted]
+
+
 def read_joint_constraints(
     messages: Sequence[Message], context: RequestContext, where: str
 ) -> tuple[JointConstraint, ...]:
@@ -77,15 +153,12 @@ def _constraint(message: Message, context: RequestContext, where: str) -> JointC
         raise invalid(
             f"{where}: there is no joint {message['joint_name']!r}; there are: {known}", joint=message["joint_name"]
         )
-    for field in ("position", "tolerance_above", "tolerance_below", "weight"):
-        if not math.isfinite(message[field]):
-            raise invalid(f"{where}.{field} of joint {joint.name} must be a finite number, not {message[field]}")
-    above, below = message["tolerance_above"], message["tolerance_below"]
-    for field, value in (("tolerance_above", above), ("tolerance_below", below)):
+    tolerances = {name: message[name] for name in ("tolerance_above", "tolerance_below")}
+    check_finite({"position": message["position"], **tolerances, "weight": message["weight"]}, where)
+    for name, value in tolerances.items():
         if value < 0.0:
-            raise invalid(
-                f"{where}.{field} of joint {joint.name} must be 0 {joint.unit} or more, not {value:g}", joint=joint.name
-            )
+            raise invalid(f"{where}.{name} must be 0 {joint.unit} or more, not {value:g}", joint=joint.name)
+    above, below = tolerances.values()
     position = _within_limits(joint, message, context, where)
     lower, upper = min(position, message["position"] - below), max(position, message["position"] + above)
     return JointConstraint(joint.name, position, upper - position, position - lower, max(0.0, message["weight"]))
@@ -133,17 +206,10 @@ def read_orientation_constraint(message: Message, context: RequestContext, where
     wide about several axes.
     """
     link = context.link(message["link_name"])
-    pose = {"position": dict.fromkeys(AXES, 0.0), "orientation": message["orientation"]}
+    pose = {"position": dict.fromkeys("xyz", 0.0), "orientation": message["orientation"]}
     desired = context.placed(message["header"]["frame_id"], pose, where)
-    tolerances = [_tolerance(message, axis, where) for axis in AXES]
-    weight = _weight(message["weight"], where)
-    x, y, z = tolerances
-    return OrientationConstraint(link, desired.orientation, (x, y, z), weight)
-
-
-def is_free(tolerance_rad: Point) -> bool:
-    """Tell if the tolerance allows any orientation."""
-    return min(tolerance_rad) >= FREE_RAD
+    x, y, z = (_tolerance(message, axis, where) for axis in "xyz")
+    return OrientationConstraint(link, desired.orientation, (x, y, z), _weight(message, where))
 
 
 def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
@@ -163,21 +229,7 @@ def _tolerance(message: Message, axis: str, where: str) -> float:
     return min(max(value, LEAST_ORIENTATION_TOLERANCE_RAD), 2.0 * FREE_RAD)
 
 
-@dataclass(frozen=True)
-class Region:
-    """Region of a position constraint.
-
-    Attributes:
-        within_m: radius of the largest ball around the region's middle that is inside it [m].
-        elongated: true if that ball leaves out much of the region.
-    """
-
-    constraint: PositionConstraint
-    within_m: float
-    elongated: bool
-
-
-def read_regions(message: Message, context: RequestContext, where: str) -> tuple[Region, ...]:
+def _read_regions(message: Message, context: RequestContext, where: str) -> tuple[PositionConstraint, ...]:
     """Read the regions of one moveit_msgs/PositionConstraint, which are alternatives.
 
     A pose in ``primitive_poses`` without a primitive, or with an unset one, is a point to reach within the configured
@@ -194,21 +246,13 @@ def read_regions(message: Message, context: RequestContext, where: str) -> tuple
     if len(primitives) > len(poses):
         raise invalid(f"{where}.constraint_region has {len(primitives)} primitives and {len(poses)} primitive_poses")
     primitives += [None] * (len(poses) - len(primitives))
-    offset = _offset(message["target_point_offset"], f"{where}.target_point_offset")
-    weight = _weight(message["weight"], where)
+    offset, weight = read_point(message["target_point_offset"], f"{where}.target_point_offset"), _weight(message, where)
     frame, found = message["header"]["frame_id"], []
     for index, (primitive, pose) in enumerate(zip(primitives, poses, strict=True)):
         at = context.placed(frame, pose, f"{where}.constraint_region.primitive_poses[{index}]")
         size_m = _size(primitive, context, f"{where}.constraint_region.primitives[{index}]")
-        found.append(_region(PositionConstraint(link, at, *size_m, offset, weight)))
+        found.append(PositionConstraint(link, at, *size_m, offset, weight))
     return tuple(found)
-
-
-def _region(constraint: PositionConstraint) -> Region:
-    if constraint.half_size_m is None:
-        return Region(constraint, constraint.radius_m or LEAST_TOLERANCE_M, elongated=False)
-    least, most = min(constraint.half_size_m), max(constraint.half_size_m)
-    return Region(constraint, least, elongated=most > ELONGATED_FACTOR * least)
 
 
 def _size(primitive: Message | None, context: RequestContext, where: str) -> tuple[Point | None, float | None]:
@@ -236,18 +280,10 @@ def _size(primitive: Message | None, context: RequestContext, where: str) -> tup
     return (x, y, z), None
 
 
-def _offset(message: Message, where: str) -> Point:
-    for axis in "xyz":
-        if not math.isfinite(message[axis]):
-            raise invalid(f"{where}.{axis} must be a finite number, not {message[axis]}")
-    return float(message["x"]), float(message["y"]), float(message["z"])
-
-
-def _weight(weight: float, where: str) -> float:
+def _weight(message: Message, where: str) -> float:
     """Read a weight; as in MoveIt, those below 0 count as 0."""
-    if not math.isfinite(weight):
-        raise invalid(f"{where}.weight must be a finite number, not {weight}")
-    return max(0.0, float(weight))
+    check_finite({"weight": message["weight"]}, where)
+    return max(0.0, float(message["weight"]))
 
 
 def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
@@ -272,7 +308,7 @@ def read_path_constraints(message: Message, context: RequestContext, where: str 
     for index, region in enumerate(_regions(message, context, where)):
         if len(region) > 1:
             raise invalid(f"{where}.position_constraints[{index}] has {len(region)} regions; on the way it can be one")
-        inside.append(region[0].constraint)
+        inside.append(region[0])
     return Constraints(read_joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
 
 
@@ -293,43 +329,42 @@ def _goals(message: Message, context: RequestContext, where: str, most: int) -> 
 
 def _goal(
     ranges: tuple[JointConstraint, ...],
-    chosen: tuple[Region, ...],
+    chosen: tuple[PositionConstraint, ...],
     turned: tuple[OrientationConstraint, ...],
     context: RequestContext,
 ) -> SingleGoal:
     if not (chosen or turned):
         return JointGoal({one.joint: one.position_rad for one in ranges}, context.parameters.joint_tolerance)
-    turned = tuple(one for one in turned if not is_free(one.tolerance_rad)) if chosen else turned
+    turned = tuple(one for one in turned if min(one.tolerance_rad) < FREE_RAD) if chosen else turned
     if not ranges and len(chosen) == 1:
         goal = _link_goal(chosen[0], turned, context)
         if goal is not None:
             return goal
-    return ConstraintGoal(
-        Constraints(tuple(map(_solvable, ranges)), tuple(region.constraint for region in chosen), turned)
+    # Widened so that a search can end in them.
+    least = LEAST_JOINT_TOLERANCE_RAD
+    solvable = (
+        replace(one, above_rad=max(one.above_rad, least), below_rad=max(one.below_rad, least)) for one in ranges
     )
+    return ConstraintGoal(Constraints(tuple(solvable), chosen, turned))
 
 
 def _link_goal(
-    region: Region, turned: tuple[OrientationConstraint, ...], context: RequestContext
+    at: PositionConstraint, turned: tuple[OrientationConstraint, ...], context: RequestContext
 ) -> PositionGoal | PoseGoal | None:
     """Make the goal of one link, whose failure names the nearest point; None if the constraints say more."""
-    at = region.constraint
-    if region.elongated:
-        return None
+    # Radius of the largest ball around the region's middle that is inside it.
+    within_m = at.radius_m or LEAST_TOLERANCE_M
+    if at.half_size_m is not None:
+        within_m = min(at.half_size_m)
+        if max(at.half_size_m) > ELONGATED_FACTOR * within_m:
+            return None
     if not turned:
-        return PositionGoal(at.link, at.region.position_m, region.within_m, at.offset_m)
+        return PositionGoal(at.link, at.region.position_m, within_m, at.offset_m)
     if len(turned) > 1 or turned[0].link != at.link or any(at.offset_m):
         return None
     pose = Pose(at.region.position_m, turned[0].orientation)
     tolerance_rad = turned[0].tolerance_rad
-    return PoseGoal(at.link, pose, region.within_m, tolerance_rad, strict=is_binding(tolerance_rad, context))
-
-
-def _solvable(constraint: JointConstraint) -> JointConstraint:
-    """Widen a range so that a search can end in it."""
-    above = max(constraint.above_rad, LEAST_JOINT_TOLERANCE_RAD)
-    below = max(constraint.below_rad, LEAST_JOINT_TOLERANCE_RAD)
-    return replace(constraint, above_rad=above, below_rad=below)
+    return PoseGoal(at.link, pose, within_m, tolerance_rad, strict=is_binding(tolerance_rad, context))
 
 
 def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, where: str) -> tuple[JointConstraint, ...]:
@@ -349,9 +384,9 @@ def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, wher
     return tuple(one for one in ranges if one.joint in context.group.joints)
 
 
-def _regions(message: Message, context: RequestContext, where: str) -> list[tuple[Region, ...]]:
+def _regions(message: Message, context: RequestContext, where: str) -> list[tuple[PositionConstraint, ...]]:
     return [
-        read_regions(constraint, context, f"{where}.position_constraints[{index}]")
+        _read_regions(constraint, context, f"{where}.position_constraints[{index}]")
         for index, constraint in enumerate(message["position_constraints"])
     ]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,12 +14,12 @@ from planners.scene import Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
+from server.errors import refused
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.moveit.display import DisplayTopics
-from server.moveit.error_codes import refused
+from server.moveit.messages import Message, read_joint_positions
 from server.moveit.parameters import PlannerParameters
-from server.moveit.poses import Message
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import AssumedStates, SceneState
@@ -64,49 +63,28 @@ def start_positions(
 
 
 def state_positions(message: Message, current_rad: Mapping[str, float] | None, robot: RobotModel) -> dict[str, float]:
-    """Read the position of every movable joint in a state, which may lie beyond the limits [rad].
-
-    Arguments and errors as for :func:`start_positions`.
-    """
-    names, values = message["joint_state"]["name"], message["joint_state"]["position"]
-    if len(names) != len(values):
-        raise _invalid_state(f"joint_state.name has {len(names)} entries and joint_state.position {len(values)}")
-    named = dict(zip(names, values, strict=True))
-    for name, value in named.items():
-        if name not in robot.joints:
-            known = ", ".join(joint.name for joint in robot.movable_joints)
-            raise _invalid_state(
-                f"joint_state names the joint {name!r}, which does not exist; there are: {known}", name
-            )
-        if not math.isfinite(value):
-            raise _invalid_state(f"joint_state has joint {name!r} at {value}, not a finite number", name)
+    """Read the position of every movable joint in a state, which may lie beyond the limits [rad]."""
+    names = message["joint_state"]["name"]
+    named = read_joint_positions(message["joint_state"], robot.joints, "joint_state")
     if len(named) != len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise _invalid_state(f"joint_state names the joint {twice!r} more than once", twice)
-    positions: dict[str, float] = {}
+        text = f"joint_state names the joint {twice!r} more than once"
+        raise refused(MoveItErrorCode.INVALID_ROBOT_STATE, text, joint=twice)
+    positions = {**(current_rad or {}), **named}
     for joint in robot.movable_joints:
-        value = named[joint.name] if joint.name in named else (current_rad or {}).get(joint.name)
-        if value is None:
+        if joint.name not in positions:
             raise refused(
                 MoveItErrorCode.ROBOT_STATE_STALE,
                 f"the state leaves out joint {joint.name!r}, and where it is now is not known: the arm is not read",
                 joint=joint.name,
             )
-        positions[joint.name] = float(value)
-    return positions
-
-
-def _invalid_state(message: str, joint: str = "") -> Exception:
-    return refused(MoveItErrorCode.INVALID_ROBOT_STATE, message, **({"joint": joint} if joint else {}))
+    return {joint.name: positions[joint.name] for joint in robot.movable_joints}
 
 
 def attached_diff(message: Message) -> Message | None:
-    """Write the attached objects of a state as a moveit_msgs/PlanningScene without other fields.
+    """Write the attached objects of a state as a moveit_msgs/PlanningScene without other fields; None for no change.
 
     A state with joints that is no diff detaches all objects that it does not list.
-
-    Returns:
-        None if it changes nothing.
     """
     attached = message["attached_collision_objects"]
     is_whole = bool(message["joint_state"]["name"]) and not message["is_diff"]
@@ -150,11 +128,7 @@ class PlanningContext:
         return await self.pool.ask(question, self.scene_state.scene)
 
     def start(self, state: Message, caller: Node) -> PlanningStart:
-        """Read the start of a motion.
-
-        Args:
-            caller: the client; positions that it assumes complete the state.
-        """
+        """Read the start of a motion; positions that the calling client assumes complete the state."""
         start_rad, warnings = start_positions(state, self._known_rad(caller), self.robot)
         return PlanningStart(start_rad, self.scene_of(state, start_rad), warnings)
 

@@ -38,9 +38,10 @@ from planners.problem import (
 from planners.scene import Point, Pose
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
-from server.errors import RefusedError
+from server.errors import RefusedError, invalid, refused
 from server.execution.motions import Joints, Positions, Step
-from server.moveit.error_codes import invalid, refused
+from server.graph.list_limits import ListLimits
+from server.moveit.messages import Message, check_finite
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
     MAX_KINEMATICS_TIMEOUT_S,
@@ -48,16 +49,17 @@ from server.moveit.parameters import (
     MoveItParameters,
     PlannerParameters,
 )
-from server.moveit.poses import Message
 from server.moveit.requests.constraints import (
     LEAST_ORIENTATION_TOLERANCE_RAD,
     LEAST_TOLERANCE_M,
+    RequestContext,
+    chooses_orientation,
+    planning_group,
     read_goal,
     read_path_constraints,
 )
-from server.moveit.requests.context import RequestContext, chooses_orientation, planning_group
 from server.moveit.scene.frames import Frames
-from server.moveit.trajectories import read_seconds
+from server.moveit.trajectories import MAX_POINTS, read_seconds
 
 Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 
@@ -155,12 +157,13 @@ class ProblemBuilder:
         warnings = context.warnings
         arc = request["path_constraints"]
         constraints = Constraints() if _names_arc(arc) else read_path_constraints(arc, context)
+        velocity_scaling, acceleration_scaling = self._scalings(request, context)
         problem = PlanningProblem(
             group=group.name,
             start_rad=start_rad,
             goal=read_goal(request["goal_constraints"], context),
-            velocity_scaling=self._velocity_scaling(request, context),
-            acceleration_scaling=_acceleration_scaling(request, context),
+            velocity_scaling=velocity_scaling,
+            acceleration_scaling=acceleration_scaling,
             allowed_time_s=_allowed_time_s(request["allowed_planning_time"], parameters, warnings),
             attempts=_attempts(request["num_planning_attempts"], parameters, warnings),
             path_constraints=None if constraints.empty else constraints,
@@ -174,13 +177,17 @@ class ProblemBuilder:
         tip = tip_problem(planner, problem, arc, request["max_cartesian_speed"], context)
         return BuiltProblem(tip, tuple(warnings))
 
-    def _velocity_scaling(self, request: Message, context: RequestContext) -> float:
-        """Read a request's share of the velocity limits, and lower it to the arm's speed limit."""
-        field, default = "max_velocity_scaling_factor", context.parameters.max_velocity_scaling
-        asked, limit = read_scaling(request, field, default, context.warnings), self._speed_limit(context.group.joints)
-        if asked > limit and request[field] > 0.0:
-            context.warnings.append(f"{field} {asked:g} is lowered to {limit:g}, the arm's speed limit")
-        return min(asked, limit)
+    def _scalings(self, request: Message, context: RequestContext) -> tuple[float, float]:
+        """Read a request's shares of the velocity limits, lowered to the arm's speed limit, and of the others."""
+        field, parameters = "max_velocity_scaling_factor", context.parameters
+        velocity = _scaling(request, field, parameters.max_velocity_scaling, context)
+        limit = self._speed_limit(context.group.joints)
+        if velocity > limit and request[field] > 0.0:
+            context.warnings.append(f"{field} {velocity:g} is lowered to {limit:g}, the arm's speed limit")
+        acceleration = _scaling(
+            request, "max_acceleration_scaling_factor", parameters.max_acceleration_scaling, context
+        )
+        return min(velocity, limit), acceleration
 
     def joints(self, requests: Iterable[Message]) -> Joints:
         """Return the joints of all groups of some moveit_msgs/MotionPlanRequest."""
@@ -199,6 +206,7 @@ class ProblemBuilder:
         frame = request["header"]["frame_id"]
         ends = [context.placed(frame, pose, f"waypoints[{i}]") for i, pose in enumerate(request["waypoints"])]
         constraints = read_path_constraints(request["path_constraints"], context)
+        velocity_scaling, acceleration_scaling = self._scalings(request, context)
         problem = CartesianProblem(
             group=context.group.name,
             start_rad=start_rad,
@@ -208,8 +216,8 @@ class ProblemBuilder:
             max_step_m=max_step_m,
             tip_speed_m_s=_tip_speed_m_s(request, context),
             avoid_collisions=request["avoid_collisions"],
-            velocity_scaling=self._velocity_scaling(request, context),
-            acceleration_scaling=_acceleration_scaling(request, context),
+            velocity_scaling=velocity_scaling,
+            acceleration_scaling=acceleration_scaling,
             allowed_time_s=context.parameters.allowed_planning_time,
             path_constraints=None if constraints.empty else constraints,
         )
@@ -219,13 +227,14 @@ class ProblemBuilder:
         """Build the question of a moveit_msgs/PositionIKRequest."""
         context = self.context(group, seed_rad)
         constraints = read_path_constraints(request["constraints"], context, "ik_request.constraints")
+        timeout_s = max(read_seconds(request["timeout"], "ik_request.timeout"), 0.0)
         question = IkQuestion(
             group=context.group.name,
             start_rad=seed_rad,
             goal=_ik_goal(request, context),
             avoid_collisions=request["avoid_collisions"],
             constraints=None if constraints.empty else constraints,
-            allowed_time_s=_timeout_s(request["timeout"], context.parameters),
+            allowed_time_s=min(timeout_s or context.parameters.kinematics_solver_timeout, MAX_KINEMATICS_TIMEOUT_S),
         )
         return BuiltProblem(question, tuple(context.warnings))
 
@@ -264,25 +273,17 @@ def check_pipeline(pipeline_id: str) -> str:
     return pipeline
 
 
-def _acceleration_scaling(request: Message, context: RequestContext) -> float:
-    default = context.parameters.max_acceleration_scaling
-    return read_scaling(request, "max_acceleration_scaling_factor", default, context.warnings)
-
-
-def read_scaling(request: Message, field: str, default: float, warnings: list[str]) -> float:
+def _scaling(request: Message, field: str, default: float, context: RequestContext) -> float:
     """Read a scaling factor of the limits: 0 is the configured one, a value above 1 full speed.
 
     MoveIt takes 0, the message's default, and a negative factor as full speed. A message that leaves the field out does
     not ask for full speed, and no client means it by a negative one, which is rejected.
-
-    Args:
-        warnings: gets a sentence for a value above 1.
     """
     value = float(request[field])
     if math.isnan(value) or value < 0.0:
         raise invalid(f"{field} must be from 0 to 1, 0 for the default of {default:g}, not {value:g}", value=value)
     if value > 1.0:
-        warnings.append(f"{field} {value:g} is taken as 1, the most there is")
+        context.warnings.append(f"{field} {value:g} is taken as 1, the most there is")
     return min(value, 1.0) or default
 
 
@@ -311,21 +312,16 @@ def _tip_end(problem: PlanningProblem, context: RequestContext) -> tuple[str, Po
     """Return link, end, and tolerance of the orientation on the way [rad], None for a free orientation."""
     match problem.goal:
         case PositionGoal(link, position_m, _, offset_m) if not any(offset_m):
-            return link, Pose(position_m, _link_pose(link, problem.start_rad, context).orientation), None
+            return link, Pose(position_m, context.frames.resolve(link, problem.start_rad).orientation), None
         case PoseGoal() as goal:
             return goal.link, goal.pose, max(goal.orientation_tolerance_rad) if goal.strict else None
         case JointGoal(positions_rad):
             link = context.link("")
-            return link, _link_pose(link, {**problem.start_rad, **positions_rad}, context), None
+            return link, context.frames.resolve(link, {**problem.start_rad, **positions_rad}), None
     raise invalid("goal_constraints must be one pose of one link, or joint positions, for a path of the tip")
 
 
-def _link_pose(link: str, positions_rad: Mapping[str, float], context: RequestContext) -> Pose:
-    return context.frames.resolve(link, positions_rad)
-
-
 def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point:
-    """Read a point of the circle between its ends, in the robot's root link [m]."""
     if not _names_arc(arc) or len(arc["position_constraints"]) != 1:
         raise invalid(
             f"path_constraints must have one position constraint, and the name {INTERIM!r} or {CENTER!r}, for"
@@ -339,7 +335,7 @@ def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point
     point = context.placed(constraint["header"]["frame_id"], poses[0], where).position_m
     if arc["name"] == INTERIM:
         return point
-    start = np.array(_link_pose(link, context.start_rad, context).position_m)
+    start = np.array(context.frames.resolve(link, context.start_rad).position_m)
     return _beyond_center(np.array(point), start, np.array(end.position_m))
 
 
@@ -356,7 +352,6 @@ def _beyond_center(center: Vector, start: Vector, end: Vector) -> Point:
 
 
 def _names_arc(constraints: Message) -> bool:
-    """Tell if a moveit_msgs/Constraints is the point of a circle."""
     return constraints["name"] in (INTERIM, CENTER)
 
 
@@ -365,9 +360,7 @@ def _check_unread(request: Message) -> None:
     if math.isnan(request["max_cartesian_speed"]):
         raise invalid("max_cartesian_speed must be a number, not nan")
     for corner in ("min_corner", "max_corner"):
-        for axis, value in request["workspace_parameters"][corner].items():
-            if not math.isfinite(value):
-                raise invalid(f"workspace_parameters.{corner}.{axis} must be a finite number, not {value}")
+        check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
 
 
 def _allowed_time_s(requested_s: float, parameters: MoveItParameters, warnings: list[str]) -> float:
@@ -409,7 +402,6 @@ def _pilz_planner(requested: str) -> str:
 
 
 def _ignored_fields(request: Message, planner: str) -> list[str]:
-    """Describe the fields of a moveit_msgs/MotionPlanRequest that are set and not followed."""
     ignored = []
     if request["trajectory_constraints"]["constraints"]:
         ignored.append("trajectory_constraints is ignored")
@@ -466,10 +458,44 @@ def _stamped_pose(stamped: Message, context: RequestContext) -> Pose:
     return context.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose")
 
 
-def _timeout_s(duration: Message, parameters: MoveItParameters) -> float:
-    timeout_s = read_seconds(duration, "ik_request.timeout")
-    return min(timeout_s, MAX_KINEMATICS_TIMEOUT_S) if timeout_s > 0.0 else parameters.kinematics_solver_timeout
-
-
 def _invalid_sequence(message: str, **details: Any) -> RefusedError:
     return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)
+
+
+# Of all motions of a sequence together: for each item of the longest one, two constraints on poses and ten on joints.
+MAX_POSE_CONSTRAINTS = 2 * MAX_ITEMS
+MAX_JOINT_CONSTRAINTS = 10 * MAX_ITEMS
+
+# Of attached objects, which come with every request of some clients. A tool's mesh for collisions has some thousands.
+MAX_ATTACHED_TRIANGLES = 10_000
+
+# Longer paths are planned in parts; this one takes the planners a second.
+MAX_WAYPOINTS = 1_000
+
+_POSE_LISTS = (
+    "Constraints.position_constraints",
+    "Constraints.orientation_constraints",
+    "Constraints.visibility_constraints",
+    "BoundingVolume.primitives",
+    "BoundingVolume.primitive_poses",
+    "BoundingVolume.meshes",
+    "BoundingVolume.mesh_poses",
+    "MotionPlanRequest.goal_constraints",
+    "PositionIKRequest.pose_stamped_vector",
+)
+
+PLANNING_LIMITS = ListLimits(
+    {
+        **{f"moveit_msgs/msg/{name}": MAX_POSE_CONSTRAINTS for name in _POSE_LISTS},
+        "moveit_msgs/msg/Constraints.joint_constraints": MAX_JOINT_CONSTRAINTS,
+        "moveit_msgs/msg/MotionSequenceRequest.items": MAX_ITEMS,
+        "moveit_msgs/msg/PositionIKRequest.ik_link_names": MAX_LINKS,
+        "moveit_msgs/srv/GetCartesianPath_Request.waypoints": MAX_WAYPOINTS,
+        "moveit_msgs/srv/GetPositionFK_Request.fk_link_names": MAX_LINKS,
+        "shape_msgs/msg/Mesh.triangles": MAX_ATTACHED_TRIANGLES,
+        "shape_msgs/msg/Mesh.vertices": 3 * MAX_ATTACHED_TRIANGLES,
+    }
+)
+
+# Positions, velocities and accelerations of eight joints.
+TRAJECTORY_LIMITS = ListLimits({"trajectory_msgs/msg/JointTrajectory.points": MAX_POINTS}, 24 * MAX_POINTS)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from robot.description.model import RobotModel
-from server.moveit.error_codes import invalid
-from server.moveit.poses import Message
+from server.errors import invalid
+from server.moveit.messages import Message
 
 Pair = frozenset[str]
 

@@ -17,14 +17,13 @@ from typing import Any
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
 from robot import files
-from server.errors import RefusedError, UnsuccessfulError
+from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, WORKING
 from server.graph.topics import Graph
-from server.moveit.error_codes import invalid
-from server.moveit.poses import Message
-from server.moveit.scene import shapes
+from server.moveit.messages import Message
+from server.moveit.scene import collision_objects as shapes
 from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
@@ -108,8 +107,6 @@ def _figures(values: Any) -> str:
 
 
 class _Lines:
-    """Lines of a text, read one after the other."""
-
     def __init__(self, text: str) -> None:
         self._lines = text.splitlines()
         self._number = 0
@@ -126,7 +123,6 @@ class _Lines:
         return self._lines[self._number - 1].strip()
 
     def wrong(self, expected: str) -> Exception:
-        """Make the error for the line consumed last."""
         return invalid(f"line {self._number} must be {expected}, not {self._lines[self._number - 1][:40]!r}")
 
     def figures(self, count: int, expected: str) -> list[float]:

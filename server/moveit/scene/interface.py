@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from planners.scene import Pose
 from planners.scene_checks import MAX_SCENE_TRIANGLES, MAX_SHAPES
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
@@ -20,9 +19,18 @@ from server.graph.node import Node
 from server.graph.permissions import LOOKING, WORKING
 from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
+from server.moveit.messages import Message, write_pose, write_transform
 from server.moveit.parameters import MoveItParameters
-from server.moveit.poses import Message, write_pose
-from server.moveit.scene.collision_objects import ADD, IDENTITY, MAX_SUBFRAMES, NO_STAMP, REMOVE
+from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
+from server.moveit.scene.collision_objects import (
+    GEOMETRY_KINDS,
+    IDENTITY,
+    MAX_SUBFRAMES,
+    NO_STAMP,
+    REMOVE,
+    AttachedCollisionObject,
+    CollisionObject,
+)
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
@@ -79,35 +87,13 @@ NO_OCTOMAP = {
     "origin": write_pose(IDENTITY),
     "octomap": {"header": NO_HEADER, "binary": False, "id": "", "resolution": 0.0, "data": []},
 }
-NO_MATRIX: Message = {
-    "entry_names": [],
-    "entry_values": [],
-    "default_entry_names": [],
-    "default_entry_values": [],
-}
+NO_MATRIX: Message = AllowedCollisionMatrix((), frozenset(), {}).message
 NO_STATE: Message = state_message({}, "", 0.0)
-NO_OBJECT: Message = {
-    "header": NO_HEADER,
-    "pose": write_pose(IDENTITY),
-    "id": "",
-    "type": {"key": "", "db": ""},
-    "primitives": [],
-    "primitive_poses": [],
-    "meshes": [],
-    "mesh_poses": [],
-    "planes": [],
-    "plane_poses": [],
-    "subframe_names": [],
-    "subframe_poses": [],
-    "operation": ADD,
-}
-NO_ATTACHED_OBJECT: Message = {
-    "link_name": "",
-    "object": NO_OBJECT,
-    "touch_links": [],
-    "detach_posture": {"header": NO_HEADER, "joint_names": [], "points": []},
-    "weight": 0.0,
-}
+_NO_GEOMETRY: dict[str, list[Message]] = {field: [] for field, _, _ in GEOMETRY_KINDS}
+_EMPTY = CollisionObject("", "", IDENTITY, {"key": "", "db": ""}, _NO_GEOMETRY, (), {})
+NO_OBJECT: Message = _EMPTY.message
+_NO_POSTURE: Message = {"header": NO_HEADER, "joint_names": [], "points": []}
+NO_ATTACHED_OBJECT: Message = AttachedCollisionObject(_EMPTY, (), _NO_POSTURE, 0.0).message
 
 
 def scene_message(contents: SceneContents, robot: RobotModel, state: Message, components: int) -> dict[str, Any]:
@@ -207,26 +193,15 @@ def _colors(contents: SceneContents) -> list[Message]:
 
 def _transforms(contents: SceneContents, robot: RobotModel) -> list[Message]:
     """Write the fixed frames; as in MoveIt the planning frame is among them."""
+    header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
     return [
-        _transform(robot.root_link, name, pose)
+        {"header": header, "child_frame_id": name, "transform": write_transform(pose)}
         for name, pose in {robot.root_link: IDENTITY, **contents.fixed_frames}.items()
     ]
 
 
-def _transform(root: str, name: str, pose: Pose) -> Message:
-    written = write_pose(pose)
-    return {
-        "header": {"stamp": NO_STAMP, "frame_id": root},
-        "child_frame_id": name,
-        "transform": {"translation": written["position"], "rotation": written["orientation"]},
-    }
-
-
-def subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
-    """Apply the messages of the scene's topics; rejected ones are logged.
-
-    A topic does not tell its publisher, so joints in a ``/planning_scene`` are ignored.
-    """
+def _subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
+    """Apply the messages of the scene's topics, without the joints: a topic does not tell its publisher."""
     topics: Mapping[str, tuple[str, ReadChange]] = {
         "/planning_scene": ("moveit_msgs/msg/PlanningScene", state.diff),
         "/planning_scene_world": ("moveit_msgs/msg/PlanningSceneWorld", state.world),
@@ -380,13 +355,13 @@ class SceneInterface:
     ) -> None:
         node = Node("planning_scene")
         self._state = state
-        subscribe_to_scene_topics(graph, node, state, current)
+        _subscribe_to_scene_topics(graph, node, state, current)
         SceneServices(graph, node, state, assumed, current)
         GeometryFiles(graph, node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
         self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
 
     def close(self) -> None:
-        """Publish no more."""
+        """Publish no more, and apply no more changes."""
         self._publisher.close()
         self._state.close()

@@ -5,22 +5,19 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
-import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 from weakref import WeakKeyDictionary
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE, Scene
 from planners.scene_checks import check_whole
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from server.errors import RefusedError
+from server.errors import RefusedError, refused
 from server.graph.node import Node
-from server.moveit.error_codes import refused
-from server.moveit.poses import Message
+from server.moveit.messages import Message, read_joint_positions
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.collision_objects import GEOMETRY_KINDS
 from server.moveit.scene.frames import LinkTransforms
@@ -135,17 +132,14 @@ class SceneState:
         elements = sum(waiting.elements for waiting, *_ in self._waiting) + change.elements
         if self._waiting and elements > MAX_WAITING_ELEMENTS:
             text = f"changes of the scene with {elements} elements would wait; the limit is {MAX_WAITING_ELEMENTS}"
-            done(RefusedError(PlanningFailure(MoveItErrorCode.FAILURE, text)))
+            done(refused(MoveItErrorCode.FAILURE, text))
             return
         self._waiting.append((change, positions_rad, done, ended))
         if self._applying is None:
             self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
 
     async def change(self, change: SceneChange, positions_rad: Positions) -> None:
-        """Apply a change in its turn, and wait until it is applied; arguments as for :meth:`submit`.
-
-        A change whose wait is cancelled is not applied any more.
-        """
+        """Apply a change in its turn, and wait until it is applied; not once the wait is cancelled."""
         applied: asyncio.Future[RefusedError | None] = asyncio.get_running_loop().create_future()
 
         def done(refusal: RefusedError | None) -> None:
@@ -166,8 +160,7 @@ class SceneState:
         """Wait until the changes that have been submitted until now are applied or refused."""
         if self._applying is not None:
             turn = asyncio.get_running_loop().create_future()
-            nothing = SceneChange(lambda _draft: None, 0)
-            self._waiting.append((nothing, None, lambda _refusal: turn.set_result(None), lambda: False))
+            self.submit(SceneChange(lambda _draft: None, 0), None, turn.set_result)
             await asyncio.shield(turn)
 
     def close(self) -> None:
@@ -176,7 +169,7 @@ class SceneState:
             self._applying.cancel()
 
     def apply_diff(self, message: Message, positions_rad: Positions) -> None:
-        """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait; errors as of :meth:`apply`."""
+        """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait."""
         self.apply(self.diff(message), positions_rad)
 
     def apply(self, change: SceneChange, positions_rad: Positions) -> None:
@@ -225,10 +218,8 @@ class SceneState:
             return refusal
         except Exception as error:  # a bug in one change must not hold up those that wait
             log.exception("a change of the planning scene failed")
-            text = f"the change failed inside the server: {type(error).__name__}"
-            return RefusedError(PlanningFailure(MoveItErrorCode.FAILURE, text))
-        text = "its request ended before the change was applied"
-        return RefusedError(PlanningFailure(MoveItErrorCode.TIMED_OUT, text))
+            return refused(MoveItErrorCode.FAILURE, f"the change failed inside the server: {type(error).__name__}")
+        return refused(MoveItErrorCode.TIMED_OUT, "its request ended before the change was applied")
 
     def _changed_and_written(
         self, before: SceneContents, change: SceneChange, positions_rad: Positions
@@ -314,7 +305,7 @@ class AssumedStates:
         Args:
             robot_state: without joints it changes nothing; with ``is_diff``, other joints stay as they are.
         """
-        named = self._read(robot_state["joint_state"])
+        named = read_joint_positions(robot_state["joint_state"], self._joints, "robot_state.joint_state")
         before, sent = self._assumed.get(node), self._sent.get(node, {})
         if all(sent.get(joint) == position for joint, position in named.items()):
             return before
@@ -325,24 +316,3 @@ class AssumedStates:
         if positions_rad is not None:
             self._assumed[node] = positions_rad
             self._sent[node] = {**self._sent.get(node, {}), **positions_rad}
-
-    def _read(self, joint_state: Message) -> dict[str, float]:
-        names, positions = joint_state["name"], joint_state["position"]
-        where = "robot_state.joint_state"
-        if len(names) != len(positions):
-            raise _invalid_state(
-                f"{where}: name has {len(names)} entries and position {len(positions)}; they must be as many"
-            )
-        for name, position in zip(names, positions, strict=True):
-            if name not in self._joints:
-                known = ", ".join(sorted(self._joints))
-                raise _invalid_state(f"{where}.name: there is no joint {name!r}; the robot has {known}", joint=name)
-            if not math.isfinite(position):
-                raise _invalid_state(
-                    f"{where}.position of joint {name!r} must be a finite number, not {position}", joint=name
-                )
-        return dict(zip(names, positions, strict=True))
-
-
-def _invalid_state(message: str, **details: Any) -> Exception:
-    return refused(MoveItErrorCode.INVALID_ROBOT_STATE, message, **details)

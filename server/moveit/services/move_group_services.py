@@ -19,7 +19,7 @@ from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, St
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
-from server.errors import RefusedError, ServiceError, UnsuccessfulError
+from server.errors import RefusedError, ServiceError, UnsuccessfulError, refused, required
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
@@ -27,17 +27,16 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
 from server.graph.services import Answered, Call, CompleteResponse, answer
 from server.graph.topics import Graph
-from server.moveit.error_codes import failure_code, refused, required, success
 from server.moveit.goals.goal_messages import with_suggestion
+from server.moveit.messages import Message, error_code, pose_of, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
-from server.moveit.poses import Message, pose_of, write_pose
 from server.moveit.requests.constraints import read_path_constraints
-from server.moveit.requests.list_limits import PLANNING_LIMITS
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (
     OMPL,
     PILZ,
     PIPELINES,
+    PLANNING_LIMITS,
     check_pipeline,
     sequence_requests,
 )
@@ -145,22 +144,18 @@ def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
 
 
 def _unmet(answer: StateAnswer) -> PlanningFailure | None:
-    """Return the failure of a constraint; None if it holds."""
     violated = MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED
     return next((problem for problem in answer.problems if problem.code is violated), None)
 
 
 def _constraint_result(unmet: PlanningFailure | None) -> dict[str, Any]:
-    """Write a moveit_msgs/ConstraintEvalResult; its distance is the one beyond the tolerance, 0 if it holds."""
-    return {"result": unmet is None, "distance": 0.0 if unmet is None else _distance(unmet.details)}
-
-
-def _distance(details: Mapping[str, Any]) -> float:
-    """Return the distance beyond a constraint's tolerance [m], [rad]."""
-    if "beyond_m" in details or "beyond_rad" in details:
-        return float(details.get("beyond_m", 0.0) or details.get("beyond_rad", 0.0))
-    position = details["position_rad"]
-    return float(max(details["lower_rad"] - position, position - details["upper_rad"], 0.0))
+    """Write a moveit_msgs/ConstraintEvalResult, with the distance beyond the tolerance [m], [rad]."""
+    details = {} if unmet is None else unmet.details
+    beyond = details.get("beyond_m", 0.0) or details.get("beyond_rad", 0.0)
+    if "position_rad" in details:
+        position = details["position_rad"]
+        beyond = max(details["lower_rad"] - position, position - details["upper_rad"], 0.0)
+    return {"result": unmet is None, "distance": float(beyond)}
 
 
 def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scene) -> list[dict[str, Any]]:
@@ -239,7 +234,9 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     context.display.trajectories(trajectories, start_state)
     return {
         "response": {
-            "error_code": success(*start.warnings, *planned.notes) if failure is None else failure_code(failure),
+            "error_code": success(*start.warnings, *planned.notes)
+            if failure is None
+            else error_code(failure.code, failure.message),
             "sequence_start": start_state,
             "planned_trajectories": trajectories,
             "planning_time": performed.planning_time_s,
@@ -270,10 +267,8 @@ def set_planner_params(context: PlanningContext, request: Message, caller: Node)
     keys, values = request["params"]["keys"], request["params"]["values"]
     if len(keys) != len(values):
         raise ServiceError(f"params.keys has {len(keys)} entries and params.values {len(values)}")
-    replace = request["replace"]
-    context.parameters.set(
-        request["group"], request["planner_config"], dict(zip(keys, values, strict=True)), replace=replace
-    )
+    scope, texts = (request["group"], request["planner_config"]), dict(zip(keys, values, strict=True))
+    context.parameters.set(*scope, texts, replace=request["replace"])
     return {}
 
 
@@ -316,22 +311,17 @@ def group_urdf(robot: RobotModel, group: Group) -> str:
     return ET.tostring(part, encoding="unicode")
 
 
-def error_response(failure: PlanningFailure) -> dict[str, Any]:
-    """Write a response with nothing but an error code."""
-    return {"error_code": failure_code(failure)}
+def _error_response(failure: PlanningFailure) -> dict[str, Any]:
+    return {"error_code": error_code(failure.code, failure.message)}
 
 
-def fail_call(failure: PlanningFailure) -> dict[str, Any]:
-    """Make the call fail, for responses without a field for the reason."""
+def _fail_call(failure: PlanningFailure) -> dict[str, Any]:
+    """Make the call fail: its response has no field for the reason."""
     raise ServiceError(failure.message)
 
 
-def invalid_state(failure: PlanningFailure) -> dict[str, Any]:
-    """Answer that a state is invalid; the response has no field for the reason.
-
-    Raises:
-        UnsuccessfulError: always.
-    """
+def _invalid_state(failure: PlanningFailure) -> dict[str, Any]:
+    """Answer that a state is invalid; the response has no field for the reason."""
     raise UnsuccessfulError({"valid": False}, failure.message)
 
 
@@ -346,7 +336,7 @@ class MoveGroupService:
 
     type_name: str
     handler: Handler
-    rejection: Callable[[PlanningFailure], dict[str, Any]] = error_response
+    rejection: Callable[[PlanningFailure], dict[str, Any]] = _error_response
     complete: bool = False
     rule: Rule = PLANNING
 
@@ -355,7 +345,7 @@ SERVICES: Mapping[str, MoveGroupService] = {
     "/plan_kinematic_path": MoveGroupService(
         "moveit_msgs/srv/GetMotionPlan",
         plan_kinematic_path,
-        lambda failure: {"motion_plan_response": error_response(failure)},
+        lambda failure: {"motion_plan_response": _error_response(failure)},
         complete=True,
     ),
     "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
@@ -364,22 +354,22 @@ SERVICES: Mapping[str, MoveGroupService] = {
         "moveit_msgs/srv/GetCartesianPath", compute_cartesian_path, complete=True
     ),
     "/check_state_validity": MoveGroupService(
-        "moveit_msgs/srv/GetStateValidity", check_state_validity, invalid_state, complete=True
+        "moveit_msgs/srv/GetStateValidity", check_state_validity, _invalid_state, complete=True
     ),
     "/plan_sequence_path": MoveGroupService(
         "moveit_msgs/srv/GetMotionSequence",
         plan_sequence_path,
-        lambda failure: {"response": error_response(failure)},
+        lambda failure: {"response": _error_response(failure)},
         complete=True,
     ),
     "/query_planner_interface": MoveGroupService(
-        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call, rule=LOOKING
+        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING
     ),
     "/get_planner_params": MoveGroupService(
-        "moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call, rule=LOOKING
+        "moveit_msgs/srv/GetPlannerParams", get_planner_params, _fail_call, rule=LOOKING
     ),
     "/set_planner_params": MoveGroupService(
-        "moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call, rule=CONFIGURING
+        "moveit_msgs/srv/SetPlannerParams", set_planner_params, _fail_call, rule=CONFIGURING
     ),
     "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
 }

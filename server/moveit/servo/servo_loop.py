@@ -33,11 +33,10 @@ from robot.arm_group import AnyArm
 from robot.messages import Outcome
 from robot.trajectory import Vector
 from server.arrival import arrival_epoch
-from server.errors import RefusedError
+from server.errors import RefusedError, invalid
 from server.execution.motions import Positions
-from server.moveit.error_codes import invalid
+from server.moveit.messages import Message, composed, matrix_of, read_pose
 from server.moveit.parameters import ServoParameters
-from server.moveit.poses import Message, composed, matrix_of, read_pose
 from server.moveit.requests.planning_context import PlanningContext
 
 log = logging.getLogger("armbridge.servo")
@@ -150,7 +149,6 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
 
 
 def _with_clearance(limits: ServoLimits, clearance_m: float) -> ServoLimits:
-    """Return the limits with greater distances, where there are any."""
     own_m, scene_m = limits.self_distance_m, limits.scene_distance_m
     return replace(
         limits,

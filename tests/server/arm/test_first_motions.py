@@ -11,7 +11,7 @@ import pytest
 
 from robot.messages import ChangePace, Pace
 from server.arm.arms import ServedArm
-from server.arm.first_motions import FirstMotions
+from server.arm.verifying import FirstMotions
 from server.config import ArmSettings
 from tests.helpers.fake_arm import FakeArm
 

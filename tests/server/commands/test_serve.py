@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.waiting import running
 from robot.hardware.feetech.bus import Bus
 from server import cli
 from server.app import App
@@ -157,13 +158,10 @@ def test_a_start_that_cannot_be_is_told_in_a_sentence(capsys: pytest.CaptureFixt
 def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: Path) -> None:
     link = tmp_path / "arm"
     command = [sys.executable, "-m", "server.cli", "emulate", "--link", str(link)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline().strip() == str(link.readlink())
-            with contextlib.closing(Bus.open(str(link))) as bus:
-                assert [bus.ping(servo_id) for servo_id in range(1, 7)] == [777] * 6
-            process.terminate()
-            assert process.wait(30.0) == 0
-        finally:
-            process.kill()
+    with running(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == str(link.readlink())
+        with contextlib.closing(Bus.open(str(link))) as bus:
+            assert [bus.ping(servo_id) for servo_id in range(1, 7)] == [777] * 6
+        process.terminate()
+        assert process.wait(30.0) == 0

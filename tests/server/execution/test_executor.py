@@ -41,7 +41,7 @@ from server.execution.failures import FailedGoals
 from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions, SplicePoint
-from server.execution.motions_in_progress import MotionsInProgress
+from server.execution.player import MotionsInProgress
 from server.execution.queue import GoalQueue
 from server.execution.time_limits import ExecutionDeadline, TimeLimits
 from server.moveit.scene.scene_state import SceneState
@@ -236,7 +236,7 @@ class Stage:
         return answer
 
     async def begin(self, motion: PlannedMotion | ExternalTrajectory, limits: TimeLimits | None = None) -> None:
-        self.goal = Goal("1", GoalRequest("/goal", motion), self.news.append, ExecutionDeadline(limits))
+        self.goal = Goal("1", GoalRequest("/goal", motion), self.news.append, deadline=ExecutionDeadline(limits))
         self.running = asyncio.create_task(self.executor.run(self.goal))
         await settle()
 

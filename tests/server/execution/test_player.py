@@ -16,8 +16,7 @@ from server.execution import player as player_module
 from server.execution.goal import Answer, Goal, GoalRequest, Progress
 from server.execution.monitors import Questions
 from server.execution.motions import HORIZON_S
-from server.execution.motions_in_progress import MotionsInProgress
-from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, Player
+from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, MotionsInProgress, Player
 from server.execution.time_limits import ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
@@ -69,7 +68,7 @@ class Stage:
         self.arm.pass_time(seconds)
 
     def next_goal(self) -> Goal:
-        return Goal("1", GoalRequest("/goal"), self.news.append, ExecutionDeadline(LIMITS))
+        return Goal("1", GoalRequest("/goal"), self.news.append, deadline=ExecutionDeadline(LIMITS))
 
     async def begin(self) -> None:
         self.running = asyncio.create_task(self.player.play(self.goal, MOTION, questions))

@@ -14,7 +14,7 @@ from server.arm.calibrating import Recalibrated
 from server.arm.commissioning import Ended
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
-from server.features.commissioning import resumed, with_calibration
+from server.features.arms import resumed, with_calibration
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration

@@ -10,7 +10,7 @@ from protocol.registry import Registry
 from protocol.type_descriptions import message_hash
 from server.app import App
 from server.config import Settings
-from server.features.interface import PATH
+from server.features.clients import PATH
 from server.graph.permissions import Role
 from tests.helpers.rules import server_rules
 

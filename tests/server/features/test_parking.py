@@ -73,7 +73,7 @@ class World:
         self.arm = KeepingArm()
         self.scene: Scene = EMPTY_SCENE
         self.idle_count = 1
-        self.busy = ""
+        self.busy = lambda: ""
         self.duration_s = 2.0
         self.failure: PlanningFailure | None = None
         self.asked: list[PlanningProblem] = []
@@ -234,7 +234,7 @@ class TwoArms:
     """
 
     def __init__(self) -> None:
-        self.meets, self.idle_count, self.busy = False, 1, ""
+        self.meets, self.idle_count, self.busy = False, 1, lambda: ""
         self.arms = [KeepingOneOfTwo(side) for side in SIDES]
         group = ArmGroup({arm.name: (arm.as_arm, arm.state.joint_names) for arm in self.arms})
         self.scene_state = SceneState(ROBOT_PAIR)
@@ -344,7 +344,7 @@ class Leaving:
 
     def __init__(self, policy: str = "park", delay_s: float = 5.0) -> None:
         self.drivers: set[object] = set()
-        self.busy = ""
+        self.busy = lambda: ""
         self.now_s = 0.0
         self.parks = True
         self.done: list[str] = []
@@ -394,9 +394,9 @@ def test_a_client_that_comes_within_the_delay_keeps_the_arm_as_it_is() -> None:
 def test_a_goal_that_moves_is_waited_for() -> None:
     leaving = Leaving()
     leaving.come_and_go()
-    leaving.busy = "a goal"
+    leaving.busy = lambda: "a goal"
     assert not leaving.due_after(60.0)
-    leaving.busy, leaving.state = "", SimpleNamespace(mode=Mode.MOVING)
+    leaving.busy, leaving.state = lambda: "", SimpleNamespace(mode=Mode.MOVING)
     assert not leaving.due_after(60.0)
     leaving.state = SimpleNamespace(mode=Mode.HOLDING)
     assert leaving.due_after(0.0)

@@ -23,7 +23,7 @@ from websockets.http11 import Request
 
 from harness.clients import ArmClient, values_of
 from harness.server import ServerOnBus
-from harness.waiting import wait_until
+from harness.waiting import join, wait_until
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
 from robot.messages import Mode
@@ -32,12 +32,12 @@ from server.execution.goal import Answer
 from server.execution.motions import Performed
 from server.gateway.connection import Traffic, TrafficCounts
 from server.monitoring import monitor as monitor_module
-from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import Health, Sources
 from server.monitoring.monitor import (
     ARM_HEALTH_STALE_S,
     WATCHDOG_NOTIFICATIONS,
     EventLoopMonitor,
+    GoalCounters,
     Metrics,
     Monitor,
     arm_health_metrics,
@@ -293,7 +293,7 @@ def test_the_resources_of_this_process_are_measured() -> None:
     after = figures_of(os.getpid())
     release.set()
     for thread in threads:
-        thread.join()
+        join(thread)
     for end in ends:
         os.close(end)
     size_bytes = len(held)

@@ -1,14 +1,9 @@
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from planners.scene import Pose
 from protocol.registry import Registry
-from robot.description.forward_kinematics import ForwardPlacements
-from robot.messages import ArmState, Mode
 from robot.trajectory import Trajectory
 from server.execution.motions import Performed
 from server.graph.node import Node
@@ -17,12 +12,8 @@ from server.moveit.display import (
     CONTACTS_TOPIC,
     PATH_TOPIC,
     PIPELINE_TOPIC,
-    STATIC_TRANSFORMS_TOPIC,
-    TRANSFORMS_TOPIC,
     DisplayTopics,
-    TransformsTopics,
 )
-from server.moveit.poses import matrix_of
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT
 
@@ -32,9 +23,6 @@ TYPES = {
     CONTACTS_TOPIC: "visualization_msgs/MarkerArray",
     PIPELINE_TOPIC: "moveit_msgs/PipelineState",
 }
-
-JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
-WATCHER = Node("watcher")
 
 
 @pytest.fixture
@@ -80,61 +68,3 @@ def test_the_state_of_the_pipeline_is_published_for_subscribers_alone(graph: Gra
     (told,) = heard
     assert told["request"]["group_name"] == "arm"
     assert told["response"]["planning_time"] == 0.5
-
-
-class Screen:
-    """The topics, and what somebody hears who subscribes after the start."""
-
-    def __init__(self, rate_hz: float = 50.0) -> None:
-        self.graph = Graph(Registry.load())
-        self.topics = TransformsTopics(self.graph, ROBOT, rate_hz)
-        self.heard: list[Any] = []
-        for topic in (TRANSFORMS_TOPIC, STATIC_TRANSFORMS_TOPIC):
-            before = self.graph.subscribe(
-                WATCHER, topic, None, Subscriber(lambda published: self.heard.append(published.msg))
-            )
-            self.heard += [published.msg for published in before]
-
-    def show(self, clock_s: float, position_rad: float = 0.0, stamp_s: float = 0.0) -> None:
-        positions = np.full(len(JOINTS), position_rad)
-        self.topics.take_state(ArmState(stamp_s, Mode.HOLDING, JOINTS, position_rad=positions, clock_s=clock_s))
-
-
-@pytest.fixture
-def screen() -> Screen:
-    return Screen()
-
-
-def test_both_transform_topics_together_place_every_link_as_forward_kinematics_does(screen: Screen) -> None:
-    screen.show(1.0, 0.4)
-    placed = {ROBOT.root_link: np.eye(4)}
-    transforms = {each["child_frame_id"]: each for message in screen.heard for each in message["transforms"]}
-    for link in ROBOT.links[1:]:
-        parent, own = transforms[link]["header"]["frame_id"], transforms[link]["transform"]
-        translation, rotation = own["translation"], own["rotation"]
-        pose = Pose(tuple(translation[axis] for axis in "xyz"), tuple(rotation[axis] for axis in "xyzw"))
-        placed[link] = placed[parent] @ matrix_of(pose)
-    for link, transform in ForwardPlacements(ROBOT).transforms(dict.fromkeys(JOINTS, 0.4)).items():
-        assert placed[link] == pytest.approx(transform, abs=1e-9)
-
-
-@pytest.mark.parametrize("rate_hz", [1.0, 50.0, 100.0])
-def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
-    screen = Screen(rate_hz)
-    for tick in range(100):
-        screen.show(10.0 + tick * 0.01)
-    assert len(screen.heard) == pytest.approx(1 + rate_hz, abs=1)
-
-
-@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
-def test_a_machines_clock_that_is_set_neither_silences_transforms_nor_brings_more(
-    screen: Screen, jump_s: float
-) -> None:
-    for tick in range(100):
-        screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
-    assert len(screen.heard) == pytest.approx(1 + 50, abs=1)
-
-
-def test_a_disconnected_arm_has_no_transforms(screen: Screen) -> None:
-    screen.topics.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
-    assert len(screen.heard) == 1

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from server.errors import ServiceError
-from server.teaching import motion_files
-from server.teaching.motion_files import MotionFiles
-from server.teaching.taught_motion import TaughtMotion
+from server.teaching import taught_motion
+from server.teaching.taught_motion import MotionFiles, TaughtMotion
 from tests.helpers.moveit import ROBOT
 
 WAVE = TaughtMotion(("elbow_flex", "gripper"), np.array([0.0, 0.5, 1.25]), np.array([[0.0, 1.0], [0.2, 1.0], [0.1, 0]]))
@@ -63,7 +62,7 @@ async def test_a_taken_name_is_neither_recorded_nor_renamed_to(motions: MotionFi
 async def test_the_number_of_motions_is_bounded_also_when_several_are_saved_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion_files, "MAX_MOTIONS", 2)
+    monkeypatch.setattr(taught_motion, "MAX_MOTIONS", 2)
     motions = MotionFiles(tmp_path, ROBOT)
     saved = await asyncio.gather(*(motions.save(name, WAVE) for name in "abcd"), return_exceptions=True)
     assert sum(isinstance(each, ServiceError) for each in saved) == 2

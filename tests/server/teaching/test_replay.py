@@ -18,9 +18,8 @@ from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import GoalStatus
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder
-from server.teaching.motion_files import MotionFiles
 from server.teaching.replay import MAX_REPEAT, NAME, Replay, ReplayAction, groups_of, planned, result
-from server.teaching.taught_motion import TaughtMotion
+from server.teaching.taught_motion import MotionFiles, TaughtMotion
 from tests.helpers.fake_arm import HOME, JOINTS
 from tests.helpers.moveit import FRAMES, ROBOT, SEVEN, ActionDesk, rejection
 

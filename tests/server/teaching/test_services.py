@@ -14,9 +14,8 @@ import pytest
 from harness.waiting import until
 from robot.messages import ArmState, Mode
 from server.graph.permissions import Role
-from server.teaching.motion_files import MotionFiles
 from server.teaching.services import Teaching
-from server.teaching.taught_motion import MAX_DURATION_S
+from server.teaching.taught_motion import MAX_DURATION_S, MotionFiles
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import BENT, ROBOT, ServiceRig, box, diff, pose
 from tests.helpers.rules import server_rules

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from server.errors import ServiceError
-from server.teleop.joint_map import joint_map, mirrored_joints
+from server.teleop.leader import joint_map, mirrored_joints
 from tests.helpers.robots import so101
 
 ROBOT = so101()

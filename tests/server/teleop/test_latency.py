@@ -24,9 +24,9 @@ from planners.geometry.collision import CollisionModel
 from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import MAX_PERIOD_S, ServoAnswer, ServoLimits, ServoQuestion
-from planners.servo.velocity_limits import WATCHED_M
+from planners.servo.steering import WATCHED_M
 from robot.arm import ArmStream
-from robot.control.streaming import Streaming
+from robot.control.motion import Streaming
 from robot.description.joined import prefixed
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
@@ -37,8 +37,7 @@ from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
-from server.teleop.joint_map import joint_map
-from server.teleop.leader import JitterBuffer, LeaderSample
+from server.teleop.leader import JitterBuffer, LeaderSample, joint_map
 from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.moveit import planner, planning_of

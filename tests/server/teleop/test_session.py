@@ -17,8 +17,7 @@ from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop import session as sessions
 from server.teleop.following import Phase
-from server.teleop.joint_map import joint_map
-from server.teleop.leader import JitterBuffer, LeaderSample
+from server.teleop.leader import JitterBuffer, LeaderSample, joint_map
 from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.waiting import running
 from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.process import LINGER_S
 from robot.errors import NoReply, PortError, PortLost
@@ -77,15 +78,10 @@ def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
         bus.ping(1)
 
 
-@contextlib.contextmanager
 def standalone(*options):
-    """The emulator as a person starts it, killed at the end if it still runs."""
-    command = [sys.executable, "-P", "-m", "robot.emulator", *options]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    """Emulator as a person starts it."""
+    pipe = subprocess.PIPE
+    return running([sys.executable, "-P", "-m", "robot.emulator", *options], stdin=pipe, stdout=pipe, stderr=pipe)
 
 
 def test_without_a_controller_live_commands_come_on_standard_input():
@@ -131,20 +127,16 @@ def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path
 def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(tmp_path: Path) -> None:
     script = tmp_path / "script.jsonl"
     script.write_text('{"at_s": 2.0, "offline": [6]}\n')
-    command = [sys.executable, "-P", "-m", "robot.emulator", "--script", str(script)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            port = process.stdout.readline().strip()
-            # Longer than the script waits, which begins with the first byte.
+    with standalone("--script", str(script)) as process:
+        port = process.stdout.readline().strip()
+        # Longer than the script waits, which begins with the first byte.
+        time.sleep(2.1)
+        with contextlib.closing(Bus.open(port)) as bus:
+            # The emulator may be without a core for a while.
+            assert bus.ping(6, attempts=50) == 777
             time.sleep(2.1)
-            with contextlib.closing(Bus.open(port)) as bus:
-                # The emulator may be without a core for a while.
-                assert bus.ping(6, attempts=50) == 777
-                time.sleep(2.1)
-                with pytest.raises(NoReply):
-                    bus.ping(6)
-            process.terminate()
-            _, shown = process.communicate(timeout=30.0)
-            assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'
-        finally:
-            process.kill()
+            with pytest.raises(NoReply):
+                bus.ping(6)
+        process.terminate()
+        _, shown = process.communicate(timeout=30.0)
+        assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'

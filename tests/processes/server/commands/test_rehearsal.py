@@ -4,46 +4,24 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import IO
 
 import pytest
 
+from harness.waiting import PROGRAM_TIMEOUT_S, running
 from robot.calibration import Calibration
 from server.commands.terminal import ExitCode
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 
 NOMINAL = nominal_calibration()
 
-# The rehearsal takes 17 s.
-MOST_S = 90.0
 
-
-class Shell:
-    """Runs commands of armbridge as two people at two terminals do."""
-
-    def __init__(self, resources: ExitStack) -> None:
-        self._resources = resources
-
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
-        pipe = subprocess.PIPE
-        command = [sys.executable, "-m", "server.cli", *arguments]
-        process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
-        self._resources.enter_context(process)
-        self._resources.callback(process.kill)
-        limit = threading.Timer(MOST_S, process.kill)
-        limit.start()
-        self._resources.callback(limit.cancel)
-        return process
-
-
-@pytest.fixture
-def shell() -> Iterator[Shell]:
-    with ExitStack() as resources:
-        yield Shell(resources)
+def armbridge(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
+    """Run a command of armbridge at a terminal of its own."""
+    pipe = subprocess.PIPE
+    return running([sys.executable, "-m", "server.cli", *arguments], stdin=pipe, stdout=pipe, stderr=pipe)
 
 
 def read_until(stream: IO[str] | None, words: str) -> None:
@@ -62,17 +40,17 @@ def press_enter(process: subprocess.Popen[str]) -> None:
     process.stdin.flush()
 
 
-def test_an_arm_that_a_rehearsed_hand_sweeps_is_calibrated_with_its_true_ranges(shell: Shell, tmp_path: Path) -> None:
+def test_an_arm_that_a_rehearsed_hand_sweeps_is_calibrated_with_its_true_ranges(tmp_path: Path) -> None:
     file, link = tmp_path / "arm.json", tmp_path / "arm"
-    emulator = shell.start("emulate", "--rehearse", "sweep", "--link", str(link))
-    read_until(emulator.stdout, "/dev/")
-    person = shell.start("calibrate", str(file), "--serial", str(link), "--yes", "--no-directions")
-    read_until(person.stderr, "Move every joint")
-    read_until(emulator.stderr, '"1": null')
-    press_enter(person)
-    read_until(person.stderr, "Turn wrist roll to the middle")
-    press_enter(person)
-    told, said = person.communicate()
+    with armbridge("emulate", "--rehearse", "sweep", "--link", str(link)) as emulator:
+        read_until(emulator.stdout, "/dev/")
+        with armbridge("calibrate", str(file), "--serial", str(link), "--yes", "--no-directions") as person:
+            read_until(person.stderr, "Move every joint")
+            read_until(emulator.stderr, '"1": null')
+            press_enter(person)
+            read_until(person.stderr, "Turn wrist roll to the middle")
+            press_enter(person)
+            told, said = person.communicate(timeout=PROGRAM_TIMEOUT_S)
     assert person.returncode == ExitCode.DONE, said
     calibration = Calibration.load(file, SO101_SERVOS)
     for joint, nominal in zip(calibration.joints, NOMINAL.joints, strict=True):

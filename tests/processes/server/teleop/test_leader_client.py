@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import FAST, ROOT, EmulatorControl, ServerOnBus, free_port, server_on_bus
+from harness.waiting import running
 from server.teleop.teleoperation import START, STATE_TOPIC, STOP
 from tests.helpers.robots import nominal_calibration
 
@@ -33,14 +34,9 @@ def follower() -> Iterator[ServerOnBus]:
         yield running
 
 
-@contextlib.contextmanager
-def leader(url: str, control: Path) -> Iterator[subprocess.Popen[str]]:
+def leader(url: str, control: Path) -> AbstractContextManager[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "server.cli", "leader", "--connect", url, "--emulator-control", str(control)]
-    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as process:
-        yield process
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            process.wait(TIMEOUT_S)
+    return running(command, cwd=ROOT, stderr=subprocess.PIPE)
 
 
 async def elbow_at(client: ArmClient, position_rad: float) -> None:

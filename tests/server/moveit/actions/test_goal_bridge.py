@@ -77,7 +77,7 @@ async def test_a_goal_that_is_over_takes_its_motion_along(desk: Desk) -> None:
     goal.fail("Action /move took more than 3600 s")
     await settle()
     assert desk.cancelled == ["the goal of /move is over: Action /move took more than 3600 s"]
-    assert desk.queue.running is None
+    assert desk.queue.running() is None
 
 
 async def test_a_goal_that_is_over_before_its_turn_never_moves(desk: Desk) -> None:

@@ -181,7 +181,7 @@ async def test_a_suggestion_is_a_request_that_works(desk: Desk) -> None:
 
 async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
     await desk.ask(0.01, named="ready")
-    await until(lambda: not desk.queue.busy)
+    await until(lambda: not desk.queue.busy())
     (response,) = desk.responses
     assert not response.ok
     assert "did not answer in 0.01 s" in response.values
@@ -193,7 +193,7 @@ async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: D
     await desk.ask(named="ready")
     desk.graph.remove(desk.client)
     await settle()
-    assert bool(desk.queue.busy) is not takes_along
+    assert bool(desk.queue.busy()) is not takes_along
 
 
 async def test_confirm_mode_holds_for_calls_as_for_topics(desk: Desk) -> None:
@@ -250,5 +250,5 @@ async def test_a_goal_of_another_client_is_not_ended_by_one_that_leaves(desk: De
     desk.graph.services.call(other, NAME, {"named": "home"}, desk.responses.append)
     desk.graph.remove(other)
     await settle()
-    assert desk.queue.busy
+    assert desk.queue.busy()
     assert desk.queue.waiting_count == 0

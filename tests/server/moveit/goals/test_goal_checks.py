@@ -25,7 +25,7 @@ from server.moveit.goals.goal_checks import (
     answers_in_time,
     goal_check,
 )
-from server.moveit.poses import composed, pose_of
+from server.moveit.messages import composed, pose_of
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.moveit import TRANSLATOR, DirectPool, planning_of
 from tests.helpers.robots import so101

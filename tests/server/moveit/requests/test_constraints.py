@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.goals import ConstraintGoal, Constraints, JointGoal
+from planners.goals import ConstraintGoal, Constraints, JointGoal, PositionGoal
 from planners.problem import MoveItErrorCode
 from server.errors import RefusedError
 from server.moveit.requests.constraints import (
@@ -19,7 +19,6 @@ from server.moveit.requests.constraints import (
     read_joint_constraints,
     read_orientation_constraint,
     read_path_constraints,
-    read_regions,
 )
 from tests.helpers.moveit import (
     BOX,
@@ -34,7 +33,6 @@ from tests.helpers.moveit import (
     constraints,
     context,
     joint,
-    near,
     outcome,
     point,
     region,
@@ -117,19 +115,22 @@ def test_path_constraints_are_read_in_full() -> None:
     assert held.orientations[0].tolerance_rad[:2] == (0.1, 0.2)
 
 
-def test_on_the_way_a_point_can_be_in_one_region_only() -> None:
-    two = region((SPHERE, [0.01]), (SPHERE, [0.02]), poses=[point(0.3, 0.0, 0.2), point(0.2, 0.0, 0.2)])
-    refusal = on_the_way(position_constraints=[two])
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "path_constraints", "2 regions")
+BAD_WAYS = {
+    "two regions": (
+        {"position_constraints": [region((SPHERE, [0.01]), (SPHERE, [0.02]), poses=[point(0.3, 0.0, 0.2)] * 2)]},
+        "2 regions",
+    ),
+    "visibility": ({"visibility_constraints": [{}]}, "path_constraints.visibility_constraints"),
+    "a contradiction": (
+        {"joint_constraints": [joint("elbow_flex", angle, 0.1, 0.1) for angle in (0.5, -0.5)]},
+        "'elbow_flex'",
+    ),
+}
 
 
-def test_visibility_on_the_way_is_refused() -> None:
-    assert_refused(on_the_way(visibility_constraints=[{}]), INVALID, "path_constraints.visibility_constraints")
-
-
-def test_constraints_that_contradict_each_other_are_refused() -> None:
-    refusal = on_the_way(joint_constraints=[joint("elbow_flex", 0.5, 0.1, 0.1), joint("elbow_flex", -0.5, 0.1, 0.1)])
-    assert_refused(refusal, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "'elbow_flex'")
+@pytest.mark.parametrize(("fields", "words"), BAD_WAYS.values(), ids=BAD_WAYS.keys())
+def test_a_way_that_cannot_be_is_refused(fields, words) -> None:
+    assert_refused(on_the_way(**fields), INVALID, "path_constraints", words)
 
 
 ELBOW = ROBOT.joints["elbow_flex"]
@@ -211,53 +212,42 @@ def test_a_senseless_tolerance_is_refused_by_field_and_value(value: float) -> No
     assert_refused(raised, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "absolute_y_axis_tolerance", f"{value:g}")
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 1e-4, 1e-3, DEFAULT_TOLERANCE_RAD])
-def test_default_tolerances_do_not_bind_five_joints(tolerance: float) -> None:
-    assert not is_binding(read_orientation(turned(tolerance)).tolerance_rad, context())
-
-
-@pytest.mark.parametrize("tolerance", [0.02, (0.01, 0.01, math.pi), (0.0, 0.5, 0.0)])
-def test_a_tolerance_that_somebody_chose_is_kept(tolerance) -> None:
-    assert is_binding(read_orientation(turned(tolerance)).tolerance_rad, context())
-
-
-def test_an_arm_with_seven_joints_keeps_every_tolerance() -> None:
-    assert is_binding((1e-3, 1e-3, 1e-3), context(SEVEN))
+@pytest.mark.parametrize(
+    ("tolerance", "robot", "binds"),
+    [
+        *((tolerance, ROBOT, False) for tolerance in (0.0, 1e-4, 1e-3, DEFAULT_TOLERANCE_RAD)),
+        *((tolerance, ROBOT, True) for tolerance in (0.02, (0.01, 0.01, math.pi), (0.0, 0.5, 0.0))),
+        (1e-3, SEVEN, True),
+    ],
+)
+def test_chosen_tolerances_bind_five_joints_and_all_bind_seven(tolerance, robot, binds) -> None:
+    assert is_binding(read_orientation(turned(tolerance)).tolerance_rad, context(robot)) is binds
 
 
 AT = point(0.3, 0.0, 0.2)
 
 
-def read_region(constraint, reading=None):
-    (complete,) = constraints(position_constraints=[constraint])["position_constraints"]
-    return read_regions(complete, reading or context(), "here")
+def test_the_goal_of_a_sphere_is_its_middle_within_its_radius() -> None:
+    assert goal({"position_constraints": [ball(0.3, 0.0, 0.2, 0.02)]}) == PositionGoal(TIP, (0.3, 0.0, 0.2), 0.02)
 
 
-def test_a_sphere_is_its_radius_around_its_pose() -> None:
-    (one,) = read_region(ball(0.3, 0.0, 0.2, 0.02))
-    assert one.constraint.radius_m == one.within_m == 0.02
-    assert near(one.constraint.region, (0.3, 0.0, 0.2))
-    assert one.constraint.link == TIP
-
-
-def test_a_box_is_half_its_edges() -> None:
-    (one,) = read_region(region((BOX, [0.02, 0.02, 0.03]), poses=[AT]))
-    assert one.constraint.half_size_m == (0.01, 0.01, 0.015)
-    assert one.within_m == 0.01
-    assert not one.elongated
+def test_the_goal_of_a_box_is_its_middle_within_half_its_shortest_edge() -> None:
+    box = region((BOX, [0.02, 0.02, 0.03]), poses=[AT])
+    assert goal({"position_constraints": [box]}).tolerance_m == 0.01
+    assert on_the_way(position_constraints=[box]).positions[0].half_size_m == (0.01, 0.01, 0.015)
 
 
 def test_a_cylinder_is_the_box_within_it() -> None:
-    (one,) = read_region(region((CYLINDER, [0.1, 0.02]), poses=[AT]))
-    x, y, z = one.constraint.half_size_m
+    cylinder = region((CYLINDER, [0.1, 0.02]), poses=[AT])
+    x, y, z = on_the_way(position_constraints=[cylinder]).positions[0].half_size_m
     assert math.hypot(x, y) == pytest.approx(0.02)
     assert z == 0.05
 
 
 @pytest.mark.parametrize("primitives", [[], [(0, [])]])
 def test_a_pose_without_a_shape_is_a_point_within_the_default_tolerance(primitives) -> None:
-    (one,) = read_region(region(*primitives, poses=[AT]), context(position_tolerance=0.007))
-    assert one.within_m == 0.007
+    bare = region(*primitives, poses=[AT])
+    assert goal({"position_constraints": [bare]}, reading=context(position_tolerance=0.007)).tolerance_m == 0.007
 
 
 BAD_REGIONS = {
@@ -277,4 +267,9 @@ BAD_REGIONS = {
 
 @pytest.mark.parametrize(("bad", "words"), BAD_REGIONS.values(), ids=BAD_REGIONS.keys())
 def test_a_senseless_region_is_refused_by_field_and_value(bad, words) -> None:
-    assert_refused(rejection(read_region, bad), MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "here.", *words)
+    assert_refused(on_the_way(position_constraints=[bad]), INVALID, "path_constraints.position_constraints[0].", *words)
+
+
+def test_an_empty_link_is_the_configured_one_of_the_configured_group_only() -> None:
+    assert context(end_effector_link="wrist_link").link("") == "wrist_link"
+    assert context(group="gripper", end_effector_link="wrist_link").link("") == "moving_jaw_so101_v1_link"

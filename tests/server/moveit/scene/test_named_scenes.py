@@ -10,8 +10,8 @@ from protocol.registry import Registry
 from server.graph.node import Node
 from server.graph.permissions import Role
 from server.graph.topics import Graph
-from server.moveit.scene import named_scenes
-from server.moveit.scene.named_scenes import NamedScenes, offer_named_scenes
+from server.moveit.scene import saved_scene
+from server.moveit.scene.saved_scene import NamedScenes, offer_named_scenes
 from tests.helpers.moveit import BENT, box, current_state, diff, held, scene_state
 from tests.helpers.rules import server_rules
 
@@ -55,7 +55,7 @@ async def test_scenes_are_listed_by_name_and_deleted(tmp_path):
 
 
 async def test_more_scenes_than_the_limit_are_refused_but_a_known_one_is_replaced(tmp_path, monkeypatch):
-    monkeypatch.setattr(named_scenes, "MAX_SCENES", 2)
+    monkeypatch.setattr(saved_scene, "MAX_SCENES", 2)
     scenes = Scenes(tmp_path, box("cup"))
     for name in ("a", "b", "a"):
         assert (await scenes.call("save", name=name))["success"]
@@ -67,7 +67,7 @@ async def test_a_scene_that_is_too_large_is_refused_and_the_old_one_stays(tmp_pa
     scenes = Scenes(tmp_path, box("cup"))
     await scenes.call("save", name="a")
     before = (tmp_path / "a.json").read_bytes()
-    monkeypatch.setattr(named_scenes, "MAX_SCENE_BYTES", 100)
+    monkeypatch.setattr(saved_scene, "MAX_SCENE_BYTES", 100)
     assert "more than 100 bytes" in (await scenes.call("save", name="a"))["message"]
     assert "more than 100 bytes" in (await scenes.call("load", name="a"))["message"]
     assert (tmp_path / "a.json").read_bytes() == before

@@ -10,7 +10,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from planners.scene import Box, Pose, Sphere
 from planners.scene_checks import MAX_SHAPES
-from server.moveit.poses import matrix_of
+from server.moveit.messages import matrix_of
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.collision_objects import APPEND, MOVE, REMOVE, read_collision_object
 from server.moveit.scene.frames import LinkTransforms

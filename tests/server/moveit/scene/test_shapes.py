@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Sphere
 from planners.scene_checks import MAX_TRIANGLES
-from server.moveit.scene import shapes
-from server.moveit.scene.shapes import (
+from server.moveit.scene import collision_objects as shapes
+from server.moveit.scene.collision_objects import (
     BOX,
     CONE,
     CYLINDER,

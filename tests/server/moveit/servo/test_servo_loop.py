@@ -24,10 +24,10 @@ from planners.servo.question import (
 )
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from robot.control.streaming import SETPOINT_LASTS_S
+from robot.control.motion import SETPOINT_LASTS_S
 from robot.messages import MotionEnded, Outcome, Setpoint
+from server.errors import refused
 from server.execution.monitors import CurrentState
-from server.moveit.error_codes import refused
 from server.moveit.parameters import ServoParameters
 from server.moveit.servo.servo_loop import (
     REST_S,

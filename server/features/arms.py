@@ -1,0 +1,227 @@
+"""Orders to each arm, its state and its control, by its own names."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+
+from robot.arm_group import ArmGroup
+from robot.errors import OrderRefused
+from robot.messages import ArmHealth, ArmState
+from server.access.control_lease import ControlServices
+from server.arm.arms import ArmFiles, read_now
+from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
+from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
+from server.arm.services import ArmPace, ArmServices
+from server.arm.topics import TOPIC as JOINT_STATES
+from server.arm.topics import ArmStateTopics, JointStates
+from server.arm.verifying import FirstMotions, VerificationProcedure
+from server.config import Settings
+from server.features.context import ArmContext, ServerContext
+from server.lifecycle import Feature
+from server.moveit.named_states import data_directory, default_path
+from server.moveit.servo.servo_node import servo_setup
+from server.teaching.replay import ReplayAction
+from server.teaching.services import Teaching
+from server.teaching.taught_motion import MotionFiles
+from server.teleop.session import Follower, FollowingContext
+from server.teleop.teleoperation import Teleoperation
+
+
+class ArmControl(Feature):
+    """Services that switch, stop and pace an arm, topics of its state, and the lease of its control."""
+
+    name = "control"
+
+    def __init__(self, context: ServerContext) -> None:
+        self._arms = {each.name: each for each in context.arms}
+        self._joint_states = {each.name: JointStates(each.graph) for each in context.arms}
+        self._states = {
+            each.name: ArmStateTopics(
+                each.graph, each.robot, each.served.arm.state, each.served.description.calibration
+            )
+            for each in context.arms
+        }
+        self._control = []
+        for each in context.arms:
+            ArmServices(each.graph, each.served.arm, each.stop)
+            ArmPace(each.graph, each.served.arm)
+            lease = context.access.leases_of_arms.get(each.name, context.access.lease)
+            self._control.append(ControlServices(each.graph, lease))
+
+    async def stop(self) -> None:
+        for each in self._control:
+            each.close()
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        each = self._arms[arm]
+        # The joints of all arms are published without subscribers too, for a recording. One arm's own would cost as
+        # much again.
+        if not arm or each.graph.subscribers(JOINT_STATES):
+            self._joint_states[arm].publish(read_now(each.served.arm, state))
+        self._states[arm].take_state(state, each.served.arm.last_stop)
+
+    def on_health(self, arm: str, health: ArmHealth) -> None:
+        self._states[arm].take_health(health)
+
+
+class Restart:
+    """Start of the server in place of the present one, which an arm's new calibration asks for."""
+
+    def __init__(self) -> None:
+        self.requested = asyncio.Event()
+        self.recalibrated: Recalibrated | None = None
+
+    def request(self, recalibrated: Recalibrated) -> None:
+        """Have the server start again with a calibration: everything made with the old one is made again."""
+        self.recalibrated = recalibrated
+        self.requested.set()
+
+
+class CommissioningOfArms(Feature):
+    """Commissioning of each arm.
+
+    Args:
+        recalibrated: calibration with which this server has started again; None for a first start.
+        shared_calibration: True where other servers use the arms' calibration too, so that none is written.
+    """
+
+    name = "commissioning"
+
+    def __init__(
+        self,
+        context: ServerContext,
+        restart: Restart,
+        recalibrated: Recalibrated | None,
+        *,
+        shared_calibration: bool,
+    ) -> None:
+        self._restart = restart
+        self._shared_calibration = shared_calibration
+        self._of_arms: dict[str, Commissioning] = {}
+        folder = data_directory(os.environ) / "verified_calibrations"
+        self._first_motions = {each.name: FirstMotions(each.served, folder) for each in context.arms}
+        for each in context.arms:
+            before = recalibrated is not None and recalibrated.arm == each.name
+            ended = recalibrated.ended if recalibrated is not None and before else None
+            if ended is None and (advice := self._first_motions[each.name].advice):
+                ended = Ended(advice)
+            self._of_arms[each.name] = Commissioning(each.graph, functools.partial(self._begin, each), ended)
+
+    async def start(self) -> None:
+        """Limit the speed of arms that are not verified."""
+        for each in self._first_motions.values():
+            each.begin()
+
+    async def stop(self) -> None:
+        await asyncio.gather(*(each.close() for each in self._of_arms.values()))
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        self._of_arms[arm].take_state(state)
+
+    def on_health(self, arm: str, health: ArmHealth) -> None:
+        self._of_arms[arm].take_health(health)
+
+    def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
+        served, queue, arm = context.served, context.goals.queue, context.served.arm
+        if isinstance(arm, ArmGroup):
+            services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
+            raise OrderRefused(f"one arm is calibrated or verified at a time, by the service of its name: {services}")
+        if busy := queue.busy(context.joints):
+            raise OrderRefused(f"the arm is in use: {busy}")
+        if procedure == "calibrate":
+            if self._shared_calibration:
+                raise OrderRefused("the arms of a classroom have one calibration together, which is not changed here")
+            check_state_rate(served.settings.joint_state_rate_hz)
+            file = calibration_file(name, served.description)
+            return CalibrationProcedure(arm, served, file, context.stop, self._restart.request)
+        if procedure == "verify":
+            calibration = served.description.calibration
+            joints = () if calibration is None else calibration.joints
+            ends = frozenset(joint.joint for joint in joints if joint.servo.zero == "ends")
+            return VerificationProcedure(
+                arm, context.robot, ends, context.go_to, queue.cancel, self._first_motions[context.name]
+            )
+        raise OrderRefused(f"there is no procedure {procedure[:80]!r}, but calibrate and verify")
+
+
+def with_calibration(settings: Settings, recalibrated: Recalibrated) -> Settings:
+    """Return the settings with an arm's new calibration; the arm starts relaxed, since nobody has it switched on."""
+    update = {"calibration": recalibrated.file, "start_enabled": False}
+    if not recalibrated.arm:
+        return settings.model_copy(update={"arm": settings.arm.model_copy(update=update)})
+    arm = settings.arms[recalibrated.arm].model_copy(update=update)
+    return settings.model_copy(update={"arms": {**settings.arms, recalibrated.arm: arm}})
+
+
+def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[str, ArmFiles]:
+    """Return the arms with the positions that one of them has under its new calibration."""
+    found = arms[recalibrated.arm]
+    hardware = found.config.hardware.resumed(recalibrated.position_rad, driven=False)
+    return {**arms, recalibrated.arm: replace(found, config=replace(found.config, hardware=hardware))}
+
+
+class TaughtMotions(Feature):
+    """Recording of motions, and the action that replays them."""
+
+    name = "teaching"
+
+    def __init__(self, context: ServerContext) -> None:
+        planning, graph, robot = context.planning, context.graph, context.planning.robot
+        # In a folder beside the named states.
+        self.motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
+        self._teaching = Teaching(graph, robot, self.motions, planning.pool, planning.scene_state, planning.current)
+        ReplayAction(graph, robot, self.motions, context.goals.queue, planning.problems)
+
+    async def stop(self) -> None:
+        await self._teaching.close()
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        if not arm:
+            self._teaching.take_state(state)
+
+    @property
+    def observes_states(self) -> bool:
+        return self._teaching.recording
+
+
+# Name, for clients, of a follower that is the only arm.
+ONLY_ARM = "arm"
+
+
+class Following(Feature):
+    """Teleoperation: each arm that does not lead can follow."""
+
+    name = "teleoperation"
+
+    def __init__(self, context: ServerContext) -> None:
+        planning = context.planning
+        followers = [
+            Follower(
+                each.name or ONLY_ARM,
+                each.served.prefix,
+                each.robot,
+                arm,
+                servo_setup(planning.robot, each.parameters),
+                each.gripper,
+            )
+            for each, arm in context.single_arms
+            if not each.served.leads
+        ]
+        leaders = [each.name for each, _ in context.single_arms if each.served.leads]
+        following = FollowingContext(planning, context.goals.queue, context.whole.go_to)
+        self.teleoperation = Teleoperation(context.graph, following, followers, leaders)
+
+    async def stop(self) -> None:
+        await self.teleoperation.close()
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        # A leader is followed without waiting for the states of other arms.
+        self.teleoperation.take_leader_state(arm, state)
+
+    @property
+    def observes_states(self) -> bool:
+        return self.teleoperation.active

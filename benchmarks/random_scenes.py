@@ -39,16 +39,7 @@ MAX_NODES = 3000
 
 
 class RandomScene:
-    """Things around the arm, and random problems among them.
-
-    Args:
-        seed: same seed and number, same things and problems.
-        number: number of the scene.
-
-    Attributes:
-        fields: problem file without its problems.
-        judge: judge of collisions and motions in the scene.
-    """
+    """Things around the arm, and random problems among them."""
 
     def __init__(self, seed: int, number: int) -> None:
         objects, self._region = _objects(np.random.default_rng((seed, number)))

@@ -32,10 +32,7 @@ SPARSE_STEP_M = 0.03  # the arm's own links are thicker than this, so a check th
 def plan_joint_path(
     problem: JointPathProblem, robot: RobotModel, collision: CollisionModel, budget: Budget
 ) -> Plan | PlanningFailure:
-    """Time a path of the joints, and make sure that it keeps the limits and touches nothing.
-
-    A failure names the time on the motion; PlanningError: the path is refused.
-    """
+    """Time a path of the joints that keeps the limits and touches nothing; PlanningError: the path is refused."""
     _check(problem, robot)
     checks.check_start(robot, problem.start_rad)
     joints = [robot.joints[name] for name in problem.joint_names]
@@ -87,10 +84,7 @@ def _check_limits(motion: Trajectory, robot: RobotModel) -> None:
 def contact_on(
     motion: Trajectory, others_rad: Mapping[str, float], collision: CollisionModel, should_stop: Callable[[], bool]
 ) -> Contact | None:
-    """Return the first contact of a motion, certified if there is none; other joints stay where they are.
-
-    Contacts that are shallow at its start do not count unless it deepens them, as at the start of a plan.
-    """
+    """Return the first contact of a motion, None if certified; shallow ones at its start count if deepened."""
     names = motion.joint_names
     moving_rad = dict(zip(names, motion.positions_rad[0].tolist(), strict=True))
     start_q = collision.start({**others_rad, **moving_rad}, names)
@@ -102,10 +96,7 @@ def contact_on(
 
 
 def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
-    """Return the first sample in contact, by a sparse check of the samples in their order.
-
-    It finds an obstacle in a quarter of the time that the certificate takes to find where the contact begins.
-    """
+    """Return the first sample in contact, found in a quarter of the time that the certificate takes."""
     travel_m = np.cumsum(np.abs(np.diff(motion.positions_rad, axis=0)) @ space.travel_m_per_rad)
     checked = np.flatnonzero(np.diff(np.floor(travel_m / SPARSE_STEP_M), prepend=0.0)) + 1
     before = 0

@@ -106,11 +106,7 @@ def nearest_goal(
 def ways_out(
     space: JointSpace, point: Vector, start: Vector, moving: Vector, should_stop: Callable[[], bool]
 ) -> list[tuple[float, Vector]]:
-    """Return free points around a point in contact, nearest first, with the greatest travel to there [m].
-
-    Points have the shape (n,) [rad]; ``start`` is free, and ``moving`` is 1 for joints that may differ from the point,
-    else 0.
-    """
+    """Return free points around one in contact, nearest first, with the travel there [m]; ``moving`` is 1 or 0."""
     found: list[tuple[float, Vector]] = []
     least_m = np.inf
     for direction in _directions(point, start, moving):
@@ -247,11 +243,7 @@ class _Search:
 
 
 def spread(away_m: Vector, most: int) -> list[int]:
-    """Choose points that are nearer to a goal than the first is, nearest first, each a step further off than the last.
-
-    ``away_m`` are the distances of the points from the goal, shape (m,) [m]; the indices of ``most`` points at most are
-    returned.
-    """
+    """Choose ``most`` points nearer to a goal than the first by ``away_m``, nearest first, each a step further off."""
     chosen: list[int] = []
     limit_m = (1.0 - LEAST_GAIN) * float(away_m[0])
     for index in np.argsort(away_m, kind="stable").tolist():
@@ -292,10 +284,7 @@ def nearest_end(
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
 ) -> PathGoal | None:
-    """Find how far a path that fails can be followed, and whether there is another way to its end; None if neither.
-
-    ``plan`` plans a motion that need not follow the path.
-    """
+    """Find how far a path that fails can be followed, and if ``plan`` finds another way to its end; None if neither."""
 
     def follow(path: CartesianProblem) -> CartesianPlan | PlanningFailure:
         try:

@@ -66,10 +66,7 @@ WARM_UP_RAD, WARM_UP_M = 0.2, 0.02  # travel of each joint [rad], and of the tip
 
 
 class Planner:
-    """Plans for one robot; ``clock`` is the clock of allowed times, monotonic [s].
-
-    ShapeError: the collision shapes cannot be used.
-    """
+    """Plans for one robot; ``clock`` is monotonic [s]. ShapeError: the collision shapes cannot be used."""
 
     def __init__(self, robot: RobotModel, clock: Callable[[], float] = time.monotonic) -> None:
         self._robot = robot
@@ -251,10 +248,7 @@ def answer_state(
 def recheck(
     question: RecheckQuestion, robot: RobotModel, collision: CollisionModel, should_stop: Callable[[], bool] = never
 ) -> RecheckAnswer:
-    """Check the rest of a motion against the present scene, as plans are checked before they leave.
-
-    Its start is where the motion is now.
-    """
+    """Check the rest of a motion, from its present place on, against the present scene, as plans are checked."""
     _check_question(question, robot)
     rest = _rest(question.trajectory, question.from_s)
     positions = dict(question.others_rad) | dict(zip(rest.joint_names, rest.positions_rad[0].tolist(), strict=True))

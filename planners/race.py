@@ -36,10 +36,7 @@ class Race:
         self._winner: asyncio.Future[asyncio.Task[Answer]] = asyncio.get_running_loop().create_future()
 
     async def run(self, first: Coroutine[Any, Any, Answer]) -> Answer:
-        """Run the race; once this has ended, or is cancelled, every racer is cancelled.
-
-        The answer of the first racer counts where no racer finds a plan.
-        """
+        """Run the race until it is decided; the first racer's answer counts where no racer finds a plan."""
         try:
             self._add(first)
             return (await self._winner).result()

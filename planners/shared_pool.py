@@ -50,10 +50,7 @@ READ_BYTES = 64 << 10
 
 
 class PlannerHost:
-    """Host of one pool of planners that a number of ``servers`` share.
-
-    Every user who can open the Unix socket at ``address`` is trusted, so its folder is the user's alone.
-    """
+    """Host of one pool for ``servers``; every user who can open the socket at ``address`` is trusted."""
 
     def __init__(
         self,
@@ -152,10 +149,7 @@ def bounded(request: Request) -> Request:
 
 
 class SharedPlanners(Planners):
-    """Connection to a host of planners, at its socket: one motion and one question at a time go there.
-
-    Nothing is planned in the background: requests of other servers would have to wait.
-    """
+    """Connection to a host of planners: one motion and one question at a time, and nothing in the background."""
 
     def __init__(self, address: Path) -> None:
         super().__init__(in_background=False)

@@ -115,8 +115,7 @@ class Reference:
         squares = (points**2).sum(axis=1)[:, np.newaxis] + self._squares - 2.0 * points @ self._places.T
         heights = self._heights - points @ self._normals.T
         squares = np.maximum(squares, 1e-9)
-        turns: Vector = np.abs((heights / (squares * np.sqrt(squares))).sum(axis=1)) / (4.0 * np.pi)
-        return turns
+        return np.asarray(np.abs((heights / (squares * np.sqrt(squares))).sum(axis=1)) / (4.0 * np.pi))
 
 
 def decompose(surface: Surface, limits: Limits) -> Decomposition:

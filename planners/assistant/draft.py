@@ -239,8 +239,7 @@ def _room_m(
 
 def _placed(link: str, placed: Mapping[str, pin.SE3], points_m: Mapping[str, Vector]) -> Vector:
     at = placed[link]
-    points: Vector = points_m[link] @ at.rotation.T + at.translation
-    return points
+    return np.asarray(points_m[link] @ at.rotation.T + at.translation)
 
 
 ARM, GRIPPER = "arm", "gripper"

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planners.assistant import picture
 from planners.assistant.decomposition import MAX_PARTS, MAX_TIME_S, TOLERANCE_M, Limits
 from planners.assistant.draft import ARM, Draft, Structure, Tree, draft_gripper, find_structure, robot_toml, srdf
 from planners.assistant.link_shapes import (
     LinkParts,
     LinkShape,
     convex_links,
+    draw_picture,
     link_shapes,
     parts_in_link,
     primitive_points,
@@ -37,9 +37,8 @@ from planners.goals import JointGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from robot.description import model, robot_file, robot_folder
-from robot.description.mesh_files import find_mesh
 from robot.description.model import RobotModel
-from robot.description.urdf import MOVABLE_TYPES, root_of
+from robot.description.urdf import MOVABLE_TYPES, find_mesh, root_of
 
 MESHES = "meshes"
 
@@ -222,7 +221,7 @@ class _Import:
             meshes = {link: _surfaces(link, of_link) for link, of_link in shapes.items()}
             drawn = {link: [part.surface for part in found.parts] for link, found in convex.items()}
             home = np.array([draft.home[joint] for joint in contacts.joint_names])
-            picture.draw(folder / PICTURE, meshes, drawn, contacts.placements(home))
+            draw_picture(folder / PICTURE, meshes, drawn, contacts.placements(home))
             written.append(f"{PICTURE}: the meshes beside the parts")
         return [*written, *self._prove(draft, contacts), *self._notes]
 

@@ -87,8 +87,7 @@ class ConvexPart:
 
     def depth_m(self, points_m: Vector) -> Vector:
         """Return the greatest signed distance to a face's plane, shape (n,), negative inside [m]."""
-        distances: Vector = np.max(points_m @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
-        return distances
+        return np.asarray(np.max(points_m @ self.planes[:, :3].T + self.planes[:, 3], axis=1))
 
     def within(self, directions: Vector) -> ConvexPart:
         """Return the part between planes across unit vectors, shape (d, 3): larger, with fewer corners."""
@@ -147,10 +146,7 @@ def sample_with_normals(surface: Surface, count: int, random: np.random.Generato
 
 
 def measure(surface: Surface, parts: Sequence[ConvexPart], random: np.random.Generator) -> Deviation:
-    """Measure how far parts are from a surface, by :data:`TEST_POINTS` samples each way.
-
-    Distances are to samples of the surface, so distances of parts are too long rather than too short.
-    """
+    """Measure how far parts are from :data:`TEST_POINTS` samples of a surface: rather too far than too near."""
     on_surface = sample(surface, TEST_POINTS, random)
     uncovered_m = np.min([part.depth_m(on_surface) for part in parts], axis=0).max()
     outer_m = _outer_points(parts, random)
@@ -172,5 +168,4 @@ def _outer_points(parts: Sequence[ConvexPart], random: np.random.Generator) -> V
     outer = np.ones(len(points_m), dtype=bool)
     for index, part in enumerate(parts):
         outer &= (owner == index) | (part.depth_m(points_m) > TOUCH_M)
-    found: Vector = points_m[outer]
-    return found
+    return np.asarray(points_m[outer])

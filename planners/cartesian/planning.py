@@ -76,10 +76,7 @@ NEAR_SINGULARITY = 0.1
 
 
 class TipTracker:
-    """Follows a pose with some of the joints: points have their positions, shape (n,) [rad].
-
-    ``kinematics`` has the joints in the order of ``collision``; other joints stay at ``start_q``.
-    """
+    """Follows a pose with some joints, whose positions are points, shape (n,) [rad]; others stay at ``start_q``."""
 
     def __init__(
         self,
@@ -256,11 +253,6 @@ class PathFollower:
         if 0.0 < self.problem.max_joint_step_rad < step[most] or apart_m(*halfway) > CHORD_M:
             return _jump(self.tracker.joint_names[most], float(step[most]), reach_m - from_m)
         return self.check_point(point)
-
-
-def leaves_limits(joint: str) -> PathEnd:
-    """Return the end of a path on which a joint would leave its limits."""
-    return PathEnd("limit", f"joint {joint!r} would leave its limits", {"joint": joint})
 
 
 def _out_of_reach(desired: pin.SE3, end_m: float) -> PathEnd:
@@ -454,7 +446,9 @@ class _Task:
         beyond = np.argwhere(self.tracker.outside(motion.positions_rad))
         if len(beyond):
             sample, joint = beyond[0]
-            return motion.positions_rad[sample], leaves_limits(self.tracker.joint_names[joint])
+            name = self.tracker.joint_names[joint]
+            leaving = PathEnd("limit", f"joint {name!r} would leave its limits", {"joint": name})
+            return motion.positions_rad[sample], leaving
         contact = certify(self.space, motion) if self.problem.avoid_collisions else None
         if contact is None:
             return None

@@ -57,10 +57,7 @@ def check_available() -> None:
 
 
 def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
-    """Draw the first :data:`MAX_MOTIONS` motions, each with its name, into a picture of the kind of its ending.
-
-    PlottingError: there is no motion to draw, or no picture of this ending can be drawn.
-    """
+    """Draw the first :data:`MAX_MOTIONS` motions, each with its name; PlottingError: no motion, or no such picture."""
     # Loaded when something is drawn: it takes a quarter of a second.
     from matplotlib.figure import Figure
 
@@ -202,9 +199,20 @@ def _answers(tasks: Sequence[Task], scheduler: str | None) -> Generator[tuple[in
             number += 1
 
 
-def as_json(outcomes: Sequence[Outcome], joint_names: Sequence[str]) -> list[dict[str, Any]]:
-    """Answers as plain values, joints in the given order."""
-    return [_answer_as_json(outcome, joint_names) for outcome in outcomes]
+def as_json(outcome: Outcome, joint_names: Sequence[str]) -> dict[str, Any]:
+    """Return an answer as plain values, joints in the given order."""
+    answer = outcome.answer
+    if isinstance(answer, PlanningFailure):
+        return {"problem": outcome.file_problem.id, "error_code": answer.code.value, "message": answer.message}
+    motion = answer.trajectory
+    columns = [motion.joint_names.index(name) for name in joint_names if name in motion.joint_names]
+    return {
+        "problem": outcome.file_problem.id,
+        "time_from_start": motion.time_s.tolist(),
+        "positions": motion.positions_rad[:, columns].tolist(),
+        "velocities": motion.velocities_rad_s[:, columns].tolist(),
+        "accelerations": motion.accelerations_rad_s2[:, columns].tolist(),
+    }
 
 
 def _printed(
@@ -235,43 +243,24 @@ def _row(name: str, width: int, outcome: Outcome) -> str:
     duration, length = "", ""
     if isinstance(outcome.answer, Plan):
         duration = f"{outcome.answer.trajectory.duration_s:.3f}"
-        length = f"{path_length_rad(outcome.answer.trajectory):.3f}"
+        steps_rad = np.linalg.norm(np.diff(outcome.answer.trajectory.positions_rad, axis=0), axis=1)
+        length = f"{steps_rad.sum():.3f}"
     cpu = f"{1000.0 * outcome.cpu_s:.1f}"
     row = _ROW.format(name, width, outcome.code.value, outcome.code.name, cpu, duration, length)
     return row if isinstance(outcome.answer, Plan) else f"{row}    {outcome.answer.message}\n"
-
-
-def path_length_rad(trajectory: Trajectory) -> float:
-    """Length of the path in joint space [rad]."""
-    return float(np.linalg.norm(np.diff(trajectory.positions_rad, axis=0), axis=1).sum())
 
 
 def _write(options: Options, tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> None:
     if options.json_path is not None:
         written: list[dict[str, Any]] = []
         for task, outcome in zip(tasks, outcomes, strict=True):
-            (entry,) = as_json([outcome], task.file.joint_names)
+            entry = as_json(outcome, task.file.joint_names)
             written.append(entry if len(options.paths) == 1 else {"file": str(task.path), **entry})
         options.json_path.write_text(json.dumps(written) + "\n")
     if options.plot_path is not None:
         named = zip(tasks, outcomes, strict=True)
         motions = [(task.name, one.answer.trajectory) for task, one in named if isinstance(one.answer, Plan)]
         plot(options.plot_path, motions)
-
-
-def _answer_as_json(outcome: Outcome, joint_names: Sequence[str]) -> dict[str, Any]:
-    answer = outcome.answer
-    if isinstance(answer, PlanningFailure):
-        return {"problem": outcome.file_problem.id, "error_code": answer.code.value, "message": answer.message}
-    motion = answer.trajectory
-    columns = [motion.joint_names.index(name) for name in joint_names if name in motion.joint_names]
-    return {
-        "problem": outcome.file_problem.id,
-        "time_from_start": motion.time_s.tolist(),
-        "positions": motion.positions_rad[:, columns].tolist(),
-        "velocities": motion.velocities_rad_s[:, columns].tolist(),
-        "accelerations": motion.accelerations_rad_s2[:, columns].tolist(),
-    }
 
 
 # A scheduler answers within milliseconds, and its workers need seconds to join when they are just starting.
@@ -324,10 +313,7 @@ def plan_on(
 
 
 def answer(setup: Setup, problem: bytes, asked_by: str) -> tuple[Plan | PlanningFailure, float]:
-    """Plan a pickled :class:`PlanningProblem` in a Dask worker; return the answer and the CPU time spent on it [s].
-
-    BatchError: this worker, which joined after the others had been checked, runs another armbridge.
-    """
+    """Plan a pickled problem in a Dask worker; return answer and CPU time [s]. BatchError: another armbridge."""
     if asked_by != version():
         raise BatchError("the worker runs another armbridge")
     planner, refusal = _planner(setup, threading.get_ident())
@@ -391,10 +377,7 @@ def _packed_setup(file: ProblemFile) -> bytes:
 
 @functools.lru_cache(maxsize=MAX_PLANNERS)
 def _planner(setup: Setup, _thread: int) -> tuple[Planner, PlanningFailure | None]:
-    """Make the planner of one thread, and return the flaw of the scene; planners work on one problem at a time.
-
-    Allowed times are the thread's CPU time: what other threads of the worker do, and Dask itself, does not count.
-    """
+    """Make the planner of one thread, whose CPU time counts, and return the flaw of the scene."""
     planner = Planner(setup.robot, time.thread_time)
     return planner, planner.set_scene(setup.scene)
 

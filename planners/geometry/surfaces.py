@@ -151,8 +151,7 @@ def solid_angles(corners_m: Vector) -> Vector:
         a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
     )
     beside = a_m * b_m * c_m + (a * b).sum(axis=0) * c_m + (b * c).sum(axis=0) * a_m + (c * a).sum(axis=0) * b_m
-    angles: Vector = 2.0 * np.arctan2(volume, beside)
-    return angles
+    return np.asarray(2.0 * np.arctan2(volume, beside))
 
 
 def packed(vertices_m: Vector, triangles: NDArray[np.int64]) -> tuple[NDArray[np.int16], Triangles]:

@@ -77,11 +77,7 @@ def none_of(failures: Sequence[PlanningFailure]) -> PlanningFailure:
 def out_of_reach(
     goal: TaskGoal, nearest_m: Sequence[float], nearest: Deviation, violations: Sequence[Violation]
 ) -> PlanningFailure:
-    """Return the failure of a goal that no configuration meets.
-
-    ``nearest_m`` is the position of the link in the configuration that comes nearest, shape (3,) [m]; ``nearest`` is
-    the deviation there, and ``violations`` are the conditions that do not hold there.
-    """
+    """Return the failure of a goal, with the nearest place, shape (3,) [m], and the deviation and violations there."""
     if isinstance(goal, ConstraintGoal):
         text = "no configuration meets all constraints; in the nearest one"
         return _violated(MoveItErrorCode.NO_IK_SOLUTION, text, violations)
@@ -316,10 +312,7 @@ class GoalStates:
         return ConditionSet(self.forward, conditions(constraints, self._joints))
 
     def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
-        """Return a projection of a group's joint positions onto nearby ones where constraints hold, None on failure.
-
-        Points have the group's joints in their order, shape (n,) [rad]; other joints stay at ``start_q``.
-        """
+        """Return a projection of points of a group's joints, (n,) [rad], to where constraints hold; None on failure."""
         descent = Descent(self._kinematics, group, GoalConditions(conditions(constraints, self._joints)))
         columns = [self._joints.names.index(name) for name in group.joints]
 

@@ -247,10 +247,7 @@ def _point_frame(index: int) -> str:
 
 
 class Descent:
-    """Descent from configurations to ones nearby in which conditions hold, or as nearly as possible; within limits.
-
-    Joints outside the group stay. There may be :data:`MAX_POINTS` conditions on points.
-    """
+    """Descent to nearby configurations within limits where conditions hold, or nearly; only the group moves."""
 
     def __init__(self, kinematics: Kinematics, group: Group, goal_conditions: GoalConditions) -> None:
         required = [(condition, condition.weight) for condition in goal_conditions.required]

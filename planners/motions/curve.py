@@ -138,8 +138,7 @@ def window_ticks(limits: RateLimits) -> int:
 
 def averaging_start(start: Vector, velocity: Vector, window: int) -> Vector:
     """Return the point half a window ahead, at which a curve must start for its average to start in ``start`` [rad]."""
-    point: Vector = start + 0.5 * TICK_S * window * velocity
-    return point
+    return np.asarray(start + 0.5 * TICK_S * window * velocity)
 
 
 def averaged(curve: Curve, window: int, joint_names: tuple[str, ...]) -> Trajectory:
@@ -181,8 +180,7 @@ def _area(curve: Curve, ticks: Ticks) -> Vector:
     since_s = (TICK_S * (ticks - curve.ticks[i]))[:, np.newaxis]
     acceleration = ((v1 - v0) / span_s)[i]
     cubic = curve.velocities_rad_s[i] / 2.0 + since_s * acceleration / 6.0
-    area: Vector = before[i] + since_s * (curve.positions_rad[i] + since_s * cubic)
-    return area
+    return np.asarray(before[i] + since_s * (curve.positions_rad[i] + since_s * cubic))
 
 
 def same_point(a: Vector, b: Vector) -> bool:
@@ -211,10 +209,7 @@ def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
 
 
 def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
-    """Stop in each point of a polyline, shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
-
-    The joints wait for ``wait_ticks`` in each point between the first and the last.
-    """
+    """Stop in each distinct point of a polyline, (m, n), m >= 1 [rad], for ``wait_ticks`` between first and last."""
     points = _distinct(points)
     curves = [line(start, goal, limits) for start, goal in pairwise(points)]
     if not curves:
@@ -226,10 +221,7 @@ def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
 
 
 def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimits) -> Curve | None:
-    """Move from a moving start to rest in a point: no straight line, each joint takes its own ramps.
-
-    None when no time was found that suits all joints.
-    """
+    """Move from a moving start to rest in a point, each joint on its own ramps; None where no time suits all joints."""
     rest = np.zeros_like(start)
     least_s = least_time_s(start, velocity, goal, rest, reduced(limits))
     times = (int(whole_ticks(factor * least_s)) for factor in LONGER_TIMES)
@@ -261,10 +253,7 @@ def _distinct(points: Vector) -> Vector:
 
 
 def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLimits) -> Vector:
-    """Return the least time that the slowest joint needs from positions p0 to p1, with velocities v0 and v1 there.
-
-    Positions and velocities have the shape (..., n), the time the shape (...) [s].
-    """
+    """Return the slowest joint's least time from p0 to p1, (..., n), with velocities v0 and v1 there, (...) [s]."""
     acceleration, top = limits.acceleration_rad_s2, limits.velocity_rad_s
     change = p1 - p0
     # Going straight from one velocity to the other covers this; the rest of the way decides the cruise's direction.
@@ -276,8 +265,7 @@ def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLim
     # The way on the ramps up to the cruise and down from it.
     on_ramps = (cruise**2 - 0.5 * (v0**2 + v1**2)) / acceleration
     cruise_s = np.where(peak > top, (change - on_ramps) / top, 0.0)
-    time_s: Vector = np.max((2.0 * cruise - v0 - v1) / acceleration + cruise_s, axis=-1)
-    return time_s
+    return np.asarray(np.max((2.0 * cruise - v0 - v1) / acceleration + cruise_s, axis=-1))
 
 
 def whole_ticks(time_s: Vector) -> NDArray[np.int64]:
@@ -325,8 +313,7 @@ def _cruise_velocity(change: Vector, v0: Vector, v1: Vector, time_s: float, acce
     # A peak of height h above (or a dip below) takes 2 h / a of the spare time: h (spare - h / a) = distance.
     root_s2 = spare_s**2 - 4.0 * beyond / acceleration
     height = 0.5 * acceleration * (spare_s - np.sqrt(np.where(root_s2 >= 0.0, root_s2, np.nan)))
-    cruise: Vector = np.where(change > at_high, high + height, np.where(change < at_low, low - height, between))
-    return cruise
+    return np.asarray(np.where(change > at_high, high + height, np.where(change < at_low, low - height, between)))
 
 
 def _three_phases(

@@ -216,11 +216,7 @@ def _fastest(path: _ScaledPath, velocity: Vector, top_rate: Vector) -> Vector:
 def time_along(
     path: NaturalSpline, joint_names: tuple[str, ...], limits: RateLimits, top_rate: Vector | None = None
 ) -> Trajectory | None:
-    """Return the fastest motion along a path from rest to rest, whose interpolation keeps the limits as well.
-
-    Its samples are at most about 10 ms apart. None where
-    :func:`toppra_profile` has none, or a profile that takes too long.
-    """
+    """Return the fastest motion from rest to rest within the limits; None if there is none or it takes too long."""
     profile = toppra_profile(path, limits, top_rate)
     if profile is None or profile.times_s[-1] > MAX_DURATION_S:
         return None

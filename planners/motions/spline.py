@@ -19,10 +19,7 @@ GRID_STEPS_PER_SPAN = 2
 
 
 class NaturalSpline:
-    """Natural cubic spline through ``points``, shape (m, n), m >= 2, at strictly increasing ``knots``, shape (m,).
-
-    ValueError: numbers that are not finite.
-    """
+    """Natural cubic spline through finite ``points``, (m, n), m >= 2, at increasing ``knots``, (m,)."""
 
     def __init__(self, knots: Vector, points: Vector) -> None:
         if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(points))):

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
-from planners.scene import Point, Pose
+from planners.scene import ZERO, Point, Pose
 
 MAX_PERIOD_S = 0.1  # with a longer period the arm moves too far between two commands
 
@@ -18,8 +18,6 @@ ACCELERATION_SHARE = 0.7
 
 # Speed of approach per distance left. With it a joint at full speed brakes as hard as it can, and no harder.
 APPROACH_PER_S = 2.5
-
-ZERO: Point = (0.0, 0.0, 0.0)
 
 
 class ServoStatus(IntEnum):

@@ -178,7 +178,8 @@ def regularized(
     velocity = right[:3].T @ ((left.T @ linear_m_s) / floor)
     fastest = float(np.max(np.abs(velocity) / max_velocity))
     velocity = velocity / max(fastest, 1.0)
-    change = _least_value(predict(PREDICTION_S * velocity)) - float(values[2])
+    ahead = np.linalg.svd(predict(PREDICTION_S * velocity).jacobian, compute_uv=False)
+    change = float(ahead[2] - values[2])
     share, status = _share(float(values[0] / max(values[2], 1e-12)), change, limits)
     moved_m = predict(EXIT_PREDICTION_S * velocity).position_m - predict(0.0 * velocity).position_m
     if (
@@ -189,10 +190,6 @@ def regularized(
     if abs(desired) <= LEAST_PROGRESS * float(np.linalg.norm(linear_m_s)):
         status = ServoStatus.NO_WARNING
     return RegularizedMotion(linear_m_s - (1.0 - share) * desired * weak, sound, free, status)
-
-
-def _least_value(there: PredictedTip) -> float:
-    return float(np.linalg.svd(there.jacobian, compute_uv=False)[2])
 
 
 def _share(condition: float, change: float, limits: ServoLimits) -> tuple[float, ServoStatus]:

@@ -262,7 +262,6 @@ class Commissioning:
             self._show()
 
     def _show(self) -> None:
-        """Publish what there is to show, when it says something new."""
         self._shown_at_s = time.monotonic()
         message = self._message()
         if message != self._shown:

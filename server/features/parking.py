@@ -209,7 +209,6 @@ class Parking:
         return place is not None and not place.same_as(self._place)
 
     def _here(self) -> _Place | None:
-        """Return where the arm holds; None unless it does."""
         if self._arm.state.mode is not Mode.HOLDING or (held_rad := self._current.positions_rad()) is None:
             return None
         return _Place(held_rad, self._scene.scene.version, self._arm.pid, self._arm.state.pace.speed_limit)
@@ -270,7 +269,6 @@ class _Place:
     speed_limit: float
 
     def same_as(self, other: _Place | None) -> bool:
-        """Return True when a way from another place is one from here."""
         if other is None or (self.version, self.pid, self.speed_limit) != (
             other.version,
             other.pid,

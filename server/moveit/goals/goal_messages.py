@@ -217,7 +217,6 @@ class GoalTranslator:
 
 
 def _position_m(message: Message) -> tuple[float, float, float]:
-    """Read the position of a geometry_msgs/Pose [m]."""
     point = message["position"]
     for axis in "xyz":
         if not math.isfinite(point[axis]):
@@ -226,7 +225,6 @@ def _position_m(message: Message) -> tuple[float, float, float]:
 
 
 def _whole_pose(message: Message, group: Group) -> Pose:
-    """Read a geometry_msgs/Pose whose orientation counts."""
     pose = read_pose(message, "pose")
     length = math.hypot(*(message["orientation"][axis] for axis in "xyzw"))
     if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -315,7 +313,6 @@ def _joints(positions_rad: Mapping[str, float], robot: RobotModel, what: str) ->
 
 
 def _within_limits(message: Message, robot: RobotModel) -> Suggestion:
-    """Return the joint goal with every joint within its limits."""
     named = zip(message["name"], message["position"], strict=True)
     known = {name: value for name, value in named if name in robot.joints}
     limits = {name: (robot.joints[name].lower, robot.joints[name].upper) for name in known}

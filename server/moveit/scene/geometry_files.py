@@ -107,8 +107,6 @@ def _figures(values: Any) -> str:
 
 
 class _Lines:
-    """Lines of a text, read one after the other."""
-
     def __init__(self, text: str) -> None:
         self._lines = text.splitlines()
         self._number = 0
@@ -125,7 +123,6 @@ class _Lines:
         return self._lines[self._number - 1].strip()
 
     def wrong(self, expected: str) -> Exception:
-        """Make the error for the line consumed last."""
         return invalid(f"line {self._number} must be {expected}, not {self._lines[self._number - 1][:40]!r}")
 
     def figures(self, count: int, expected: str) -> list[float]:

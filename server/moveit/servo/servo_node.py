@@ -7,7 +7,6 @@ import logging
 import math
 import time
 from collections.abc import Callable, Container
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -127,14 +126,6 @@ class StatusPublisher:
             log.warning("servo: %s", message)
 
 
-@dataclass(frozen=True)
-class CommandRejection:
-    """Reason for not following a command; ``from_owner`` is true if it is from the client in control."""
-
-    message: str
-    from_owner: bool = True
-
-
 class CommandGate:
     """Gate for commands: it lets commands of the client in control pass, of the selected type, while the arm is free.
 
@@ -144,6 +135,7 @@ class CommandGate:
         arm: the arm, whose stops release a held stick.
 
     Attributes:
+        owner: the client in control, until it leaves or sends no more commands.
         paused: true while all commands are rejected.
     """
 
@@ -151,8 +143,7 @@ class CommandGate:
         self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: AnyArm
     ) -> None:
         self._present = present
-        # The client in control, until it leaves or sends no more commands.
-        self._owner: object = None
+        self.owner: object = None
         self._timeout_s = timeout_s
         self._busy = busy
         self._arm = arm
@@ -191,15 +182,15 @@ class CommandGate:
         self._heard_epoch = arrival_epoch()
         self._presses = dict.fromkeys(self._presses, self._heard_epoch)
 
-    def rejection(self, client: object, kind: CommandType, now_s: float) -> CommandRejection | None:
-        """Check a command; None if it is to be followed."""
-        left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self._owner)
-        if self._owner is not None and left:
+    def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
+        """Return the reason for not following a command; empty if it is to be followed."""
+        left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
+        if self.owner is not None and left:
             # The selection of a client ends with its control.
-            self._owner, self._selected, self._heard_s = None, None, -float("inf")
-        if self._owner not in (None, client):
-            return CommandRejection(f"{client} cannot steer the arm: {self._owner} does", from_owner=False)
-        self._owner = client
+            self.owner, self._selected, self._heard_s = None, None, -float("inf")
+        if self.owner not in (None, client):
+            return f"{client} cannot steer the arm: {self.owner} does"
+        self.owner = client
         silence_s, self._heard_s = now_s - self._heard_s, now_s
         stopped, last_stop = is_stopped(self._arm.last_stop), self._arm.last_stop
         pressed = not is_stopped(last_stop, self._presses.get(client))
@@ -208,10 +199,6 @@ class CommandGate:
         elif stopped or is_stopped(last_stop, self._heard_epoch):
             self._interrupted = "the arm was stopped"
         self._heard_epoch = arrival_epoch()
-        message = self._reason(client, kind)
-        return CommandRejection(message) if message else None
-
-    def _reason(self, client: object, kind: CommandType) -> str:
         if self.paused:
             return "servo is paused: unpause it by the service /servo_node/pause_servo or start_servo"
         if self._selected is not None and kind is not self._selected:
@@ -307,18 +294,17 @@ class ServoNode:
         topic, type_name = _TOPICS[kind]
 
         def deliver(published: PublishedMessage) -> None:
-            rejection = self._gate.rejection(published.publisher, kind, time.monotonic())
-            if rejection is None:
-                follow(published.publisher, published.msg)
-            elif rejection.from_owner:
-                self._status.publish(ServoStatus.INVALID, rejection.message)
-            elif rejection.message != self._logged:
-                self._logged = rejection.message
-                log.warning("servo: %s", rejection.message)
-
-        def follow(client: object, message: Message) -> None:
+            client = published.publisher
+            rejection = self._gate.rejection(client, kind, time.monotonic())
+            if rejection and self._gate.owner is not client:
+                if rejection != self._logged:
+                    self._logged = rejection
+                    log.warning("servo: %s", rejection)
+                return
             try:
-                self._session.set_command(self._read(kind, message), self._timeouts.timeout_s(client))
+                if rejection:
+                    raise invalid(rejection)
+                self._session.set_command(self._read(kind, published.msg), self._timeouts.timeout_s(client))
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 

@@ -23,16 +23,7 @@ READY = {"shoulder_lift": -0.5, "elbow_flex": 0.5}
 
 
 class SteeredArm:
-    """An arm that stands somewhere until it is steered.
-
-    Args:
-        planner: answers.
-        robot: the arm.
-        start_rad: where it stands; joints not named are at 0 [rad].
-        limits: how it is steered.
-        period_s: time between two answers, a multiple of two ticks [s].
-        tip: the link that is steered.
-    """
+    """An arm that stands somewhere until it is steered."""
 
     def __init__(
         self,

@@ -17,12 +17,7 @@ START_TIMEOUT_S = 60.0
 
 
 class DaskCluster:
-    """A scheduler and its workers; each takes one problem at a time and is not restarted when it dies.
-
-    Args:
-        workers: how many.
-        certificate: signed by itself, by which all of them know each other; None without TLS.
-    """
+    """A scheduler and its workers; each takes one problem at a time and is not restarted when it dies."""
 
     def __init__(self, workers: int, certificate: Pair | None = None) -> None:
         self._port = free_port()

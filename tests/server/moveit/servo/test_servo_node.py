@@ -212,8 +212,7 @@ class GateRig:
         self.gate = CommandGate(lambda _client: True, TIMEOUT_S, lambda: self.busy, self.arm.as_arm)
 
     def said(self, at_s: float, client: Node = ONE, kind: CommandType = TWIST) -> str:
-        rejection = self.gate.rejection(client, kind, at_s)
-        return "" if rejection is None else rejection.message
+        return self.gate.rejection(client, kind, at_s)
 
 
 @pytest.fixture

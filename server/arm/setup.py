@@ -118,7 +118,7 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
 def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     emulator = settings.emulator
     if description.calibration is None:
-        no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus"
+        no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
         _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)
         return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled)
     dynamixel = description.hardware.kind == "dynamixel"
@@ -155,7 +155,7 @@ def _profile(description: Description) -> ServoProfile | None:
 
 def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedDynamixelConfig:
     emulator = settings.emulator
-    _refuse_options(emulator, ("write_log", "control", "population"), "emulated Dynamixel servos have nothing")
+    _refuse_options(emulator, ("write_log", "control", "population"), "emulated Dynamixel servos have nothing that")
     return EmulatedDynamixelConfig(
         calibration,
         drop=emulator.drop,
@@ -184,7 +184,7 @@ def _refuse_options(emulator: EmulatorSettings, names: Iterable[str], reason: st
     for name in names:
         if (value := getattr(emulator, name)) != getattr(default, name):
             value = str(value) if isinstance(value, Path) else value
-            raise ConfigurationError(f"emulator.{name}: {reason} that {value!r} could apply to")
+            raise ConfigurationError(f"emulator.{name}: {reason} {value!r} could apply to")
 
 
 def _check_place(setting: str, path: Path) -> None:

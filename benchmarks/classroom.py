@@ -35,15 +35,10 @@ ARMS = {"fetch": ("ready", "raised"), "so101": ("ready", "home")}
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of processes over some time, for each student.
+    """Cost of processes over some time, for each student."""
 
-    Attributes:
-        memory_mb: proportional set size: what processes share counts once, in equal shares (proc(5), smaps_rollup).
-        processor_percent: processor time of one core.
-    """
-
-    memory_mb: float
-    processor_percent: float
+    memory_mb: float  # proportional set size: what processes share counts once, in equal shares (proc(5), smaps_rollup)
+    processor_percent: float  # processor time of one core
 
     @property
     def cells(self) -> list[str]:

@@ -21,19 +21,13 @@ Frame: TypeAlias = str | bytes
 
 @dataclass(frozen=True)
 class Attack:
-    """Operations of one client.
+    """Operations of one client."""
 
-    Attributes:
-        name: for tables.
-        operations: JSON texts; documents of BSON, and texts that are no whole objects, are frames by themselves.
-        before: operations that have been answered before the attack begins.
-        crowded: True where ten thousand topics of other clients are in use.
-    """
-
-    name: str
+    name: str  # for tables
+    # JSON texts; documents of BSON, and texts that are no whole objects, are frames by themselves.
     operations: Sequence[Frame]
-    before: Sequence[Frame] = ()
-    crowded: bool = False
+    before: Sequence[Frame] = ()  # operations that have been answered before the attack begins
+    crowded: bool = False  # True where ten thousand topics of other clients are in use
 
     @property
     def size_bytes(self) -> int:

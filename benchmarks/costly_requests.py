@@ -29,8 +29,7 @@ LARGER_SHAPES: tuple[Shape, ...] = (
 # Texts deeper than this are not made long: there are hundreds in a scene, and the server treats them alike.
 MAX_TEXT_DEPTH = 2
 
-# Lists deeper than this are not made long either: a scene has the same ones in several places.
-MAX_DEPTH = 4
+MAX_DEPTH = 4  # lists deeper than this are not made long either: a scene has the same ones in several places
 
 # An action without topics of actionlib, from which the types of the others are read.
 MORE_ACTIONS = {"/parallel_gripper_controller/gripper_cmd": "control_msgs/ParallelGripperCommand"}
@@ -49,11 +48,7 @@ class Interfaces:
 
 
 def ask_interfaces(ask: Callable[..., dict[str, Any]]) -> Interfaces:
-    """Ask a server's rosapi.
-
-    Args:
-        ask: calls a service with arguments and returns its response.
-    """
+    """Ask a server's rosapi."""
     services = ask("/rosapi/services")["services"]
     topics = ask("/rosapi/topics")
     types = dict(zip(topics["topics"], topics["types"], strict=True))
@@ -71,17 +66,11 @@ def ask_interfaces(ask: Callable[..., dict[str, Any]]) -> Interfaces:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Attack by one operation again and again, whose size can be chosen.
+    """Attack by one operation again and again, whose size can be chosen."""
 
-    Attributes:
-        name: for tables.
-        operation: makes the operation's text of its size [bytes].
-        shapes: sizes of the whole attack and numbers of its operations for the first tries.
-    """
-
-    name: str
-    operation: Callable[[int], str]
-    shapes: tuple[Shape, ...]
+    name: str  # for tables
+    operation: Callable[[int], str]  # makes the operation's text of its size [bytes]
+    shapes: tuple[Shape, ...]  # sizes of the whole attack and numbers of its operations for the first tries
 
     def make(self, shape: Shape) -> Attack:
         """Make the attack of a shape."""

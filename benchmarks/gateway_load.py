@@ -33,14 +33,12 @@ CALLS = 2000
 FLOOD_MESSAGES = 20_000
 CONNECTIONS = 3000
 
-# Clients that connect at the same time: enough for the server never to wait for one.
-CONNECTING = 16
+CONNECTING = 16  # clients that connect at the same time: enough for the server never to wait for one
 
 # Number of frames that the kernel accepts at once; the publisher waits for its socket after each such piece.
 FLOOD_PIECE = 64
 
-# Longer than any queue between publisher and subscriber takes to empty.
-QUIET_S = 0.5
+QUIET_S = 0.5  # longer than any queue between publisher and subscriber takes to empty
 
 JOINT_STATE = {
     "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": ""},

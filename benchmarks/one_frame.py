@@ -102,11 +102,7 @@ HEADER = ("operations", "frames", "size", "pause", "stop", "MB before", "peak", 
 
 
 class AttackedServer:
-    """Server with a client that watches it and one that attacks it; the block ends them.
-
-    Args:
-        role: role of clients without a token.
-    """
+    """Server with a client that watches it and one that attacks it; the block ends them."""
 
     def __init__(self, role: str) -> None:
         self._role = role
@@ -162,12 +158,7 @@ class AttackedServer:
         return float(self._process.memory_info().rss / 1e6)
 
     def measure(self, name: str, attacked: Attack, frames: Sequence[Frame], patience: Patience) -> Measurement:
-        """Send frames, and measure from the first of them until the server is at rest again.
-
-        Raises:
-            TimeoutError: a client's process does not answer.
-            EOFError: the attacking process cannot connect.
-        """
+        """Send frames, and measure from the first of them until the server is at rest again."""
         if attacked.crowded and not self._crowded:
             self._stack.enter_context(ClientProcess(crowd, self.admin_url, CROWD_CLIENTS, CROWD_TOPICS)).ask(
                 True, TIMEOUT_S
@@ -240,12 +231,7 @@ def run() -> None:
 
 
 def measure_known(role: str, only: str = "") -> list[Measurement]:
-    """Measure the attacks whose cost is known, each on a server of its own, joined in one frame and as many frames.
-
-    Args:
-        role: role of the attacker.
-        only: text that names of attacks contain.
-    """
+    """Measure the attacks whose cost is known, each on a server of its own, joined in one frame and as many frames."""
     with AttackedServer(role) as attacked:
         found = [attacked.measure("nothing", Attack("nothing", ()), (), Patience(10.0, 5.0, 0.0))]
     for known in known_attacks():
@@ -260,14 +246,7 @@ def measure_known(role: str, only: str = "") -> list[Measurement]:
 
 
 def search(role: str, worst: int, only: str = "", results: Path | None = None) -> None:
-    """Try many attacks, and print the worst of them.
-
-    Args:
-        role: role of the attacker.
-        worst: number of attacks to print.
-        only: text that names of recipes contain.
-        results: file that gets a line of JSON for each measurement.
-    """
+    """Try many attacks, and print the worst of them."""
     with AttackedServer("admin") as attacked:
         url = attacked.server.url
         interfaces = ask_interfaces(lambda service, args=None: clients.call(url, service, args))

@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 OPENINGS = 5
 WATCHED_S = 20.0
 
-# The age is measured over this time at the end of the period, where a growing lag is greatest.
-LOOKED_AT_S = 10.0
-
-# Long enough that one goal, or one question of the page, does not count.
-CPU_S = 20.0
+LOOKED_AT_S = 10.0  # the age is measured over this time at the end of the period, where a growing lag is greatest
+CPU_S = 20.0  # long enough that one goal, or one question of the page, does not count
 
 # The planner workers load their libraries behind the start, and the page its own behind the first drawing.
 WARM_UP_S = 4.0

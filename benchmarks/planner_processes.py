@@ -37,8 +37,7 @@ SEED = 4
 STATE = StateQuestion("arm", AT_ZERO)
 HANG = "hang"
 
-# In each scene.
-RACES = 50
+RACES = 50  # in each scene
 
 
 def run() -> None:

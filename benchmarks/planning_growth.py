@@ -34,8 +34,7 @@ BALL_M = 0.06
 BALLS = {"ball": (0.26, 0.0, 0.2), "other_ball": (0.0, 0.26, 0.2)}
 ALLOWED_TIME_S = 5.0
 
-# Group of every joint of a robot.
-ALL = "all"
+ALL = "all"  # group of every joint of a robot
 
 Case = tuple[str, RobotModel, Scene]
 

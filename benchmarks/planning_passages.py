@@ -25,8 +25,8 @@ from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from planners.scene import Box, Cylinder, Pose, Scene, SceneObject, Shape
 from robot.description import robot_folder
-from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import RobotModel
+from robot.description.urdf import with_mesh_paths
 from robot.trajectory import Trajectory, Vector
 
 SEED = 1
@@ -41,8 +41,7 @@ STATES = 200
 TRIES = 2000
 BOARD = 0.02
 
-# The judge moves no joint further between two checks [rad or m].
-STEP = 0.01
+STEP = 0.01  # the judge moves no joint further between two checks [rad or m]
 
 
 def board(size: Sequence[float], at: Sequence[float]) -> tuple[Shape, Pose]:

@@ -37,15 +37,13 @@ SCENES = 6
 PAIRS = 8
 TIP = "gripper_frame_link"
 
-# A tip path goes as far as this, straight.
-PATH_M = 0.05
+PATH_M = 0.05  # a tip path goes as far as this, straight
 
 # Tolerance of a pose goal about each axis [rad].
 TURN_RAD = 0.05
 ALLOWED_TIME_S = 1.0
 
-# Processes whose first answers are measured, for each kind.
-FIRST_ANSWERS = 5
+FIRST_ANSWERS = 5  # processes whose first answers are measured, for each kind
 
 KINDS = ("joint goal", "position goal", "pose goal", "path of the tip")
 
@@ -75,8 +73,7 @@ def run(seed: int = SEED) -> None:
     )
 
 
-# A motion without a search, and one with.
-HOW = (", straight", ", searched")
+HOW = (", straight", ", searched")  # a motion without a search, and one with
 
 
 def _measured(scene: RandomScene) -> Iterator[tuple[str, tuple[bool, list[str], float]]]:

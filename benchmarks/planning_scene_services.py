@@ -31,8 +31,7 @@ OBJECTS = 50
 # compas_fab 2.0.1 calls so often for 21 states that it plans for, checks and solves; and asks for these components.
 GETS, APPLIES, COMPONENTS = 27, 57, 671
 
-# The pattern is over in milliseconds.
-ROUNDS = 20
+ROUNDS = 20  # the pattern is over in milliseconds
 
 
 class _StandingArm:

@@ -30,25 +30,17 @@ SCENES = Path(__file__).parent / "scenes"
 ALLOWED_TIME_S = 1.0
 LONG_OPTIMIZATION_S = 0.06
 
-# Goals at which hulls touch: a file of their own, of straight lines and refusals.
-NEAR_CONTACTS = "near_contacts"
+NEAR_CONTACTS = "near_contacts"  # goals at which hulls touch: a file of their own, of straight lines and refusals
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One problem, its answer, and the verdict of the mesh check.
+    """One problem, its answer, and the verdict of the mesh check."""
 
-    Attributes:
-        fields: problem as in the file.
-        mesh: True if a mesh is among the obstacles.
-        outcome: armbridge's answer.
-        faults: violations of the motion; None without a motion, or without the official meshes.
-    """
-
-    fields: dict[str, Any]
-    mesh: bool
-    outcome: Outcome
-    faults: list[str] | None
+    fields: dict[str, Any]  # problem as in the file
+    mesh: bool  # True if a mesh is among the obstacles
+    outcome: Outcome  # armbridge's answer
+    faults: list[str] | None  # violations of the motion; None without a motion, or without the official meshes
 
     @property
     def kind(self) -> str:
@@ -101,7 +93,7 @@ def measure(path: Path, settings: dict[str, Any]) -> Iterator[Measured]:
     options = plan_command.Options([path], every=True, settings={"allowed_time_s": ALLOWED_TIME_S, **settings})
     for outcome in plan_command.plan_all(file, plan_command.chosen(file, options)):
         entry = entries[outcome.file_problem.id]
-        (answer,) = plan_command.as_json([outcome], file.joint_names)
+        answer = plan_command.as_json(outcome, file.joint_names)
         faults = judge.faults(entry, answer) if judge is not None and "positions" in answer else None
         yield Measured(entry, mesh, outcome, faults)
 

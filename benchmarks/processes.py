@@ -12,8 +12,7 @@ from harness.server import RunningServer
 STARTS = 5
 REST_S = 10.0
 
-# The planner workers load their libraries behind the start.
-WARM_UP_S = 3.0
+WARM_UP_S = 3.0  # the planner workers load their libraries behind the start
 
 NAMES = {"robot.control.loop": "arm", "planners.worker": "planner"}
 

@@ -20,8 +20,8 @@ from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem, Request
 from planners.scene import Pose
 from robot.description import model, robot_folder
-from robot.description.example_robots import find_example
 from robot.description.model import RobotModel
+from robot.description.robot_folder import find_example
 from robot.trajectory import Vector
 
 PROBLEMS = 120
@@ -30,8 +30,7 @@ PATH_M = 0.08
 POSITION_TOLERANCE_M = 0.002
 TURN_TOLERANCE_RAD = 0.02
 
-# UR5's own SRDF has no group.
-UR5_GROUP = '<group name="arm"><chain base_link="world" tip_link="tool0"/></group>'
+UR5_GROUP = '<group name="arm"><chain base_link="world" tip_link="tool0"/></group>'  # UR5's own SRDF has no group
 
 
 def published(name: str, more_srdf: str = "") -> RobotModel:

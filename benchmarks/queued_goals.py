@@ -38,13 +38,9 @@ FOLDED = (BLOCKED_LINES[0][0], BLOCKED_LINES[2][1], BLOCKED_LINES[1][1], BLOCKED
 
 
 class TimedArm(Arm):
-    """Arm that keeps when its motions began and ended.
+    """Arm that keeps when its motions began and ended."""
 
-    Attributes:
-        gaps_s: times from the end of each motion to the beginning of the next [s].
-    """
-
-    gaps_s: list[float]
+    gaps_s: list[float]  # times from the end of each motion to the beginning of the next [s]
     _ended_s: float | None = None
 
     def execute(

@@ -30,8 +30,7 @@ LIMITS = {
 GRIPPER_RAD = 0.3
 TOLERANCE_M = 0.005
 
-# Above the table by more than the size of the gripper's fingers.
-LOWEST_TIP_M = 0.02
+LOWEST_TIP_M = 0.02  # above the table by more than the size of the gripper's fingers
 
 # Edges of the slow search are checked this finely: 2 mm at the tip for the base joint.
 CHECK_RAD = 0.005
@@ -40,16 +39,7 @@ MAX_NODES = 3000
 
 
 class RandomScene:
-    """Things around the arm, and random problems among them.
-
-    Args:
-        seed: same seed and number, same things and problems.
-        number: number of the scene.
-
-    Attributes:
-        fields: problem file without its problems.
-        judge: judge of collisions and motions in the scene.
-    """
+    """Things around the arm, and random problems among them."""
 
     def __init__(self, seed: int, number: int) -> None:
         objects, self._region = _objects(np.random.default_rng((seed, number)))

@@ -36,21 +36,14 @@ JOINT_STATE = {
 
 @dataclass
 class Cost:
-    """Cost of publishing.
+    """Cost of publishing."""
 
-    Attributes:
-        cpu_us: CPU time of the whole process, per message [us].
-        publish_us: CPU time of the event loop's thread in `Graph.publish`, per message [us].
-        turns_s: CPU time of the whole process between two turns of the event loop [s], an upper bound on each turn.
-        file_bytes: size of the file per message; 0 without one.
-        dropped: messages that are missing in the file.
-    """
-
-    cpu_us: float
-    publish_us: float
+    cpu_us: float  # CPU time of the whole process, per message [us]
+    publish_us: float  # CPU time of the event loop's thread in `Graph.publish`, per message [us]
+    # CPU time of the whole process between two turns of the event loop [s], an upper bound on each turn.
     turns_s: list[float]
-    file_bytes: float = 0.0
-    dropped: int = 0
+    file_bytes: float = 0.0  # size of the file per message; 0 without one
+    dropped: int = 0  # messages that are missing in the file
 
 
 def run() -> None:

@@ -18,11 +18,8 @@ TRIALS = 8
 JOINT = "shoulder_pan"
 FAR_RAD = 1.0
 
-# A goal that takes a quarter of a second from rest, from wherever the arm has stopped.
-NEAR_RAD = 0.1
-
-# The arm is amid its motion [s].
-IN_MOTION_S = 0.4
+NEAR_RAD = 0.1  # a goal that takes a quarter of a second from rest, from wherever the arm has stopped
+IN_MOTION_S = 0.4  # the arm is amid its motion [s]
 
 
 def run() -> None:

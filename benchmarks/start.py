@@ -28,8 +28,7 @@ STARTS = 9
 TIMEOUT_S = 20.0
 POLL_S = 0.005
 
-# More than noise and backlash of a joint at rest.
-MOVED_RAD = 0.02
+MOVED_RAD = 0.02  # more than noise and backlash of a joint at rest
 
 EVENTS = ("first answer", "ready line", "first joint state", "first goal's motion")
 

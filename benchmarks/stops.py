@@ -24,11 +24,8 @@ from harness.server import FAST, RunningServer, free_port, read_write_log
 TRIALS = 8
 STOPS = 3
 
-# Between the stops of one trial [s].
-SPACING_S = 0.005
-
-# Time for the first stops to pass before another client's motion, and for that motion to begin [s].
-SETTLE_S = 0.5
+SPACING_S = 0.005  # between the stops of one trial [s]
+SETTLE_S = 0.5  # time for the first stops to pass before another client's motion, and for that motion to begin [s]
 
 ANSWER_TIMEOUT_S = 30.0
 

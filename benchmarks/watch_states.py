@@ -14,13 +14,7 @@ from websockets.asyncio.client import connect
 
 
 async def watch(url: str, seconds: float, after_s: float = 0.0) -> dict[str, list[float]]:
-    """Return the age of each state [s], and the time since the one before it [s]; client and server share one clock.
-
-    Args:
-        url: URL of the server.
-        seconds: duration of the observation.
-        after_s: time to read before the observation [s].
-    """
+    """Return the age of each state [s], and the time since the one before it [s]; client and server share one clock."""
     ages_s, intervals_s = [], []
     async with connect(url) as websocket:
         await websocket.send(json.dumps({"op": "subscribe", "topic": "/joint_states"}))

@@ -15,10 +15,7 @@ class ShapeError(PlannerError):
 
 
 class ProblemFileError(PlannerError):
-    """A file of planning problems cannot be used.
-
-    ``field`` is the field that is wrong, its parts joined by dots; empty when it is the file as such.
-    """
+    """A file of planning problems cannot be used; ``field`` is the wrong field, its parts joined by dots, or empty."""
 
     def __init__(self, path: str, field: str, reason: str) -> None:
         super().__init__(f"{path}: {field}: {reason}" if field else f"{path}: {reason}")

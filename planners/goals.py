@@ -8,12 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from planners.scene import Pose
-
-Point = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
-ZERO: Point = (0.0, 0.0, 0.0)
+from planners.scene import ZERO, Point, Pose, Quaternion
 
 
 @dataclass(frozen=True)

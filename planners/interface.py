@@ -138,10 +138,7 @@ class Planners(ABC):
     async def ask_in_background(
         self, problem: PlanningProblem, scene: Scene = EMPTY_SCENE
     ) -> Plan | PlanningFailure | None:
-        """Have a planner plan a motion that nothing waits for, in a scene.
-
-        None if all planners of motions are at work, or as soon as another request needs the planner of this motion.
-        """
+        """Have a motion planned that nothing waits for; None as soon as another request needs the planner."""
         if not self._plans_in_background or self._motion_turns.locked():
             return None
         asking = asyncio.create_task(self.ask(problem, scene), name="planning in the background")

@@ -86,8 +86,7 @@ class Answered:
     ending: bool = False
 
 
-# What packing an object costs, in terms of a mesh's bytes (which are only copied): 3 us.
-OBJECT_BYTES = 8 << 10
+OBJECT_BYTES = 8 << 10  # what packing an object costs, in terms of a mesh's bytes (which are only copied): 3 us
 
 # This much of a scene is packed within half a millisecond; the server's event loop has its turns between the parts.
 PART_BYTES = 1 << 20

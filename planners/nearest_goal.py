@@ -30,6 +30,7 @@ from planners.problem import (
     MoveItErrorCode,
     PathGoal,
     Plan,
+    PlanningError,
     PlanningFailure,
     PlanningProblem,
 )
@@ -39,18 +40,14 @@ from robot.trajectory import Vector
 # Distances of the ways out of a contact that are tried, in travel of the fastest point [m].
 DISTANCES_M = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 
-# Bisections of the way between a free point and a point that is not.
-HALVINGS = 5
+HALVINGS = 5  # bisections of the way between a free point and a point that is not
 
 # Ways out of a contact, beside the ways of single joints and the way back to the start.
 DIRECTIONS = 32
 DIRECTIONS_SEED = 3
 
-# A free place may lie in a pocket that no motion reaches, so several are tried.
-TRIES = 6
-
-# Configurations that meet a goal of the tip.
-CONFIGURATIONS = 4
+TRIES = 6  # a free place may lie in a pocket that no motion reaches, so several are tried
+CONFIGURATIONS = 4  # configurations that meet a goal of the tip
 
 # Codes of goals around which nothing is in the way, or nothing that moving the goal a little would help against: no
 # motion to them was found, or they violate the constraints of the path.
@@ -68,8 +65,7 @@ TREE_STEP_M = 0.01
 # by the other.
 LEAST_GAIN, STEP_SHARE = 0.05, 0.1
 
-# Digits of a suggested goal, which people read: a tenth of a millimetre, and a fifteenth of a servo's tick.
-DIGITS = 4
+DIGITS = 4  # digits of a suggested goal, which people read: a tenth of a millimetre, and a fifteenth of a servo's tick
 
 
 def nearest_goal(
@@ -81,11 +77,14 @@ def nearest_goal(
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
 ) -> JointGoal | PositionGoal | PoseGoal | None:
-    """Find the goal; None where none was found."""
-    flaw = checks.check_request(robot, problem)
-    beyond_limits = flaw is not None and "upper_rad" in flaw.details
-    if (flaw is not None and not beyond_limits) or checks.check_start(robot, problem.start_rad) is not None:
-        return None
+    """Find the goal; None where none was found, PlanningError where the problem is refused for another reason."""
+    try:
+        checks.check_request(robot, problem)
+    except PlanningError as error:
+        # A goal beyond the limits is moved to the limits.
+        if "upper_rad" not in error.failure.details:
+            raise
+    checks.check_start(robot, problem.start_rad)
     group = robot.groups[problem.group]
     start_q = collision.start(problem.start_rad, group.joints)
     allowed = collision.overlaps_m(start_q)
@@ -107,11 +106,7 @@ def nearest_goal(
 def ways_out(
     space: JointSpace, point: Vector, start: Vector, moving: Vector, should_stop: Callable[[], bool]
 ) -> list[tuple[float, Vector]]:
-    """Return free points around a point in contact, nearest first, with the greatest travel to there [m].
-
-    Points have the shape (n,) [rad]; ``start`` is free, and ``moving`` is 1 for joints that may differ from the point,
-    else 0.
-    """
+    """Return free points around one in contact, nearest first, with the travel there [m]; ``moving`` is 1 or 0."""
     found: list[tuple[float, Vector]] = []
     least_m = np.inf
     for direction in _directions(point, start, moving):
@@ -248,11 +243,7 @@ class _Search:
 
 
 def spread(away_m: Vector, most: int) -> list[int]:
-    """Choose points that are nearer to a goal than the first is, nearest first, each a step further off than the last.
-
-    ``away_m`` are the distances of the points from the goal, shape (m,) [m]; the indices of ``most`` points at most are
-    returned.
-    """
+    """Choose ``most`` points nearer to a goal than the first by ``away_m``, nearest first, each a step further off."""
     chosen: list[int] = []
     limit_m = (1.0 - LEAST_GAIN) * float(away_m[0])
     for index in np.argsort(away_m, kind="stable").tolist():
@@ -275,20 +266,14 @@ def moved_to(goal: PositionGoal | PoseGoal, place_m: Vector) -> PositionGoal | P
 # The end is rounded, and a path that ends there brakes there, so it may have to be a little shorter [m].
 LESS_M = (0.0, 0.0005, 0.002, 0.005)
 
-# Shares that are tried where no part near the end could be planned.
-SHARES = (0.9, 0.75, 0.5, 0.25)
-
-# Shorter parts are no motion [m].
-LEAST_M = 0.001
-
-# Tolerance of the path's end as a goal of its own, as most clients of MoveIt have it [m].
-TOLERANCE_M = 0.001
+SHARES = (0.9, 0.75, 0.5, 0.25)  # shares that are tried where no part near the end could be planned
+LEAST_M = 0.001  # shorter parts are no motion [m]
+TOLERANCE_M = 0.001  # tolerance of the path's end as a goal of its own, as most clients of MoveIt have it [m]
 
 # Failures of a path that could be followed in part: it takes too long to plan, or cannot be timed.
 UNFOLLOWED = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.PLANNING_FAILED)
 
-# A search for another way has no more of the time than this share.
-OTHER_WAY_SHARE = 0.5
+OTHER_WAY_SHARE = 0.5  # a search for another way has no more of the time than this share
 
 
 def nearest_end(
@@ -299,13 +284,13 @@ def nearest_end(
     plan: Callable[[PlanningProblem], Plan | PlanningFailure],
     budget: Budget,
 ) -> PathGoal | None:
-    """Find how far a path that fails can be followed, and whether there is another way to its end; None if neither.
-
-    ``plan`` plans a motion that need not follow the path.
-    """
+    """Find how far a path that fails can be followed, and if ``plan`` finds another way to its end; None if neither."""
 
     def follow(path: CartesianProblem) -> CartesianPlan | PlanningFailure:
-        return plan_cartesian(path, robot, collision, forward, budget)
+        try:
+            return plan_cartesian(path, robot, collision, forward, budget)
+        except PlanningError as error:
+            return error.failure
 
     followed = follow(problem)
     if isinstance(followed, PlanningFailure) and followed.code not in UNFOLLOWED:

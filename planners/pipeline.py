@@ -6,6 +6,7 @@ motion that is being executed when the scene has changed.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
 import time
@@ -39,6 +40,7 @@ from planners.problem import (
     NearestGoalAnswer,
     NearestGoalQuestion,
     Plan,
+    PlanningError,
     PlanningFailure,
     PlanningProblem,
     RateLimits,
@@ -58,21 +60,13 @@ log = logging.getLogger("armbridge.planner")
 
 NOTHING_TO_DO = "nothing to do"
 
-# The first solution is the nearest to the robot's configuration; a service's caller waits for no more.
-SOLUTIONS = 1
-
-# Measured positions of an arm that rests on a limit lie beyond it by noise.
-LIMIT_TOLERANCE_RAD = 1e-3
-
-# Travel of each joint [rad], and of the tip [m], in the first plans.
-WARM_UP_RAD, WARM_UP_M = 0.2, 0.02
+SOLUTIONS = 1  # the first solution is the nearest to the robot's configuration; a service's caller waits for no more
+LIMIT_TOLERANCE_RAD = 1e-3  # measured positions of an arm that rests on a limit lie beyond it by noise
+WARM_UP_RAD, WARM_UP_M = 0.2, 0.02  # travel of each joint [rad], and of the tip [m], in the first plans
 
 
 class Planner:
-    """Plans for one robot; ``clock`` is the clock of allowed times, monotonic [s].
-
-    ShapeError: the collision shapes cannot be used.
-    """
+    """Plans for one robot; ``clock`` is monotonic [s]. ShapeError: the collision shapes cannot be used."""
 
     def __init__(self, robot: RobotModel, clock: Callable[[], float] = time.monotonic) -> None:
         self._robot = robot
@@ -117,6 +111,8 @@ class Planner:
         began_s = self._clock()
         try:
             return self._answer(request, should_stop)
+        except PlanningError as error:
+            return error.failure
         except StoppedError:
             return preempted(self._clock() - began_s)
 
@@ -139,9 +135,11 @@ class Planner:
                 return answer_ik(request, robot, states, collision, budget(request.allowed_time_s))
             case NearestGoalQuestion(problem):
                 time = budget(request.allowed_time_s)
-                if isinstance(problem, CartesianProblem):
-                    return NearestGoalAnswer(nearest_end(problem, robot, collision, states.forward, plan, time))
-                return NearestGoalAnswer(nearest_goal(problem, request.code, robot, states, collision, plan, time))
+                with contextlib.suppress(PlanningError):
+                    if isinstance(problem, CartesianProblem):
+                        return NearestGoalAnswer(nearest_end(problem, robot, collision, states.forward, plan, time))
+                    return NearestGoalAnswer(nearest_goal(problem, request.code, robot, states, collision, plan, time))
+                return NearestGoalAnswer(None)
             case StateQuestion():
                 return answer_state(request, robot, states, collision)
             case RecheckQuestion():
@@ -156,20 +154,19 @@ class Planner:
         budget = Budget(self._clock, problem.allowed_time_s, should_stop)
         try:
             return self._plan(problem, budget)
+        except PlanningError as error:
+            return error.failure
         except StoppedError:
             return preempted(budget.spent_s)
 
     def _plan(self, problem: PlanningProblem, budget: Budget) -> Plan | PlanningFailure:
-        refusal = checks.check_request(self._robot, problem) or checks.check_start(self._robot, problem.start_rad)
-        if refusal is not None:
-            return refusal
+        checks.check_request(self._robot, problem)
+        checks.check_start(self._robot, problem.start_rad)
         group = self._robot.groups[problem.group]
         start_q = self._collision.start(problem.start_rad, group.joints)
         contacts = self._collision.colliding_pairs(start_q)
         violations = self._states.condition_set(problem.path_constraints).violations(start_q)
-        refusal = check_start_place(contacts, violations)
-        if refusal is not None:
-            return refusal
+        check_start_place(contacts, violations)
         goals = self._states.find(problem.goal, GoalQuery(group, start_q, problem.path_constraints, budget))
         if isinstance(goals, PlanningFailure):
             return goals
@@ -208,9 +205,8 @@ def answer_ik(
     question: IkQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel, budget: Budget
 ) -> IkAnswer | PlanningFailure:
     """Find configurations in which a goal holds."""
-    refusal = checks.check_ik_question(robot, question) or checks.check_start(robot, question.start_rad)
-    if refusal is not None:
-        return refusal
+    checks.check_ik_question(robot, question)
+    checks.check_start(robot, question.start_rad)
     group = robot.groups[question.group]
     query = GoalQuery(
         group,
@@ -232,11 +228,9 @@ def answer_ik(
 
 def answer_state(
     question: StateQuestion, robot: RobotModel, states: GoalStates, collision: CollisionModel
-) -> StateAnswer | PlanningFailure:
+) -> StateAnswer:
     """List the flaws of a state: limits, contacts, constraints."""
-    refusal = checks.check_state_question(robot, question)
-    if refusal is not None:
-        return refusal
+    checks.check_state_question(robot, question)
     positions_rad = question.positions_rad
     code = MoveItErrorCode.INVALID_ROBOT_STATE
     problems = list(checks.limit_flaws(robot, positions_rad, LIMIT_TOLERANCE_RAD, code))
@@ -253,19 +247,12 @@ def answer_state(
 
 def recheck(
     question: RecheckQuestion, robot: RobotModel, collision: CollisionModel, should_stop: Callable[[], bool] = never
-) -> RecheckAnswer | PlanningFailure:
-    """Check the rest of a motion against the present scene, as plans are checked before they leave.
-
-    Its start is where the motion is now.
-    """
-    refusal = _check_question(question, robot)
-    if refusal is not None:
-        return refusal
+) -> RecheckAnswer:
+    """Check the rest of a motion, from its present place on, against the present scene, as plans are checked."""
+    _check_question(question, robot)
     rest = _rest(question.trajectory, question.from_s)
     positions = dict(question.others_rad) | dict(zip(rest.joint_names, rest.positions_rad[0].tolist(), strict=True))
-    refusal = checks.check_start(robot, positions)
-    if refusal is not None:
-        return refusal
+    checks.check_start(robot, positions)
     contact = contact_on(rest, question.others_rad, collision, should_stop)
     if contact is None:
         return RecheckAnswer(None)
@@ -275,22 +262,18 @@ def recheck(
     )
 
 
-def check_concurrency(
-    question: ConcurrencyQuestion, robot: RobotModel, collision: CollisionModel
-) -> RecheckAnswer | PlanningFailure:
+def check_concurrency(question: ConcurrencyQuestion, robot: RobotModel, collision: CollisionModel) -> RecheckAnswer:
     """Check if two motions may touch each other, wherever each is on its way."""
     first, second = question.first, question.second
     shared = set(first.joint_names) & set(second.joint_names)
     if shared:
-        return invalid_motion(f"both motions are of joint {min(shared)}")
+        raise invalid_motion(f"both motions are of joint {min(shared)}")
     ends = {
         name: float(q)
         for one in (first, second)
         for name, q in zip(one.joint_names, one.positions_rad[-1], strict=True)
     }
-    refusal = checks.check_start(robot, {**question.others_rad, **ends})
-    if refusal is not None:
-        return refusal
+    checks.check_start(robot, {**question.others_rad, **ends})
     found = encounter(collision, first, second, question.others_rad)
     if found is None:
         return RecheckAnswer(None)
@@ -301,25 +284,19 @@ def check_concurrency(
     return RecheckAnswer(failure, found.first_s)
 
 
-def _check_question(question: RecheckQuestion, robot: RobotModel) -> PlanningFailure | None:
-    refusal = checks.check_group(robot, question.group) if question.group else None
-    if refusal is not None:
-        return refusal
+def _check_question(question: RecheckQuestion, robot: RobotModel) -> None:
     motion = question.trajectory
     known = tuple(joint.name for joint in robot.movable_joints)
     if question.group:
-        known = robot.groups[question.group].joints
+        known = checks.check_group(robot, question.group).joints
     if not (motion.joint_names == known if question.group else set(motion.joint_names) <= set(known)):
-        return invalid_motion(
-            f"a motion of {', '.join(motion.joint_names)} is no motion of the joints {', '.join(known)}"
-        )
+        text = f"a motion of {', '.join(motion.joint_names)} is no motion of the joints {', '.join(known)}"
+        raise invalid_motion(text)
     if not all(np.all(np.isfinite(part)) for part in (motion.time_s, motion.positions_rad, motion.velocities_rad_s)):
-        return invalid_motion("the motion has numbers that are not finite")
+        raise invalid_motion("the motion has numbers that are not finite")
     if not 0.0 <= question.from_s <= motion.duration_s:
-        return invalid_motion(
-            f"the motion lasts from 0 to {motion.duration_s:.4g} s, there is no time {question.from_s:.4g} s"
-        )
-    return None
+        lasts = f"the motion lasts from 0 to {motion.duration_s:.4g} s"
+        raise invalid_motion(f"{lasts}, there is no time {question.from_s:.4g} s")
 
 
 def _rest(motion: Trajectory, from_s: float) -> Trajectory:

@@ -46,8 +46,7 @@ from robot.processes import Child, DescriptorReserve, StartedChild
 
 log = logging.getLogger("armbridge.planners")
 
-# The module whose main is the process.
-WORKER_MODULE = "planners.worker"
+WORKER_MODULE = "planners.worker"  # the module whose main is the process
 
 # Planning gives way to the servo loop and the server, which have deadlines. Answers that a moving arm waits for do not.
 NICENESS = 5
@@ -56,8 +55,7 @@ NICENESS = 5
 # for 50 ms at most.
 CANCEL_TIMEOUT_S = 1.0
 
-# A process whose socket is closed is about to end; its exit code comes a moment later.
-ENDING_TIMEOUT_S = 0.1
+ENDING_TIMEOUT_S = 0.1  # a process whose socket is closed is about to end; its exit code comes a moment later
 
 # Called with the allowed time that a problem has taken [s] when this is longer than most take.
 OnHard: TypeAlias = Callable[[float], None]
@@ -191,11 +189,8 @@ class WorkerProcess:
 
 log = logging.getLogger("armbridge.planners")
 
-# Checks of a state or a motion take milliseconds; they have no allowed time of their own.
-CHECK_TIME_S = 1.0
-
-# No request holds a worker for longer, whatever it allows itself.
-MAX_ALLOWED_TIME_S = 3600.0
+CHECK_TIME_S = 1.0  # checks of a state or a motion take milliseconds; they have no allowed time of their own
+MAX_ALLOWED_TIME_S = 3600.0  # no request holds a worker for longer, whatever it allows itself
 
 # Size of a scene that a worker sets up in 0.1 s at most: 100 boxes take 9 ms, a mesh of 10 000 triangles 20 ms. The
 # largest scenes take 0.2 s, nearly as long as a cancel may take.
@@ -211,8 +206,7 @@ MEMORY_LIMIT_BYTES = 1_024_000_000
 MAX_FAILED_STARTS = 3
 RESTART_PAUSE_S = 5.0
 
-# Processes that were being ended when the pool closed are gone within milliseconds.
-CLOSE_TIMEOUT_S = 2.0
+CLOSE_TIMEOUT_S = 2.0  # processes that were being ended when the pool closed are gone within milliseconds
 
 
 def allowed_time_s(request: Request) -> float:

@@ -34,8 +34,7 @@ PLANNER_IDS = (
     "BITstar",
 )
 
-# How a motion was found where two straight lines were enough, which RRTConnect tries first.
-VIA_POINT = "via point"
+VIA_POINT = "via point"  # how a motion was found where two straight lines were enough, which RRTConnect tries first
 
 
 class MoveItErrorCode(IntEnum):
@@ -75,10 +74,7 @@ class MoveItErrorCode(IntEnum):
 
 
 def planner_name(planner_id: str) -> str | None:
-    """Resolve a planner's id, also in MoveIt's spelling, to one of :data:`PLANNER_IDS`; None if unknown.
-
-    MoveIt's configurations say "RRTConnectkConfigDefault" and "geometric::RRTConnect" for "RRTConnect".
-    """
+    """Resolve a planner's id, as "RRTConnect", "geometric::RRTConnect" or "RRTConnectkConfigDefault"; else None."""
     name = planner_id.removeprefix("geometric::").removesuffix("kConfigDefault") or PLANNER_IDS[0]
     return name if name in PLANNER_IDS else None
 
@@ -220,10 +216,7 @@ class RecheckQuestion:
 
 @dataclass(frozen=True)
 class ConcurrencyQuestion:
-    """Question if two motions of different joints may touch each other; answered by :class:`RecheckAnswer`.
-
-    Each may be anywhere on its way while the other is anywhere on its own: motions are slowed, paused and stopped.
-    """
+    """Question if motions of different joints may touch, wherever each is; answered by :class:`RecheckAnswer`."""
 
     first: Trajectory  # a motion; the answer's `contact_s` is a time on it
     second: Trajectory  # a motion of other joints
@@ -245,6 +238,14 @@ class PlanningFailure:
     message: str  # one sentence with the figures
     # What was found, as plain values: colliding pairs, joint and limit, nearest reachable point.
     details: Mapping[str, Any] = field(default_factory=dict)
+
+
+class PlanningError(Exception):
+    """A request is refused; ``failure`` is its answer."""
+
+    def __init__(self, failure: PlanningFailure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, Pla
 # Seed stride between racers: a search counts up from the problem's seed with each tree that it gives up.
 SEED_STEP = 1 << 20
 
-# OMPL takes seeds of 32 bits.
-SEEDS = 1 << 31
+SEEDS = 1 << 31  # OMPL takes seeds of 32 bits
 
 # Failures that another racer need not have. All others are of the problem itself.
 INCONCLUSIVE = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.CRASH, MoveItErrorCode.PREEMPTED)
@@ -37,10 +36,7 @@ class Race:
         self._winner: asyncio.Future[asyncio.Task[Answer]] = asyncio.get_running_loop().create_future()
 
     async def run(self, first: Coroutine[Any, Any, Answer]) -> Answer:
-        """Run the race; once this has ended, or is cancelled, every racer is cancelled.
-
-        The answer of the first racer counts where no racer finds a plan.
-        """
+        """Run the race until it is decided; the first racer's answer counts where no racer finds a plan."""
         try:
             self._add(first)
             return (await self._winner).result()

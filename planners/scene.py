@@ -13,14 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 Point = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+ZERO: Point = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Pose:
     """A place and an orientation."""
 
-    position_m: Point = (0.0, 0.0, 0.0)
-    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    position_m: Point = ZERO
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

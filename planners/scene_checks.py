@@ -10,23 +10,18 @@ import numpy as np
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Scene, SceneObject, Shape, Sphere
 
-# A tree over this many triangles takes 0.2 s to build and 40 MB; a scan of a workshop has fewer.
-MAX_TRIANGLES = 80_000
+MAX_TRIANGLES = 80_000  # a tree over this many triangles takes 0.2 s to build and 40 MB; a scan of a workshop has fewer
 
 # All meshes of a scene together: as JSON they have 7 MB, and clients are sent a whole scene in one message.
 MAX_SCENE_TRIANGLES = 160_000
 
-# Each shape adds a pair with every link; this many still build within 50 ms.
-MAX_SHAPES = 1000
+MAX_SHAPES = 1000  # each shape adds a pair with every link; this many still build within 50 ms
 
 # Shapes further off or larger than this are no concern of an arm, and the search for common points loses its digits.
 MAX_LENGTH_M = 100.0
 
-# A quaternion shorter than this has no direction left; others are brought to length 1.
-SHORTEST_QUATERNION = 1e-6
-
-# Twice the area of a triangle that has none [m^2].
-NO_AREA_M2 = 1e-14
+SHORTEST_QUATERNION = 1e-6  # a quaternion shorter than this has no direction left; others are brought to length 1
+NO_AREA_M2 = 1e-14  # twice the area of a triangle that has none [m^2]
 
 
 def check_scene(scene: Scene, links: Collection[str]) -> PlanningFailure | None:

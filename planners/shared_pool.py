@@ -40,8 +40,7 @@ log = logging.getLogger("armbridge.planners")
 # Longest planning of one request, whatever it allows itself: others wait for the same planners. MoveIt's default is 5.
 LONGEST_PLANNING_S = 10.0
 
-# A server that asks for one motion and one question at a time has two requests under way.
-REQUESTS_OF_SERVER = 2
+REQUESTS_OF_SERVER = 2  # a server that asks for one motion and one question at a time has two requests under way
 
 # Rounds that a request may wait for its turn, each of the longest planning: the host itself answers long before.
 ROUNDS = 6
@@ -51,10 +50,7 @@ READ_BYTES = 64 << 10
 
 
 class PlannerHost:
-    """Host of one pool of planners that a number of ``servers`` share.
-
-    Every user who can open the Unix socket at ``address`` is trusted, so its folder is the user's alone.
-    """
+    """Host of one pool for ``servers``; every user who can open the socket at ``address`` is trusted."""
 
     def __init__(
         self,
@@ -154,10 +150,7 @@ def bounded(request: Request) -> Request:
 
 
 class SharedPlanners(Planners):
-    """Connection to a host of planners, at its socket: one motion and one question at a time go there.
-
-    Nothing is planned in the background: requests of other servers would have to wait.
-    """
+    """Connection to a host of planners: one motion and one question at a time, and nothing in the background."""
 
     def __init__(self, address: Path) -> None:
         super().__init__(in_background=False)

@@ -37,8 +37,7 @@ from robot.description.model import RobotModel
 
 log = logging.getLogger("armbridge.planner")
 
-# Of linux/prctl.h.
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 # When the machine runs out of memory a planner is to go first: it costs one goal, the arm process costs the arm.
 OOM_SCORE = "600"
@@ -154,10 +153,7 @@ class Worker:
 
 
 def limit_memory(limit_bytes: int) -> None:
-    """Bound this process's data, so that running out is a MemoryError here and nothing elsewhere.
-
-    Data and not address space: libraries map several times what they ever use.
-    """
+    """Bound this process's data, not its address space, of which libraries map several times what they use."""
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if hard != resource.RLIM_INFINITY:
         limit_bytes = min(limit_bytes, hard)

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal, TypeAlias
 
 from protocol import values
-from protocol.registry import Field, MessageType, Registry
+from protocol.registry import MAX_COMPILED_TYPES, Field, MessageType, Registry
 
 # Log messages: ROS 1 has a header in place of the stamp, names the node's topics, and counts the levels otherwise
 # (rosgraph_msgs/msg/Log.msg, rcl_interfaces/msg/Log.msg).
@@ -62,9 +62,6 @@ Dialect: TypeAlias = Literal["ros2", "ros1"]
 
 # Translates one value; None where both dialects spell it alike.
 Translation: TypeAlias = Callable[[Any], Any] | None
-
-# As many as there are compiled types in protocol.messages.
-_MAX_COMPILED_TYPES = 4096
 
 # ROS 1 type -> its name of a field -> ROS 2's name, beyond those that differ in upper and lower case alone.
 _RENAMED: Mapping[str, Mapping[str, str]] = {
@@ -123,14 +120,12 @@ def declared_in_ros1(registry: Registry, type_name: str) -> MessageType:
 
 
 def _in_ros1(type_name: str) -> str:
-    """Return the name under which the ROS 1 tables hold a type, if they do."""
     if type_name.startswith(_ROSAPI_OF_ROS2):
         return type_name.replace(_ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1, 1)
     return _ROS1_LOG_TYPES.get(type_name, type_name)
 
 
 def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | None]]:
-    """Return ROS 1's fields, each with its counterpart in ROS 2, None without one."""
     exact = {field.name: field for field in ours.fields}
     in_lower_case = {field.name.lower(): field for field in ours.fields}
     renamed = _RENAMED.get(theirs.name, {})
@@ -140,7 +135,7 @@ def _pair(ours: MessageType, theirs: MessageType) -> list[tuple[Field, Field | N
     ]
 
 
-@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _to_ros1(registry: Registry, type_name: str) -> Translation:
     if type_name == ROS2_LOG_TYPE:
         return _log_to_ros1
@@ -164,7 +159,7 @@ def _to_ros1(registry: Registry, type_name: str) -> Translation:
     return translate
 
 
-@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _from_ros1(registry: Registry, type_name: str) -> Translation:
     if type_name == ROS2_LOG_TYPE:
         return _log_from_ros1
@@ -203,7 +198,6 @@ def _from_ros1(registry: Registry, type_name: str) -> Translation:
 
 
 def _over(field: Field, translate: Translation) -> Translation:
-    """Return the translation of a field whose elements, or whose one value, are translated like this."""
     if translate is None or field.array is None:
         return translate
     # An array that is none is left for the validation to refuse.

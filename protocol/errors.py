@@ -30,7 +30,6 @@ class InterfaceError(ProtocolError):
 
     def __init__(self, type_name: str, problem: str) -> None:
         super().__init__(f"type {describe(type_name)}: {problem}")
-        self.type_name = type_name
 
 
 class InterfaceFilesError(ProtocolError):
@@ -89,7 +88,6 @@ class FrameError(ProtocolError):
 
     def __init__(self, problem: str, position: int | None = None) -> None:
         super().__init__(problem if position is None else f"{problem} at position {position}")
-        self.position = position
 
 
 def shorten(text: str) -> str:

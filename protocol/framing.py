@@ -4,6 +4,10 @@ Most frames are one JSON object. Some clients run several together, cut one into
 in front of it; some send BSON. All of it is read in a time that grows with its length alone.
 
 A fragment is a piece of a long frame, sent as an operation of its own (rosbridge protocol, section 3.1.1).
+
+Raw TCP has no frames around its documents: a BSON document begins with its length in bytes, a little-endian int32 that
+counts itself (bsonspec.org, version 1.1), and a JSON object ends with the brace that closes it. A client speaks one of
+the two from its first byte to its last, as rosbridge_server's TCP handler has it (``bson_only_mode``).
 """
 
 from __future__ import annotations
@@ -89,7 +93,6 @@ class FrameReader:
         return found if found or self._pending else [error]
 
     def _find_objects(self, data: bytes) -> list[object | FrameError]:
-        """Return the objects that end in this data; an object without its end stays pending."""
         found: list[object | FrameError] = []
         refusals = 0
         opened = bool(self._pending)
@@ -109,7 +112,6 @@ class FrameReader:
         return found
 
     def _open(self) -> bool:
-        """Go to where the next object may begin; without one nothing of what waits is of use."""
         start = _START.search(self._pending, 0, MAX_LEADING_BYTES)
         if start is not None:
             # The end of the search may have been taken for the end of the text.
@@ -119,7 +121,6 @@ class FrameReader:
         return start is not None
 
     def _give_up(self) -> list[object | FrameError]:
-        """Forget what waits, and say so if it is something."""
         size_bytes = len(self._pending)
         self._pending.clear()
         return [FrameError(f"{size_bytes} bytes in which no object ends are given up")] if size_bytes else []
@@ -174,8 +175,6 @@ def split(frame: str, size: int, fragment_id: str) -> list[bytes]:
 
 @dataclass(slots=True)
 class _Message:
-    """Message with missing fragments."""
-
     total: int
     started_s: float
     size_bytes: int = 0
@@ -227,12 +226,12 @@ class Reassembly:
             return
         if self._fragments >= limits.max_fragments:
             raise _refusal(None, f"{self._fragments} fragments wait for others, which is the limit")
-        size_bytes = self._size_bytes + _size_bytes(fragment.data)
+        size_bytes = self._size_bytes + size_bytes_of(fragment.data)
         if size_bytes > limits.max_message_bytes:
             raise _refusal("data", f"{size_bytes} bytes of fragments wait, the limit is {limits.max_message_bytes}")
 
     def _store(self, message: _Message, fragment: Fragment) -> None:
-        size_bytes = _size_bytes(fragment.data)
+        size_bytes = size_bytes_of(fragment.data)
         message.pieces[fragment.num] = fragment.data
         message.size_bytes += size_bytes
         self._size_bytes += size_bytes
@@ -254,5 +253,127 @@ def _refusal(name: str | None, problem: str) -> OperationError:
     return OperationError("fragment", name, problem)
 
 
-def _size_bytes(text: str) -> int:
-    return len(text) if text.isascii() else len(text.encode(errors="surrogatepass"))
+def size_bytes_of(frame: str | bytes) -> int:
+    """Return the size of a frame in UTF-8 [bytes]."""
+    # Text knows whether it is ASCII without being read, and most frames are.
+    if isinstance(frame, bytes) or frame.isascii():
+        return len(frame)
+    return len(frame.encode(errors="surrogatepass"))
+
+
+# A stream's first bytes tell what it is; an operation takes more in either encoding.
+_LENGTH_BYTES = 4
+
+# An empty document: its length and the closing zero.
+_MIN_DOCUMENT_BYTES = 5
+
+# The highest byte of a length up to 150 MB, which settings allow 100 of. No JSON text has such a byte, for it is a
+# control character; a length of 123 has the first byte of an object, and differs from it by this one.
+_MAX_HIGH_BYTE = 8
+
+# Between objects: JSON's whitespace, and the zero that programs in C send along with a text.
+_FILLER = re.compile(rb"[ \t\r\n\0]*+")
+
+
+class StreamSplitter:
+    """Cuts the stream of one client into frames, however it is cut on its way.
+
+    The first byte that belongs nowhere ends the stream: a web page can have a browser send an HTTP request to any port,
+    with operations in its body.
+    """
+
+    def __init__(self, max_frame_bytes: int) -> None:
+        self.max_frame_bytes = max_frame_bytes
+        # None until four bytes are there.
+        self.is_bson: bool | None = None
+        self._data = bytearray()
+        # Of the object that the data begins with; None between objects, and for BSON.
+        self._end: ObjectEnd | None = None
+
+    def add(self, data: bytes) -> None:
+        """Take bytes as they come."""
+        self._data += data
+
+    def clear(self) -> None:
+        """Forget what waits."""
+        self._data.clear()
+        self._end = None
+
+    def next_frame(self) -> str | bytes | None:
+        """Return the next frame, a BSON document or a JSON object; None when its end has not come yet.
+
+        Raises FrameError for a stream that cannot be cut any further.
+        """
+        if self.is_bson is None:
+            if len(self._data) < _LENGTH_BYTES:
+                return None
+            self.is_bson = _begins_with_bson(self._data)
+        size_bytes = self._document_bytes() if self.is_bson else self._object_bytes()
+        if size_bytes is None:
+            return None
+        frame = bytes(memoryview(self._data)[:size_bytes])
+        del self._data[:size_bytes]
+        self._end = None
+        return frame if self.is_bson else _text(frame)
+
+    def _document_bytes(self) -> int | None:
+        if len(self._data) < _LENGTH_BYTES:
+            return None
+        size_bytes = int.from_bytes(self._data[:_LENGTH_BYTES], "little", signed=True)
+        if not _MIN_DOCUMENT_BYTES <= size_bytes <= self.max_frame_bytes:
+            raise FrameError(
+                f"a BSON document of {size_bytes} bytes, the limits are {_MIN_DOCUMENT_BYTES} and"
+                f" {self.max_frame_bytes}"
+            )
+        if len(self._data) < size_bytes:
+            return None
+        if self._data[size_bytes - 1]:
+            raise FrameError(f"a BSON document of {size_bytes} bytes that does not end with zero")
+        return size_bytes
+
+    def _object_bytes(self) -> int | None:
+        if self._end is None:
+            del self._data[: _filler_bytes(self._data)]
+            if not self._data:
+                return None
+            if not self._data.startswith(b"{"):
+                raise FrameError(f"between JSON objects: wanted the next one, got {_shown(self._data)}")
+            self._end = ObjectEnd()
+        found = self._end.find(self._data)
+        size_bytes = self._end.position if found else len(self._data)
+        if size_bytes > self.max_frame_bytes:
+            raise FrameError(
+                f"a JSON object of {'' if found else 'more than '}{size_bytes} bytes, the limit is"
+                f" {self.max_frame_bytes}"
+            )
+        return size_bytes if found else None
+
+
+def _begins_with_bson(data: bytearray) -> bool:
+    if data[_LENGTH_BYTES - 1] <= _MAX_HIGH_BYTE:
+        return True
+    begin = _filler_bytes(data)
+    if begin == len(data) or data.startswith(b"{", begin):
+        return False
+    length = int.from_bytes(data[:_LENGTH_BYTES], "little", signed=True)
+    raise FrameError(
+        f"a stream that begins with {_shown(data)}: wanted a JSON object, or a BSON document, whose length this would"
+        f" be ({length} bytes); WebSocket and HTTP have a port of their own"
+    )
+
+
+def _text(frame: bytes) -> str | bytes:
+    try:
+        return frame.decode()
+    except UnicodeDecodeError:
+        return frame
+
+
+def _filler_bytes(data: bytearray) -> int:
+    match = _FILLER.match(data)
+    return 0 if match is None else match.end()
+
+
+def _shown(data: bytearray) -> str:
+    """Return the next bytes for a refusal; few, for more of them may be a token."""
+    return repr(bytes(data[:_LENGTH_BYTES]))[1:]

@@ -136,8 +136,6 @@ def read_file(path: Path, text: str, package: str, kind: Kind, generation: Gener
 
 
 class _Member:
-    """A message, or the part of a service or action that is one."""
-
     def __init__(self, package: str, generation: Generation) -> None:
         self.fields: list[list[str]] = []
         self.constants: list[list[str]] = []
@@ -146,7 +144,6 @@ class _Member:
         self._names: set[str] = set()
 
     def read(self, line: str) -> str:
-        """Add the field or constant of a line, if it has one."""
         if not line.partition("#")[0].strip():
             return ""
         declared, rest = (*line.split(None, 1), "")[:2]
@@ -192,7 +189,6 @@ class _Declaration(NamedTuple):
 
 
 def _read_type(declared: str, package: str, generation: Generation) -> _Declaration:
-    """Read the type in front of a name."""
     match = _TYPE.fullmatch(declared)
     if match is None:
         raise ValueError(f"wanted {_TYPE_WORDS}, got {declared}")
@@ -235,14 +231,12 @@ def _without_comment(text: str) -> str:
 
 
 def _constant(declaration: _Declaration, text: str, generation: Generation) -> str:
-    """Return the value of a constant as the tables write it."""
     if declaration.base not in PRIMITIVES or declaration.spelled != declaration.base:
         raise ValueError(f"a constant is of a primitive type without bounds, not of {declaration.spelled}")
     return json.dumps(_value(declaration, text, generation), ensure_ascii=False)
 
 
 def _default(declaration: _Declaration, text: str, generation: Generation) -> str:
-    """Return a default as the tables write it."""
     if generation == "ros1":
         raise ValueError(f"ROS 1 has no defaults, and this is a package of ROS 1; there must not be {text}")
     if declaration.base not in PRIMITIVES:
@@ -261,7 +255,6 @@ def _default(declaration: _Declaration, text: str, generation: Generation) -> st
 
 
 def _elements(text: str) -> Iterator[str]:
-    """Go over the elements of a list's text; commas within quotes divide nothing."""
     if not text.strip():
         return
     start = place = 0
@@ -278,7 +271,6 @@ def _elements(text: str) -> Iterator[str]:
 
 
 def _value(declaration: _Declaration, text: str, generation: Generation) -> Scalar:
-    """Return the value of a constant's or default's text."""
     base = declaration.base
     if not text.isascii() and any(_is_stray_octet(character) for character in text):
         raise ValueError("wanted text in UTF-8")

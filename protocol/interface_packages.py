@@ -80,8 +80,6 @@ class UserInterfaces:
 
 @dataclass
 class _Package:
-    """A package: its folder, its name, its generation by package.xml, and the texts of its files."""
-
     folder: Path
     name: str
     generation: Generation | None
@@ -128,7 +126,6 @@ class _PackageReader:
         self._seen: set[Path] = set()
 
     def read_folder(self, folder: Path) -> list[_Package]:
-        """Read the packages of a folder that have interfaces."""
         if not folder.is_dir():
             self._refuse(folder, "wanted a folder with ROS packages, and there is none")
             return []
@@ -223,7 +220,6 @@ def _interface_files(folder: Path, kind: Kind) -> list[Path]:
 
 
 def _unread_files(folder: Path) -> list[Path]:
-    """Return the interface files of a package in folders that are not read."""
     read = {name for names in _FOLDERS.values() for name in names}
     files = (path for kind in _KINDS for path in folder.glob(f"*/*.{kind}"))
     return sorted(path for path in files if path.parent.name not in read and path.is_file())
@@ -245,7 +241,6 @@ def _is_spelled_as_ros1(package: _Package) -> bool:
 
 
 def _table(files: Iterable[InterfaceFile], problems: list[Problem]) -> dict[str, Definition]:
-    """Return the definitions of files; a type that two files define differently is a problem."""
     first: dict[str, InterfaceFile] = {}
     for file in files:
         other = first.setdefault(file.name, file)
@@ -274,7 +269,6 @@ def _merged(tables: Mapping[Generation, dict[str, Definition]], own_packages: Co
 
 
 def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterator[Problem]:
-    """Go over the references to types that do not exist."""
     known: list[str] = []
     for file in files:
         for reference in file.references:
@@ -298,7 +292,6 @@ class _Sizes:
         self._counted: dict[str, tuple[int, int]] = {}
 
     def problems(self, files: Iterable[InterfaceFile]) -> Iterator[Problem]:
-        """Go over the files whose types contain themselves, or are too large."""
         for file in files:
             try:
                 for message in self._messages(file):

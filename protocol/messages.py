@@ -19,9 +19,11 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
+import pybase64
+
 from protocol import values
 from protocol.errors import LargeMessageError, MessageError, describe, shorten
-from protocol.registry import ArrayBounds, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, ArrayBounds, Field, Registry
 from protocol.strict_messages import strict_type
 
 # Values of the elements of all lists of messages in one message. The largest mesh that is taken into a scene has half
@@ -92,10 +94,6 @@ _OTHER_NAMES: Mapping[str, Mapping[str, str | None]] = {
 # Arrays of these are packed into base64 text by rosbridge clients.
 _OCTETS = ("uint8", "char", "byte")
 
-# Every distinct shape stays compiled: the tables hold fewer message types than this, each with two spellings.
-_MAX_COMPILED_TYPES = 4096
-
-
 # Range of builtin_interfaces/Time [ns since the epoch].
 _EARLIEST_NS, _LATEST_NS = -(2**31) * 1_000_000_000, 2**31 * 1_000_000_000 - 1
 
@@ -150,7 +148,7 @@ def complete(
     return _message_shape(registry, type_name).complete(value, received() if callable(received) else received)
 
 
-@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _strict_way(registry: Registry, type_name: str) -> Callable[[object], dict[str, Any] | None]:
     """Return the function that completes a message of the strict form; of any other it returns None."""
     strict = strict_type(registry, type_name)
@@ -162,24 +160,18 @@ def _nothing(_value: object) -> None:
 
 
 class _PrimitiveShape:
-    """A single primitive value."""
-
     def __init__(self, field: Field) -> None:
         self._convert = values.converter(field.base, field.max_length)
         self._default: values.Primitive = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> values.Primitive:
-        """Convert the value."""
         return self._convert(value)
 
     def default(self, _received: Stamp) -> values.Primitive:
-        """Return the definition's default, else the type's zero."""
         return self._default
 
 
 class _PrimitiveArrayShape:
-    """An array of primitive values."""
-
     def __init__(self, field: Field, bounds: ArrayBounds) -> None:
         self._convert = values.element_converter(field.base, field.max_length)
         self._convert_list = values.list_converter(field.base, field.max_length)
@@ -187,13 +179,11 @@ class _PrimitiveArrayShape:
         self._default: list[Any] = values.default(field)
 
     def complete(self, value: object, _received: Stamp) -> list[Any]:
-        """Convert the elements, all at once where they are as they should be."""
         elements = _elements(value, self._bounds)
         converted = self._convert_list(elements)
         return values.to_list(elements, self._convert) if converted is None else converted
 
     def default(self, _received: Stamp) -> list[Any]:
-        """Return the definition's default, else zeros for an array of fixed size, else an empty list."""
         return self._default.copy()
 
 
@@ -217,16 +207,13 @@ class _OctetArrayShape:
         return self._spell(octets)
 
     def default(self, _received: Stamp) -> str | list[int]:
-        """Return the definition's default, else zeros for an array of fixed size, else an empty one."""
         return self._spell(self._default)
 
     def _spell(self, octets: bytes) -> str | list[int]:
-        return values.octets_text(octets) if self._as_text else list(octets)
+        return pybase64.b64encode_as_string(octets) if self._as_text else list(octets)
 
 
 class _MessageArrayShape:
-    """An array of messages."""
-
     def __init__(
         self,
         element: _Shape,
@@ -240,8 +227,6 @@ class _MessageArrayShape:
         self._bounds = bounds
 
     def complete(self, value: object, received: Stamp) -> list[Any]:
-        """Complete every element."""
-
         def complete_element(element: object) -> Any:
             strict = self._strict_way(element)
             return self._element.complete(element, received) if strict is None else strict
@@ -251,7 +236,6 @@ class _MessageArrayShape:
         return values.to_list(elements, complete_element)
 
     def default(self, received: Stamp) -> list[Any]:
-        """Return default messages for an array of fixed size, else an empty list."""
         return [self._element.default(received) for _ in range(self._bounds.min_length)]
 
 
@@ -265,7 +249,6 @@ class _MessageShape:
         self._fields = [(field, shape.complete, shape.default) for field, shape in shapes.items()]
 
     def complete(self, value: object, received: Stamp) -> dict[str, Any]:
-        """Complete the fields in order of declaration."""
         if type(value) is not dict:
             raise MessageError(self._name, describe(value))
         if self._other_names:
@@ -287,7 +270,6 @@ class _MessageShape:
         return completed
 
     def default(self, received: Stamp) -> dict[str, Any]:
-        """Return a message of defaults."""
         return {name: default(received) for name, _, default in self._fields}
 
     def _translate(self, value: dict[str, Any], other_names: Mapping[str, str | None]) -> dict[str, Any]:
@@ -314,7 +296,6 @@ class _TimeShape(_MessageShape):
     """builtin_interfaces/Time, which may also be the text ``now``."""
 
     def complete(self, value: object, received: Stamp) -> dict[str, Any]:
-        """Complete a time; ``now`` is the time of receipt."""
         return received._asdict() if value == "now" else super().complete(value, received)
 
 
@@ -322,11 +303,10 @@ class _HeaderStampShape(_TimeShape):
     """The stamp of a header: where it is missing, it is the time of receipt."""
 
     def default(self, received: Stamp) -> dict[str, Any]:
-        """Return the time of receipt."""
         return received._asdict()
 
 
-@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _message_shape(registry: Registry, type_name: str) -> _MessageShape:
     # Types of ROS never contain themselves, so this ends.
     message_type = registry.message(type_name)

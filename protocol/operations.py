@@ -39,11 +39,7 @@ MAX_SECRET_CHARACTERS = 512
 
 Name: TypeAlias = Annotated[
     str,
-    Field(
-        min_length=1,
-        max_length=MAX_NAME_CHARACTERS,
-        description=f"text of 1 to {MAX_NAME_CHARACTERS} characters",
-    ),
+    Field(min_length=1, max_length=MAX_NAME_CHARACTERS, description=f"text of 1 to {MAX_NAME_CHARACTERS} characters"),
 ]
 OptionalName: TypeAlias = Annotated[
     Annotated[str, Field(min_length=1, max_length=MAX_NAME_CHARACTERS)] | None,

@@ -305,19 +305,15 @@ class PublishedMessage:
             else:
                 octets = cdr.serialize(self._registry, self.type_name, self.msg)
             return cbor.encode({"secs": self.received.sec, "nsecs": self.received.nanosec, "bytes": octets})
-        msg = self._packed(encoding) if known else self.msg
+        msg = self.msg
+        if known and encoding != "none":
+            msg = cbor.packed(self._registry, self.type_name, msg, numbers=encoding != "bson")
         if known and dialect == "ros1":
             msg = to_ros1(self._registry, self.type_name, msg, self.sequence_number)
         return {"none": self._encode_json, "bson": bson.encode}.get(encoding, cbor.encode)(msg)
 
     def _encode_json(self, msg: Mapping[str, Any]) -> bytes:
         return json.encode_in_pieces(msg) if self.large and not self._light else json.encode(msg)
-
-    def _packed(self, encoding: Encoding) -> Mapping[str, Any]:
-        if encoding == "none":
-            return self.msg
-        pack = cbor.with_octets if encoding == "bson" else cbor.with_typed_arrays
-        return pack(self._registry, self.type_name, self.msg)
 
 
 @functools.lru_cache(maxsize=_MAX_OPENINGS)

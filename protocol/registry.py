@@ -25,6 +25,9 @@ Table: TypeAlias = Mapping[str, Definition]
 
 Scalar: TypeAlias = bool | int | float | str
 
+# Types that stay compiled, in each form and spelling: the tables hold fewer.
+MAX_COMPILED_TYPES = 4096
+
 # ROS 1 has these as primitives; as messages of two fields everything that walks a type can walk them too.
 ROS1_TIMES: Table = {
     "time": {"kind": "msg", "fields": [["secs", "uint32"], ["nsecs", "uint32"]], "consts": []},

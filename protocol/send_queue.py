@@ -15,9 +15,8 @@ from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from protocol.limits import Limits
+from protocol.limits import MAX_SERVER_QUEUED_BYTES, Limits
 from protocol.publication import EncodedMessage
-from protocol.send_budget import SendBudget
 from protocol.subscriptions import Subscription
 
 # Answers of this size on count until the socket has taken them, for they are nobody else's; smaller ones are as little
@@ -30,18 +29,55 @@ BULKY_BYTES = 65_536
 BEHIND_S = 0.25
 
 
+class SendBudget:
+    """Bytes that wait to be sent to all clients of a server."""
+
+    def __init__(self, limit_bytes: int = MAX_SERVER_QUEUED_BYTES) -> None:
+        self.limit_bytes = limit_bytes
+        self.used_bytes = 0
+        # Clients with waiting messages, the least recent reader first.
+        self._holders: OrderedDict[SendQueue, None] = OrderedDict()
+
+    def charge(self, holder: SendQueue, size_bytes: int) -> None:
+        """Count bytes that begin to wait; call :meth:`make_room` when they stand in the queue."""
+        self.used_bytes += size_bytes
+        # One for which nothing waited has read all it got: it goes last.
+        self._holders.setdefault(holder)
+
+    def release(self, holder: SendQueue, size_bytes: int, *, empty: bool) -> None:
+        """Count bytes that wait no more."""
+        self.used_bytes -= size_bytes
+        if empty:
+            self._holders.pop(holder, None)
+
+    def note_reading(self, holder: SendQueue) -> None:
+        """Note that a client takes data."""
+        if holder in self._holders:
+            self._holders.move_to_end(holder)
+
+    def make_room(self) -> bool:
+        """Have topic data dropped until the limit is kept; return False when it is not, for want of topic data."""
+        while self.used_bytes > self.limit_bytes:
+            victim = next((each for each in self._holders if each.has_topic_data), None)
+            if victim is None:
+                return False
+            victim.drop_oldest()
+        return True
+
+    def make_room_for_reply(self) -> None:
+        """Make room for replies: without any topic data left, clients that do not read are closed."""
+        while not self.make_room():
+            next(iter(self._holders)).give_up()
+
+
 @dataclass(slots=True)
 class _Waiting:
-    """A message that waits."""
-
     encoded: EncodedMessage
     size_bytes: int
 
 
 @dataclass(slots=True)
 class _TopicData(_Waiting):
-    """Topic data that waits."""
-
     subscription: Subscription
     queued_s: float
 
@@ -65,7 +101,8 @@ class SendQueue:
         self._sequence = itertools.count()
         # By sequence number, oldest first.
         self._replies: OrderedDict[int, _Waiting] = OrderedDict()
-        self._reply_bytes = 0
+        # Of the replies that wait.
+        self.reply_bytes = 0
         # Which of them are requests of others; these have a bound of their own.
         self._requests: set[int] = set()
         self._request_bytes = 0
@@ -99,24 +136,19 @@ class SendQueue:
         return bool(self._free or self._bulky or self._paced)
 
     @property
-    def reply_bytes(self) -> int:
-        """Size of the replies that wait [bytes]."""
-        return self._reply_bytes
-
-    @property
     def size_bytes(self) -> int:
         """Size of all that waits, and of large answers that the socket may still have [bytes]."""
-        return self._topic_bytes + self._reply_bytes + self._request_bytes + self._leaving_bytes
+        return self._topic_bytes + self.reply_bytes + self._request_bytes + self._leaving_bytes
 
     def put_reply(self, encoded: EncodedMessage) -> None:
         """Queue a reply; one alone may have any size, one too many beside others sets `overflowed`."""
         if self._closed:
             return
-        size_bytes = self._reply_bytes + encoded.size_bytes
-        if self._reply_bytes and size_bytes > self._limits.max_queued_reply_bytes:
+        size_bytes = self.reply_bytes + encoded.size_bytes
+        if self.reply_bytes and size_bytes > self._limits.max_queued_reply_bytes:
             self.overflowed = True
             return
-        self._reply_bytes = size_bytes
+        self.reply_bytes = size_bytes
         self._put(next(self._sequence), encoded)
         self._keep_limit()
         self._budget.make_room_for_reply()
@@ -164,8 +196,7 @@ class SendQueue:
         self._topic_bytes += waiting.size_bytes
         self._count(sequence, waiting)
         self._keep_limit()
-        if self._budget.exceeded:
-            self._budget.make_room()
+        self._budget.make_room()
 
     def drop_late(self, now: float) -> None:
         """Drop topic data that has waited for longer than ``max_topic_delay_s``: the client stands still."""
@@ -173,7 +204,7 @@ class SendQueue:
             self._drop_late(subscription, now)
 
     def drop_oldest(self) -> None:
-        """Drop the oldest topic data; as :class:`protocol.send_budget.Holder`."""
+        """Drop the oldest topic data."""
         self._drop(min(next(iter(lane)) for lane in (self._free, self._bulky, self._paced) if lane))
 
     def give_up(self) -> None:
@@ -279,7 +310,6 @@ class SendQueue:
         return self._bulky if sequence in self._bulky else self._paced
 
     def _put(self, sequence: int, encoded: EncodedMessage) -> None:
-        """Let a reply or a request wait."""
         waiting = self._replies[sequence] = _Waiting(encoded, encoded.size_bytes)
         self._count(sequence, waiting)
 
@@ -305,7 +335,7 @@ class SendQueue:
             if sequence in self._requests:
                 self._request_bytes += more_bytes
             elif sequence in self._replies:
-                self._reply_bytes += more_bytes
+                self.reply_bytes += more_bytes
             else:
                 self._topic_bytes += more_bytes
             self._budget.charge(self, more_bytes)
@@ -319,7 +349,7 @@ class SendQueue:
         limits = self._limits
         while (count := len(self._free) + len(self._bulky) + len(self._paced)) > 1 and (
             count > limits.max_queued_messages
-            or self._topic_bytes + self._reply_bytes + self._request_bytes > limits.max_queued_bytes
+            or self._topic_bytes + self.reply_bytes + self._request_bytes > limits.max_queued_bytes
         ):
             self.drop_oldest()
 
@@ -343,7 +373,7 @@ class SendQueue:
             self._requests.remove(sequence)
             self._request_bytes -= waiting.size_bytes
         else:
-            self._reply_bytes -= waiting.size_bytes
+            self.reply_bytes -= waiting.size_bytes
         self._release(sequence, waiting)
         return waiting.encoded
 

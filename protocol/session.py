@@ -21,8 +21,7 @@ from protocol.framing import FrameReader
 from protocol.limits import Limits
 from protocol.operations import Advertise, Fragment, Mark, Operation, Png
 from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
-from protocol.send_budget import SendBudget
-from protocol.send_queue import SendQueue
+from protocol.send_queue import SendBudget, SendQueue
 from protocol.subscriptions import Registrations, Subscription, Subscriptions
 
 # What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
@@ -64,16 +63,6 @@ class Packed:
 
     packing: Fragment | Png
     data: str
-
-    @property
-    def op(self) -> str:
-        """Name of the operation that holds it."""
-        return self.packing.op
-
-    @property
-    def id(self) -> Mark:
-        """Id of the operation that holds it."""
-        return self.packing.id
 
 
 # A client's next operations wait while this many bytes of replies wait to be read, or this share of their bound.
@@ -126,7 +115,7 @@ class Session:
         read a long frame, while no other frame of this client is read.
         """
         # Before decoding: an oversized frame must not cost the time and memory of its decoding.
-        size_bytes = _size_bytes(frame)
+        size_bytes = framing.size_bytes_of(frame)
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]
@@ -289,13 +278,6 @@ class Session:
 def with_id(fields: dict[str, Any], mark: Mark) -> dict[str, Any]:
     """Return an operation with the id that it answers to, which is left out where none was sent."""
     return fields if mark is None else {**fields, "id": mark}
-
-
-def _size_bytes(frame: str | bytes) -> int:
-    # Text knows whether it is ASCII without being read, and most frames are.
-    if isinstance(frame, bytes) or frame.isascii():
-        return len(frame)
-    return len(frame.encode(errors="surrogatepass"))
 
 
 def _id(value: object) -> Mark:

@@ -16,10 +16,7 @@ import msgspec
 
 from protocol import values
 from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS
-from protocol.registry import TEXTS, ArrayBounds, Field, MessageType, Registry
-
-# Every distinct struct stays made: the tables hold fewer message types than this, each with two spellings.
-MAX_STRUCTS = 4096
+from protocol.registry import MAX_COMPILED_TYPES, TEXTS, ArrayBounds, Field, MessageType, Registry
 
 # The largest finite number of IEEE 754 single precision.
 _FLOAT32_MAX = 3.4028234663852886e38
@@ -69,7 +66,7 @@ class StrictType:
         return True
 
 
-@functools.lru_cache(maxsize=MAX_STRUCTS)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def strict_type(registry: Registry, type_name: str) -> StrictType | None:
     """Return the strict form of a message type, None for a type that has none."""
     try:
@@ -117,8 +114,6 @@ class PublicationReader:
 
 
 class _Writer:
-    """Writes the structs of a message type and of all types in it."""
-
     def __init__(self, registry: Registry) -> None:
         self.has_lists_of_messages = False
         self._registry = registry
@@ -161,7 +156,6 @@ class _Writer:
 def _octet_arrays(
     registry: Registry, message_type: MessageType, path: str
 ) -> list[tuple[Callable[[Any], str], ArrayBounds]]:
-    """Return how to get each array of octets of a struct, and its bounds."""
     found: list[tuple[Callable[[Any], str], ArrayBounds]] = []
     for place, field in enumerate(message_type.fields):
         here = path + _attribute(place)

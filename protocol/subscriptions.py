@@ -130,38 +130,31 @@ class Subscription:
             self.last_sent_s = now
 
 
-class Subscriptions:
-    """The topics a client has subscribed to."""
+class Subscriptions(Registrations[Subscribe]):
+    """The topics a client has subscribed to, each with its delivery."""
 
     def __init__(self, limit: int) -> None:
-        self._asked: Registrations[Subscribe] = Registrations("subscribe", "unsubscribe", limit)
+        super().__init__("subscribe", "unsubscribe", limit)
         self._merged: dict[str, Subscription] = {}
-
-    def __iter__(self) -> Iterator[str]:
-        """Go over the topics, by fully qualified name; the table may change meanwhile."""
-        return iter(self._asked)
-
-    def __contains__(self, topic: str) -> bool:
-        return topic in self._asked
 
     def get(self, topic: str) -> Subscription | None:
         """Return the delivery of a topic, given by its fully qualified name, None without a subscription."""
         return self._merged.get(topic)
 
     def add(self, operation: Subscribe) -> bool:
-        """Register a subscription, after the graph has accepted the operation."""
-        first = self._asked.add(operation)
+        """Register a subscription as :meth:`Registrations.add`, and merge it into the topic's delivery."""
+        first = super().add(operation)
         # The delivery outlives the id that opened it: its spelling and its throttle's clock belong to the topic.
         subscription = self._merged.setdefault(qualify(operation.topic), Subscription(operation.topic))
-        subscription.merge(self._asked.entries(operation.topic))
+        subscription.merge(self.entries(operation.topic))
         return first
 
-    def remove(self, topic: str, subscription_id: Mark) -> bool:
-        """Withdraw one subscription, or all to the topic; True when nothing is left, else NothingToDoError."""
-        none_left = self._asked.remove(topic, subscription_id)
+    def remove(self, topic: str, entry_id: Mark) -> bool:
+        """Withdraw subscriptions as :meth:`Registrations.remove`; with the last one their delivery is closed."""
+        none_left = super().remove(topic, entry_id)
         if none_left:
             # Frames of it may still wait in the send queue, which holds the delivery, not the table.
             self._merged.pop(qualify(topic)).closed = True
         else:
-            self._merged[qualify(topic)].merge(self._asked.entries(topic))
+            self._merged[qualify(topic)].merge(self.entries(topic))
         return none_left

@@ -17,11 +17,17 @@ from typing import Any, TypeAlias
 
 from protocol import values
 from protocol.dialect import Dialect, declared_in_ros1, spell_type
-from protocol.registry import ROS1_TIMES, TEXTS, ArrayBounds, Constant, Field, MessageType, Registry, Scalar
-
-# Definitions that are kept, for headers and poses are in most descriptions; there are fewer message types, in two
-# dialects, than this.
-MAX_DECLARED_TYPES = 4096
+from protocol.registry import (
+    MAX_COMPILED_TYPES,
+    ROS1_TIMES,
+    TEXTS,
+    ArrayBounds,
+    Constant,
+    Field,
+    MessageType,
+    Registry,
+    Scalar,
+)
 
 # What readers split the text at (genmsg's gendeps).
 _SEPARATOR = "=" * 80
@@ -66,14 +72,14 @@ def _spell(name: str, dialect: Dialect) -> str:
     return f"{first}/{others[-1]}" if others else first
 
 
-@functools.lru_cache(maxsize=MAX_DECLARED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _declared(registry: Registry, name: str, dialect: Dialect) -> tuple[MessageType, tuple[str, ...]]:
     """Return a message type as a dialect declares it, and the types of its fields, the last first."""
     message_type = declared_in_ros1(registry, name) if dialect == "ros1" else registry.message(name)
     return message_type, tuple(field.base for field in reversed(message_type.fields) if not field.primitive)
 
 
-@functools.lru_cache(maxsize=MAX_DECLARED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _definition_text(registry: Registry, name: str, dialect: Dialect) -> str:
     message_type, _ = _declared(registry, name, dialect)
     lines = [_constant_line(constant, dialect) for constant in message_type.constants]
@@ -145,9 +151,6 @@ def _example(field: Field) -> str:
 # Name and version of this way to hash.
 PREFIX = "RIHS01_"
 
-# As many as there are compiled types in protocol.codecs.
-MAX_HASHED_TYPES = 4096
-
 # type_description_interfaces/msg/FieldType; ROS 2 generates code for a char as for a uint8.
 _IDS = {
     "int8": 2,
@@ -176,14 +179,14 @@ _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 _Row: TypeAlias = dict[str, Any]
 
 
-@functools.lru_cache(maxsize=MAX_HASHED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def message_hash(registry: Registry, name: str) -> str:
     """Return the hash of a message type, with its prefix."""
     canonical = registry.canonical(name)
     return _hash(canonical, _with_nested(registry, canonical))
 
 
-@functools.lru_cache(maxsize=MAX_HASHED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def service_hash(registry: Registry, name: str) -> str:
     """Return the hash of a service type, which covers its request, its response and the event of both."""
     service = registry.service(name)
@@ -207,14 +210,12 @@ def service_hash(registry: Registry, name: str) -> str:
 
 
 def _hash(name: str, fields: dict[str, list[_Row]]) -> str:
-    """Hash the type of this name, described with all others that are given."""
     described = {each: {"type_name": each, "fields": fields[each]} for each in sorted(fields)}
     description = {"type_description": described.pop(name), "referenced_type_descriptions": list(described.values())}
     return PREFIX + hashlib.sha256(json.dumps(description).encode()).hexdigest()
 
 
 def _with_nested(registry: Registry, name: str) -> dict[str, list[_Row]]:
-    """Return the fields of a type and of all types in it, by name."""
     found: dict[str, list[_Row]] = {}
     waiting = [registry.canonical(name)]
     while waiting:

@@ -141,13 +141,8 @@ def to_octets(value: object, wanted: str) -> bytes:
         raise MessageError(f"{wanted} as base64 text", describe(value)) from error
 
 
-def octets_text(octets: bytes) -> str:
-    """Return octets as base64 text."""
-    return pybase64.b64encode_as_string(octets)
-
-
 def octets_in(text: str) -> int | None:
-    """Count the octets in a text that is base64 as :func:`octets_text` writes it; None for any other text."""
+    """Count the octets in a text that is base64 as it goes out; None for any other text."""
     try:
         count = len(pybase64.b64decode(text, validate=True))
     except ValueError:
@@ -161,11 +156,7 @@ def octets_in(text: str) -> int | None:
 _LAST_CHARACTERS = {1: "AEIMQUYcgkosw048", 2: "AQgw"}
 
 
-_CONVERTERS: dict[str, Convert] = {
-    "bool": to_bool,
-    "float32": to_float32,
-    "float64": to_float64,
-}
+_CONVERTERS: dict[str, Convert] = {"bool": to_bool, "float32": to_float32, "float64": to_float64}
 
 
 def _integer_converter(name: str) -> Callable[[object], int]:
@@ -173,7 +164,6 @@ def _integer_converter(name: str) -> Callable[[object], int]:
     wanted = f"{name} ({lowest} to {highest})"
 
     def to_integer(value: object) -> int:
-        """Take a whole number within the type's range."""
         # JavaScript and CBOR clients cannot tell 2 from 2.0; is_integer is false for NaN and infinity.
         number = int(value) if type(value) is float and value.is_integer() else value
         if type(number) is int and lowest <= number <= highest:
@@ -187,7 +177,6 @@ def _integer_list_converter(name: str) -> ConvertList:
     lowest, highest = INTEGER_RANGES[name]
 
     def to_integers(values: list[Any]) -> list[Any] | None:
-        """Take integers within the type's range."""
         # Sets of types, min and max run in C: less than half the time of a look at each element.
         if not _ONLY_INT.issuperset(map(type, values)):
             return None
@@ -228,7 +217,6 @@ def _text_converter(name: str, max_length: int | None) -> Callable[[object], str
     wanted = name if max_length is None else f"{name} of at most {max_length} characters"
 
     def to_text(value: object) -> str:
-        """Take text of at most the type's length."""
         if type(value) is not str:
             raise MessageError(wanted, describe(value))
         # Characters, as the Python classes of ROS 2 count them (rosidl_generator_py); DDS has no rule of its own.
@@ -241,7 +229,6 @@ def _text_converter(name: str, max_length: int | None) -> Callable[[object], str
 
 def _text_list_converter(max_length: int | None) -> ConvertList:
     def to_texts(values: list[Any]) -> list[Any] | None:
-        """Take texts of at most the type's length."""
         if not _ONLY_STR.issuperset(map(type, values)):
             return None
         fits = max_length is None or max(map(len, values), default=0) <= max_length

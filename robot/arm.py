@@ -1,8 +1,5 @@
 """Handle on the arm process: the server's side of motions, streams and orders.
 
-:class:`Arm` is the interface to the server. It numbers motions and orders, resolves a future for each, and restarts the
-process (:class:`ArmProcess`) when it has died.
-
 Time limits of motions and orders count on the arm's own clock, reported with its states, so that a simulated arm on a
 busy machine has all its time. A process that sends no state for :data:`SILENT_S` is killed and restarted.
 """
@@ -55,17 +52,13 @@ log = logging.getLogger("armbridge.arm")
 
 Answer = TypeVar("Answer", MotionEnded, CommandDone)
 
-# Ends of motions that come with a latched fault.
-FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)
-
-# Motions are numbered from 1 on.
-NO_MOTION = 0
+FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)  # ends of motions that come with a latched fault
+NO_MOTION = 0  # motions are numbered from 1 on
 
 # Orders sent before the process is configured are queued; configuring takes a fraction of a second.
 MAX_EARLY_ORDERS = 16
 
-# A fifth of the shortest watchdog timeout of the arm process.
-HEARTBEAT_S = 0.1
+HEARTBEAT_S = 0.1  # a fifth of the shortest watchdog timeout of the arm process
 
 # Silence after which a process hangs, however busy the machine is; states come at least once a second. Counted in
 # heartbeats, because a server that was stopped itself hears nothing either.
@@ -111,10 +104,7 @@ class ArmClock(ABC):
         """Clock of the arm's control loop, from the latest state [s]."""
 
     async def wait(self, ends: Collection[asyncio.Future[Any]], timeout_s: float) -> bool:
-        """Wait until all of some futures are done; return True when they are.
-
-        The time counts on the arm's clock; a silent arm is waited for :data:`SILENT_S` at most.
-        """
+        """Wait until all of some futures are done, for a time on the arm's clock; return True when they are."""
         until_s = self.clock_s + timeout_s
         while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
             if self.state_age_s > SILENT_S:
@@ -128,11 +118,7 @@ class ArmClock(ABC):
 class Arm(ArmClock):
     """Arm driven by the arm process, which is restarted when it dies; motions and orders in progress then end.
 
-    Args:
-        on_state: called in the event loop with every state of the arm.
-        on_health: called in the event loop with the arm's condition, once a second.
-        started: its process, if it was started ahead.
-        observed: returns False when nobody sees the arm's states at the moment.
+    States and health are passed on in the event loop. ``observed`` returns False when nobody sees the states.
     """
 
     def __init__(
@@ -187,7 +173,7 @@ class Arm(ArmClock):
 
     async def start(self, timeout_s: float) -> None:
         """Configure the process, and wait for the arm's first state, connected or not; else raise TimeoutError."""
-        if not self._process.launched:
+        if self._process.pid is None:
             await self.launch()
         self._begun = True
         self._process.configure(self._config, Stop(epoch=self.last_stop))
@@ -236,18 +222,10 @@ class Arm(ArmClock):
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
-        """Send a trajectory to the arm, at once and in order with :meth:`stop`.
+        """Send a trajectory at once and in order with :meth:`stop`; the future of its end never raises.
 
-        Args:
-            trajectory: of some joints; the others hold.
-            gripping: True to end well, with a grip, when a joint stalls; otherwise a stall is a fault.
-            torque_share: share of its torque limit that each joint may use, in (0, 1].
-            continues: motion in progress to splice into without a stop, and the time on it at which the trajectory
-                begins [s]; both must coincide for some time from now on. None to begin at rest.
-            epoch: stop epoch in which the motion was requested; None for now.
-
-        Returns:
-            Future of the motion's end; it never raises.
+        A motion ``continues`` another one from a time on it [s], where both coincide for some time, without a stop. It
+        has the stop epoch in which it was requested, None for now; see :class:`robot.messages.Execute` for the rest.
         """
         motion_id = next(self._ids)
         continuation = None if continues is None else Continuation(self._number(continues[0]), continues[1])
@@ -261,10 +239,7 @@ class Arm(ArmClock):
         return next((one for one in self.state.motions if one.motion_id == number), None)
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
-        """Begin a stream of velocity setpoints in the order of the joints, which stay at rest until the first.
-
-        With ``gripping`` it ends well, with a grip, when a joint stalls.
-        """
+        """Begin a stream of velocity setpoints, at rest until the first; with ``gripping`` a stall ends it well."""
         motion_id = next(self._ids)
         ended = self._begin(Stream(motion_id, joint_names, _epoch_of_request(epoch), gripping))
         stream = ArmStream(motion_id, joint_names, ended, self._process.send)
@@ -327,7 +302,6 @@ class Arm(ArmClock):
         return answered
 
     async def _time_out(self, number: int, answered: asyncio.Future[CommandDone]) -> None:
-        """Answer an order in the process's place when its time is over."""
         if not await self.wait((answered,), ORDER_TIMEOUT_S):
             message = f"the arm process did not answer in {ORDER_TIMEOUT_S:g} s"
             _settle(answered, CommandDone(number, done=False, message=message))
@@ -407,7 +381,6 @@ class Arm(ArmClock):
         return ended
 
     def _number(self, motion: asyncio.Future[MotionEnded]) -> int:
-        """Return the number of a motion, :data:`NO_MOTION` when it has ended."""
         return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
 
     def _received(self, message: Any) -> None:
@@ -429,7 +402,6 @@ class Arm(ArmClock):
                 self._answer(message)
 
     def _awaits_state(self, message: MotionEnded | CommandDone) -> bool:
-        """Return True when a state that reflects the message is still to come."""
         if isinstance(message, CommandDone):
             return message.done
         return message.outcome in FAULTS and self.state.mode is not Mode.DISCONNECTED
@@ -477,7 +449,6 @@ class Arm(ArmClock):
         self._disconnect("the arm process ended and is starting again")
 
     async def _start_again(self, ran_s: float) -> None:
-        """Replace a process that has ended, which has sent states for ``ran_s``."""
         await self._process.kill()
         # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
         # not be switched on.
@@ -492,7 +463,6 @@ class Arm(ArmClock):
             ran_s = 0.0
 
     async def _launched_again(self) -> bool:
-        """Start and configure a process; return False when it cannot be started."""
         try:
             await self._process.launch()
         except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try the arm is lost
@@ -563,11 +533,6 @@ class ArmProcess:
         return None if self._child is None else self._child.pid
 
     @property
-    def launched(self) -> bool:
-        """True after the first launch."""
-        return self._child is not None
-
-    @property
     def configured(self) -> bool:
         """True while a process runs that has its configuration."""
         return self._configured and self._runs()
@@ -581,10 +546,7 @@ class ArmProcess:
         await self._child.connect()
 
     def configure(self, config: ArmConfig, last_stop: Stop) -> None:
-        """Send the process its configuration, the last stop, which it cannot know, then the queued orders.
-
-        Without effect when it has ended.
-        """
+        """Send a running process its configuration, the last stop, which it cannot know, then the queued orders."""
         if self._child is None or not self._runs():
             return
         self._configured = True

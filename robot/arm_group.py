@@ -33,8 +33,7 @@ from robot.messages import (
 )
 from robot.trajectory import Trajectory, Vector
 
-# Good ends of a motion.
-_GOOD = (Outcome.REACHED, Outcome.GRIPPED)
+_GOOD = (Outcome.REACHED, Outcome.GRIPPED)  # good ends of a motion
 
 # Modes of several arms, the mode that most keeps an arm from moving first.
 _MODES_BY_WEIGHT = (Mode.FAULT, Mode.DISCONNECTED, Mode.CONNECTED, Mode.MOVING, Mode.RELAXED, Mode.HOLDING)
@@ -55,11 +54,7 @@ _OUTCOMES_BY_WEIGHT = (
 
 
 class ArmGroup(ArmClock):
-    """Several arms by their names and joints, moved as one.
-
-    Attributes:
-        leaders: names of arms that are moved by hand, and enabled by name alone.
-    """
+    """Several arms by their names and joints, moved as one; leaders are moved by hand, and enabled by name alone."""
 
     def __init__(self, arms: Mapping[str, tuple[Arm, tuple[str, ...]]], leaders: Collection[str] = ()) -> None:
         self.leaders = frozenset(leaders)
@@ -86,10 +81,7 @@ class ArmGroup(ArmClock):
 
     @property
     def state(self) -> ArmState:
-        """Latest states as one; an arm that is not read at present stays where it was read last.
-
-        Joints have no positions before each arm was read once.
-        """
+        """Latest states as one, with the last readings of arms not read now; no positions before each has some."""
         present = tuple(arm.state for arm in self._arms.values())
         if self._joined is None or any(a is not b for a, b in zip(self._joined[0], present, strict=True)):
             states = dict(zip(self._arms, present, strict=True))
@@ -155,10 +147,7 @@ class ArmGroup(ArmClock):
         continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
-        """Send a trajectory to the arms whose joints it moves, as :meth:`robot.arm.Arm.execute`.
-
-        When one arm ends its part early, the other arms stop theirs.
-        """
+        """Send a trajectory to the arms whose joints it moves; when one ends its part early, the others stop."""
         shares = {
             name: [joint for joint in trajectory.joint_names if self._arm_of.get(joint) == name] for name in self._arms
         }
@@ -183,7 +172,6 @@ class ArmGroup(ArmClock):
     def _continued(
         self, name: str, continues: tuple[asyncio.Future[MotionEnded], float] | None
     ) -> tuple[asyncio.Future[MotionEnded], float] | None:
-        """Return the part of one arm of a motion to splice into."""
         if continues is None:
             return None
         motion, from_s = continues
@@ -291,11 +279,8 @@ def joined_state(
 ) -> ArmState:
     """Return the states of several arms as one state; its mode is the mode that most keeps an arm from moving.
 
-    Args:
-        states: latest state of each arm, by its name.
-        readings: state of each arm whose readings count, without positions while one of them has none; None for the
-            arms that are read at present.
-        leaders: arms that are moved by hand: while relaxed, they keep no other arm from moving.
+    The readings are of the states given for that, without positions while one has none; None for those that are read
+    at present. Leaders are moved by hand: while relaxed, they keep no other arm from moving.
     """
     present = list(states.values())
     known = [state for state in present if state.position_rad is not None] if readings is None else readings
@@ -341,7 +326,7 @@ def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
         mode=min((each.mode for each in all_of), key=_MODES_BY_WEIGHT.index),
         port=", ".join(dict.fromkeys(each.port for each in all_of)),
         joints=tuple(joint for each in all_of for joint in each.joints),
-        bus=_summed(buses) if buses else None,
+        bus=BusCounters(*map(sum, zip(*(vars(bus).values() for bus in buses), strict=True))) if buses else None,
         lateness_s=_greatest([each.lateness_s for each in all_of]),
         round_trip_s=_greatest([each.round_trip_s for each in all_of]),
         real_time=all(each.real_time for each in all_of),
@@ -366,17 +351,12 @@ def _held_rad(state: ArmState) -> Vector | None:
 
 
 def _joined(states: Sequence[ArmState], array_of: Callable[[ArmState], Vector | None]) -> Vector | None:
-    """Return an array of all joints; None while one arm has none."""
     arrays = [array for state in states if (array := array_of(state)) is not None]
     return np.concatenate(arrays) if arrays and len(arrays) == len(states) else None
 
 
 def _named(name: str, fault: Fault | None) -> Fault | None:
     return None if fault is None else replace(fault, message=f"{name}: {fault.message}")
-
-
-def _summed(buses: list[BusCounters]) -> BusCounters:
-    return BusCounters(*(sum(values) for values in zip(*(vars(bus).values() for bus in buses), strict=True)))
 
 
 def _greatest(figures: list[tuple[float, float, float]]) -> tuple[float, float, float]:

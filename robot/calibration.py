@@ -36,8 +36,7 @@ NOMINAL_OVERTRAVEL_RAD = 0.05
 # hides a wrong calibration.
 MAX_ZERO_OFFSET_RAD = 0.5
 
-# Wider ranges come near the seam between tick 4095 and 0, where positions jump by a turn.
-WIDEST_RANGE_TICKS = 4000
+WIDEST_RANGE_TICKS = 4000  # wider ranges come near the seam between tick 4095 and 0, where positions jump by a turn
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,6 @@ class JointCalibration:
 
     @property
     def _zero_ticks(self) -> float:
-        """Tick at ``_zero_rad``."""
         if self.servo.zero == "ends":
             return self.range_max if self._mirrored else self.range_min
         return (self.range_min + self.range_max) / 2.0 if self.servo.zero.tick is None else self.servo.zero.tick
@@ -281,7 +279,6 @@ def _joint(file: str, servo: ServoSpec, entry: object) -> JointCalibration:
         raise CalibrationError(file, name, "must be an object with id, drive_mode, homing_offset and the range")
 
     def number(key: str, lowest: int, highest: int) -> int:
-        """Return a whole number of the entry, checked against its range."""
         value = entry.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
             raise CalibrationError(

@@ -1,8 +1,4 @@
-"""Socket pair between the server and a child process: encoding of its messages, and the child's end.
-
-Messages are pickled dataclasses behind a four-byte length. Both ends are this program's own; nothing from a client is
-ever unpickled. A child whose socket closes has lost its server.
-"""
+"""Socket pair between the server and a child: pickled dataclasses behind a length, none of them from a client."""
 
 from __future__ import annotations
 
@@ -150,10 +146,7 @@ def leave_signals_to_server() -> None:
 
 
 def channel_of_child(arguments: list[str] | None = None) -> Channel:
-    """Open the channel that a child was started with, and log as its server does.
-
-    Ctrl-C and the service manager's signals are ignored here: the server handles them.
-    """
+    """Open the channel that a child was started with, log as its server does, and leave signals to the server."""
     leave_signals_to_server()
     parser = argparse.ArgumentParser()
     parser.add_argument("--fd", type=int, required=True)

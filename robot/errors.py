@@ -1,20 +1,4 @@
-"""Exceptions of ``robot``: one class per fact, with the facts as attributes.
-
-- RobotError
-    - PortError: the serial port (port)
-        - PortNotFound
-        - PortPermission
-        - PortBusy
-        - PortLost
-    - BusError: the servos on it
-        - NoReply (servo_id), also a TimeoutError
-    - CalibrationError (file, field)
-    - BackupError (path): a backup of servo registers
-    - DescriptionError (source): a URDF or SRDF that does not describe an arm
-        - RobotFileError (problems): a robot.toml, or what it names, with everything that is wrong with it
-    - StartupError: servos that cannot be taken over in their present state
-    - OrderRefused: an order that the arm cannot carry out in its present state
-"""
+"""Exceptions of ``robot``: one class per fact, with the facts as attributes."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Files that several processes may change: locked against each other, and replaced as a whole.
+"""Files that several processes may change: locked against each other by flock(2), and replaced as a whole.
 
-The lock of a file is an advisory one (flock(2)) on ``.NAME.lock`` beside it, which contains the number of the
-process that locked it last. The kernel frees it with the process, however that ends; the lock's file stays, since
-removing it would let two processes lock two files of one name.
+The lock of a file is ``.NAME.lock`` beside it, with the number of the process that locked it last. The lock's file
+stays, since removing it would let two processes lock two files of one name.
 """
 
 from __future__ import annotations
@@ -19,8 +18,7 @@ from pathlib import Path
 LOCK_TIMEOUT_S = 2.0
 LOCK_POLL_S = 0.02
 
-# A process's name and number fit; more is nothing of ours.
-MAX_HOLDER_BYTES = 200
+MAX_HOLDER_BYTES = 200  # a process's name and number fit; more is nothing of ours
 
 
 class FileLockedError(OSError):
@@ -38,10 +36,7 @@ class FileLock:
         self._descriptor: int | None = None
 
     def acquire(self, timeout_s: float = 0.0, clock: Callable[[], float] = time.monotonic) -> None:
-        """Take the lock, after a wait for another that has it [s]; the file's directory is made when it is missing.
-
-        Raises FileLockedError where another process has it for longer, and OSError where the file system has no locks.
-        """
+        """Take the lock, after a wait of ``timeout_s`` at most; raises FileLockedError, and OSError without locks."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         try:
@@ -70,10 +65,7 @@ class FileLock:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a file, for as long as it takes to read, change and replace it.
-
-    Raises FileLockedError where another process has it for longer than :data:`LOCK_TIMEOUT_S`.
-    """
+    """Hold the lock of a file while it is read and replaced; raises FileLockedError after :data:`LOCK_TIMEOUT_S`."""
     lock = FileLock(path)
     lock.acquire(LOCK_TIMEOUT_S)
     try:
@@ -83,11 +75,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def replace(path: Path, content: bytes, mode: int | None = None) -> None:
-    """Write a file whose lock is held; a crash, and an OSError, leave the old content or the new one.
-
-    Of a symbolic link, the file that it leads to is written. It has the mode before it has any content; None for the
-    process's default.
-    """
+    """Write a locked file as a whole, through symbolic links; a crash leaves the old content or the new one."""
     path = path.resolve()
     unfinished = path.with_name(f".{path.name}.new")
     try:
@@ -107,10 +95,7 @@ def replace(path: Path, content: bytes, mode: int | None = None) -> None:
 
 
 class FileSeries:
-    """Directory of files with a name each, which several processes may share; the oldest make room for new ones.
-
-    Prefix and suffix begin and end the names; what stands between them must sort by age.
-    """
+    """Directory of files; the oldest make room for new ones. Names must sort by age between prefix and suffix."""
 
     def __init__(self, directory: Path, prefix: str, suffix: str, max_files: int) -> None:
         self._directory = directory

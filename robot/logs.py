@@ -1,11 +1,4 @@
-"""Logging of the server and of its child processes, which share one terminal.
-
-Lines are plain text or JSON. Tokens are blotted out, control characters escaped, and long messages cut, since clients
-choose the texts that are quoted in them. :class:`LogLimiter` keeps repeated lines from filling the disk; a filter
-applies it to every place in the program that logs. Levels of loggers can be changed while the server runs, in every
-process at once. Child processes send their lines to the server as well, where the last ones are kept
-(:class:`LineHandler`).
-"""
+"""Logging of the server and its children in plain text or JSON, with tokens blotted out and floods limited."""
 
 from __future__ import annotations
 
@@ -28,24 +21,19 @@ PLAIN = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 # Subjects of a line that are fields of their own in JSON, where the line names them (``extra`` of the logging module).
 SUBJECTS = ("client", "goal", "code")
 
-# Parent of all loggers of this program; libraries have theirs beside it.
-OUR_LOGGER = "armbridge"
-
-# Messages quote clients, whose text may be as long as a WebSocket message.
-MAX_MESSAGE_CHARACTERS = 4000
+OUR_LOGGER = "armbridge"  # parent of all loggers of this program; libraries have theirs beside it
+MAX_MESSAGE_CHARACTERS = 4000  # messages quote clients, whose text may be as long as a WebSocket message
 
 # Tokens stand in URLs and headers, which libraries quote in their own messages.
 _SECRET = re.compile(r"((?:[?&]|\b)(?:access_)?token=|\bBearer\s+)[^\s&\"'<>]+", re.IGNORECASE)
 
-# Subjects that a limiter remembers: clients choose what their refusals are about.
-MAX_KEYS = 100
+MAX_KEYS = 100  # subjects that a limiter remembers: clients choose what their refusals are about
 
 # Lines of one place in the program: at once, and in the long run [1/s]. A day of that is 200 MB.
 BURST = 500
 LINES_PER_S = 10.0
 
-# Loggers whose levels can be changed; the program has some thirty.
-MAX_CHANGED_LOGGERS = 100
+MAX_CHANGED_LOGGERS = 100  # loggers whose levels can be changed; the program has some thirty
 
 
 def configure(level: int | str, log_format: LogFormat, process: str = "server", arm: str = "") -> None:
@@ -65,7 +53,6 @@ def format_in_use() -> LogFormat:
 
 
 def _log_exception(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
-    """Log the exception that ends the process, in the format of all other lines."""
     logging.getLogger(OUR_LOGGER).critical("ended by an exception", exc_info=(kind, error, traceback))
 
 
@@ -124,10 +111,7 @@ def without_secrets(text: str) -> str:
 
 
 class LogLimiter:
-    """Limiter of log lines that repeat: a token bucket for each key. By default each key has one line, ever.
-
-    A rate of 0 is no more than the burst, ever. Of the keys, the first ones have lines; any number for None.
-    """
+    """Limiter of repeated lines: a token bucket for each of the first keys; by default each key has one line, ever."""
 
     __slots__ = ("_buckets", "_burst", "_end_is_written", "_lines_per_s", "_max_keys")
 
@@ -179,8 +163,6 @@ class LogLimiter:
 
 @dataclass(slots=True)
 class _Bucket:
-    """Lines of one key: left now, and suppressed since and before the latest due line."""
-
     left: float
     counted_s: float
     suppressed: int = 0
@@ -252,8 +234,7 @@ def apply(change: LoggerLevel) -> None:
     logging.getLogger(change.name).setLevel(change.level)
 
 
-# Text of a line that is passed on; a traceback has thirty lines.
-MAX_LINE_CHARACTERS = 3000
+MAX_LINE_CHARACTERS = 3000  # text of a line that is passed on; a traceback has thirty lines
 
 
 @dataclass(frozen=True)

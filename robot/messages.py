@@ -14,48 +14,56 @@ from typing import Any
 
 import numpy as np
 
-from robot.advice import ServoWarning
 from robot.calibration import Calibration
 from robot.description.model import RobotModel
-from robot.faults import Fault
+from robot.faults import Fault, ServoWarning
 from robot.hardware.config import HardwareConfig
 from robot.hardware.interface import BusCounters
 from robot.trajectory import Trajectory, Vector
+
+# Least speed limit: below it a joint moves less than a servo's tick in a period of the control loop.
+MIN_SPEED_LIMIT = 0.01
 
 
 class Frequent:
     """Base of messages sent many times a second: arrays are pickled as lists, which costs a third."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes, arrays as lists."""
         return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the attributes, lists as arrays."""
         vars(self).update((name, np.array(value) if type(value) is list else value) for name, value in state.items())
+
+
+def within(default: float, lowest: float, highest: float) -> Any:
+    """Make the field of a number that the arm process takes within a range only; its default stands for any other."""
+    return field(default=default, metadata={"range": (lowest, highest)})
 
 
 @dataclass(frozen=True)
 class GuardLimits:
     """Torque limits, thresholds of the guards, and tolerances of a motion's end."""
 
-    # Below 1, so that a servo's own overload protection stays the last resort.
-    torque_limit: float = 0.8  # share of full duty that the servos may use, register TORQUE_LIMIT
-    # A gripper holds for long: with more it overheats.
-    gripper_torque_limit: float = 0.5  # the same for the gripper's servo
-    tracking_error_rad: float = 0.35  # distance to its goal beyond which a joint has lost track [rad]
-    tracking_time_s: float = 0.2  # time for which that must last to be a fault [s]
-    # 60 % of the stall current.
-    stall_current_a: float = 1.5  # current above which a servo that all but stands still is stalled [A]
-    # Well before the servo's own overload timer of 2 s runs out.
-    stall_time_s: float = 0.3  # time for which that must last to be a fault [s]
-    # Ten missed cycles; the servos follow their last goals meanwhile.
-    silent_after_s: float = 0.1  # age of a servo's last answer beyond which it is silent, which is a fault [s]
-    # The electronics of a 7.4 V servo reset not far below.
-    min_voltage_v: float = 4.5  # voltage below which the supply is a fault [V]
-    # Backlash (0.9-1.0 deg) plus droop under load (1.8-2.6 deg) of real arms.
-    goal_tolerance_rad: float = 0.06  # greatest distance of a settled joint from the end of a motion [rad]
-    settle_timeout_s: float = 1.0  # time to settle, from the end of the motion on [s]
+    # Share of full duty that the servos may use, register TORQUE_LIMIT: below 1, so that a servo's own overload
+    # protection stays the last resort; with less than 0.3 the arm does not hold itself.
+    torque_limit: float = within(0.8, 0.3, 0.8)
+    # The same for the gripper's servo, which holds for long: with more it overheats.
+    gripper_torque_limit: float = within(0.5, 0.2, 0.5)
+    tracking_error_rad: float = within(0.35, 0.1, 1.0)  # distance to its goal beyond which a joint has lost track [rad]
+    tracking_time_s: float = within(0.2, 0.05, 1.0)  # time for which that must last to be a fault [s]
+    # Current above which a servo that all but stands still is stalled: 60 % of the stall current [A].
+    stall_current_a: float = within(1.5, 0.3, 2.7)
+    # Time for which that must last to be a fault; the servo's own overload timer runs out at 2 s [s].
+    stall_time_s: float = within(0.3, 0.1, 1.5)
+    # Age of a servo's last answer beyond which it is silent, which is a fault: ten missed cycles, since single packets
+    # get lost; the servos follow their last goals meanwhile, unseen [s].
+    silent_after_s: float = within(0.1, 0.05, 1.0)
+    # Voltage below which the supply is a fault: servos of 7.4 V need 4 V, servos of 12 V run from 9 V on [V].
+    min_voltage_v: float = within(4.5, 4.0, 11.0)
+    # Greatest distance of a settled joint from the end of a motion: backlash (0.9-1.0 deg) plus droop under load
+    # (1.8-2.6 deg) of real arms [rad].
+    goal_tolerance_rad: float = within(0.06, 0.02, 0.3)
+    settle_timeout_s: float = within(1.0, 0.1, 10.0)  # time to settle, from the end of the motion on [s]
 
 
 # Longest times of the arm's end, counted in ticks, after which its process ends in any state [s]. Braking takes a
@@ -73,11 +81,7 @@ TORQUE_LEFT_ON = "Hold the arm, and switch the servos' supply off, or start the 
 
 
 class EndState(Enum):
-    """Policy for the arm when the server has ended or is lost.
-
-    ``PARK`` plays the parking trajectory that the arm process keeps (:class:`KeepParking`), then relaxes the arm; where
-    none can be played, it relaxes it at once.
-    """
+    """Policy for the arm when the server has ended; PARK plays the kept trajectory, where it can, then relaxes."""
 
     HOLD = "hold"
     RELAX = "relax"
@@ -97,17 +101,21 @@ class ArmConfig:
 
     robot: RobotModel
     hardware: HardwareConfig
-    state_rate_hz: float = 50.0
+    state_rate_hz: float = within(50.0, 1.0, 100.0)
     start_enabled: bool = True  # True to enable the arm once it is connected; else it stays relaxed
-    watchdog_s: float = 0.5  # silence of the server after which the arm is stopped [s]; a simulated arm waits longer
+    # Silence of the server after which the arm is stopped; a simulated arm waits longer. The shortest timeout tolerates
+    # two missed heartbeats [s].
+    watchdog_s: float = within(0.5, 0.3, 10.0)
     on_server_lost: EndState = EndState.HOLD  # policy for the arm then, and when the server's process is gone
     on_exit: EndState = EndState.HOLD
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
-    warn_temperature_c: float = 55.0
-    slow_temperature_c: float = 60.0  # temperature from which motions slow down [degC]
-    stop_temperature_c: float = 65.0
+    # Temperatures of warning, slower motions and fault; the servos protect themselves at 70 degC [degC].
+    warn_temperature_c: float = within(55.0, 30.0, 70.0)
+    slow_temperature_c: float = within(60.0, 30.0, 70.0)
+    stop_temperature_c: float = within(65.0, 30.0, 70.0)
     guard_limits: GuardLimits = field(default_factory=GuardLimits)
-    speed_limit: float = 1.0  # share of the joints' velocity limits that no motion exceeds, until it is changed
+    # Share of the joints' velocity limits that no motion exceeds, until it is changed.
+    speed_limit: float = within(1.0, MIN_SPEED_LIMIT, 1.0)
     fault: Fault | None = None  # fault latched by an earlier arm process and not yet reset
 
 
@@ -168,11 +176,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """Velocities for a stream's joints.
-
-    They are valid until the next setpoint, for a short time; after it the joints are brought to rest and the stream
-    ends. Setpoints for a stream that has ended are ignored.
-    """
+    """Velocities for a stream's joints, valid for a short time; without a next one the stream ends at rest."""
 
     motion_id: int
     velocity_rad_s: Vector  # in the stream's order, shape (joints,) [rad/s]
@@ -184,10 +188,6 @@ class PlaybackDirection(Enum):
     FORWARD = "forward"
     PAUSED = "paused"
     BACK = "back"
-
-
-# Least speed limit: below it a joint moves less than a servo's tick in a period of the control loop.
-MIN_SPEED_LIMIT = 0.01
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,4 @@
-"""Child processes, from the server's side.
-
-A child is started as ``python -P -m MODULE --fd N`` with a fresh interpreter: it shares no lock, no heap and no random
-state with the server, only the socket pair of :mod:`robot.channel`. Where the system has no descriptor, process or
-memory left for a child, its start raises OSError.
-"""
+"""Child processes from the server's side: fresh interpreters that share only the sockets of :mod:`robot.channel`."""
 
 from __future__ import annotations
 
@@ -25,14 +20,9 @@ from robot.logs import LogLine
 
 log = logging.getLogger("armbridge.processes")
 
-# A killed process is gone in milliseconds, unless the machine is very busy.
-KILL_TIMEOUT_S = 5.0
-
-# Reading what waits in a socket takes a millisecond; a descendant of the child may keep it open.
-LAST_MESSAGES_S = 0.3
-
-# Data still queued for a child that does not read may be lost.
-CLOSE_TIMEOUT_S = 1.0
+KILL_TIMEOUT_S = 5.0  # a killed process is gone in milliseconds, unless the machine is very busy
+LAST_MESSAGES_S = 0.3  # reading what waits in a socket takes a millisecond; a descendant of the child may keep it open
+CLOSE_TIMEOUT_S = 1.0  # data still queued for a child that does not read may be lost
 
 # Interval of polling a process that is to end. No thread waits for it: a thread that hangs cannot be abandoned.
 POLL_S = 0.005
@@ -106,11 +96,7 @@ class RestartDelay:
 
 
 class ForkedProcess:
-    """Child of ``fork``: it shares the memory of what this process has loaded, until one of them writes there.
-
-    Fork before this process has threads or an event loop: the child would inherit them dead. The child has a session of
-    its own, as a child of :func:`start_module` has, and ends when its body returns or raises.
-    """
+    """Child of ``fork`` in a session of its own, before this process has threads: it shares the loaded memory."""
 
     def __init__(self, run: Callable[[], None]) -> None:
         self._code: int | None = None
@@ -147,7 +133,6 @@ class ForkedProcess:
 
 
 def _be_child(run: Callable[[], None]) -> NoReturn:
-    """Carry out the body of a forked child, and end without the clean-up of the process that it was forked from."""
     code = 1
     try:
         os.setsid()
@@ -166,10 +151,7 @@ Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
 
 
 class StartedChild:
-    """Child process started ahead: it loads its modules, and ends by itself when this process does.
-
-    The module is run with ``python -m``; its log lines are about an arm, if it has a name.
-    """
+    """Child started ahead with ``python -m``, which ends with this process; its log lines name an arm."""
 
     def __init__(self, module: str, arm: str = "") -> None:
         self.adopted = False  # True once a Child owns it
@@ -207,7 +189,6 @@ class StartedChild:
 
 
 def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> tuple[Process, socket.socket]:
-    """Start a child that inherits one end of a socket pair; return it and the other end."""
     ours, theirs = socket.socketpair()
     with theirs:
         try:
@@ -218,10 +199,7 @@ def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> t
 
 
 class Child(asyncio.Protocol):
-    """Running child process, and the server's end of its channel; both callbacks run in the event loop.
-
-    Messages are delivered as they are read: a task would first wait for its turn in the event loop.
-    """
+    """Running child, and the server's end of its channel; messages are delivered as they are read, without a task."""
 
     def __init__(
         self,
@@ -277,10 +255,7 @@ class Child(asyncio.Protocol):
             self._transport.write(encode(message))
 
     async def wait(self, timeout_s: float) -> None:
-        """Wait for the child's end; kill it after ``timeout_s``, or when the wait is cancelled.
-
-        On return its last messages have been delivered, and ``on_exit`` was called.
-        """
+        """Wait for the child's end and last messages; kill it after ``timeout_s``, or when the wait is cancelled."""
         try:
             if not await has_ended(self._process, timeout_s):
                 log.warning("process %d has not ended within %g s and is killed", self.pid, timeout_s)

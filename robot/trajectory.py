@@ -12,8 +12,7 @@ from ruckig import Trajectory as Profile
 
 Vector = NDArray[np.float64]
 
-# Shorter distances count as rest: a servo's tick is a thousand times as much.
-SHORTEST_WAY_RAD = 1e-6
+SHORTEST_WAY_RAD = 1e-6  # shorter distances count as rest: a servo's tick is a thousand times as much
 
 # Acceleration reaches its limit within two ticks, in bridges and streams. Joints that reverse then follow their
 # velocities so closely that what steering keeps away from stays away: with 0.06 s, random sticks drove a Koch v1.1 3 mm
@@ -59,10 +58,7 @@ class Trajectory:
         return Trajectory(joint_names, self.time_s, *(array[:, columns] for array in arrays))
 
     def sample(self, time_s: float) -> tuple[Vector, Vector, Vector]:
-        """Interpolate between the samples by cubic Hermite polynomials, at a time that is clamped to the duration [s].
-
-        Return position [rad], velocity [rad/s] and acceleration [rad/s^2], each of shape (joints,).
-        """
+        """Interpolate by cubic Hermite polynomials: position, velocity and acceleration, each of shape (joints,)."""
         if time_s >= self.duration_s:
             return self.positions_rad[-1], self.velocities_rad_s[-1], self.accelerations_rad_s2[-1]
         if time_s <= 0.0:
@@ -89,12 +85,8 @@ def bridge(
 ) -> Trajectory:
     """Plan the motion from one state of the joints to another within limits, in a time or as fast as the limits allow.
 
-    The profile is ruckig's, bounded in jerk; raises RuckigError where it finds none.
-
-    Args:
-        start: position [rad], velocity [rad/s] and acceleration [rad/s^2], each of shape (joints,).
-        end: position [rad], NaN for a joint that comes to rest wherever it can, and velocity [rad/s].
-        limits: velocity [rad/s] and acceleration [rad/s^2].
+    The start has position, velocity and acceleration, the end position (NaN: at rest anywhere) and velocity, the limits
+    velocity and acceleration. The profile is ruckig's, bounded in jerk; raises RuckigError where it finds none.
     """
     joints = len(joint_names)
     (position, velocity, acceleration), (max_velocity, max_acceleration) = start, limits
@@ -140,10 +132,7 @@ def _rest_to_rest_profile(way_rad: float, max_velocity: float, max_acceleration:
 def rest_to_rest(
     joint: str, start_rad: float, end_rad: float, max_velocity: float, max_acceleration: float
 ) -> Trajectory:
-    """Plan the fastest motion of one joint from rest to rest: a trapezoidal velocity profile.
-
-    Cubic interpolation between the samples, the corners of the profile, is exact. Both limits are above 0.
-    """
+    """Plan the fastest motion of one joint from rest to rest: a trapezoid, exact between the samples."""
     way_rad = abs(end_rad - start_rad)
     if way_rad < SHORTEST_WAY_RAD:
         still = np.zeros((1, 1))

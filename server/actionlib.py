@@ -80,14 +80,7 @@ class TrackedGoals:
         return sum(goal.ended_s is None for goal in self._goals.values()) >= MAX_GOALS
 
     def add(self, goal_id: GoalId, now: Stamp) -> Tracked | None:
-        """Take a goal on.
-
-        Args:
-            goal_id: as its client gave it; without an id it gets one, without a stamp the present time.
-
-        Returns:
-            The goal; None when its id is known already.
-        """
+        """Take a goal on, with an id and a stamp if its client gave none; None when its id is known already."""
         stamp = _stamp(goal_id) if _stamp(goal_id) != ZERO else now
         self._count += 1
         name = goal_id["id"] or f"{self._action}-{self._count}-{stamp.sec}.{stamp.nanosec:09d}"

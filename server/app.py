@@ -34,7 +34,7 @@ from server.features.arms import (
 from server.features.clients import Clients
 from server.features.context import context_of
 from server.features.monitoring import Logs, Monitoring, Recording
-from server.features.moveit import ArmGoals, GoalQueueing, GoalRecords, MoveGroup, PlanningScene, Servo
+from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
@@ -75,12 +75,7 @@ class Inherited:
 
 
 def serve(settings: Settings, arm_process: StartedChild | None = None, inherited: Inherited | None = None) -> None:
-    """Run the server until SIGINT or SIGTERM.
-
-    Raises:
-        ConfigurationError: settings that contradict each other or the robot.
-        StartError: a part that cannot start, such as a port in use.
-    """
+    """Run the server until SIGINT or SIGTERM; raises ConfigurationError or StartError."""
     # Read once: systemd's variables are gone from the environment then, and a new start goes on notifying.
     notifier = SystemdNotifier.from_environment()
 
@@ -148,7 +143,6 @@ class App:
         )
         parkings = Parkings(context)
         goals = (
-            GoalRecords(context),
             MoveGroup(context),
             ArmGoals(context),
             TaughtMotions(context),
@@ -193,12 +187,9 @@ class App:
         feed.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])
 
     async def run(self) -> NewStart | None:
-        """Start, serve until a signal, stop; whatever was started is stopped, also when a later part fails.
+        """Serve until a signal, and stop what was started; a second signal hurries the stop.
 
-        A second signal hurries the stop.
-
-        Returns:
-            The start that is to follow at once, after a calibration; None for the end.
+        Returns the start that is to follow at once, after a calibration; None for the end.
         """
         ending, hurry = stop_signals()
         listener, restart = self._clients.listener, self._restart
@@ -240,7 +231,7 @@ class App:
             raise StartError(f"the planners cannot load the robot: {refusal}")
 
     def _nothing_moves(self) -> bool:
-        return not self._context.goals.queue.busy and not moves(self._arms.whole.arm)
+        return not self._context.goals.queue.busy() and not moves(self._arms.whole.arm)
 
     def _what_runs_where(self) -> str:
         arms = "; ".join(map(_what_arm_runs, self._arms.each))

@@ -23,12 +23,7 @@ def arrival_epoch() -> int:
 
 
 def is_stopped(last_stop: int, epoch: int | None = None) -> bool:
-    """Return True when a stop of an arm came after a request arrived: the one rule by which stops end requests.
-
-    Args:
-        last_stop: stop epoch of the arm's last stop.
-        epoch: stop epoch in which the request arrived; None for the request in progress.
-    """
+    """Return True when a stop of an arm came after a request arrived: the one rule by which stops end requests."""
     return (arrival_epoch() if epoch is None else epoch) < last_stop
 
 

@@ -95,7 +95,6 @@ def run_process() -> NoReturn:
 
 
 def _reader_has_left() -> bool:
-    """Return True when standard output is a pipe whose reading end is closed."""
     poll = select.poll()
     # An error is reported without being asked for.
     poll.register(sys.stdout.fileno(), 0)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import re
+from dataclasses import fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -48,33 +49,37 @@ class PlanningSettings(SettingsSection):
         return self.memory_limit_mb * 1_000_000
 
 
-_DEFAULT = GuardLimits()
+def _guard(name: str) -> Any:
+    """Make the field of one of the arm process's guard limits: its default and its range."""
+    limit = next(each for each in fields(GuardLimits) if each.name == name)
+    lowest, highest = limit.metadata["range"]
+    return Field(default=limit.default, ge=lowest, le=highest)
 
 
 class GuardSettings(SettingsSection):
     """Torque limits of the servos, and the tolerances within which a motion succeeds."""
 
-    torque_limit: float = Field(default=_DEFAULT.torque_limit, ge=0.3, le=0.8)
+    torque_limit: float = _guard("torque_limit")
     """share of full motor duty that each servo may use; less is gentler, and carries less."""
-    gripper_torque_limit: float = Field(default=_DEFAULT.gripper_torque_limit, ge=0.2, le=0.5)
+    gripper_torque_limit: float = _guard("gripper_torque_limit")
     """share of full motor duty that the gripper's servo may use."""
-    tracking_error_rad: float = Field(default=_DEFAULT.tracking_error_rad, ge=0.1, le=1.0)
+    tracking_error_rad: float = _guard("tracking_error_rad")
     """tracking error above which a joint has a fault [rad]."""
-    tracking_time_s: float = Field(default=_DEFAULT.tracking_time_s, ge=0.05, le=1.0)
+    tracking_time_s: float = _guard("tracking_time_s")
     """time for which the tracking error may be larger before the fault [s]."""
-    stall_current_a: float = Field(default=_DEFAULT.stall_current_a, ge=0.3, le=2.7)
+    stall_current_a: float = _guard("stall_current_a")
     """current above which a servo that hardly moves is stalled: a fault, or a grip [A]."""
-    stall_time_s: float = Field(default=_DEFAULT.stall_time_s, ge=0.1, le=1.5)
+    stall_time_s: float = _guard("stall_time_s")
     """time for which a servo may be stalled before the fault; its own protection latches after 2 s [s]."""
-    silent_after_s: float = Field(default=_DEFAULT.silent_after_s, ge=0.05, le=1.0)
+    silent_after_s: float = _guard("silent_after_s")
     """silence of a servo that is a fault: over a network at least 0.5 s, on a pseudo terminal 3 s; the arm moves
     blindly in that time, so raise it only for machines that stall [s].
     """
-    min_voltage_v: float = Field(default=_DEFAULT.min_voltage_v, ge=4.0, le=11.0)
+    min_voltage_v: float = _guard("min_voltage_v")
     """a supply below is a fault; 9 V are right for servos of 12 V [V]."""
-    goal_tolerance_rad: float = Field(default=_DEFAULT.goal_tolerance_rad, ge=0.02, le=0.3)
+    goal_tolerance_rad: float = _guard("goal_tolerance_rad")
     """how near each joint must come to the end of its motion [rad]."""
-    settle_timeout_s: float = Field(default=_DEFAULT.settle_timeout_s, ge=0.1, le=10.0)
+    settle_timeout_s: float = _guard("settle_timeout_s")
     """time for that, after which the motion has failed; less than moveit.allowed_goal_duration_margin [s]."""
 
     def limits(self) -> GuardLimits:
@@ -222,15 +227,6 @@ class NamedArmSettings(ArmSettings):
     emulator: EmulatorSettings = EmulatorSettings()
     """its emulated servos."""
 
-    @field_validator("on_server_lost")
-    @classmethod
-    def _parks_with_others(cls, value: EndState) -> EndState:
-        if value is EndState.PARK:
-            raise ValueError(
-                "without a server several arms could meet on their ways to their rest poses: hold or relax"
-            )
-        return value
-
 
 class GoalSettings(SettingsSection):
     """The queue before the arm."""
@@ -260,7 +256,7 @@ class GoalSettings(SettingsSection):
 
 
 class SceneSettings(SettingsSection):
-    """Planning scene from one start of the server to the next; see docs/scene.md."""
+    """Planning scene from one start of the server to the next; see docs/moveit.md."""
 
     keep: bool = True
     """keep what clients add to the planning scene, and restore it at the next start."""

@@ -41,12 +41,7 @@ class SettingsSection(BaseModel):
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting.
-
-    Attributes:
-        section_meaning: meaning of its section.
-        range: values that it takes; empty where the meaning alone names them.
-    """
+    """One setting; ``range`` is empty where the meaning alone names the values."""
 
     key: str
     section_meaning: str
@@ -126,11 +121,7 @@ def nearest(key: str, known: Sequence[str]) -> str:
 
 
 def unknown(key: str, known: Sequence[str], spelling: Callable[[str], str] = str) -> str:
-    """The sentence that refuses a key.
-
-    Args:
-        spelling: how both are shown; the default shows them as they are, without the section that they share.
-    """
+    """Return the sentence that refuses a key; without a spelling the section that both keys share is not shown."""
     meant = nearest(key, known)
     if not meant:
         return f"{spelling(key)}: unknown"

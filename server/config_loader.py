@@ -32,15 +32,9 @@ def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
 
 
 def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Settings, dict[str, str]]:
-    """Read the settings, and tell who has set which.
+    """Read the settings, and by key, for those that are set, ``file``, ``environment`` or ``command line``.
 
-    Returns:
-        The settings, and by key, as in ``server.port``: ``file``, ``environment`` or ``command line``, for those that
-        are not left at their defaults.
-
-    Raises:
-        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key;
-            a value that another one overrides is checked like any other.
+    Raises ConfigurationError that names the key; a value that another one overrides is checked like any other.
     """
     in_file = _read(file) if file else {}
     if stray := _stray_variables():
@@ -63,10 +57,7 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
 
 
 def _check_values(values: dict[str, Any], layers: Iterable[dict[str, Any]], places: dict[str, str]) -> None:
-    """Refuse wrong values of one layer, also those that a layer above overrides.
-
-    Values that contradict each other are no matter here: a layer above may be what puts them right.
-    """
+    """Refuse wrong values of one layer, also overridden ones; a layer above may put contradictions right."""
     try:
         Settings(**functools.reduce(_merged, (*layers, values)))
     except ValidationError as error:
@@ -87,7 +78,6 @@ def _keys_of_arm(name: str) -> list[str]:
 
 
 def _stray_variables() -> list[str]:
-    """Sentences about environment variables with our prefix that set nothing."""
     known = known_keys()
     tables = tuple(f"{key}." for key, _, field in every_field(Settings) if is_table(field))
     names = sorted(name.lower() for name in os.environ if name.upper().startswith(PREFIX))

@@ -43,11 +43,7 @@ class FileTooLargeError(ServiceError):
 
 
 class UnsuccessfulError(ServerError):
-    """A service that has not succeeded, as its response says; the response has no field for the reason.
-
-    Attributes:
-        complete: True if the response has every field.
-    """
+    """A service that has not succeeded, as its response says, which has no field for the reason."""
 
     def __init__(self, response: Mapping[str, Any], reason: str, *, complete: bool = False) -> None:
         super().__init__(reason)

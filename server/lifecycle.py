@@ -119,11 +119,7 @@ def _log_failure(task: asyncio.Task[None]) -> None:
 
 
 async def start_in_order(parts: Sequence[Part | Feature], started: list[Part | Feature]) -> None:
-    """Start parts one after the other.
-
-    Args:
-        started: gets each part before it is started, so that it is stopped even if its start fails.
-    """
+    """Start parts in order; ``started`` gets each before its start, so that it is stopped even if that fails."""
     for part in parts:
         started.append(part)
         await part.start()
@@ -145,11 +141,7 @@ def stop_signals() -> tuple[asyncio.Event, asyncio.Event]:
 def on_hangup(
     reload: Callable[[], None], stop: Callable[[], None], is_terminal: Callable[[int], bool] = os.isatty
 ) -> None:
-    """Handle SIGHUP: a service reloads its files, a program stops if its terminal is gone.
-
-    Args:
-        stop: begins the stop; called if the terminal has hung up, where nobody could stop the server any more.
-    """
+    """Handle SIGHUP: a service reloads its files, a program stops if its terminal is gone."""
     began_in_terminal = is_terminal(STDIN)
 
     def handle() -> None:
@@ -197,12 +189,7 @@ async def stop_in_reverse(
     hurry: asyncio.Event | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Stop each part, the last one first, whatever becomes of those before it.
-
-    Args:
-        total_s: longest time of all stops together, without the stops beyond the total [s].
-        hurry: set when the user will not wait; each part then has HURRIED_S.
-    """
+    """Stop each part, the last one first, whatever becomes of those before it, within ``total_s`` or in a hurry."""
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s
     stopped = [part for part in started if _has_stop(part)]

@@ -28,11 +28,7 @@ Result = TypeVar("Result")
 
 
 async def in_thread(path: Path, failure: str, work: Callable[[], Result]) -> Result:
-    """Do work that waits for the disk.
-
-    Raises:
-        ServiceError: it failed; its sentence begins with `failure`.
-    """
+    """Do work that waits for the disk, or raise ServiceError whose sentence begins with `failure`."""
     try:
         return await asyncio.wait_for(asyncio.to_thread(work), TIMEOUT_S)
     except TimeoutError as error:
@@ -44,12 +40,7 @@ async def in_thread(path: Path, failure: str, work: Callable[[], Result]) -> Res
 
 
 def read_json(path: Path, max_bytes: int) -> Any:
-    """Return the content of a JSON file.
-
-    Raises:
-        ValueError: it is too large, or no JSON.
-        OSError: it cannot be read.
-    """
+    """Return the content of a JSON file, or raise ValueError or OSError."""
     with path.open("rb") as file:
         text = file.read(max_bytes + 1)
     if len(text) > max_bytes:
@@ -61,12 +52,7 @@ def read_json(path: Path, max_bytes: int) -> Any:
 
 
 class NamedFiles:
-    """Store of files by name, which several servers may share. Its methods raise ServiceError with a sentence.
-
-    Args:
-        folder: created with the first file.
-        kind: word for one of the things in the files, in sentences.
-    """
+    """Store of ``kind`` files by name, which several servers may share; its methods raise ServiceError."""
 
     def __init__(self, folder: Path, kind: str, max_files: int) -> None:
         self._folder = folder
@@ -89,11 +75,7 @@ class NamedFiles:
         await self._in_thread(name, "recorded", check)
 
     async def write(self, name: str, content: Callable[[], bytes]) -> None:
-        """Write a file, in place of one of the same name; a crash leaves the old content or the new one.
-
-        Args:
-            content: makes the content, in a thread; raises ValueError if there is none.
-        """
+        """Write a file in place of another, atomically; ``content`` is made in a thread, or raises ValueError."""
         path = self._path(name)
 
         def write() -> None:

@@ -41,18 +41,11 @@ class Connection(Protocol):
         """Send a frame."""
 
     async def ping(self) -> Awaitable[float]:
-        """Send a ping; the returned future waits for its pong.
-
-        The pong shows that the server has read everything before the ping (RFC 6455, section 5.5.2).
-        """
+        """Send a ping; its pong shows that the server has read everything before it (RFC 6455, section 5.5.2)."""
 
 
 class PublishingClient(ABC):
-    """Client of a server that publishes on one topic.
-
-    Attributes:
-        published: number of messages that were published.
-    """
+    """Client of a server that publishes on one topic."""
 
     def __init__(self, target: PublishedTopic, type_name: str, tell: Callable[[str], None]) -> None:
         self.published = 0
@@ -68,12 +61,7 @@ class PublishingClient(ABC):
 
     @abstractmethod
     async def publish(self, connection: Connection) -> None:
-        """Publish messages on a connection that was announced, until it or the messages end.
-
-        Raises:
-            WebSocketException: the connection has ended.
-            TimeoutError: the server takes no messages.
-        """
+        """Publish messages on a connection until it or the messages end; raises WebSocketException and TimeoutError."""
 
     async def keep_connected(self) -> None:
         """Publish until there is nothing more, and connect again after each end of a connection."""
@@ -109,7 +97,6 @@ class PublishingClient(ABC):
         await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
 
     async def _listen(self, frames: Any) -> None:
-        """Print the server's complaints, each sentence once."""
         async for frame in frames:
             with contextlib.suppress(ValueError):
                 complaint = _complaint(json.loads(frame))

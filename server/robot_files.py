@@ -8,8 +8,8 @@ import xml.etree.ElementTree as ET
 from functools import cached_property
 from pathlib import Path
 
-from robot.description.mesh_files import find_mesh
 from robot.description.model import RobotModel
+from robot.description.urdf import find_mesh
 from robot.errors import DescriptionError
 from server.errors import FileTooLargeError, ServiceError
 
@@ -33,15 +33,7 @@ class RobotFiles:
         self._package = package_name(robot)
 
     def find(self, name: str) -> Path:
-        """Find a file.
-
-        Args:
-            name: a ``package://`` URL, or a path within the folder of the URDF. That folder's own name does as well as
-                the package's name, as it does for the planners.
-
-        Raises:
-            ServiceError: there is no such file, or it is of another kind or elsewhere.
-        """
+        """Find a file by its ``package://`` URL or its path within the URDF's folder, or raise ServiceError."""
         for url, folder in self._mesh_folders.items():
             if name.startswith(f"{url}/"):
                 return _checked(folder, name.removeprefix(f"{url}/"), name, f"{url}/")

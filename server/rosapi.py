@@ -207,7 +207,6 @@ class RosApi:
             raise ServiceError(str(error)) from error
 
     def _interfaces(self, request: Request) -> dict[str, Any]:
-        """Return all types of messages, services and actions, as the caller's generation declares and names them."""
         registry = self._registry.ros1 if request.dialect == "ros1" else self._registry
         return {"interfaces": sorted(spell_type(name, request.dialect) for name in registry.type_names())}
 
@@ -314,7 +313,6 @@ class Parameters:
 
 
 def _type_answer(names: TypedNames, field: str) -> Handler:
-    """Return the handler that answers the type of the name in a field; empty for a name that is not in use."""
     return lambda request: {"type": names.type_of(request.name(field), request.dialect) or ""}
 
 

@@ -31,21 +31,15 @@ from planners.geometry.shapes import evenly_spread
 from planners.geometry.surfaces import INSIDE
 from robot.trajectory import Vector
 
-# Deviation that parts may have from their mesh [m].
-TOLERANCE_M = 0.003
+TOLERANCE_M = 0.003  # deviation that parts may have from their mesh [m]
 
 # Parts are cut to this share of the tolerance, the rest is for points between the samples; to the next one where the
 # finer measurement afterwards finds more.
 RESERVES = (0.85, 0.65, 0.45)
 
-# Parts that one mesh gets at most.
-MAX_PARTS = 128
-
-# CPU time for one mesh [s].
-MAX_TIME_S = 120.0
-
-# Triangles of a mesh: time and memory grow with them.
-MAX_TRIANGLES = 500_000
+MAX_PARTS = 128  # parts that one mesh gets at most
+MAX_TIME_S = 120.0  # CPU time for one mesh [s]
+MAX_TRIANGLES = 500_000  # triangles of a mesh: time and memory grow with them
 
 # Corners of a part; one with more is enclosed by planes across as few of these numbers of directions as will do.
 MAX_CORNERS = 48
@@ -59,17 +53,13 @@ DIPOLES = 3_000
 PART_POINTS = 600
 CUT_POINTS = 500
 
-# Points whose winding number is computed at a time, the farthest first.
-WINDING_CHUNK = 64
+WINDING_CHUNK = 64  # points whose winding number is computed at a time, the farthest first
 
 # Places of the cuts that are compared along each axis, as shares of the part's length.
 CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)
 
-# Tries to join two parts, a part: of the pairs that would grow least.
-JOIN_TRIES = 3
-
-# A thinner slice is not cut off [m].
-MIN_SLICE_M = 0.001
+JOIN_TRIES = 3  # tries to join two parts, a part: of the pairs that would grow least
+MIN_SLICE_M = 0.001  # a thinner slice is not cut off [m]
 
 
 @dataclass(frozen=True)
@@ -125,8 +115,7 @@ class Reference:
         squares = (points**2).sum(axis=1)[:, np.newaxis] + self._squares - 2.0 * points @ self._places.T
         heights = self._heights - points @ self._normals.T
         squares = np.maximum(squares, 1e-9)
-        turns: Vector = np.abs((heights / (squares * np.sqrt(squares))).sum(axis=1)) / (4.0 * np.pi)
-        return turns
+        return np.asarray(np.abs((heights / (squares * np.sqrt(squares))).sum(axis=1)) / (4.0 * np.pi))
 
 
 def decompose(surface: Surface, limits: Limits) -> Decomposition:

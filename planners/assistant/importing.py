@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planners.assistant import picture
 from planners.assistant.decomposition import MAX_PARTS, MAX_TIME_S, TOLERANCE_M, Limits
-from planners.assistant.draft import ARM, Draft, robot_toml, srdf
+from planners.assistant.draft import ARM, Draft, Structure, Tree, draft_gripper, find_structure, robot_toml, srdf
 from planners.assistant.link_shapes import (
     LinkParts,
     LinkShape,
     convex_links,
+    draw_picture,
     link_shapes,
     parts_in_link,
     primitive_points,
@@ -30,7 +30,6 @@ from planners.assistant.link_shapes import (
     surface_of,
 )
 from planners.assistant.pairs import NEVER, SelfContacts, free_state, unchecked_pairs
-from planners.assistant.structure import Structure, Tree, draft_gripper, find_structure
 from planners.assistant.surface import ConvexPart, Surface, sample
 from planners.errors import AssistantError
 from planners.geometry.shapes import enclosing
@@ -38,15 +37,12 @@ from planners.goals import JointGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from robot.description import model, robot_file, robot_folder
-from robot.description.elements import root_of
-from robot.description.mesh_files import find_mesh
 from robot.description.model import RobotModel
-from robot.description.urdf import MOVABLE_TYPES
+from robot.description.urdf import MOVABLE_TYPES, find_mesh, root_of
 
 MESHES = "meshes"
 
-# Size of the meshes of one robot: twenty times the SO-101's.
-MAX_MESH_BYTES = 500 << 20
+MAX_MESH_BYTES = 500 << 20  # size of the meshes of one robot: twenty times the SO-101's
 
 
 def parse_urdf(urdf_path: Path) -> ET.Element:
@@ -120,11 +116,8 @@ MAX_SAMPLES = 1_000_000
 HOME_TRIES = 2_000
 PROOF_TRIES = 5
 
-# Points on a finger and on the hand that their distance is taken from.
-GRIPPER_POINTS = 300
-
-# Digits of the shapes' coordinates: 10 um.
-DIGITS = 5
+GRIPPER_POINTS = 300  # points on a finger and on the hand that their distance is taken from
+DIGITS = 5  # digits of the shapes' coordinates: 10 um
 
 PICTURE = "parts.png"
 
@@ -228,7 +221,7 @@ class _Import:
             meshes = {link: _surfaces(link, of_link) for link, of_link in shapes.items()}
             drawn = {link: [part.surface for part in found.parts] for link, found in convex.items()}
             home = np.array([draft.home[joint] for joint in contacts.joint_names])
-            picture.draw(folder / PICTURE, meshes, drawn, contacts.placements(home))
+            draw_picture(folder / PICTURE, meshes, drawn, contacts.placements(home))
             written.append(f"{PICTURE}: the meshes beside the parts")
         return [*written, *self._prove(draft, contacts), *self._notes]
 

@@ -17,11 +17,8 @@ from planners.geometry.shapes import enclosing
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# States between two looks at the pairs that are decided.
-BATCH = 500
-
-# Reports of progress, at most.
-REPORTS = 5
+BATCH = 500  # states between two looks at the pairs that are decided
+REPORTS = 5  # reports of progress, at most
 
 ADJACENT, NEVER, ALWAYS = "Adjacent", "Never", "Always"
 
@@ -61,11 +58,6 @@ class SelfContacts:
         }
         self._hulls = {link: enclosing(each) for link, each in points.items()}
 
-    def draw(self, random: np.random.Generator) -> Vector:
-        """Return a state drawn uniformly within the position limits, shape (n,) [rad or m]."""
-        state: Vector = random.uniform(self.lower, self.upper)
-        return state
-
     def touching(self, state: Vector, pairs: Collection[Pair]) -> list[Pair]:
         """Return the pairs among some that touch in a state."""
         self._forward.place(state)
@@ -95,10 +87,7 @@ class SelfContacts:
 def unchecked_pairs(
     contacts: SelfContacts, samples: int, seed: int, progress: Callable[[int], None]
 ) -> list[UncheckedPair]:
-    """Return the pairs that are adjacent, that touch in every drawn state and that touch in none.
-
-    Same seed, same pairs; ``progress`` is called with the number of states that are done, at each fifth of them.
-    """
+    """Return pairs that are adjacent, or touch in all or no drawn states; ``progress`` gets the number of states."""
     random = np.random.default_rng(seed)
     seen: dict[Pair, set[bool]] = {pair: set() for pair in contacts.pairs}
     done = 0
@@ -106,7 +95,7 @@ def unchecked_pairs(
         # A pair that was seen both ways must be checked, whatever happens in other states.
         undecided = [pair for pair, found in seen.items() if len(found) < 2]
         for _ in range(min(BATCH, samples - done)):
-            touching = set(contacts.touching(contacts.draw(random), undecided))
+            touching = set(contacts.touching(random.uniform(contacts.lower, contacts.upper), undecided))
             for pair in undecided:
                 seen[pair].add(pair in touching)
         before, done = done, min(done + BATCH, samples)
@@ -133,7 +122,7 @@ def free_state(
         if not contacts.touching(state, checked):
             return state, True
     random = np.random.default_rng(seed)
-    drawn = [contacts.draw(random) for _ in range(tries)]
+    drawn = [random.uniform(contacts.lower, contacts.upper) for _ in range(tries)]
     if states:
         drawn.sort(key=lambda state: float(np.linalg.norm(state - states[0])))
     free = next((state for state in drawn if not contacts.touching(state, checked)), None)

@@ -25,14 +25,12 @@ SAME_VERTEX = 1e-6
 # Points whose least extent is below this are flat: qhull takes them with a plate of this thickness around them [m].
 PLATE_M = 1e-4
 
-# Points nearer than this to another part are not on the outside of the union [m].
-TOUCH_M = 1e-4
+TOUCH_M = 1e-4  # points nearer than this to another part are not on the outside of the union [m]
 
 # Points on a surface of 200 cm2 are then 0.3 mm apart, which makes a distance of 3 mm at most 0.02 mm too long.
 REFERENCE_POINTS = 200_000
 
-# Points on the parts and on the surface at which the deviation is measured.
-TEST_POINTS = 4_000
+TEST_POINTS = 4_000  # points on the parts and on the surface at which the deviation is measured
 
 
 @dataclass(frozen=True)
@@ -89,8 +87,7 @@ class ConvexPart:
 
     def depth_m(self, points_m: Vector) -> Vector:
         """Return the greatest signed distance to a face's plane, shape (n,), negative inside [m]."""
-        distances: Vector = np.max(points_m @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
-        return distances
+        return np.asarray(np.max(points_m @ self.planes[:, :3].T + self.planes[:, 3], axis=1))
 
     def within(self, directions: Vector) -> ConvexPart:
         """Return the part between planes across unit vectors, shape (d, 3): larger, with fewer corners."""
@@ -149,10 +146,7 @@ def sample_with_normals(surface: Surface, count: int, random: np.random.Generato
 
 
 def measure(surface: Surface, parts: Sequence[ConvexPart], random: np.random.Generator) -> Deviation:
-    """Measure how far parts are from a surface, by :data:`TEST_POINTS` samples each way.
-
-    Distances are to samples of the surface, so distances of parts are too long rather than too short.
-    """
+    """Measure how far parts are from :data:`TEST_POINTS` samples of a surface: rather too far than too near."""
     on_surface = sample(surface, TEST_POINTS, random)
     uncovered_m = np.min([part.depth_m(on_surface) for part in parts], axis=0).max()
     outer_m = _outer_points(parts, random)
@@ -174,5 +168,4 @@ def _outer_points(parts: Sequence[ConvexPart], random: np.random.Generator) -> V
     outer = np.ones(len(points_m), dtype=bool)
     for index, part in enumerate(parts):
         outer &= (owner == index) | (part.depth_m(points_m) > TOUCH_M)
-    found: Vector = points_m[outer]
-    return found
+    return np.asarray(points_m[outer])

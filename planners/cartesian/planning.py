@@ -36,14 +36,9 @@ from planners.scene import Pose
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory, Vector
 
-# Nearer is below what any servo resolves.
-ACCURACY_M = 1e-6
-
-# A step that moves no joint by more ends the orientation's descent.
-SETTLED_RAD = 3e-4
-
-# Neighbouring poses take two or three steps; only where a pose is out of reach are there many.
-MAX_STEPS = 25
+ACCURACY_M = 1e-6  # nearer is below what any servo resolves
+SETTLED_RAD = 3e-4  # a step that moves no joint by more ends the orientation's descent
+MAX_STEPS = 25  # neighbouring poses take two or three steps; only where a pose is out of reach are there many
 
 # Damping of the position's least squares: singular values of an arm's Jacobian are around 0.1 m/rad and this only
 # matters where one vanishes.
@@ -58,30 +53,18 @@ ORIENTATION_DAMPING = 0.02
 # least-norm solution based scheme for avoiding joint limits", 1995).
 NEAR_LIMIT_RAD = 0.2
 
-# The curve through the points may pass a limit by a little where a joint stops.
-LIMIT_MARGIN_RAD = 1e-3
-
-# Linear prediction is poor further away.
-LONGEST_STEP_RAD = 0.2
-
-# The tip counts as on the path when this near: a tenth of what the servos resolve at arm's length.
-ON_PATH_M = 2e-5
+LIMIT_MARGIN_RAD = 1e-3  # the curve through the points may pass a limit by a little where a joint stops
+LONGEST_STEP_RAD = 0.2  # linear prediction is poor further away
+ON_PATH_M = 2e-5  # the tip counts as on the path when this near: a tenth of what the servos resolve at arm's length
 
 # Half-way between two points a straight joint line may lead the tip this far off: the curve through all points is
 # then far nearer.
 CHORD_M = 2e-4
 
-# A smooth curve rounds a corner within about a tenth of the steps beside it.
-CORNER_STEP_M = 0.001
-
-# Steps grow with the distance from a corner by this share of it.
-GROWTH = 0.5
-
-# The place where a path ends early is located this closely.
-SHORTEST_STEP_M = 0.0003
-
-# The rest of a path is one step where it is no longer than this number of steps.
-LAST_STEP = 1.5
+CORNER_STEP_M = 0.001  # a smooth curve rounds a corner within about a tenth of the steps beside it
+GROWTH = 0.5  # steps grow with the distance from a corner by this share of it
+SHORTEST_STEP_M = 0.0003  # the place where a path ends early is located this closely
+LAST_STEP = 1.5  # the rest of a path is one step where it is no longer than this number of steps
 
 # For the orientation's sake joints turn no faster than this per length of the path; a wrist that would have to flip
 # does so over some centimetres. What the path itself turns comes on top, as long as no singularity is near.
@@ -93,10 +76,7 @@ NEAR_SINGULARITY = 0.1
 
 
 class TipTracker:
-    """Follows a pose with some of the joints: points have their positions, shape (n,) [rad].
-
-    ``kinematics`` has the joints in the order of ``collision``; other joints stay at ``start_q``.
-    """
+    """Follows a pose with some joints, whose positions are points, shape (n,) [rad]; others stay at ``start_q``."""
 
     def __init__(
         self,
@@ -275,11 +255,6 @@ class PathFollower:
         return self.check_point(point)
 
 
-def leaves_limits(joint: str) -> PathEnd:
-    """Return the end of a path on which a joint would leave its limits."""
-    return PathEnd("limit", f"joint {joint!r} would leave its limits", {"joint": joint})
-
-
 def _out_of_reach(desired: pin.SE3, end_m: float) -> PathEnd:
     place = ", ".join(f"{value:.4g}" for value in desired.translation)
     whole = f"the tip comes no nearer to the end of the path than {100.0 * end_m:.1f} cm"
@@ -307,14 +282,9 @@ def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
 # Places in each span between two points at which the tip is measured: half-way, where a curve is furthest off.
 MEASURED_PER_SPAN = 2
 
-# Places in each span at which joint limits are checked: a shorter excursion is negligible.
-LIMIT_CHECKS_PER_SPAN = 16
-
-# Measured places by which the curve runs ahead of the path or behind it beside a corner, at most.
-MEASURED_AROUND = 2
-
-# Each round of new points halves the spans where the curve is off, and its deviation by more than that.
-REFINEMENTS = 5
+LIMIT_CHECKS_PER_SPAN = 16  # places in each span at which joint limits are checked: a shorter excursion is negligible
+MEASURED_AROUND = 2  # measured places by which the curve runs ahead of the path or behind it beside a corner, at most
+REFINEMENTS = 5  # each round of new points halves the spans where the curve is off, and its deviation by more than that
 
 
 @dataclass(frozen=True)
@@ -386,11 +356,8 @@ def _halved(followed: FollowedPath, spans: NDArray[np.int64], path: TipPath, tra
     )
 
 
-# Where the tip moves by less per length of the path it stands, and its speed limits nothing.
-STANDING_SHARE = 1e-3
-
-# Decimals of the place that is reached, which people read: a tenth of a millimetre.
-DIGITS = 4
+STANDING_SHARE = 1e-3  # where the tip moves by less per length of the path it stands, and its speed limits nothing
+DIGITS = 4  # decimals of the place that is reached, which people read: a tenth of a millimetre
 
 # Codes for the ends of a path, as of MoveIt's Pilz planner.
 CODES = {
@@ -408,27 +375,22 @@ def plan_cartesian(
 ) -> CartesianPlan | PlanningFailure:
     """Plan the motion along a path of the tip, as far as the path can be followed.
 
-    The plan is for the whole path or its first part, which may be nothing. It is a failure where the problem or the
-    start is refused or time is up. ``forward`` has the joints in the order of ``collision``.
+    The plan is for the whole path or its first part, which may be nothing. It is a failure where time is up;
+    PlanningError: the problem or the start is refused. ``forward`` has the joints in the order of ``collision``.
     """
-    refusal = check_path(robot, problem) or checks.check_start(robot, problem.start_rad)
-    if refusal is not None:
-        return refusal
+    check_path(robot, problem)
+    checks.check_start(robot, problem.start_rad)
     names = robot.groups[problem.group].joints
     start_q = collision.start(problem.start_rad, names)
     joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
     constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
-    refusal = check_start_place(contacts, constraints.violations(start_q))
-    if refusal is not None:
-        return refusal
+    check_start_place(contacts, constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
     space = JointSpace(collision, names, start_q, allowed, constraints.holds, should_stop=budget.should_stop)
     tracker = TipTracker(forward, collision, names, start_q, problem.link)
     start = tracker.pose(space.point(start_q))
-    refusal = check_shape(start.translation, problem)
-    if refusal is not None:
-        return refusal
+    check_shape(start.translation, problem)
     limits = RateLimits.of(
         [robot.joints[name] for name in names], problem.velocity_scaling, problem.acceleration_scaling
     )
@@ -484,7 +446,9 @@ class _Task:
         beyond = np.argwhere(self.tracker.outside(motion.positions_rad))
         if len(beyond):
             sample, joint = beyond[0]
-            return motion.positions_rad[sample], leaves_limits(self.tracker.joint_names[joint])
+            name = self.tracker.joint_names[joint]
+            leaving = PathEnd("limit", f"joint {name!r} would leave its limits", {"joint": name})
+            return motion.positions_rad[sample], leaving
         contact = certify(self.space, motion) if self.problem.avoid_collisions else None
         if contact is None:
             return None

@@ -12,33 +12,24 @@ import pinocchio as pin
 from planners.checks import (
     check_constraints,
     check_group,
+    check_length,
     check_link,
+    check_point,
+    check_rates,
     invalid_goal,
-    length_flaws,
-    point_flaws,
-    rate_flaws,
 )
 from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.constraints import ROTATION_ARM_M
-from planners.problem import Arc, CartesianProblem, Line, PlanningFailure
+from planners.problem import Arc, CartesianProblem, Line
 from planners.scene import Pose
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# Shorter pieces are repeated points, which have neither direction nor speed.
-SHORTEST_M = 1e-7
-
-# Directions of neighbouring pieces that differ by less go on smoothly.
-SMOOTH_TURN_RAD = 1e-3
-
-# Points nearer to each other do not tell an arc's plane.
-SHORTEST_CHORD_M = 1e-5
-
-# Flatter arcs lose digits, and no arm can show that they are not lines.
-LARGEST_RADIUS_M = 100.0
-
-# Following takes some 0.3 ms a point, 3 s in all.
-MOST_POINTS = 10_000
+SHORTEST_M = 1e-7  # shorter pieces are repeated points, which have neither direction nor speed
+SMOOTH_TURN_RAD = 1e-3  # directions of neighbouring pieces that differ by less go on smoothly
+SHORTEST_CHORD_M = 1e-5  # points nearer to each other do not tell an arc's plane
+LARGEST_RADIUS_M = 100.0  # flatter arcs lose digits, and no arm can show that they are not lines
+MOST_POINTS = 10_000  # following takes some 0.3 ms a point, 3 s in all
 
 
 @dataclass(frozen=True)
@@ -192,52 +183,41 @@ def _is_corner(first: _Piece, second: _Piece) -> bool:
     return lengths == 0.0 or across > SMOOTH_TURN_RAD * lengths or float(before @ after) < 0.0
 
 
-def check_path(robot: RobotModel, problem: CartesianProblem) -> PlanningFailure | None:
+def check_path(robot: RobotModel, problem: CartesianProblem) -> None:
     """Check names and numbers of a problem."""
-    return (
-        check_group(robot, problem.group)
-        or check_constraints(robot, problem.path_constraints)
-        or check_link(robot, problem.link)
-        or next(_flaws(problem), None)
-    )
+    check_group(robot, problem.group)
+    check_constraints(robot, problem.path_constraints)
+    check_link(robot, problem.link)
+    check_rates(problem)
+    positive = [("greatest step [m]", problem.max_step_m)]
+    if problem.tip_speed_m_s is not None:
+        positive.append(("tip speed [m/s]", problem.tip_speed_m_s))
+    if problem.keep_orientation:
+        positive.append(("orientation tolerance [rad]", problem.orientation_tolerance_rad))
+    for name, value in positive:
+        if not (math.isfinite(value) and value > 0.0):
+            raise invalid_goal(f"the {name} must be a finite number above 0, not {value:g}")
+    step_rad = problem.max_joint_step_rad
+    if not (math.isfinite(step_rad) and step_rad >= 0.0):
+        raise invalid_goal(f"the greatest joint step must be a finite number of 0 rad or more, not {step_rad:g}")
+    if not problem.segments:
+        raise invalid_goal("the path has no segment")
+    for index, segment in enumerate(problem.segments):
+        check_point(segment.end.position_m, f"end of segment {index}")
+        check_length(segment.end.orientation, f"quaternion of segment {index}")
+        if isinstance(segment, Arc):
+            check_point(segment.via_m, f"point on the way of segment {index}")
 
 
-def check_shape(start_m: Vector, problem: CartesianProblem) -> PlanningFailure | None:
+def check_shape(start_m: Vector, problem: CartesianProblem) -> None:
     """Check that three points make each arc and the path, from the tip's position on, is not too long."""
     length_m = 0.0
     for index, segment in enumerate(problem.segments):
         flaw = arc_flaw(start_m, segment) if isinstance(segment, Arc) else None
         if flaw is not None:
-            return invalid_goal(f"segment {index} is no arc: {flaw}")
+            raise invalid_goal(f"segment {index} is no arc: {flaw}")
         length_m += float(np.linalg.norm(np.asarray(segment.end.position_m) - start_m))
         start_m = np.asarray(segment.end.position_m)
     if length_m > MOST_POINTS * problem.max_step_m:
-        return invalid_goal(
-            f"a path of {length_m:.4g} m in steps of {problem.max_step_m:g} m has more than {MOST_POINTS} points"
-        )
-    return None
-
-
-def _flaws(problem: CartesianProblem) -> Iterator[PlanningFailure]:
-    yield from rate_flaws(problem)
-    for name, value in _positive(problem):
-        if not (math.isfinite(value) and value > 0.0):
-            yield invalid_goal(f"the {name} must be a finite number above 0, not {value:g}")
-    step_rad = problem.max_joint_step_rad
-    if not (math.isfinite(step_rad) and step_rad >= 0.0):
-        yield invalid_goal(f"the greatest joint step must be a finite number of 0 rad or more, not {step_rad:g}")
-    if not problem.segments:
-        yield invalid_goal("the path has no segment")
-    for index, segment in enumerate(problem.segments):
-        yield from point_flaws(segment.end.position_m, f"end of segment {index}", "m")
-        yield from length_flaws(segment.end.orientation, f"quaternion of segment {index}")
-        if isinstance(segment, Arc):
-            yield from point_flaws(segment.via_m, f"point on the way of segment {index}", "m")
-
-
-def _positive(problem: CartesianProblem) -> Iterator[tuple[str, float]]:
-    yield "greatest step [m]", problem.max_step_m
-    if problem.tip_speed_m_s is not None:
-        yield "tip speed [m/s]", problem.tip_speed_m_s
-    if problem.keep_orientation:
-        yield "orientation tolerance [rad]", problem.orientation_tolerance_rad
+        text = f"a path of {length_m:.4g} m in steps of {problem.max_step_m:g} m has more than {MOST_POINTS} points"
+        raise invalid_goal(text)

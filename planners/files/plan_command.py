@@ -4,33 +4,39 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
+import hashlib
 import itertools
 import json
+import logging
+import pickle
+import re
+import threading
 import time
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib import metadata, resources
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from planners.errors import PlannerError, PlottingError, ProblemFileError
-from planners.files import batch, problem_file
+from planners.errors import BatchError, PlannerError, PlottingError, ProblemFileError
+from planners.files import problem_file
 from planners.files.problem_file import FileProblem, ProblemFile
 from planners.pipeline import Planner
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.scene import Scene
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 
-# As many rows as one picture can show.
-MAX_MOTIONS = 20
+if TYPE_CHECKING:
+    from distributed import Client, Future
 
-# Points a curve is drawn with.
-POINTS = 400
-
-# Inches of a row, wide and high.
-ROW_SIZE_IN = (12.0, 2.6)
+MAX_MOTIONS = 20  # as many rows as one picture can show
+POINTS = 400  # points a curve is drawn with
+ROW_SIZE_IN = (12.0, 2.6)  # inches of a row, wide and high
 
 # Exit codes: every answer is accepted by its file; some are not; nothing was planned.
 EXIT_EXPECTED = 0
@@ -41,8 +47,7 @@ _ROW = "{:<{}} {:>5}  {:<26} {:>8}  {:>12}  {:>12}\n"
 _TITLES = ("code", "", "CPU [ms]", "duration [s]", "length [rad]")
 _NAME_WIDTH = 20
 
-# Back to the begin of the line, and clear it (ECMA-48).
-_CLEAR_LINE = "\r\x1b[K"
+_CLEAR_LINE = "\r\x1b[K"  # back to the begin of the line, and clear it (ECMA-48)
 
 
 def check_available() -> None:
@@ -52,10 +57,7 @@ def check_available() -> None:
 
 
 def plot(path: Path, motions: Sequence[tuple[str, Trajectory]]) -> None:
-    """Draw the first :data:`MAX_MOTIONS` motions, each with its name, into a picture of the kind of its ending.
-
-    PlottingError: there is no motion to draw, or no picture of this ending can be drawn.
-    """
+    """Draw the first :data:`MAX_MOTIONS` motions, each with its name; PlottingError: no motion, or no such picture."""
     # Loaded when something is drawn: it takes a quarter of a second.
     from matplotlib.figure import Figure
 
@@ -185,7 +187,7 @@ def _tasks(options: Options, robot: RobotModel) -> list[Task]:
 def _answers(tasks: Sequence[Task], scheduler: str | None) -> Generator[tuple[int, Outcome]]:
     """Plan tasks here or on a cluster; outcomes come with the tasks' numbers, in the order in which they are known."""
     if scheduler is not None:
-        planned = batch.plan_on(scheduler, [(task.file, task.file_problem.problem) for task in tasks])
+        planned = plan_on(scheduler, [(task.file, task.file_problem.problem) for task in tasks])
         for number, answer, cpu_s in planned:
             yield number, Outcome(tasks[number].file_problem, answer, cpu_s)
         return
@@ -197,9 +199,20 @@ def _answers(tasks: Sequence[Task], scheduler: str | None) -> Generator[tuple[in
             number += 1
 
 
-def as_json(outcomes: Sequence[Outcome], joint_names: Sequence[str]) -> list[dict[str, Any]]:
-    """Answers as plain values, joints in the given order."""
-    return [_answer_as_json(outcome, joint_names) for outcome in outcomes]
+def as_json(outcome: Outcome, joint_names: Sequence[str]) -> dict[str, Any]:
+    """Return an answer as plain values, joints in the given order."""
+    answer = outcome.answer
+    if isinstance(answer, PlanningFailure):
+        return {"problem": outcome.file_problem.id, "error_code": answer.code.value, "message": answer.message}
+    motion = answer.trajectory
+    columns = [motion.joint_names.index(name) for name in joint_names if name in motion.joint_names]
+    return {
+        "problem": outcome.file_problem.id,
+        "time_from_start": motion.time_s.tolist(),
+        "positions": motion.positions_rad[:, columns].tolist(),
+        "velocities": motion.velocities_rad_s[:, columns].tolist(),
+        "accelerations": motion.accelerations_rad_s2[:, columns].tolist(),
+    }
 
 
 def _printed(
@@ -230,22 +243,18 @@ def _row(name: str, width: int, outcome: Outcome) -> str:
     duration, length = "", ""
     if isinstance(outcome.answer, Plan):
         duration = f"{outcome.answer.trajectory.duration_s:.3f}"
-        length = f"{path_length_rad(outcome.answer.trajectory):.3f}"
+        steps_rad = np.linalg.norm(np.diff(outcome.answer.trajectory.positions_rad, axis=0), axis=1)
+        length = f"{steps_rad.sum():.3f}"
     cpu = f"{1000.0 * outcome.cpu_s:.1f}"
     row = _ROW.format(name, width, outcome.code.value, outcome.code.name, cpu, duration, length)
     return row if isinstance(outcome.answer, Plan) else f"{row}    {outcome.answer.message}\n"
-
-
-def path_length_rad(trajectory: Trajectory) -> float:
-    """Length of the path in joint space [rad]."""
-    return float(np.linalg.norm(np.diff(trajectory.positions_rad, axis=0), axis=1).sum())
 
 
 def _write(options: Options, tasks: Sequence[Task], outcomes: Sequence[Outcome]) -> None:
     if options.json_path is not None:
         written: list[dict[str, Any]] = []
         for task, outcome in zip(tasks, outcomes, strict=True):
-            (entry,) = as_json([outcome], task.file.joint_names)
+            entry = as_json(outcome, task.file.joint_names)
             written.append(entry if len(options.paths) == 1 else {"file": str(task.path), **entry})
         options.json_path.write_text(json.dumps(written) + "\n")
     if options.plot_path is not None:
@@ -254,16 +263,134 @@ def _write(options: Options, tasks: Sequence[Task], outcomes: Sequence[Outcome])
         plot(options.plot_path, motions)
 
 
-def _answer_as_json(outcome: Outcome, joint_names: Sequence[str]) -> dict[str, Any]:
-    answer = outcome.answer
-    if isinstance(answer, PlanningFailure):
-        return {"problem": outcome.file_problem.id, "error_code": answer.code.value, "message": answer.message}
-    motion = answer.trajectory
-    columns = [motion.joint_names.index(name) for name in joint_names if name in motion.joint_names]
-    return {
-        "problem": outcome.file_problem.id,
-        "time_from_start": motion.time_s.tolist(),
-        "positions": motion.positions_rad[:, columns].tolist(),
-        "velocities": motion.velocities_rad_s[:, columns].tolist(),
-        "accelerations": motion.accelerations_rad_s2[:, columns].tolist(),
-    }
+# A scheduler answers within milliseconds, and its workers need seconds to join when they are just starting.
+CONNECT_TIMEOUT_S = 5.0
+
+# Planners of a few MB each that a worker keeps: one for each of its threads and each of the last files.
+MAX_PLANNERS = 8
+
+# All that is pickled, and all that makes the answers, is defined there.
+_SOURCES = (("planners", "**/*.py"), ("robot", "description/*.py"), ("robot", "trajectory.py"))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """All that the problems of a file share."""
+
+    digest: str  # of robot and scene, by which setups are distinguished
+    robot: RobotModel = field(compare=False)  # the arm to plan for
+    scene: Scene = field(compare=False)
+
+
+def plan_on(
+    address: str, problems: Sequence[tuple[ProblemFile, PlanningProblem]]
+) -> Iterator[tuple[int, Plan | PlanningFailure, float]]:
+    """Plan problems on the Dask cluster of a scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``.
+
+    Yields number, answer and CPU time [s] of each problem, in the order in which they are answered. BatchError: there
+    is no cluster that can plan them.
+    """
+    with _connected(address) as client:
+        from distributed import CancelledError, as_completed
+
+        _check_workers(client, address)
+        # As tasks, and not scattered: a setup that is lost with a worker is made again on another one.
+        setups = {id(file): client.submit(pickle.loads, _packed_setup(file), pure=False) for file, _ in problems}
+        futures = client.map(
+            answer,
+            [setups[id(file)] for file, _ in problems],
+            # Packed: Dask would search for its own objects inside.
+            [pickle.dumps(problem) for _, problem in problems],
+            asked_by=version(),
+            pure=False,
+        )
+        numbers = {future.key: number for number, future in enumerate(futures)}
+        try:
+            for future in as_completed(futures):
+                yield numbers[future.key], *_result(future)
+        except (CancelledError, OSError) as error:
+            raise BatchError(f"the Dask scheduler {address} was lost") from error
+
+
+def answer(setup: Setup, problem: bytes, asked_by: str) -> tuple[Plan | PlanningFailure, float]:
+    """Plan a pickled problem in a Dask worker; return answer and CPU time [s]. BatchError: another armbridge."""
+    if asked_by != version():
+        raise BatchError("the worker runs another armbridge")
+    planner, refusal = _planner(setup, threading.get_ident())
+    started_s = time.thread_time()
+    planned = refusal or planner.plan(pickle.loads(problem))  # noqa: S301 - of the one whose tasks this worker runs
+    return planned, time.thread_time() - started_s
+
+
+@functools.cache
+def version() -> str:
+    """Return armbridge's version and a digest of the code of its planners, as in ``0.1.0 (planners 3fa2b1c4)``."""
+    digest = hashlib.sha256()
+    for package, pattern in _SOURCES:
+        with resources.as_file(resources.files(package)) as folder:
+            for path in sorted(folder.glob(pattern)):
+                digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return f"{metadata.version('armbridge')} (planners {digest.hexdigest()[:8]})"
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Client]:
+    """Connect to a scheduler; leaving the context cancels open problems."""
+    if find_spec("distributed") is None:
+        raise BatchError("--scheduler needs the package distributed: pip install 'armbridge[dask]'")
+    if not re.fullmatch(r"(tcp|tls)://[^/@\s]+:\d+", address):
+        raise BatchError(f"--scheduler {address}: must be tcp://HOST:PORT or tls://HOST:PORT")
+    from distributed import Client
+
+    # It logs pages of tracebacks for each failure; BatchError has what matters. Tornado's logger has the one of an
+    # interrupt that meets distributed.utils.sync before its coroutine begins: its cancel() then knows no future.
+    for name in ("distributed", "distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        # Dask's own configuration names the certificates of tls://.
+        client = Client(address, timeout=CONNECT_TIMEOUT_S)
+    except (OSError, TypeError, ValueError) as error:
+        raise BatchError(f"the Dask scheduler {address} cannot be reached: {error}") from error
+    with client:
+        yield client
+
+
+def _check_workers(client: Client, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+    except TimeoutError as error:
+        raise BatchError(f"the Dask scheduler {address} has no workers") from error
+    for worker, theirs in client.run(version, on_error="return").items():
+        if isinstance(theirs, Exception):
+            reason = f"cannot run armbridge: {theirs}"
+        elif theirs != version():
+            reason = f"runs armbridge {theirs}"
+        else:
+            continue
+        raise BatchError(f"the Dask worker {worker} {reason}; install armbridge {version()} there, as here")
+
+
+def _packed_setup(file: ProblemFile) -> bytes:
+    digest = hashlib.sha256(pickle.dumps((file.robot, file.scene))).hexdigest()
+    return pickle.dumps(Setup(digest, file.robot, file.scene))
+
+
+@functools.lru_cache(maxsize=MAX_PLANNERS)
+def _planner(setup: Setup, _thread: int) -> tuple[Planner, PlanningFailure | None]:
+    """Make the planner of one thread, whose CPU time counts, and return the flaw of the scene."""
+    planner = Planner(setup.robot, time.thread_time)
+    return planner, planner.set_scene(setup.scene)
+
+
+def _result(future: Future[Any]) -> tuple[Plan | PlanningFailure, float]:
+    from distributed import KilledWorker
+
+    error = future.exception()
+    if error is None:
+        planned: tuple[Plan | PlanningFailure, float] = future.result()
+        return planned
+    if isinstance(error, KilledWorker):
+        message = f"{error.allowed_failures + 1} workers ended while they worked on this"
+    else:
+        message = f"the worker failed: {type(error).__name__}: {error}"
+    return PlanningFailure(MoveItErrorCode.CRASH, message), 0.0

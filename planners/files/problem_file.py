@@ -22,10 +22,9 @@ from planners import scene
 from planners.errors import ProblemFileError
 from planners.goals import AnyOf, AxisGoal, ConstraintGoal, Goal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
-from planners.scene import Scene
+from planners.scene import Point, Quaternion, Scene
 from robot.description.model import RobotModel
 
-Point = tuple[float, float, float]
 Kind = Literal["box", "sphere", "cylinder", "cone", "plane", "mesh"]
 
 # How many numbers the dimensions of a shape are; cylinders and cones as shape_msgs/SolidPrimitive, height first.
@@ -52,8 +51,7 @@ _GOALS: Mapping[str, type[Any]] = {
 _NOT_OPTIONS = {"group", "start_rad", "goal"}
 _ANY_OF = "any_of"
 
-# As much of a refused value as fits in a line.
-SHOWN_CHARACTERS = 60
+SHOWN_CHARACTERS = 60  # as much of a refused value as fits in a line
 
 _Rate = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _Angle = Annotated[float, Field(allow_inf_nan=False)]
@@ -63,7 +61,7 @@ class PoseFields(BaseModel):
     """A pose: ``position`` [m], ``orientation`` as a quaternion x, y, z, w."""
 
     position: Point = (0.0, 0.0, 0.0)
-    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
     def pose(self) -> scene.Pose:
         """Return the pose."""
@@ -254,10 +252,7 @@ class _File(SceneFields):
 
 
 def read(path: Path, robot: RobotModel) -> ProblemFile:
-    """Read a file of problems for a robot.
-
-    ProblemFileError: it cannot be read, is not of the format, or is about another robot.
-    """
+    """Read a file of problems; ProblemFileError: it is unreadable, of another format, or about another robot."""
     try:
         text = path.read_bytes()
         fields = _File.model_validate(_replaced(json.loads(text), lambda leaf: math.nan if leaf is None else leaf))
@@ -384,10 +379,7 @@ class _Reader:
 
 
 def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, answer: PlanningFailure) -> str:
-    """Return the text of a file with one problem that failed, so that it can be planned again.
-
-    ``name`` is the file's without its suffix; ``robot`` has the limits that were kept.
-    """
+    """Return the text of a file ``name`` with one problem that failed; ``robot`` has the limits that were kept."""
     group = robot.groups.get(problem.group)
     names = group.joints if group is not None else tuple(joint.name for joint in robot.movable_joints)
     joints = [robot.joints[name] for name in names]

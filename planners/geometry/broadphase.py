@@ -41,8 +41,7 @@ class Nearest:
     @property
     def middle_m(self) -> Vector:
         """Point half-way between the two, shape (3,) [m]."""
-        middle_m: Vector = self.point_m + 0.5 * self.distance_m * self.normal
-        return middle_m
+        return np.asarray(self.point_m + 0.5 * self.distance_m * self.normal)
 
     def transformed(self, place: pin.SE3) -> Nearest:
         """Return the same points in the frame in which ``place`` is the present frame."""
@@ -58,6 +57,7 @@ class NearPair:
     by_object: bool  # whether an object is among the two
     distance_m: float  # distance beyond their required clearance [m]
     distance_gradient: Vector  # gradient of the distance by each joint, shape (n,) [m/rad]
+    by_another_arm: bool = False  # whether one of the two is moved by joints that move without the present ones
 
 
 def distance_gradient(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:
@@ -144,18 +144,18 @@ class Broadphase:
 
     def touches(self, q: Vector) -> bool:
         """Return true if shapes of any pair touch, or are nearer than they may be."""
-        return pin.computeCollisions(self._model, self._data, self._any_contact, self._positions(q), True)
+        return pin.computeCollisions(self._model, self._data, self._any_contact, self._joints.positions(q), True)
 
     def near(self, q: Vector, margin_m: Vector) -> list[int]:
         """Indices of the pairs whose shapes are nearer than they may be and a margin, shape (pairs,) [m]."""
         self._set_margins(self._near, self._vicinity, margin_m)
-        if not pin.computeCollisions(self._model, self._data, self._vicinity, self._positions(q), False):
+        if not pin.computeCollisions(self._model, self._data, self._vicinity, self._joints.positions(q), False):
             return []
         return _taken(self._near_results)
 
     def near_among(self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector) -> list[int]:
         """As :meth:`near`, of some pairs only: a tenth of the time for a few; ``margin_m`` is by all pairs' indices."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._positions(q))
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._joints.positions(q))
         geometry, data, found = self._geometry, self._single, []
         for pair in pairs:
             self._single_requests[pair].security_margin = self._least_m[pair] + margin_m[pair]
@@ -165,11 +165,11 @@ class Broadphase:
 
     def place(self, q: Vector) -> None:
         """Place the shapes at a configuration, to which the methods below refer."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, self._positions(q))
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, self._joints.positions(q))
 
     def touching(self, q: Vector) -> list[int]:
         """Place the shapes as :meth:`place` does; return the indices of the pairs that touch."""
-        if not pin.computeCollisions(self._model, self._data, self._contacts, self._positions(q), False):
+        if not pin.computeCollisions(self._model, self._data, self._contacts, self._joints.positions(q), False):
             return []
         return _taken(self._contact_results)
 
@@ -203,14 +203,11 @@ class Broadphase:
     def turn(self, q: Vector) -> None:
         """As :meth:`place`, and make ready for :meth:`distance_gradient`."""
         self.place(q)
-        pin.computeJointJacobians(self._model, self._data, self._positions(q))
+        pin.computeJointJacobians(self._model, self._data, self._joints.positions(q))
 
     def placement(self, joint: int) -> pin.SE3:
         """Return the pose of a joint in the root link's frame."""
         return self._data.oMi[joint]
-
-    def _positions(self, q: Vector) -> Vector:
-        return self._joints.positions(q)
 
     def _distance(self, pair: int) -> coal.DistanceResult:
         self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.broadphase import Broadphase, Nearest, NearPair
+from planners.geometry.broadphase import Broadphase, NearPair
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.parts import PartPair, Parts, RobotParts, parts_of
 from planners.geometry.shapes import (
@@ -24,18 +24,14 @@ from planners.geometry.shapes import (
     solid,
     urdf_shapes,
 )
-from planners.goals import ZERO
 from planners.problem import PlanningFailure
-from planners.scene import EMPTY_SCENE, AttachedObject, Point, Scene
+from planners.scene import EMPTY_SCENE, ZERO, AttachedObject, Point, Scene
 from planners.scene_checks import check_scene
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# Depths of the same contact differ by this much between runs of the penetration algorithm.
-DEPTH_ACCURACY_M = 0.0002
-
-# A hull reaches at most this far beyond its link.
-HULL_EXCESS_M = 0.02
+DEPTH_ACCURACY_M = 0.0002  # depths of the same contact differ by this much between runs of the penetration algorithm
+HULL_EXCESS_M = 0.02  # a hull reaches at most this far beyond its link
 
 NO_CONTACT: Mapping[frozenset[str], float] = {}
 
@@ -226,8 +222,7 @@ class CollisionModel:
 
     def margins_m(self, joint_travel: Vector) -> Vector:
         """Return how far each pair can approach when joints travel, (m, n) [rad]: shape (m, pairs) [m]."""
-        margins_m: Vector = joint_travel @ self._approach_m.T
-        return margins_m
+        return np.asarray(joint_travel @ self._approach_m.T)
 
     def candidate_pairs(
         self,
@@ -237,10 +232,7 @@ class CollisionModel:
         allowed: Mapping[frozenset[str], float] = NO_CONTACT,
         refined: RefinedPairs = NONE_REFINED,
     ) -> tuple[int, ...]:
-        """Return the pairs of shapes that are nearer than their clearance and a margin of each, shape (pairs,) [m].
-
-        ``among`` are indices of the pairs to check; None for all.
-        """
+        """Return the pairs ``among`` some, None for all, nearer than clearance and margin, shape (pairs,) [m]."""
         broadphase = self._broadphase
         near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
         near = [pair for pair in near if pair not in self._unchanged]
@@ -261,10 +253,7 @@ class CollisionModel:
         return self._any_touches(self._broadphase.touching_among(among), allowed, refined)
 
     def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
-        """Return every pair of links or objects that overlaps, deepest first.
-
-        Parts decide for the pairs of names ``refined``; for all pairs where it is None.
-        """
+        """Return every pair that overlaps, deepest first; by parts for ``refined`` pairs, for all where it is None."""
         deepest: dict[frozenset[str], CollidingPair] = {}
         for index in self._touching(q):
             first, second = (self._bodies[i].name for i in self._pairs[index])
@@ -298,12 +287,28 @@ class CollisionModel:
             return set()
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
 
-    def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
-        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient."""
+    def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
+        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient.
+
+        ``moving`` are the joints that may move, from which the motions of other arms are told apart.
+        """
         self._broadphase.turn(q)
-        found = [(index, self._nearest(index)) for index in self._broadphase.within(within_m).tolist()]
-        near = [self._near_pair(index, nearest) for index, nearest in found]
-        return [pair for pair in near if pair.distance_m < within_m]
+        columns = [self.joint_names.index(name) for name in moving]
+        near = []
+        for pair in self._broadphase.within(within_m).tolist():
+            nearest = self._broadphase.nearest(pair)
+            # Only the hulls may be in the way.
+            if nearest.distance_m <= HULL_EXCESS_M and self._has_convex_parts(pair):
+                nearest = self._parts_of_pair(pair).nearest()
+            distance_m = nearest.distance_m - float(self._apart_m[pair])
+            if distance_m < within_m:
+                first, second = (self._bodies[i] for i in self._pairs[pair])
+                by_object = not (first.is_link and second.is_link)
+                gradient = self._broadphase.distance_gradient(pair, nearest)
+                carried = self._carried[self._pairs[pair]]
+                by_another_arm = any(joints.any() and not joints[columns].any() for joints in carried)
+                near.append(NearPair(first.name, second.name, by_object, distance_m, gradient, by_another_arm))
+        return near
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:
         """Origin of a link in each configuration, shape (n, 3) [m]."""
@@ -331,6 +336,8 @@ class CollisionModel:
         self._pairs = checked_pairs(self._robot, scene.allowed, movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
         self._apart_m = padding(self._bodies, self._pairs)
+        # Whether each joint carries each body.
+        self._carried = self._joints.travel_by_joint(reach_m) > 0.0
         self._approach_m: Vector = self._joints.travel_by_joint(approach(reach_m, self._pairs))
         self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
         shapes = [body.shape for body in self._bodies]
@@ -372,26 +379,9 @@ class CollisionModel:
         # The overlap is within both.
         return min(by_hulls_m, float(self._apart_m[pair]) - self._parts_of_pair(pair).nearest().distance_m)
 
-    def _nearest(self, pair: int) -> Nearest:
-        """Return the nearest points of a pair's shapes; by their parts where only their hulls may be in the way."""
-        by_hulls = self._broadphase.nearest(pair)
-        if by_hulls.distance_m > HULL_EXCESS_M or not self._has_convex_parts(pair):
-            return by_hulls
-        return self._parts_of_pair(pair).nearest()
-
-    def _near_pair(self, pair: int, nearest: Nearest) -> NearPair:
-        first, second = (self._bodies[i] for i in self._pairs[pair])
-        return NearPair(
-            first.name,
-            second.name,
-            not (first.is_link and second.is_link),
-            nearest.distance_m - float(self._apart_m[pair]),
-            self._broadphase.distance_gradient(pair, nearest),
-        )
-
     def _apart(self, pair: int, margin_m: float) -> bool:
         """Return true if parts of a pair are known and further apart than a margin [m], none inside the other body."""
-        if not self._has_parts(pair):
+        if not self._parts.available or self._names[pair] & self._scaled:
             return False
         parts = self._parts_of_pair(pair)
         if parts.nearer_than(margin_m + float(self._apart_m[pair])):
@@ -401,9 +391,6 @@ class CollisionModel:
         return not (
             (first_is_link and parts.first_encloses_second()) or (second_is_link and parts.second_encloses_first())
         )
-
-    def _has_parts(self, pair: int) -> bool:
-        return self._parts.available and not self._names[pair] & self._scaled
 
     def _has_convex_parts(self, pair: int) -> bool:
         return self._parts.convex and not self._names[pair] & self._scaled

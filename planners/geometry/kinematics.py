@@ -42,22 +42,19 @@ class JointMap:
         """Return the positions of pinocchio's joints at a configuration."""
         if self._same:
             return q
-        positions: Vector = q[self._leaders] * self._multipliers
-        return positions
+        return np.asarray(q[self._leaders] * self._multipliers)
 
     def by_joint(self, rows: Vector) -> Vector:
         """Return derivatives by the joints of a configuration, shape (..., n), of those by pinocchio's joints."""
         if self._same:
             return rows
-        columns: Vector = rows @ self._matrix
-        return columns
+        return np.asarray(rows @ self._matrix)
 
     def travel_by_joint(self, rows: Vector) -> Vector:
         """As :meth:`by_joint`, of bounds, which the motions of all joints that move together add to."""
         if self._same:
             return rows
-        columns: Vector = rows @ np.abs(self._matrix)
-        return columns
+        return np.asarray(rows @ np.abs(self._matrix))
 
 
 @dataclass(frozen=True)
@@ -86,10 +83,7 @@ class ForwardKinematics:
         return pin.updateFramePlacement(self._model, self._data, self._frames[link])
 
     def jacobian(self, q: Vector, link: str) -> Vector:
-        """Return the Jacobian of a link: linear and angular rows along the root link's axes, shape (6, n).
-
-        The joints are moved to ``q`` as by :meth:`place`.
-        """
+        """Move the joints to ``q``; return a link's Jacobian along the root's axes, linear rows first, (6, n)."""
         pin.computeJointJacobians(self._model, self._data, self._joints.positions(q))
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         return self._joints.by_joint(pin.getFrameJacobian(self._model, self._data, self._frames[link], axes))
@@ -122,10 +116,7 @@ class Reach:
                 self._slides_m[joint] = max(abs(limits[0]), abs(limits[1]))
 
     def about_joints(self, joint: int, points: Vector) -> Vector:
-        """Return an upper bound of the travel of points by each joint, shape (nv,) [m/rad]; 1 for a prismatic one.
-
-        The points are in the frame of the joint that carries them, shape (n, 3) [m].
-        """
+        """Bound the travel of points a joint carries, (n, 3) [m], by each joint, (nv,) [m/rad]; 1 if prismatic."""
         reach = np.zeros(self._model.nv)
         swing_m = 0.0
         while joint:

@@ -61,21 +61,16 @@ def overlap_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
     # Along the axes of one joint the boxes of the other are wider than they are: by the whole link, for a table.
     by_first_m = _along_axes_m(first, second, between).min(axis=0)
     by_second_m = _along_axes_m(second, first, between.inverse()).min(axis=0)
-    least_m: Vector = np.minimum(by_first_m, by_second_m.T)
-    return least_m
+    return np.asarray(np.minimum(by_first_m, by_second_m.T))
 
 
 def least_distance_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
-    """Return lower bounds of the distances of shapes in the boxes, of their overlap if negative.
-
-    Arguments and shape as for :func:`overlap_m`.
-    """
+    """Return lower bounds of the distances of shapes in boxes, of their overlap if negative; see :func:`overlap_m`."""
     by_first_m = _along_axes_m(first, second, between)
     by_second_m = _along_axes_m(second, first, between.inverse()).swapaxes(1, 2)
     overlaps_m = np.minimum(by_first_m.min(axis=0), by_second_m.min(axis=0))
     apart_m2 = ((np.minimum(each_m, 0.0) ** 2).sum(axis=0) for each_m in (by_first_m, by_second_m))
-    bounds_m: Vector = np.where(overlaps_m > 0.0, -overlaps_m, np.sqrt(np.maximum(*apart_m2)))
-    return bounds_m
+    return np.asarray(np.where(overlaps_m > 0.0, -overlaps_m, np.sqrt(np.maximum(*apart_m2))))
 
 
 def near_pairs(first: Boxes, second: Boxes, between: pin.SE3, margin_m: float) -> NDArray[np.intp]:
@@ -102,8 +97,7 @@ def _along_axes_m(first: Boxes, second: Boxes, between: pin.SE3) -> Vector:
     middles_m = between.rotation @ second.middles_m + between.translation[:, np.newaxis]
     halves_m = np.abs(between.rotation) @ second.halves_m
     offset_m = first.middles_m[:, :, np.newaxis] - middles_m[:, np.newaxis]
-    overlaps_m: Vector = first.halves_m[:, :, np.newaxis] + halves_m[:, np.newaxis] - np.abs(offset_m)
-    return overlaps_m
+    return np.asarray(first.halves_m[:, :, np.newaxis] + halves_m[:, np.newaxis] - np.abs(offset_m))
 
 
 def _meet_across_edges(first: Boxes, second: Boxes, between: pin.SE3, margin_m: float) -> NDArray[np.bool_]:

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from planners.errors import ShapeError
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Point, Pose, Shape, Sphere
-from robot.description.frames import shift_origin
-from robot.description.mesh_files import with_mesh_paths
 from robot.description.model import Joint, RobotModel
+from robot.description.urdf import shift_origin, with_mesh_paths
 from robot.errors import DescriptionError
 from robot.trajectory import Vector
 
-# Libraries want an effort limit, which nothing here reads.
-_EFFORT = "1"
+_EFFORT = "1"  # libraries want an effort limit, which nothing here reads
 
 
 def plain_urdf(robot: RobotModel) -> str:
@@ -82,11 +80,8 @@ MAX_CORNERS = 250
 # A hull around faces in 126 directions has at most 248 corners and is 1 to 2 mm wider than links of 10 cm.
 DIRECTIONS = 126
 
-# Points whose least extent is below this share of their greatest are flat.
-FLAT = 1e-6
-
-# Half the thickness of a plate around flat points: nothing to an arm, and enough for coal [m].
-PLATE_M = 1e-4
+FLAT = 1e-6  # points whose least extent is below this share of their greatest are flat
+PLATE_M = 1e-4  # half the thickness of a plate around flat points: nothing to an arm, and enough for coal [m]
 
 # Faces closer together than this share of the hull's size are one: corners between them are not to be had.
 SAME_CORNER = 1e-7

@@ -19,23 +19,18 @@ from planners.geometry.shapes import frame_of_link
 from robot.description.model import LinkSurface
 from robot.trajectory import Vector
 
-# Coordinates in files are multiples of this [m].
-UNIT_M = 1e-5
+UNIT_M = 1e-5  # coordinates in files are multiples of this [m]
 
 TRIANGLES_A_PIECE = 128
 
-# Bits by which each coordinate of a triangle's middle counts in the order of triangles.
-ORDER_BITS = 10
+ORDER_BITS = 10  # bits by which each coordinate of a triangle's middle counts in the order of triangles
 
 # Seen from this many half diagonals of its box away, a piece counts as one dipole (Barill et al., "Fast winding numbers
 # for soups and clouds", 2018). On the SO-101 winding numbers are then off by 0.04 at most.
 FAR = 1.5
 
-# Weight of a triangle without area in the middle of its piece [m2].
-NO_AREA_M2 = 1e-18
-
-# A surface encloses points with a greater winding number: 1 inside of a closed one, 0 outside.
-INSIDE = 0.5
+NO_AREA_M2 = 1e-18  # weight of a triangle without area in the middle of its piece [m2]
+INSIDE = 0.5  # a surface encloses points with a greater winding number: 1 inside of a closed one, 0 outside
 
 Triangles = NDArray[np.int32]
 
@@ -156,8 +151,7 @@ def solid_angles(corners_m: Vector) -> Vector:
         a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
     )
     beside = a_m * b_m * c_m + (a * b).sum(axis=0) * c_m + (b * c).sum(axis=0) * a_m + (c * a).sum(axis=0) * b_m
-    angles: Vector = 2.0 * np.arctan2(volume, beside)
-    return angles
+    return np.asarray(2.0 * np.arctan2(volume, beside))
 
 
 def packed(vertices_m: Vector, triangles: NDArray[np.int64]) -> tuple[NDArray[np.int16], Triangles]:

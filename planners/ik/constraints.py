@@ -24,19 +24,14 @@ from planners.goals import (
     PoseGoal,
     PositionConstraint,
     PositionGoal,
-    Quaternion,
 )
 from planners.problem import Deviation
+from planners.scene import Quaternion
 from robot.trajectory import Vector
 
-# Rotations count as the motion of a point this far away: half the length of a small gripper.
-ROTATION_ARM_M = 0.1
-
-# Sine below which unit vectors span no plane.
-PARALLEL = 1e-9
-
-# Rounding in the placement of a link must not break a condition that was met to its very edge.
-ROUNDING = 1e-9
+ROTATION_ARM_M = 0.1  # rotations count as the motion of a point this far away: half the length of a small gripper
+PARALLEL = 1e-9  # sine below which unit vectors span no plane
+ROUNDING = 1e-9  # rounding in the placement of a link must not break a condition that was met to its very edge
 
 # Messages without weights carry 0; MoveIt gives such constraints full weight.
 LEAST_WEIGHT = 1e-6
@@ -79,8 +74,7 @@ class PointCondition(_LinkCondition):
 
     def point(self, placement: pin.SE3) -> Vector:
         """Return the point's position, shape (3,) [m]."""
-        position_m: Vector = placement.translation + placement.rotation @ self.offset_m
-        return position_m
+        return np.asarray(placement.translation + placement.rotation @ self.offset_m)
 
     def error(self, placement: pin.SE3) -> Vector:
         """From the point to the middle of its region, along the region's axes [m]."""
@@ -179,8 +173,7 @@ def outside(vector: Vector, tolerance: float | Vector, share: float) -> Vector:
         inside = share * tolerance + ROUNDING
         return vector * (1.0 - inside / length) if length > inside else np.zeros_like(vector)
     half = share * tolerance + ROUNDING
-    rest: Vector = vector - np.minimum(np.maximum(vector, -half), half)
-    return rest
+    return np.asarray(vector - np.minimum(np.maximum(vector, -half), half))
 
 
 def norm(vector: Vector) -> float:

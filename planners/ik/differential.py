@@ -22,8 +22,7 @@ from robot.trajectory import Vector
 # solution that is not optimal yet is of use.
 MAX_STEPS = 40
 
-# Shorter steps and smaller multipliers are rounding.
-ROUNDING = 1e-9
+ROUNDING = 1e-9  # shorter steps and smaller multipliers are rounding
 
 NONE_ACTIVE = np.array([], dtype=np.intp)
 
@@ -74,10 +73,7 @@ def barrier(distances: Vector, gradients: Vector, max_change: Vector, period: fl
 
 
 def free_directions(jacobian: Vector, damping: float) -> Vector:
-    """Return the projection onto velocities that change nothing about a task, shape (n, n), from its Jacobian (m, n).
-
-    Changes below the damping count as none, so that the projection is finite at singularities.
-    """
+    """Return the projection, (n, n), onto velocities that change a task of Jacobian (m, n) by less than the damping."""
     square = jacobian @ jacobian.T
     square.flat[:: len(square) + 1] += damping**2
     return np.asarray(np.eye(jacobian.shape[1]) - jacobian.T @ np.linalg.solve(square, jacobian))
@@ -107,7 +103,7 @@ def solve(
         change, active = damped_least_squares(inside, desired, damping), NONE_ACTIVE
     else:
         rows = limit.rows if free is None else limit.rows @ free
-        bounds = limit.bounds if before is None else np.maximum(limit.bounds - limit.rows @ before, 0.0)
+        bounds = np.maximum(limit.bounds if before is None else limit.bounds - limit.rows @ before, 0.0)
         change, active = bounded_least_squares(inside, desired, damping, rows, bounds)
     change = change if free is None else free @ change
     return (change if before is None else before + change), active
@@ -123,10 +119,7 @@ def damped_least_squares(matrix: Vector, desired: Vector, damping: float) -> Vec
 def bounded_least_squares(
     matrix: Vector, desired: Vector, damping: float, rows: Vector, bounds: Vector
 ) -> tuple[Vector, NDArray[np.intp]]:
-    """Return the x of least ``|matrix x - desired|^2 + damping^2 |x|^2`` for which ``rows x <= bounds``.
-
-    No bound is below 0, so that x = 0 is always allowed. Returned with x are the indices of the active inequalities.
-    """
+    """Minimize ``|matrix x - desired|^2 + damping^2 |x|^2`` for ``rows x <= bounds >= 0``; return x and active rows."""
     size = matrix.shape[1]
     hessian = matrix.T @ matrix + damping**2 * np.eye(size)
     x = np.zeros(size)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ from planners.ik.constraints import (
     goal_conditions,
 )
 from planners.ik.kinematics import Descent, Kinematics
-from planners.problem import Deviation, MoveItErrorCode, PlanningFailure
+from planners.problem import Deviation, MoveItErrorCode, PlanningError, PlanningFailure
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
 
@@ -57,14 +58,12 @@ def goal_violates(violations: Sequence[Violation]) -> PlanningFailure:
     return _violated(MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS, "the goal violates the constraints", violations)
 
 
-def check_start_place(pairs: Sequence[CollidingPair], violations: Sequence[Violation]) -> PlanningFailure | None:
+def check_start_place(pairs: Sequence[CollidingPair], violations: Sequence[Violation]) -> None:
     """Check for contact at the start, of which there may be shallow ones, and for violated path constraints."""
-    refusal = check_start_contact(pairs)
-    if refusal is not None or not violations:
-        return refusal
-    return _violated(
-        MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS, "the start violates the path constraints", violations
-    )
+    check_start_contact(pairs)
+    if violations:
+        code = MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
+        raise PlanningError(_violated(code, "the start violates the path constraints", violations))
 
 
 def none_of(failures: Sequence[PlanningFailure]) -> PlanningFailure:
@@ -78,20 +77,16 @@ def none_of(failures: Sequence[PlanningFailure]) -> PlanningFailure:
 def out_of_reach(
     goal: TaskGoal, nearest_m: Sequence[float], nearest: Deviation, violations: Sequence[Violation]
 ) -> PlanningFailure:
-    """Return the failure of a goal that no configuration meets.
-
-    ``nearest_m`` is the position of the link in the configuration that comes nearest, shape (3,) [m]; ``nearest`` is
-    the deviation there, and ``violations`` are the conditions that do not hold there.
-    """
+    """Return the failure of a goal, with the nearest place, shape (3,) [m], and the deviation and violations there."""
     if isinstance(goal, ConstraintGoal):
-        return _violated(
-            MoveItErrorCode.NO_IK_SOLUTION,
-            "no configuration meets all constraints; in the nearest one",
-            violations,
-        )
+        text = "no configuration meets all constraints; in the nearest one"
+        return _violated(MoveItErrorCode.NO_IK_SOLUTION, text, violations)
     point = [round(float(value), 4) for value in nearest_m]
-    details = {"nearest_m": point, "distance_m": nearest.position_m, "orientation_rad": nearest.orientation_rad}
-    degrees = math.degrees(nearest.orientation_rad)
+    details: dict[str, Any] = {
+        "nearest_m": point,
+        "distance_m": nearest.position_m,
+        "orientation_rad": nearest.orientation_rad,
+    }
     if isinstance(goal, PositionGoal) or nearest.position_m > goal.tolerance_m:
         any_will_do = isinstance(goal, PositionGoal) or (isinstance(goal, PoseGoal) and not goal.strict)
         orientation = "whatever its orientation" if any_will_do else "in the orientation asked for"
@@ -99,10 +94,9 @@ def out_of_reach(
         sentence += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
     else:
         sentence = f"reaches {in_words(goal.position_m)} m, but not in the orientation asked for:"
-        sentence += f" the nearest one there is {degrees:.1f}° off"
-    return PlanningFailure(
-        MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {sentence}", {**details, "tolerance_m": goal.tolerance_m}
-    )
+        sentence += f" the nearest one there is {math.degrees(nearest.orientation_rad):.1f}° off"
+    details["tolerance_m"] = goal.tolerance_m
+    return PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {sentence}", details)
 
 
 def out_of_time(
@@ -112,11 +106,10 @@ def out_of_time(
     if isinstance(goal, ConstraintGoal):
         return failure
     point = [round(float(value), 4) for value in nearest_m]
-    message = (
-        f"{failure.message}; the nearest point so far is {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
-    )
-    return PlanningFailure(
-        failure.code, message, {**failure.details, "nearest_m": point, "distance_m": nearest.position_m}
+    message = f"{failure.message}; the nearest point so far is {in_words(point)} m,"
+    message += f" {100.0 * nearest.position_m:.1f} cm away"
+    return replace(
+        failure, message=message, details={**failure.details, "nearest_m": point, "distance_m": nearest.position_m}
     )
 
 
@@ -125,15 +118,13 @@ def _violated(code: MoveItErrorCode, what: str, violations: Sequence[Violation])
     return PlanningFailure(code, f"{what}: {sentences}", {"violations": [dict(v.details) for v in violations]})
 
 
-# Restarts without a new solution, when there is one, after which more rarely find any.
-FRUITLESS_RESTARTS = 6
+FRUITLESS_RESTARTS = 6  # restarts without a new solution, when there is one, after which more rarely find any
 
 # Restarts in a row that come no nearer to a goal out of reach; of 1000 poses within reach none needed more.
 HOPELESS_RESTARTS = 20
 NEARER_M = 0.001
 
-# Solutions closer than this to a known one in every joint, whole turns apart, are the same.
-DISTINCT_RAD = 0.1
+DISTINCT_RAD = 0.1  # solutions closer than this to a known one in every joint, whole turns apart, are the same
 
 # A whole turn of a joint leaves the robot where it is, so each solution is also a goal with joints turned once around
 # where their limits allow it. The nearest of these goals is reached soonest; where it is blocked, as by the floor below
@@ -141,8 +132,7 @@ DISTINCT_RAD = 0.1
 TURN_RAD = 2.0 * math.pi
 TURNED_A_SOLUTION = 4
 
-# More goals than this hardly shorten the motion.
-MAX_SOLUTIONS = 6
+MAX_SOLUTIONS = 6  # more goals than this hardly shorten the motion
 
 # Preferences that are missed by this much more than in the best configuration count as equal: a servo arm cannot show
 # the difference.
@@ -152,14 +142,9 @@ PREFERENCE_SLACK_RAD = 0.02
 SAMPLES = 2000
 SAMPLE_SEED = 7
 
-# Of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30.
-RESTARTS = 30
-
-# Further restarts, from free samples, where all of these end in contact.
-RESTARTS_AMONG_OBSTACLES = 100
-
-# A joint goal this near already holds: a servo's step is 1.5 mrad.
-ALREADY_THERE_RAD = 1e-6
+RESTARTS = 30  # of 1000 reachable targets placo solves 99 % collision-free with 10 restarts and all with 30
+RESTARTS_AMONG_OBSTACLES = 100  # further restarts, from free samples, where all of these end in contact
+ALREADY_THERE_RAD = 1e-6  # a joint goal this near already holds: a servo's step is 1.5 mrad
 
 
 @dataclass(frozen=True)
@@ -327,10 +312,7 @@ class GoalStates:
         return ConditionSet(self.forward, conditions(constraints, self._joints))
 
     def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
-        """Return a projection of a group's joint positions onto nearby ones where constraints hold, None on failure.
-
-        Points have the group's joints in their order, shape (n,) [rad]; other joints stay at ``start_q``.
-        """
+        """Return a projection of points of a group's joints, (n,) [rad], to where constraints hold; None on failure."""
         descent = Descent(self._kinematics, group, GoalConditions(conditions(constraints, self._joints)))
         columns = [self._joints.names.index(name) for name in group.joints]
 

@@ -40,8 +40,7 @@ MAX_STEP_RAD = 0.7
 # is broken.
 RELAXED = 1e-3
 
-# Conditions on points that one descent can have.
-MAX_POINTS = 4
+MAX_POINTS = 4  # conditions on points that one descent can have
 
 # Weight of the present configuration against 1 for the conditions. Far from the target it must be felt: joints that
 # barely move the tip would otherwise be driven into their limits. Near to it, it would only slow the descent down: so
@@ -50,15 +49,13 @@ REGULARIZATION_PER_M2 = 1.0
 LEAST_REGULARIZATION = 1e-7
 MOST_REGULARIZATION = 1e-3
 
-# Convergence takes 5-10 steps within reach and up to 40 at its edge.
-MAX_STEPS = 60
+MAX_STEPS = 60  # convergence takes 5-10 steps within reach and up to 40 at its edge
 
 # A descent that has not come nearer by this share within a number of steps has arrived at its nearest point.
 LEAST_GAIN = 0.005
 PATIENCE = 5
 
-# Below the servos' 1.5 mrad, however wide the goal's tolerance.
-ACCURACY_M = 1e-4
+ACCURACY_M = 1e-4  # below the servos' 1.5 mrad, however wide the goal's tolerance
 
 # Weight of preferred conditions against 1 for required ones; a second descent without them makes up for their cost.
 PREFERENCE = 0.01
@@ -250,10 +247,7 @@ def _point_frame(index: int) -> str:
 
 
 class Descent:
-    """Descent from configurations to ones nearby in which conditions hold, or as nearly as possible; within limits.
-
-    Joints outside the group stay. There may be :data:`MAX_POINTS` conditions on points.
-    """
+    """Descent to nearby configurations within limits where conditions hold, or nearly; only the group moves."""
 
     def __init__(self, kinematics: Kinematics, group: Group, goal_conditions: GoalConditions) -> None:
         required = [(condition, condition.weight) for condition in goal_conditions.required]

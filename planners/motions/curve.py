@@ -32,26 +32,16 @@ Ticks = NDArray[np.int64]
 # accelerations over a tick still have seven digits.
 TICK_S = 1e-4
 
-# The servo loop runs at 100 Hz.
-SAMPLE_TICKS = 100
-
-# Samples of the 100 Hz grid this close to a knot add nothing to it.
-NEAR_KNOT_TICKS = 10
-
-# Points nearer than this are one point: directions between them are rounding errors.
-SAME_POINT_RAD = 1e-9
+SAMPLE_TICKS = 100  # the servo loop runs at 100 Hz
+NEAR_KNOT_TICKS = 10  # samples of the 100 Hz grid this close to a knot add nothing to it
+SAME_POINT_RAD = 1e-9  # points nearer than this are one point: directions between them are rounding errors
 
 # A moving joint that has to be slower than its neighbours may only be able to be much slower, by turning back.
 LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
 
-# Share of the limits for which ramps are solved: rounding to ticks makes them a little steeper.
-SHARE_OF_LIMITS = 0.999
-
-# Each of the two ramps of a joint is rounded up by up to a tick.
-ROUNDING_TICKS = 2
-
-# Rates may exceed a limit by this share: rounding errors.
-ROUNDING_SHARE = 1e-9
+SHARE_OF_LIMITS = 0.999  # share of the limits for which ramps are solved: rounding to ticks makes them a little steeper
+ROUNDING_TICKS = 2  # each of the two ramps of a joint is rounded up by up to a tick
+ROUNDING_SHARE = 1e-9  # rates may exceed a limit by this share: rounding errors
 
 
 def seconds(ticks: Ticks) -> Vector:
@@ -148,8 +138,7 @@ def window_ticks(limits: RateLimits) -> int:
 
 def averaging_start(start: Vector, velocity: Vector, window: int) -> Vector:
     """Return the point half a window ahead, at which a curve must start for its average to start in ``start`` [rad]."""
-    point: Vector = start + 0.5 * TICK_S * window * velocity
-    return point
+    return np.asarray(start + 0.5 * TICK_S * window * velocity)
 
 
 def averaged(curve: Curve, window: int, joint_names: tuple[str, ...]) -> Trajectory:
@@ -191,8 +180,7 @@ def _area(curve: Curve, ticks: Ticks) -> Vector:
     since_s = (TICK_S * (ticks - curve.ticks[i]))[:, np.newaxis]
     acceleration = ((v1 - v0) / span_s)[i]
     cubic = curve.velocities_rad_s[i] / 2.0 + since_s * acceleration / 6.0
-    area: Vector = before[i] + since_s * (curve.positions_rad[i] + since_s * cubic)
-    return area
+    return np.asarray(before[i] + since_s * (curve.positions_rad[i] + since_s * cubic))
 
 
 def same_point(a: Vector, b: Vector) -> bool:
@@ -221,10 +209,7 @@ def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
 
 
 def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
-    """Stop in each point of a polyline, shape (m, n), m >= 1 [rad]; points that repeat their predecessor count once.
-
-    The joints wait for ``wait_ticks`` in each point between the first and the last.
-    """
+    """Stop in each distinct point of a polyline, (m, n), m >= 1 [rad], for ``wait_ticks`` between first and last."""
     points = _distinct(points)
     curves = [line(start, goal, limits) for start, goal in pairwise(points)]
     if not curves:
@@ -236,10 +221,7 @@ def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
 
 
 def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimits) -> Curve | None:
-    """Move from a moving start to rest in a point: no straight line, each joint takes its own ramps.
-
-    None when no time was found that suits all joints.
-    """
+    """Move from a moving start to rest in a point, each joint on its own ramps; None where no time suits all joints."""
     rest = np.zeros_like(start)
     least_s = least_time_s(start, velocity, goal, rest, reduced(limits))
     times = (int(whole_ticks(factor * least_s)) for factor in LONGER_TIMES)
@@ -271,10 +253,7 @@ def _distinct(points: Vector) -> Vector:
 
 
 def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLimits) -> Vector:
-    """Return the least time that the slowest joint needs from positions p0 to p1, with velocities v0 and v1 there.
-
-    Positions and velocities have the shape (..., n), the time the shape (...) [s].
-    """
+    """Return the slowest joint's least time from p0 to p1, (..., n), with velocities v0 and v1 there, (...) [s]."""
     acceleration, top = limits.acceleration_rad_s2, limits.velocity_rad_s
     change = p1 - p0
     # Going straight from one velocity to the other covers this; the rest of the way decides the cruise's direction.
@@ -286,8 +265,7 @@ def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLim
     # The way on the ramps up to the cruise and down from it.
     on_ramps = (cruise**2 - 0.5 * (v0**2 + v1**2)) / acceleration
     cruise_s = np.where(peak > top, (change - on_ramps) / top, 0.0)
-    time_s: Vector = np.max((2.0 * cruise - v0 - v1) / acceleration + cruise_s, axis=-1)
-    return time_s
+    return np.asarray(np.max((2.0 * cruise - v0 - v1) / acceleration + cruise_s, axis=-1))
 
 
 def whole_ticks(time_s: Vector) -> NDArray[np.int64]:
@@ -335,8 +313,7 @@ def _cruise_velocity(change: Vector, v0: Vector, v1: Vector, time_s: float, acce
     # A peak of height h above (or a dip below) takes 2 h / a of the spare time: h (spare - h / a) = distance.
     root_s2 = spare_s**2 - 4.0 * beyond / acceleration
     height = 0.5 * acceleration * (spare_s - np.sqrt(np.where(root_s2 >= 0.0, root_s2, np.nan)))
-    cruise: Vector = np.where(change > at_high, high + height, np.where(change < at_low, low - height, between))
-    return cruise
+    return np.asarray(np.where(change > at_high, high + height, np.where(change < at_low, low - height, between)))
 
 
 def _three_phases(

@@ -53,19 +53,13 @@ PARTS_A_ROUND = 32
 # Parts of these that are tried before others are drawn: the rest saves too little to be worth a check.
 TRIES_A_ROUND = 2
 
-# Parts become shorter by this factor after a round without a gain, and longer again after one with a gain.
-SHRINK = 0.7
-
-# A part that saves less does not pay for its checks [ticks].
-LEAST_GAIN_TICKS = 40
-
-# Rounds without a gain after which the curve is about as short as it gets.
-FRUITLESS_ROUNDS = 5
+SHRINK = 0.7  # parts become shorter by this factor after a round without a gain, and longer again after one with a gain
+LEAST_GAIN_TICKS = 40  # a part that saves less does not pay for its checks [ticks]
+FRUITLESS_ROUNDS = 5  # rounds without a gain after which the curve is about as short as it gets
 
 STRAIGHT_LINE = "straight line"
 
-# Sparse check of a straight line before it is timed: most blocked ones are found here [m].
-SPARSE_STEP_M = 0.2
+SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most blocked ones are found here [m]
 
 # Trees grow fastest when edges are checked coarsely, and curves are shortened soonest when they are; where the
 # certificate then finds a contact, everything is checked more finely [m].

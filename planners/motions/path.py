@@ -18,16 +18,14 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from planners.budget import never
-from planners.geometry.joint_space import JointSpace
-from planners.geometry.sweep import ALL_PAIRS, NO_CANDIDATES, CandidatePairs
+from planners.geometry.joint_space import ALL_PAIRS, NO_CANDIDATES, CandidatePairs, JointSpace
 from planners.motions.curve import Curve
 from robot.trajectory import Vector
 
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000
 
-# On longer pieces than this something is nearly always near: only their middle is checked.
-WIDEST_MARGIN_M = 0.05
+WIDEST_MARGIN_M = 0.05  # on longer pieces than this something is nearly always near: only their middle is checked
 
 # No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
 # is there, but past this most are blocked: SO-101, of 0.4 m, and arms of 1 m have the same best length.
@@ -55,17 +53,10 @@ PROJECTED_SEARCH = "RRTConnect on constraints"
 # Steps this long stay near the condition in between, and most descents back to it take two or three steps.
 STEP_RAD = 0.15
 
-# A step that has been brought back to less than this share of its length leads nowhere new.
-LEAST_PROGRESS = 0.2
-
-# Trees that reach out further at once are caught in corners.
-STEPS_AT_ONCE = 20
-
-# Via points drawn at once, and compared in one numpy call.
-VIA_POINTS = 1024
-
-# Checks after which a tree finds a path sooner: no quick via point is free then as a rule.
-MOST_CHECKS = 100
+LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
+STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
+VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
+MOST_CHECKS = 100  # checks after which a tree finds a path sooner: no quick via point is free then as a rule
 
 
 def checks_in(time_s: float) -> int:
@@ -75,10 +66,7 @@ def checks_in(time_s: float) -> int:
 
 @lru_cache
 def coarse_first(pieces: int) -> Vector:
-    """Return the fractions at which the pieces of a line end, well spread at any time so that obstacles are found soon.
-
-    The end comes first; shape (pieces, 1).
-    """
+    """Return the fractions at which a line's pieces end: the end first, then well spread, shape (pieces, 1)."""
     bits = pieces.bit_length()
     turned = [int(f"{i:0{bits}b}"[::-1], 2) for i in range(pieces)]
     shares = 1.0 - np.argsort(turned)[:, np.newaxis] / pieces
@@ -87,10 +75,7 @@ def coarse_first(pieces: int) -> Vector:
 
 
 def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: float) -> bool:
-    """Return true if nothing touches in points of a straight line, its start taken to be free.
-
-    Nothing moves further than a step from one point to the next; contacts between them may be missed.
-    """
+    """Return true if nothing touches in points of a line, a step apart at most; its start is taken to be free."""
     travel_m = float(np.abs(end - start) @ space.travel_m_per_rad)
     points = start + coarse_first(max(1, int(np.ceil(travel_m / step_m)))) * (end - start)
     return all(space.free(point) for point in points)
@@ -183,10 +168,7 @@ class TreeSearch:
 def without_detours(
     space: JointSpace, path: Vector, step_m: float, should_stop: Callable[[], bool] = never
 ) -> Vector | None:
-    """Leave out the vertices that a free straight line can pass by, from each vertex to the furthest it can reach.
-
-    None if the path itself, checked in steps of ``step_m``, is not free, or once the search is to stop.
-    """
+    """Leave out vertices that a free line passes by; None if the path is not free, or once the search is to stop."""
     kept = [0]
     while kept[-1] < len(path) - 1:
         here = kept[-1]
@@ -238,10 +220,7 @@ def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateT
 
 
 class ProjectedSearch:
-    """Search for a polyline on which the space's condition holds, as it does at the start and the goals.
-
-    The same query and seed give the same path.
-    """
+    """Search for a polyline on which the space's condition holds; the same query and seed give the same path."""
 
     def __init__(self, query: Query, project: Project, seed: int) -> None:
         self._query, self._project = query, project
@@ -362,8 +341,7 @@ def _times_s(points: Vector, others: Vector, velocity_rad_s: Vector) -> Vector:
     """Return how long the slowest joint takes between each two of some points, shape (others, points) [s]."""
     # numpy is slow with a last axis of five.
     moved_rad = np.abs(points.T[:, np.newaxis] - others.T[:, :, np.newaxis])
-    times_s: Vector = np.max(moved_rad / velocity_rad_s[:, np.newaxis, np.newaxis], axis=0)
-    return times_s
+    return np.asarray(np.max(moved_rad / velocity_rad_s[:, np.newaxis, np.newaxis], axis=0))
 
 
 def _least(values: Vector, count: int) -> NDArray[np.intp]:

@@ -58,11 +58,8 @@ with _empty_modules("scipy", "scipy.interpolate", "scipy.sparse", "matplotlib", 
 # The arm's longest trajectory: 180 000 samples at 100 Hz. A scaling of 1e-6 would make 25 million samples.
 MAX_DURATION_S = 1800.0
 
-# The servo loop runs at 100 Hz.
-SAMPLE_PERIOD_S = 0.01
-
-# Samples closer together than this lose digits in the interpolation between them.
-SHORTEST_INTERVAL_S = 0.001
+SAMPLE_PERIOD_S = 0.01  # the servo loop runs at 100 Hz
+SHORTEST_INTERVAL_S = 0.001  # samples closer together than this lose digits in the interpolation between them
 
 # Where the joints stand nothing else bounds the progress, which is about 1 where they move, in scaled units. Much more
 # makes numbers that toppra's solver takes for 0.
@@ -219,11 +216,7 @@ def _fastest(path: _ScaledPath, velocity: Vector, top_rate: Vector) -> Vector:
 def time_along(
     path: NaturalSpline, joint_names: tuple[str, ...], limits: RateLimits, top_rate: Vector | None = None
 ) -> Trajectory | None:
-    """Return the fastest motion along a path from rest to rest, whose interpolation keeps the limits as well.
-
-    Its samples are at most about 10 ms apart. None where
-    :func:`toppra_profile` has none, or a profile that takes too long.
-    """
+    """Return the fastest motion from rest to rest within the limits; None if there is none or it takes too long."""
     profile = toppra_profile(path, limits, top_rate)
     if profile is None or profile.times_s[-1] > MAX_DURATION_S:
         return None

@@ -9,8 +9,7 @@ import numpy as np
 
 from robot.trajectory import Vector
 
-# They leave 6e-14 of the first error: about rounding.
-HALVINGS = 44
+HALVINGS = 44  # they leave 6e-14 of the first error: about rounding
 
 # On a curve of few points the progress along it still has to rise and fall within this many steps.
 LEAST_GRID_STEPS = 20
@@ -20,10 +19,7 @@ GRID_STEPS_PER_SPAN = 2
 
 
 class NaturalSpline:
-    """Natural cubic spline through ``points``, shape (m, n), m >= 2, at strictly increasing ``knots``, shape (m,).
-
-    ValueError: numbers that are not finite.
-    """
+    """Natural cubic spline through finite ``points``, (m, n), m >= 2, at increasing ``knots``, (m,)."""
 
     def __init__(self, knots: Vector, points: Vector) -> None:
         if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(points))):

@@ -9,18 +9,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
-from planners.scene import Point, Pose
+from planners.scene import ZERO, Point, Pose
 
-# With a longer period the arm moves too far between two commands.
-MAX_PERIOD_S = 0.1
+MAX_PERIOD_S = 0.1  # with a longer period the arm moves too far between two commands
 
 # Share of the joints' acceleration that steering uses; the arm, which rounds the corners, needs some of the rest.
 ACCELERATION_SHARE = 0.7
 
 # Speed of approach per distance left. With it a joint at full speed brakes as hard as it can, and no harder.
 APPROACH_PER_S = 2.5
-
-ZERO: Point = (0.0, 0.0, 0.0)
 
 
 class ServoStatus(IntEnum):

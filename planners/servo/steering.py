@@ -7,21 +7,23 @@ keep it, the velocities that turn the tip best. The outcome is reported as movei
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.checks import check_group, check_link, check_start, invalid_goal, length_flaws
+from planners.checks import check_group, check_length, check_link, check_start, invalid_goal
+from planners.geometry.broadphase import NearPair
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import as_point, as_pose, placement
-from planners.ik.differential import Limit, Task, solve, velocity_limit
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.ik.differential import ROUNDING, Limit, Task, barrier, solve, velocity_limit
+from planners.problem import MoveItErrorCode, PlanningError, PlanningFailure
 from planners.servo.question import (
     ACCELERATION_SHARE,
+    APPROACH_PER_S,
     MAX_PERIOD_S,
     Anchor,
     JointVelocities,
@@ -32,40 +34,212 @@ from planners.servo.question import (
     TipTarget,
     TipTwist,
 )
-from planners.servo.velocity_limits import (
-    PredictedTip,
-    RegularizedMotion,
-    VelocityBounds,
-    regularized,
-    velocity_bounds,
-    watched_m,
-    within_reach,
-)
 from robot.description.model import RobotModel
 from robot.trajectory import Vector
 
-# Joints that it takes to move a tip in any direction.
-POSITION_DIRECTIONS = 3
+# Room for the curvature of the way: a pair's direction holds for the present configuration only. Under random sticks an
+# SO-101 came up to 2 mm nearer to a table than without it [m].
+CURVATURE_M = 0.003
 
-# An error shrinks to a third in a quarter of a second: ten times the delay from question to servo.
-GAIN_PER_S = 4.0
+# Share of the joints' braking that is counted on: several inequalities may need it, and directions change on the way.
+BRAKING_SHARE = 0.5
+
+EXCESS_COST = 30.0  # cost of exceeding an inequality, in changes of the joints' velocities
+
+# Share of the way to another arm that this arm may use to brake, as the other arm may come as far: Wang, Ames and
+# Egerstedt, "Safety barrier certificates for collisions-free multirobot systems", 2017. With the whole way, two
+# followers at a latency of 0.095 s came into contact (test_two_followers.py, seed 18).
+ROOM_SHARE = 0.5
+
+# Speed of the retreat from another arm that is too near, by the room that is missing [1/s]: two arms that only stop
+# creep towards each other under leaders that push them together. In 40 s they came into contact at 0.095 s.
+RETREAT_PER_S = 6.0
+
+# A command that leads towards another arm is slowed over this range of distances, down to a share at its lower end:
+# at a latency of 0.095 s two arms swung by 0.07 rad beside each other, and came 3 mm nearer than with it [m].
+SLOWED_M = (0.006, 0.036)
+LEAST_SHARE = 0.15
+
+# Pairs further apart than this are watched by an arm that is fast only: they limit no speed below 0.3 m/s.
+WATCHED_M = 0.12
+
+
+@dataclass(frozen=True)
+class VelocityBounds(Limit):
+    """Barriers of both limits of each joint, and then of pairs near each other.
+
+    At rest all of them hold, except where another arm is so near that this arm retreats from it.
+    """
+
+    pairs: Sequence[NearPair]  # pairs of the last rows
+
+    def near(self, active: NDArray[np.intp]) -> list[NearPair]:
+        """Return the pairs of some inequalities."""
+        first = len(self.bounds) - len(self.pairs)
+        return [self.pairs[index - first] for index in active if index >= first]
+
+    def share_towards_arms(self, velocity_rad_s: Vector) -> float:
+        """Return the share of a velocity that the nearest other arm ahead leaves, shape (n,) [rad/s]."""
+        ahead = self.rows[len(self.bounds) - len(self.pairs) :] @ velocity_rad_s > 0.0
+        near = (pair for pair, nearer in zip(self.pairs, ahead, strict=True) if pair.by_another_arm and nearer)
+        return float(np.interp(min((pair.distance_m for pair in near), default=np.inf), SLOWED_M, (LEAST_SHARE, 1.0)))
+
+    def joints(self, active: NDArray[np.intp]) -> list[int]:
+        """Return the joints whose limits are among some inequalities."""
+        count = len(self.rows[0])
+        return sorted({int(index) % count for index in active if index < len(self.bounds) - len(self.pairs)})
+
+
+def watched_m(travel_m_per_rad: Vector, velocity_rad_s: Vector, max_change: Vector, period_s: float) -> float:
+    """Return the distance up to which obstacles must be known, so that the joints still brake before them [m].
+
+    All of the joints have the shape (n,): the greatest travel of a point by each, the present velocities, and the
+    greatest change of a velocity in a period.
+    """
+    fastest = np.abs(velocity_rad_s) + max_change
+    braking = BRAKING_SHARE * max_change / period_s
+    ahead_rad = fastest * period_s + fastest**2 / (2.0 * braking)
+    return max(WATCHED_M, CURVATURE_M + float(travel_m_per_rad @ ahead_rad))
+
+
+def velocity_bounds(
+    q: Vector,
+    lower: Vector,
+    upper: Vector,
+    columns: NDArray[np.intp],
+    pairs: Sequence[NearPair],
+    limits: ServoLimits,
+    max_change: Vector,
+    period_s: float,
+) -> VelocityBounds:
+    """Return the velocity bounds of the joints that may move, at positions within limits, shape (n,) each [rad].
+
+    ``columns`` are the places of these joints in the gradients of pairs, and ``max_change`` is the greatest change of a
+    velocity in a period, shape (n,) [rad/s], after which an answer has its effect.
+    """
+    kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
+    watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
+    by_another_arm = np.array([pair.by_another_arm for pair, _ in watched], dtype=bool)
+    left_m = np.array([pair.distance_m - kept_m - CURVATURE_M for pair, kept_m in watched])
+    left_m = np.where(by_another_arm, ROOM_SHARE * left_m, left_m)
+    distance_gradients = np.array([pair.distance_gradient[columns] for pair, _ in watched]).reshape(-1, len(q))
+    gradients = np.vstack((-np.eye(len(q)), np.eye(len(q)), distance_gradients))
+    distances = np.concatenate((upper - q, q - lower, left_m))
+    found = barrier(distances, gradients, BRAKING_SHARE * max_change, period_s, APPROACH_PER_S)
+    retreats = RETREAT_PER_S * np.where(by_another_arm, np.minimum(left_m, 0.0), 0.0)
+    bounds = found.bounds + np.concatenate((np.zeros(2 * len(q)), retreats))
+    return VelocityBounds(found.rows, bounds, [pair for pair, _ in watched])
+
+
+def within_reach(wanted: Vector, reach: Vector, limit: Limit) -> Vector:
+    """Return the nearest change of velocities to a wanted change that the joints can make, within inequalities.
+
+    Changes have the shape (n,) [rad/s], ``reach`` is the greatest of each joint, and bounds are below 0 where the
+    present velocity exceeds its bound. Where the inequalities cannot all be met in one step, the joints come as near to
+    that as they can: each inequality may be exceeded, at a cost (an exact penalty would need no less than the greatest
+    multiplier).
+    """
+    rows, left = limit.rows, limit.bounds
+    if (rows @ wanted <= left + ROUNDING).all():
+        return wanted
+    # Only what some change within reach could exceed.
+    concerned = np.abs(rows) @ reach > left
+    rows, left = rows[concerned], left[concerned]
+    size, count = len(wanted), len(left)
+    excess = np.maximum(-left, 0.0)
+    # Unknown are the change, and by how much each inequality is exceeded more than it is now.
+    change, further = np.eye(size, size + count), np.eye(count, size + count, size)
+    limit = Limit(
+        np.vstack((rows @ change - further, change, -change, -further)),
+        np.concatenate((left + excess, reach, reach, excess)),
+    )
+    found, _ = solve([Task(change, wanted), Task(further, -excess, EXCESS_COST)], ROUNDING, limit)
+    return np.asarray(found[:size])
+
+
+PREDICTION_S = 0.005  # time over which a motion is predicted to tell if it approaches a singularity
+EXIT_PREDICTION_S = 0.1  # the way out of one is of second order, so it takes longer to show
+NOTICED_M_PER_RAD = 1e-6  # a greater change of the least singular value is no rounding [m/rad]
+LEAST_PROGRESS = 0.01  # leaving, the tip must get this share of the way it was to go: less is turning about itself
+
+
+@dataclass(frozen=True)
+class PredictedTip:
+    """Prediction: the tip's position, shape (3,) [m], and its Jacobian, shape (3, n) [m/rad]."""
+
+    position_m: Vector
+    jacobian: Vector
+
+
+@dataclass(frozen=True)
+class RegularizedMotion:
+    """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it."""
+
+    linear_m_s: Vector  # the desired velocity that remains, shape (3,) [m/s]
+    jacobian: Vector  # the position's, made regular, shape (3, n) [m/rad]
+    free: Vector  # directions of the joints that do not move the tip, shape (n, n - 3)
+    status: ServoStatus = ServoStatus.NO_WARNING  # status that the singularity causes
+
+
+def regularized(
+    jacobian: Vector,
+    linear_m_s: Vector,
+    limits: ServoLimits,
+    max_velocity: Vector,
+    predict: Callable[[Vector], PredictedTip],
+) -> RegularizedMotion:
+    """Remove the part of a desired velocity of the tip, shape (3,) [m/s], that leads into a singularity.
+
+    The Jacobian of the tip's position has the shape (3, n), n at least 3 [m/rad]; ``predict`` returns the tip after a
+    motion of the joints, shape (n,) [rad].
+    """
+    left, values, right = np.linalg.svd(jacobian)
+    free = np.ascontiguousarray(right[3:].T)
+    least = values[0] / limits.singularity_stop
+    if values[2] * limits.singularity_slow >= values[0]:
+        return RegularizedMotion(linear_m_s, jacobian, free)
+    floor = np.array([values[0], max(values[1], least), max(values[2], least)])
+    sound = (left * floor) @ right[:3]
+    weak = left[:, 2]
+    desired = float(weak @ linear_m_s)
+    velocity = right[:3].T @ ((left.T @ linear_m_s) / floor)
+    fastest = float(np.max(np.abs(velocity) / max_velocity))
+    velocity = velocity / max(fastest, 1.0)
+    ahead = np.linalg.svd(predict(PREDICTION_S * velocity).jacobian, compute_uv=False)
+    change = float(ahead[2] - values[2])
+    share, status = _share(float(values[0] / max(values[2], 1e-12)), change, limits)
+    moved_m = predict(EXIT_PREDICTION_S * velocity).position_m - predict(0.0 * velocity).position_m
+    if (
+        change > NOTICED_M_PER_RAD
+        and float(weak @ moved_m) * np.sign(desired) < LEAST_PROGRESS * abs(desired) * EXIT_PREDICTION_S
+    ):
+        share, status = 0.0, ServoStatus.HALT_FOR_SINGULARITY
+    if abs(desired) <= LEAST_PROGRESS * float(np.linalg.norm(linear_m_s)):
+        status = ServoStatus.NO_WARNING
+    return RegularizedMotion(linear_m_s - (1.0 - share) * desired * weak, sound, free, status)
+
+
+def _share(condition: float, change: float, limits: ServoLimits) -> tuple[float, ServoStatus]:
+    if change > NOTICED_M_PER_RAD:
+        return 1.0, ServoStatus.DECELERATE_FOR_LEAVING_SINGULARITY
+    if condition >= limits.singularity_stop:
+        return 0.0, ServoStatus.HALT_FOR_SINGULARITY
+    share = (limits.singularity_stop - condition) / (limits.singularity_stop - limits.singularity_slow)
+    return share, ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY
+
+
+POSITION_DIRECTIONS = 3  # joints that it takes to move a tip in any direction
+GAIN_PER_S = 4.0  # an error shrinks to a third in a quarter of a second: ten times the delay from question to servo
 
 # Further than this from its anchor the tip is not drifting but held off, by a limit or an obstacle; the anchor then
 # comes along.
 MAX_DRIFT_M = 0.02
 MAX_DRIFT_RAD = 0.35
 
-# While it is held off it is pulled no more than keeps it from sliding away by itself, at 2 cm/s.
-HELD_DRIFT_M = 0.005
-
-# A smaller share of the desired speed counts as halted.
-HALTED = 0.05
-
-# A rotation is reported as given up when it lacks more than this share.
-GIVEN_UP = 0.1
-
-# An orientation is reported as not kept from 3 degrees on.
-NOT_KEPT_RAD = math.radians(3.0)
+HELD_DRIFT_M = 0.005  # while it is held off it is pulled no more than keeps it from sliding away by itself, at 2 cm/s
+HALTED = 0.05  # a smaller share of the desired speed counts as halted
+GIVEN_UP = 0.1  # a rotation is reported as given up when it lacks more than this share
+NOT_KEPT_RAD = math.radians(3.0)  # an orientation is reported as not kept from 3 degrees on
 
 _SINGULARITIES = {
     ServoStatus.DECELERATE_FOR_APPROACHING_SINGULARITY: "the arm nears a singularity: this direction is slowed",
@@ -76,11 +250,8 @@ _SINGULARITIES = {
 # Keeps joints from running where it does hardly anything; a hundredth of what an arm's tip moves by [m/rad].
 POSITION_DAMPING = 0.002
 
-# Turns that need more than twenty times their speed of the joints are mostly given up.
-TURN_DAMPING = 0.05
-
-# Weight of keeping the last rotation: without it the rotation flutters between two obstacles.
-STEADINESS = 0.5
+TURN_DAMPING = 0.05  # turns that need more than twenty times their speed of the joints are mostly given up
+STEADINESS = 0.5  # weight of keeping the last rotation: without it the rotation flutters between two obstacles
 
 # At a velocity bound the tip could go on by turning about the obstacle. A turn of a radian costs as much as this way,
 # so that the tip stops instead [m/rad].
@@ -103,11 +274,9 @@ class ServoState:
 
 def answer_servo(
     question: ServoQuestion, robot: RobotModel, collision: CollisionModel, forward: ForwardKinematics
-) -> ServoAnswer | PlanningFailure:
-    """Return the joint velocities for a command."""
-    refusal = check_servo_question(robot, question)
-    if refusal is not None:
-        return refusal
+) -> ServoAnswer:
+    """Return the joint velocities for a command; PlanningError: the question is refused."""
+    check_servo_question(robot, question)
     state = _servo_state(question, robot, collision, forward)
     names = robot.groups[question.group].joints
     match question.command:
@@ -131,7 +300,7 @@ def _servo_state(
     max_change = ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints])
     velocity_rad_s = np.array([question.velocity_rad_s.get(name, 0.0) for name in names])
     ahead_m = watched_m(collision.travel_m_per_rad[columns], velocity_rad_s, max_change, question.period_s)
-    pairs = collision.near_pairs(q, ahead_m)
+    pairs = collision.near_pairs(q, ahead_m, names)
     bounds = velocity_bounds(q[columns], lower, upper, columns, pairs, limits, max_change, question.period_s)
     jacobian = forward.jacobian(q, question.link)[:, columns]
     return ServoState(
@@ -150,6 +319,7 @@ def _joint_outcome(command: JointVelocities, names: tuple[str, ...], state: Serv
     """Return the outcome of a joint command: only named joints move, also where others could help past a bound."""
     desired = np.array([command.velocity_rad_s.get(name, 0.0) for name in names])
     desired = desired * _share_of_speed(desired, state.max_velocity)
+    desired = desired * state.velocity_bounds.share_towards_arms(desired)
     named = np.eye(len(names))[:, desired != 0.0]
     velocity, active = solve([Task(np.eye(len(names)), desired)], POSITION_DAMPING, state.velocity_bounds, free=named)
     return Outcome(velocity, active, desired, velocity)
@@ -226,40 +396,30 @@ def _share_of_speed(velocity: Vector, max_velocity: Vector) -> float:
     return 1.0 / max(1.0, float(np.max(np.abs(velocity) / max_velocity)))
 
 
-def check_servo_question(robot: RobotModel, question: ServoQuestion) -> PlanningFailure | None:
+def check_servo_question(robot: RobotModel, question: ServoQuestion) -> None:
     """Check names and numbers of a request."""
-    refusal = check_group(robot, question.group) or check_link(robot, question.link)
-    if refusal is not None:
-        return refusal
-    count = len(robot.groups[question.group].joints)
-    if not isinstance(question.command, JointVelocities) and count < POSITION_DIRECTIONS:
-        return PlanningFailure(
-            MoveItErrorCode.INVALID_GROUP_NAME,
-            f"group {question.group!r} has {count} joints; to steer a tip it takes {POSITION_DIRECTIONS}",
-            {"group": question.group},
-        )
-    return check_start(robot, question.positions_rad) or next(_command_flaws(robot, question), None)
-
-
-def _command_flaws(robot: RobotModel, question: ServoQuestion) -> Iterator[PlanningFailure]:
-    command = question.command
+    known, command = check_group(robot, question.group).joints, question.command
+    check_link(robot, question.link)
+    if not isinstance(command, JointVelocities) and len(known) < POSITION_DIRECTIONS:
+        text = f"group {question.group!r} has {len(known)} joints; to steer a tip it takes {POSITION_DIRECTIONS}"
+        raise PlanningError(PlanningFailure(MoveItErrorCode.INVALID_GROUP_NAME, text, {"group": question.group}))
+    check_start(robot, question.positions_rad)
     match command:
         case JointVelocities():
-            known = robot.groups[question.group].joints
             for name in command.velocity_rad_s:
                 if name not in known:
-                    yield invalid_goal(f"joint {name!r} is not of group {question.group!r}: {', '.join(known)}")
+                    raise invalid_goal(f"joint {name!r} is not of group {question.group!r}: {', '.join(known)}")
             values = list(command.velocity_rad_s.values())
         case TipTwist():
             values = [*command.linear_m_s, *command.angular_rad_s]
         case TipTarget():
             values = [*command.pose.position_m, *command.pose.orientation]
-            yield from length_flaws(command.pose.orientation, "target's orientation")
+            check_length(command.pose.orientation, "target's orientation")
     if not 0.0 < question.period_s <= MAX_PERIOD_S:
-        yield invalid_goal(f"the period must be above 0 and at most {MAX_PERIOD_S} s, not {question.period_s:g}")
+        raise invalid_goal(f"the period must be above 0 and at most {MAX_PERIOD_S} s, not {question.period_s:g}")
     for value in (*values, *question.velocity_rad_s.values()):
         if not math.isfinite(value):
-            yield invalid_goal(f"a command must be of finite numbers, not {value}")
+            raise invalid_goal(f"a command must be of finite numbers, not {value}")
 
 
 @dataclass(frozen=True)

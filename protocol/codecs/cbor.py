@@ -16,13 +16,10 @@ from typing import Any, TypeAlias
 import cbor2
 
 from protocol.codecs.pieces import Notation, encoded_pieces
-from protocol.registry import Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, Field, Registry
 
 # Packs one value; None where it stays unchanged.
 Pack: TypeAlias = Callable[[Any], Any] | None
-
-# As many as there are compiled types in protocol.messages, with and without packed numbers.
-_MAX_COMPILED_TYPES = 2048
 
 # Arrays of these are base64 text in a complete message.
 OCTETS = ("uint8", "char")
@@ -43,19 +40,13 @@ _TYPED_ARRAYS = {
 }
 
 
-def with_octets(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a complete message with ``bytes`` for each uint8[] and char[]."""
-    pack = _packing(registry, type_name, False)
-    return msg if pack is None else pack(msg)
-
-
-def with_typed_arrays(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
+def packed(registry: Registry, type_name: str, msg: Mapping[str, Any], *, numbers: bool) -> Mapping[str, Any]:
     """Return a complete message with ``bytes`` for each uint8[] and char[], and typed arrays for other numbers."""
-    pack = _packing(registry, type_name, True)
+    pack = _packing(registry, type_name, numbers)
     return msg if pack is None else pack(msg)
 
 
-@functools.lru_cache(maxsize=_MAX_COMPILED_TYPES)
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def _packing(registry: Registry, type_name: str, numbers: bool) -> Pack:
     fields = registry.message(type_name).fields
     packs = [(field.name, _field_packing(registry, field, numbers)) for field in fields]

@@ -23,13 +23,10 @@ from typing import Any, TypeAlias
 from protocol import values
 from protocol.codecs.cbor import OCTETS
 from protocol.errors import MessageError
-from protocol.registry import TEXTS, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, TEXTS, Field, Registry
 
 # Representation CDR_LE, no options.
 HEADER = b"\x00\x01\x00\x00"
-
-# As many as there are compiled types in protocol.messages.
-MAX_COMPILED_TYPES = 4096
 
 # Element types of `array` and `struct`: the same letters, and without alignment of the library's own the same sizes.
 CODES = {
@@ -178,7 +175,6 @@ class _Body:
         return start
 
     def length(self) -> int:
-        """Read the length in front of a text or an array."""
         length: int = _LENGTH.unpack_from(self.octets, self.take(_LENGTH.size, _LENGTH.size))[0]
         # Nothing has elements of less than an octet, so this bounds what a wrong length can cost.
         if length > len(self.octets) - self.position:

@@ -78,7 +78,6 @@ def encode_in_pieces(value: object) -> bytes:
 
 
 def _loads(text: str | bytes) -> object:
-    """Decode strict JSON."""
     if len(text) >= _LONG_FRAME:
         # orjson 3.13 copies the text for its error, and ends the process (SIGSEGV) where that finds no memory.
         bytes(len(text))
@@ -124,7 +123,6 @@ def _decode_beyond_json(text: str, strict_error: orjson.JSONDecodeError, offset:
 
 
 def _parse_integer(numeral: str) -> int | float:
-    """Read integers beyond 64 bits as floats, as the strict decoder does."""
     # The interpreter refuses to make an int of thousands of digits, and below that takes quadratic time.
     if len(numeral) > _MAX_INTEGER_CHARACTERS:
         return float(numeral)
@@ -144,7 +142,6 @@ def _may_be_too_deep(frame: str | bytes) -> bool:
 
 
 def _count(frame: AnyStr, mark: AnyStr, limit: int) -> int:
-    """Count a character, in a long frame no further than just beyond a limit."""
     if len(frame) < _LONG_FRAME:
         return frame.count(mark)
     place = -1

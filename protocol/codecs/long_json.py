@@ -128,15 +128,12 @@ class _Cutter:
 
 
 class _Assembly:
-    """Puts the pieces together."""
-
     def __init__(self) -> None:
         self.value: Any = None
         # Lists and objects that are open at the end of the latest piece, outermost first.
         self._open: list[Any] = []
 
     def add(self, piece: object, opened: int, lowest: int, still_open: int) -> None:
-        """Add a piece."""
         if opened == 0:
             self.value = piece
             self._open = [piece] if still_open else []
@@ -162,7 +159,6 @@ class _Assembly:
 
 
 def _last(container: Any) -> Any:
-    """Return the last value of a list or an object."""
     return container[-1] if type(container) is list else container[next(reversed(container))]
 
 

@@ -57,7 +57,6 @@ def encode(frame: bytes) -> str:
 
 
 def _chunk(name: bytes, data: bytes) -> bytes:
-    """Return a part of a PNG: its length, name and data, and the checksum of the latter two."""
     return b"".join((struct.pack(">I", len(data)), name, data, struct.pack(">I", zlib.crc32(data, zlib.crc32(name)))))
 
 

@@ -15,9 +15,9 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-from protocol.codecs.cdr import MAX_COMPILED_TYPES, Write, field_writer, primitive_writer
+from protocol.codecs.cdr import Write, field_writer, primitive_writer
 from protocol.dialect import declared_in_ros1, to_ros1
-from protocol.registry import ROS1_TIMES, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, ROS1_TIMES, Field, Registry
 
 _LENGTH = struct.Struct("<I")
 

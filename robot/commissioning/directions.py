@@ -1,8 +1,4 @@
-"""Direction of each joint, found by a motion of the hand: the request in words, and the meaning of the ticks. Pure.
-
-The words follow from the URDF: the end of the link that the joint carries goes up, forward or to the left, as the
-model has it with every joint at zero; a joint whose axis goes through that end is turned.
-"""
+"""Direction of each joint by a motion of the hand: the request in words of the URDF, and the meaning of the ticks."""
 
 from __future__ import annotations
 
@@ -20,11 +16,8 @@ from robot.trajectory import Vector
 # A hand moves a joint further than this (9 deg) without noticing; less may be a twitch, or the arm that sinks.
 LEAST_MOTION_TICKS = 100
 
-# A link whose end is seen within this slope (20 deg) of its axis is turned rather than moved.
-ALONG_AXIS = 0.35
-
-# An end that is nearer to the joint's origin gives no direction [m].
-AT_JOINT_M = 0.005
+ALONG_AXIS = 0.35  # a link whose end is seen within this slope (20 deg) of its axis is turned rather than moved
+AT_JOINT_M = 0.005  # an end that is nearer to the joint's origin gives no direction [m]
 
 # Cosine of the angle (18 deg) within which an axis counts as vertical: such a joint turns the arm in any pose.
 VERTICAL = 0.95
@@ -72,8 +65,6 @@ def spoken(name: str) -> str:
 
 
 class _Words:
-    """Motions of the joints in words, at the model's zero."""
-
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         forward = ForwardPlacements(robot)
@@ -89,7 +80,6 @@ class _Words:
         self._forward = reach / away_m if away_m > REACH_M else np.array([1.0, 0.0, 0.0])
 
     def motion(self, name: str) -> AskedMotion:
-        """Return the motion to ask for a joint of the arm."""
         joint = self._robot.joints[name]
         place = self._placed[joint.child]
         axis, at_m = place[:3, :3] @ self._axis(joint.child), place[:3, 3]
@@ -110,7 +100,6 @@ class _Words:
         return self._shift(name, joint.child, velocity)
 
     def _shift(self, name: str, link: str, velocity: Vector) -> AskedMotion:
-        """Ask for a motion of a link's end by its greatest part."""
         left = np.cross((0.0, 0.0, 1.0), self._forward)
         parts = {"up": velocity[2], "forward": velocity @ self._forward, "to the left": velocity @ left}
         word = max(parts, key=lambda each: abs(parts[each]))

@@ -6,19 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from robot.advice import ADVICE, ServoAlert, advise
 from robot.calibration import Calibration
-from robot.commissioning.scan import ScanResult, ServoRegisters, explain_missing
-from robot.commissioning.timing import CycleTimes
+from robot.commissioning.scan import CycleTimes, ScanResult, ServoRegisters, explain_missing
 from robot.description.servo_table import ServoSpec
-from robot.hardware.feetech.calibration import differences
-from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE
+from robot.faults import ADVICE, ServoAlert, advise
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE, differences
 from robot.hardware.feetech.registers import MODELS, Register
 from robot.hardware.interface import status_names
 from robot.messages import ArmConfig, GuardLimits
 
-# A drop along the chain of more than this, without load, is contact resistance.
-VOLTAGE_DROP_V = 0.4
+VOLTAGE_DROP_V = 0.4  # a drop along the chain of more than this, without load, is contact resistance
 
 # A cycle has 10 ms; with the write (0.6 ms) and a retry in reserve the read may take half of it.
 LONGEST_ROUND_TRIP_S = 0.005
@@ -26,14 +23,9 @@ LONGEST_ROUND_TRIP_S = 0.005
 # 2.0 ms are usual. Above this some timer in between waits, such as the latency timer of an FTDI chip.
 USUAL_ROUND_TRIP_S = 0.0035
 
-# Single packets get lost on a good arm; one in a hundred is a bad cable.
-USUAL_LOST_SHARE = 0.01
-
-# A loop that starts later than this in one of a hundred cycles makes motions rough.
-USUAL_LATENESS_S = 0.004
-
-# Unit of register RETURN_DELAY [us].
-RETURN_DELAY_US = 2
+USUAL_LOST_SHARE = 0.01  # single packets get lost on a good arm; one in a hundred is a bad cable
+USUAL_LATENESS_S = 0.004  # a loop that starts later than this in one of a hundred cycles makes motions rough
+RETURN_DELAY_US = 2  # unit of register RETURN_DELAY [us]
 
 
 class Verdict(Enum):
@@ -60,7 +52,7 @@ def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Cal
     servos = result.servos
     missing = "; ".join(explain_missing(result, joints))
     listed = f"servos {_list(sorted(result.ids))} answer"
-    findings = [_judged("servos", missing, "See docs/hardware.md, By symptom.", listed)]
+    findings = [_judged("servos", missing, "See docs/troubleshooting.md, By symptom.", listed)]
     if servos:
         findings += [
             _kind(servos),

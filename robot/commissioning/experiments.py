@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from robot.commissioning.doctor import Finding, Verdict
-from robot.commissioning.scan import read_telemetry
-from robot.commissioning.timing import measure_reads
+from robot.commissioning.scan import measure_reads, read_telemetry
 from robot.errors import NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import SERVO_IDS, Bus
 from robot.hardware.feetech.registers import (
@@ -29,37 +28,29 @@ from robot.hardware.feetech.registers import (
 from robot.hardware.interface import StatusFlag, run_to_end
 from robot.hardware.servos.bus import write_verified
 
-# Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper.
-GENTLE_TORQUE = 200
+GENTLE_TORQUE = 200  # Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper
 
 # A step that shows in the readings and is harmless; torque does not come on further than this from the goal.
 STEP_TICKS = 25
 STEP_TICKS_S = 300
 STEP_S = 0.4
 
-# A servo that has come this far of a step has followed it.
-FOLLOWED_TICKS = STEP_TICKS // 2
-
-# Share of a step that is done after one time constant.
-RISE_SHARE = 0.63
+FOLLOWED_TICKS = STEP_TICKS // 2  # a servo that has come this far of a step has followed it
+RISE_SHARE = 0.63  # share of a step that is done after one time constant
 
 # Register RETURN_DELAY: lerobot's comment names 250 (500 us) as the factory's value.
 LONG_RETURN_DELAY = 250
 RETURN_DELAY_READS = 30
 RETURN_DELAY_SEEN_S = 0.0003
 
-# Value of TORQUE_ENABLE that one vendor's document calls damping.
-DAMPING = 2
-
-# Smaller currents are noise of the measurement [A].
-CURRENT_SEEN_A = 0.02
+DAMPING = 2  # value of TORQUE_ENABLE that one vendor's document calls damping
+CURRENT_SEEN_A = 0.02  # smaller currents are noise of the measurement [A]
 
 # Time for a person to cut the power, and to restore it.
 POWER_TIMEOUT_S = 60.0
 POWER_POLL_S = 0.1
 
-# Time for a servo to boot.
-BOOT_S = 0.5
+BOOT_S = 0.5  # time for a servo to boot
 
 
 class Undecided(RobotError):  # noqa: N818 - named by the fact
@@ -95,10 +86,7 @@ def run_experiment(experiment: Experiment, rig: ServoRig) -> Finding:
 
 @dataclass(frozen=True)
 class ServoRig:
-    """Servo under test, with guarded access to its torque.
-
-    Every method raises NoReply, StartupError or PortLost when the servo does not reply or take a value.
-    """
+    """Servo under test, with guarded access to its torque; every method raises NoReply, StartupError or PortLost."""
 
     bus: Bus
     servo_id: int  # servo whose torque may be switched
@@ -132,10 +120,7 @@ class ServoRig:
 
     @contextlib.contextmanager
     def holding(self, goal_ticks: int | None = None) -> Iterator[int]:
-        """Hold with reduced torque within the context, and yield the goal; torque is off after it in any case.
-
-        The goal is the present position, or one at most STEP_TICKS away.
-        """
+        """Hold the position, or a goal STEP_TICKS away at most, with little torque; yield the goal, then relax."""
         self.require_relaxed()
         torque_limit = self.read(Register.TORQUE_LIMIT)
         start = self._start()

@@ -1,11 +1,15 @@
-"""Scan of the bus: the servos that answer, and their registers; nothing is written."""
+"""Reads of the bus that write nothing: the servos that answer, their registers, and the time of replies and cycles."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Mapping, Sequence
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from robot.control.pacing import PERIOD_S
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
@@ -26,8 +30,7 @@ from robot.hardware.servos import bus as servo_bus
 # Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
 BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)
 
-# Id of a new servo.
-FACTORY_ID = 1
+FACTORY_ID = 1  # id of a new servo
 
 
 # All documented registers, in blocks that the bus reads elsewhere too: a servo need not answer any longer read.
@@ -93,10 +96,7 @@ class ScanResult:
 
 
 def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
-    """Find the servos on the bus and read each.
-
-    Expected ids are also pinged one by one, since a reply to a broadcast may get lost.
-    """
+    """Find and read the servos on the bus; expected ids are also pinged alone: a broadcast's replies may get lost."""
     garbled = bus.counters.discarded_bytes
     ids = set(bus.broadcast_ping())
     garbled = bus.counters.discarded_bytes - garbled
@@ -154,3 +154,53 @@ def _cause(result: ScanResult, joints: Sequence[ServoSpec], present: list[bool])
     if not any(present[first:]):
         return f"all from {joints[first].joint} on are silent: check the cable that leads to it"
     return "servos behind it answer, so the cable is sound: its id or baud rate is another, or it is defective"
+
+
+@dataclass(frozen=True)
+class CycleTimes:
+    """Times of many read cycles."""
+
+    cycles: int
+    # Time from the instruction to the last reply, median of the complete cycles [s]; NaN without one.
+    round_trip_p50_s: float
+    round_trip_p99_s: float  # its 99th percentile [s]
+    lateness_p99_s: float  # start of the cycles after their deadlines, 99th percentile [s]
+    lost_replies: int
+    expected_replies: int
+
+
+def measure_cycles(
+    bus: Bus,
+    servo_ids: Sequence[int],
+    cycles: int,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> CycleTimes:
+    """Read all servos as the control loop does, 100 times a second."""
+    round_trips, lateness = [], []
+    replies = 0
+    due_s = clock()
+    for _ in range(cycles):
+        due_s = max(due_s + PERIOD_S, clock())
+        wait(max(0.0, due_s - clock()))
+        start_s = clock()
+        frames = bus.sync_read(servo_ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+        lateness.append(start_s - due_s)
+        replies += len(frames)
+        if len(frames) == len(servo_ids):
+            round_trips.append(clock() - start_s)
+    p50_s, p99_s = np.percentile(round_trips or [np.nan], [50, 99]).tolist()
+    expected = cycles * len(servo_ids)
+    return CycleTimes(cycles, p50_s, p99_s, float(np.percentile(lateness, 99)), expected - replies, expected)
+
+
+def measure_reads(
+    bus: Bus, servo_id: int, address: int, length: int, count: int, clock: Callable[[], float] = time.monotonic
+) -> list[float]:
+    """Measure round trips of reads of one servo; return the times of the valid replies, sorted [s]."""
+    taken = []
+    for _ in range(count):
+        start_s = clock()
+        if servo_id in bus.sync_read((servo_id,), address, length):
+            taken.append(clock() - start_s)
+    return sorted(taken)

@@ -3,6 +3,10 @@
 New servos all have the id 1, so that only one of them may be on the bus. The state of a setup is what the servos hold:
 a servo is looked for at every baud rate and id, and one whose setup was broken off is found again and finished. Its id
 is written after its other settings, and its baud rate last.
+
+The backup of the registers is a JSON file, written before the first change of a servo; it grows servo by servo and is
+replaced as a whole each time, and a file that is there already is never touched. A servo has no serial number: it is
+recognised by its id.
 """
 
 from __future__ import annotations
@@ -11,12 +15,17 @@ import contextlib
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 from types import MappingProxyType
+from typing import Annotated, Literal, TypeAlias
 
-from robot.commissioning.register_backup import SavedServo
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError
+
+from robot import files
 from robot.commissioning.scan import BAUDRATES, FACTORY_ID, ServoRegisters, read_registers
-from robot.description.servo_table import ServoSpec
-from robot.errors import NoReply, RobotError, StartupError
+from robot.description.servo_table import MAX_SERVO_ID, ServoSpec
+from robot.errors import BackupError, NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
@@ -26,9 +35,114 @@ from robot.hardware.feetech.registers import (
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
+    value_range,
 )
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
+
+MAX_FILE_BYTES = 100_000  # forty servos with all their registers; an arm has six
+
+
+def _by_register(held: Mapping[str | Register, int]) -> dict[Register, int]:
+    """Convert names of registers; raises ValueError for an unknown one, and for a value that it cannot hold."""
+    found = {}
+    for name, value in held.items():
+        if name not in Register.__members__ and name not in list(Register):
+            raise ValueError(f"there is no register {name}")
+        register = name if isinstance(name, Register) else Register[name]
+        lowest, highest = value_range(register)
+        if not lowest <= value <= highest:
+            raise ValueError(f"{name} must be {lowest} to {highest}, not {value}")
+        found[register] = value
+    return found
+
+
+ServoId: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SERVO_ID)]
+Registers: TypeAlias = Annotated[
+    dict[Register, int],
+    BeforeValidator(_by_register),
+    PlainSerializer(lambda held: {register.name: value for register, value in held.items()}),
+]
+
+
+class SavedServo(BaseModel):
+    """Registers of one servo before it was changed."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, populate_by_name=True)
+
+    joint: Annotated[str, Field(max_length=200)]  # joint of the arm that it was to turn
+    servo_id: ServoId = Field(alias="id")  # id that it had
+    new_id: ServoId  # id that it was to get
+    baudrate: Annotated[int, Field(gt=0)]  # baud rate at which it answered
+    registers: Registers
+
+
+class _Content(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    format: Literal["armbridge servo registers 1"] = "armbridge servo registers 1"
+    robot: str
+    saved_at: str
+    servos: tuple[SavedServo, ...]
+
+
+class BackupFile:
+    """File to which the servos of one visit are saved; it is created with the first, and never overwritten."""
+
+    def __init__(self, path: Path, robot: str) -> None:
+        if path.exists():
+            raise BackupError(path, "is there already, and a backup is never overwritten: choose another name")
+        self.path = path
+        self._robot = robot
+        self._servos: tuple[SavedServo, ...] = ()
+
+    @property
+    def empty(self) -> bool:
+        """True until a servo is saved."""
+        return not self._servos
+
+    def save(self, servo: SavedServo, now: datetime) -> None:
+        """Save a servo; on return the file holds it, also after a loss of power."""
+        saved_at = now.astimezone(UTC).isoformat(timespec="seconds")
+        content = _Content(robot=self._robot, saved_at=saved_at, servos=(*self._servos, servo))
+        try:
+            if self.empty:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self.path.open("xb").close()
+            files.replace(self.path, content.model_dump_json(indent=2, by_alias=True).encode() + b"\n")
+        except OSError as error:
+            raise BackupError(self.path, f"cannot be written: {error}") from error
+        self._servos = content.servos
+
+
+def read_backup(path: Path) -> tuple[SavedServo, ...]:
+    """Read a backup."""
+    try:
+        with path.open("rb") as file:
+            return _Content.model_validate_json(file.read(MAX_FILE_BYTES)).servos
+    except OSError as error:
+        raise BackupError(path, f"cannot be read: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "content"
+        raise BackupError(path, f"is no backup of servo registers: {place}: {first['msg']}") from error
+
+
+def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, SavedServo]:
+    """Return the backup of each servo on the bus, by its present id; without servos whose backup is uncertain.
+
+    A servo usually has the id that it was to get. One whose setup was broken off has the id from before, which every
+    new servo has: it counts only if the servo with the new id is missing, and no other servo may be meant.
+    """
+    found = {}
+    for servo_id in ids:
+        # The first backup of a servo holds what it had before all changes.
+        got = [servo for servo in saved if servo.new_id == servo_id][:1]
+        kept = [servo for servo in saved if servo.servo_id == servo_id and servo.new_id not in ids]
+        if len(got or kept) == 1:
+            found[servo_id] = (got or kept)[0]
+    return found
+
 
 # Baud rate of the driver, 1 Mbaud, and its value of register BAUD_RATE.
 BAUDRATE = BAUDRATES[0]
@@ -40,8 +154,7 @@ BAUDRATE_BY_CODE: Mapping[int, int] = MappingProxyType(dict(zip((0, 1, 2, 3, 4, 
 # Time for the last bytes to leave the adapter, and for the servo to store its new rate, before the port is reopened.
 REOPENING_S = 0.05
 
-# Register RESPONSE_LEVEL of a servo that acknowledges every instruction.
-ACKNOWLEDGES_ALL = 1
+ACKNOWLEDGES_ALL = 1  # Register RESPONSE_LEVEL of a servo that acknowledges every instruction
 
 FULL_RANGE_TICKS = (0, 4095)
 
@@ -50,8 +163,7 @@ FULL_RANGE_TICKS = (0, 4095)
 PROBES = 6
 MAX_DISTURBED = 2
 
-# Longest return delay, 0.5 ms, and the time of a reply through a slow adapter.
-PROBE_INTERVAL_S = 0.01
+PROBE_INTERVAL_S = 0.01  # longest return delay, 0.5 ms, and the time of a reply through a slow adapter
 
 NO_ANSWER = (
     "no servo answers at any baud rate: is the supply on, the adapter's jumper on B, and the servo's plug pushed home?"
@@ -111,12 +223,8 @@ def search(
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
-    Servos that have their ids already may be connected as well. Raises StartupError where no servo may be meant, or
-    more than one; the text says how to part them.
-
-    Args:
-        only_joint: True when the user names this joint alone. A servo that is alone on the bus then counts as new
-            although it has another joint's id: this parts two servos of one id.
+    Raises StartupError where no servo may be meant, or more than one; the text says how to part them. For the only
+    joint that the user names, a servo alone on the bus counts as new although it has another joint's id.
     """
     found: list[FoundServo] = []
     for baudrate in BAUDRATES:
@@ -143,11 +251,7 @@ def search(
 
 
 def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServo]:
-    """Find and read the servos that answer at one baud rate; nothing is written.
-
-    The ids are also asked one by one, since a reply to a broadcast may get lost. Raises StartupError where several
-    servos have the same id.
-    """
+    """Find and read the servos at one baud rate; ids are also asked alone. Raises StartupError for two of one id."""
     bus = line.at(baudrate)
     garbled = bus.counters.discarded_bytes
     heard = set(bus.broadcast_ping())
@@ -191,10 +295,7 @@ def supply_complaint(servo: FoundServo) -> str:
 def choose_profile(
     name: str | None, own: ServoProfile | None, servos: Iterable[tuple[FoundServo, bool]]
 ) -> ServoProfile:
-    """Choose the profile of settings for some servos, which come with True for a gripper's.
-
-    It is the named one, or without a name the arm's own, or without both the nearest.
-    """
+    """Choose a profile: the named one, else the arm's own, else the nearest; grippers' servos come with True."""
     if name is not None:
         return PROFILES[name]
     return own or nearest_profile((servo.registers, gripper) for servo, gripper in servos)
@@ -226,10 +327,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
 
 
 def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[Change, ...]:
-    """Return the registers to change for a servo to be as it was saved.
-
-    Only a servo alone on the bus gets id and baud rate back: among others it might become the second one of its id.
-    """
+    """Return the registers to change for a servo to be as saved; id and baud rate only of a servo alone on the bus."""
     back = {register: saved.registers[register] for register in EPROM if register in saved.registers}
     if not alone:
         back.pop(Register.ID, None)
@@ -245,10 +343,7 @@ def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
 
 
 def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
-    """Relax a servo and write its changes, each read back; return it as read afterwards.
-
-    Its EPROM is locked at the end, also after a failure. Raises StartupError where it keeps another value.
-    """
+    """Relax a servo, write its changes and verify them, and lock its EPROM; return it as read afterwards."""
     writer = _Writer(line, servo.servo_id, servo.baudrate)
     try:
         writer.unlock()
@@ -277,7 +372,6 @@ class _Writer:
         self.baudrate = baudrate
 
     def unlock(self) -> None:
-        """Relax the servo, then unlock its EPROM."""
         bus = self._line.at(self.baudrate)
         try:
             self._line.run(write_verified(bus, self.servo_id, Register.TORQUE_ENABLE, 0))
@@ -288,7 +382,6 @@ class _Writer:
         self._line.run(write_verified(bus, self.servo_id, Register.LOCK, 0))
 
     def write(self, change: Change) -> None:
-        """Write a change and read it back."""
         match change.register:
             case Register.ID:
                 self._line.run(self._write_id(change.wanted))
@@ -299,7 +392,6 @@ class _Writer:
                 self._line.run(write_verified(bus, self.servo_id, change.register, change.wanted))
 
     def lock(self) -> None:
-        """Lock the EPROM."""
         self._line.run(write_verified(self._line.at(self.baudrate), self.servo_id, Register.LOCK, 1))
 
     def _write_id(self, new_id: int) -> Steps[None]:
@@ -331,20 +423,14 @@ class _Writer:
 def _candidates(
     found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec], *, only_joint: bool
 ) -> list[FoundServo]:
-    """Return the candidates for a joint: the servo with its id, else the servos without a calibration or another's id.
-
-    The first joint has the id of new servos; its calibration distinguishes it from a new servo.
-    """
+    """Return the candidates for a joint: the servo with its id, else those without a calibration or another's id."""
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}
     if only_joint and len(found) == 1:
         others = set()
-    return own or [servo for servo in found if servo.servo_id not in others and not _is_calibrated(servo)]
-
-
-def _is_calibrated(servo: FoundServo) -> bool:
     # Angle limits are of a calibration always; a new servo may have an offset.
-    return servo.angle_limits_ticks not in (NO_LIMITS, FULL_RANGE_TICKS)
+    uncalibrated = [servo for servo in found if servo.angle_limits_ticks in (NO_LIMITS, FULL_RANGE_TICKS)]
+    return own or [servo for servo in uncalibrated if servo.servo_id not in others]
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from robot.calibration import RAD_PER_TICK
 from robot.description.model import RobotModel
 
-# Distance from the limits, at which a calibration that is a little off meets no stop [rad].
-LIMIT_MARGIN_RAD = 0.1
+LIMIT_MARGIN_RAD = 0.1  # distance from the limits, at which a calibration that is a little off meets no stop [rad]
 
 # Distances from zero at which a joint shows its direction to the eye; the smaller ones where space is short [rad].
 AMPLITUDES_RAD = (0.4, 0.25, 0.15)
 
-# Backlash of a real arm's joint (0.9 to 1.0 deg were measured) [rad].
-BACKLASH_RAD = 0.0175
+BACKLASH_RAD = 0.0175  # backlash of a real arm's joint (0.9 to 1.0 deg were measured) [rad]
 
 # Duty that an error of one tick calls for, per unit of register P_GAIN: the factory's gain of 32 stalls at 5 deg, as a
 # share of full duty.
@@ -25,8 +23,7 @@ DUTY_PER_TICK_AND_GAIN = 0.0005
 # Factor by which a droop may exceed what gain and load explain: load is measured in steps, and ripples.
 DROOP_MARGIN = 1.5
 
-# An explained droop that is worth a sentence [rad].
-WORTH_TELLING_RAD = 0.06
+WORTH_TELLING_RAD = 0.06  # an explained droop that is worth a sentence [rad]
 
 FACTORY_P_GAIN = 32
 
@@ -45,10 +42,7 @@ class VerificationPose:
 
 
 def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
-    """Return the model's zero, two poses around it in which every joint is elsewhere, and one of the gripper alone.
-
-    The limits of the model lie within the calibration.
-    """
+    """Return the model's zero, two poses around it with every joint elsewhere, and a pose of the gripper alone."""
     joints = [robot.joints[name] for name in robot.groups[robot.default_group].joints]
     named = robot.named_states.get(robot.default_group, {})
 
@@ -117,12 +111,7 @@ class Droop:
 
 
 def seen_findings(seen: Sequence[tuple[str, frozenset[str]]], ends: frozenset[str]) -> list[str]:
-    """Return a sentence for each joint that looked otherwise than the model.
-
-    Args:
-        seen: name of each pose that was reached, zero first, with the joints that looked otherwise there.
-        ends: joints whose zero is given by the ends of their range, as a gripper's.
-    """
+    """Return a sentence for each joint that looked otherwise in a pose, zero first; zeros of ``ends`` are stops."""
     findings = []
     for joint in sorted(frozenset().union(*(joints for _, joints in seen))):
         where = [name for name, joints in seen if joint in joints]

@@ -1,81 +1,38 @@
-"""Checks of the server's configuration, and of every trajectory before it is played.
-
-The arm process relies on its own guards, so it does not trust the server's numbers. A value of the configuration that
-is out of range is replaced by its default; a trajectory is refused with a sentence that names joint, limit and value.
-"""
+"""Checks of the server's configuration and of every trajectory, whose numbers the arm process does not trust."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot.control.pacing import PERIOD_S
 from robot.description.limits import JointBounds
-from robot.messages import MIN_SPEED_LIMIT, ArmConfig, GuardLimits
+from robot.messages import ArmConfig, GuardLimits
 from robot.trajectory import Trajectory, Vector
 
 log = logging.getLogger("armbridge.arm")
 
-Ranges: TypeAlias = Mapping[str, tuple[float, float]]
-
-CONFIG_RANGES: Ranges = {
-    "state_rate_hz": (1.0, 100.0),
-    # Heartbeats come every 0.1 s: the shortest timeout tolerates two missed ones.
-    "watchdog_s": (0.3, 10.0),
-    # The servos protect themselves at 70 degC.
-    "warn_temperature_c": (30.0, 70.0),
-    "slow_temperature_c": (30.0, 70.0),
-    "stop_temperature_c": (30.0, 70.0),
-    "speed_limit": (MIN_SPEED_LIMIT, 1.0),
-}
-
-GUARD_RANGES: Ranges = {
-    # With less the arm does not hold itself.
-    "torque_limit": (0.3, 0.8),
-    "gripper_torque_limit": (0.2, 0.5),
-    "tracking_error_rad": (0.1, 1.0),
-    "tracking_time_s": (0.05, 1.0),
-    "stall_current_a": (0.3, 2.7),
-    # The servo's own overload timer runs out at 2 s.
-    "stall_time_s": (0.1, 1.5),
-    # Single packets get lost, and nothing is known of a joint that does not answer.
-    "silent_after_s": (0.05, 1.0),
-    # Servos of 7.4 V need 4 V; servos of 12 V run from 9 V on.
-    "min_voltage_v": (4.0, 11.0),
-    # Backlash keeps a joint from coming any nearer.
-    "goal_tolerance_rad": (0.02, 0.3),
-    "settle_timeout_s": (0.1, 10.0),
-}
-
 # A trajectory may start this far from the held position [rad]; the step bound smooths the difference.
 START_TOLERANCE_RAD = 0.05
 
-# Goals may exceed a limit by this much [rad]: rounding to ticks is 0.0015 rad.
-LIMIT_TOLERANCE_RAD = 0.002
-
-# Timing laws meet velocity limits only to a few per cent between their grid points.
-VELOCITY_TOLERANCE = 1.05
+LIMIT_TOLERANCE_RAD = 0.002  # goals may exceed a limit by this much [rad]: rounding to ticks is 0.0015 rad
+VELOCITY_TOLERANCE = 1.05  # timing laws meet velocity limits only to a few per cent between their grid points
 
 # A profile that switches from full acceleration to full braking between two samples keeps the limit, but the cubic
 # through them has up to 5/3 of it: 8x - 6x^2 - 1 at the first sample, for a switch at the share x of the time between.
 ACCELERATION_TOLERANCE = 1.7
 
-# 100 Hz for half an hour.
-MAX_SAMPLES = 180_000
+MAX_SAMPLES = 180_000  # 100 Hz for half an hour
 
 
 def checked(config: ArmConfig) -> ArmConfig:
     """Return the configuration with every number that is out of its range replaced by its default."""
-    return replace(
-        config,
-        guard_limits=replace(config.guard_limits, **_corrections(config.guard_limits, GUARD_RANGES)),
-        **_corrections(config, CONFIG_RANGES),
-    )
+    guard_limits = replace(config.guard_limits, **_corrections(config.guard_limits))
+    return replace(config, guard_limits=guard_limits, **_corrections(config))
 
 
 def refusal(
@@ -83,11 +40,8 @@ def refusal(
 ) -> str:
     """Check a trajectory; return the reason to refuse it, empty for none.
 
-    The curve that is played between the samples is checked, with its velocities and accelerations.
-
-    Args:
-        held_rad: goals at which the arm holds, shape (joints,) [rad].
-        in_motion: True for a trajectory that continues a motion; any other begins at rest.
+    The curve between the samples is checked, from the goals at which the arm holds, shape (joints,) [rad]; it begins at
+    rest unless it continues a motion.
     """
     malformed = _malformed(trajectory, names)
     if malformed:
@@ -112,12 +66,12 @@ def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
     return f"the motion names the joints {list(names)}; the arm has {list(known)}, each at most once"
 
 
-def _corrections(values: ArmConfig | GuardLimits, ranges: Ranges) -> dict[str, Any]:
+def _corrections(values: ArmConfig | GuardLimits) -> dict[str, Any]:
     """Return the defaults of the values that are out of their ranges, by field; NaN is out of every range."""
     found = {}
     for field in fields(values):
-        least, most = ranges.get(field.name, (0.0, 0.0))
-        if field.name in ranges and not least <= getattr(values, field.name) <= most:
+        least, most = field.metadata.get("range", (0.0, 0.0))
+        if field.metadata and not least <= getattr(values, field.name) <= most:
             log.error("%s must be %g to %g; it is taken as %g", field.name, least, most, field.default)
             found[field.name] = field.default
     return found
@@ -138,7 +92,6 @@ def _rest_refusal(trajectory: Trajectory, bounds: JointBounds, *, in_motion: boo
 
 
 def _curve_refusal(trajectory: Trajectory, bounds: JointBounds, held_rad: Vector) -> str:
-    """Check the curve between the samples; return the reason to refuse it, empty for none."""
     # An arm that was switched on outside its soft limits may be brought back inside.
     lower = np.minimum(bounds.lower_rad, held_rad) - LIMIT_TOLERANCE_RAD
     upper = np.maximum(bounds.upper_rad, held_rad) + LIMIT_TOLERANCE_RAD
@@ -221,7 +174,6 @@ def _extremes(
 
 
 def _malformed(trajectory: Trajectory, known: tuple[str, ...]) -> str:
-    """Check names, shapes and times of a trajectory; return the reason to refuse it, empty for none."""
     names = trajectory.joint_names
     if reason := names_refusal(names, known):
         return reason

@@ -14,9 +14,8 @@ import numpy as np
 
 from robot.control.checks import names_refusal, refusal
 from robot.control.guards import Guards, Persistence, Temperatures
-from robot.control.motion import Motion, splice, splice_refusal
+from robot.control.motion import Motion, Streaming, splice, splice_refusal
 from robot.control.pacing import MAX_TICK_S
-from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Flags, Measured
@@ -39,8 +38,7 @@ from robot.trajectory import Vector
 # Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
 STEP_MARGIN = 1.5
 
-# Greatest rate of motions while a servo is hot.
-SLOW_RATE = 0.5
+SLOW_RATE = 0.5  # greatest rate of motions while a servo is hot
 
 # Grip: goal this far beyond the object [rad], at a share of the torque limit that the servo can give for long.
 SQUEEZE_RAD = 0.05
@@ -68,11 +66,7 @@ _DIRECTION = {PlaybackDirection.FORWARD: 1.0, PlaybackDirection.PAUSED: 0.0, Pla
 
 
 class ArmController:
-    """Motion state of one arm; it is relaxed until :meth:`hold`.
-
-    The full torque is the largest share of full duty for each joint, shape (joints,). A fault latched before stays
-    latched.
-    """
+    """Motion state of one arm, relaxed until :meth:`hold`; each joint has its full share of full duty."""
 
     def __init__(
         self,
@@ -92,10 +86,11 @@ class ArmController:
         self.guards = guards
         self._full_torque = full_torque
         self._slow_c = temperatures.slow_c
-        self._torque_limit = full_torque.copy()
-        self._goal_rad = self._hold_rad = np.zeros(len(joint_names))
+        self.torque_limit = full_torque.copy()  # share of full duty that each joint may use now, shape (joints,)
+        # Goals of the latest tick; the measured positions while the arm is relaxed, shape (joints,) [rad].
+        self.goal_rad = self._hold_rad = np.zeros(len(joint_names))
         self._last_step_s: float | None = None
-        self._motions: list[Motion | Streaming] = []
+        self.motions: list[Motion | Streaming] = []  # motions in progress
         # Motions that a fault has ended, until their joints are at rest; and the joints that yield instead of braking.
         self._braking: list[Motion | Streaming] = []
         self._yielded: Flags = np.zeros(len(joint_names), dtype=bool)
@@ -112,51 +107,36 @@ class ArmController:
             return Mode.FAULT
         if not self.torque_enabled:
             return Mode.RELAXED
-        return Mode.MOVING if self._motions else Mode.HOLDING
+        return Mode.MOVING if self.motions else Mode.HOLDING
 
     @property
     def moving(self) -> bool:
         """True while a motion is in progress, or brakes after a fault."""
-        return bool(self._motions or self._braking)
+        return bool(self.motions or self._braking)
 
     @property
     def resting(self) -> bool:
         """True while nothing moves, and nothing is about to."""
-        return not self.moving and (not self.torque_enabled or self._hold_rad.tolist() == self._goal_rad.tolist())
-
-    @property
-    def goal_rad(self) -> Vector:
-        """Goals of the latest tick; the measured positions while the arm is relaxed, shape (joints,) [rad]."""
-        return self._goal_rad
-
-    @property
-    def torque_limit(self) -> Vector:
-        """Share of full duty that each joint may use now, shape (joints,)."""
-        return self._torque_limit
+        return not self.moving and (not self.torque_enabled or self._hold_rad.tolist() == self.goal_rad.tolist())
 
     @property
     def motion(self) -> Motion | Streaming | None:
         """Motion in progress; of several, the motion with most joints."""
-        return max(self._motions, key=lambda motion: len(motion.columns), default=None)
-
-    @property
-    def motions(self) -> tuple[Motion | Streaming, ...]:
-        """Motions in progress."""
-        return tuple(self._motions)
+        return max(self.motions, key=lambda motion: len(motion.columns), default=None)
 
     @property
     def progress(self) -> tuple[MotionProgress, ...]:
         """Progress of every motion."""
-        return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self._motions)
+        return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self.motions)
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
         """Begin to hold at the goals that the servos have, or at their positions where they are far away."""
-        self._goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
+        self.goal_rad, self._hold_rad = goal_rad.copy(), goal_rad.copy()
         self._braking = []
         self.guards.restart()
         if measured is not None:
             self._yield_to(measured)
-        self._torque_limit = self._full_torque.copy()
+        self.torque_limit = self._full_torque.copy()
         self.torque_enabled = True
 
     def release(self) -> None:
@@ -178,9 +158,9 @@ class ArmController:
             self.guards.thresholds.goal_tolerance_rad,
             self.pace.speed_limit,
         )
-        ended = splice(self._motions, motion)
-        self._motions.append(motion)
-        self._torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
+        ended = splice(self.motions, motion)
+        self.motions.append(motion)
+        self.torque_limit[motion.columns] = self._full_torque[motion.columns] * command.torque_share
         return ended
 
     def _refusal(self, command: Execute) -> str:
@@ -189,9 +169,9 @@ class ArmController:
         if not 0.0 < command.torque_share <= 1.0:
             return f"torque_share is {command.torque_share}; it must be above 0 and at most 1"
         if command.continues is not None:
-            return splice_refusal(self._motions, command, self._names, self.bounds, self._goal_rad)
+            return splice_refusal(self.motions, command, self._names, self.bounds, self.goal_rad)
         return self._occupied(command.trajectory.joint_names) or refusal(
-            command.trajectory, self._names, self.bounds, self._goal_rad
+            command.trajectory, self._names, self.bounds, self.goal_rad
         )
 
     def _unready(self) -> str:
@@ -200,7 +180,7 @@ class ArmController:
         return "" if self.torque_enabled else "the arm is relaxed: enable it first"
 
     def _occupied(self, names: tuple[str, ...]) -> str:
-        for motion in self._motions + self._braking:
+        for motion in self.motions + self._braking:
             both = set(motion.joint_names) & set(names)
             if both:
                 return f"motion {motion.motion_id} of joint {min(both)} is in progress"
@@ -213,25 +193,25 @@ class ArmController:
         if reason:
             return MotionEnded(command.motion_id, Outcome.REFUSED, reason)
         self._reset_direction_if_idle()
-        streaming = Streaming(command, self._names, self.bounds, self._goal_rad, self.pace.speed_limit)
-        self._motions.append(streaming)
-        self._torque_limit[streaming.columns] = self._full_torque[streaming.columns]
+        streaming = Streaming(command, self._names, self.bounds, self.goal_rad, self.pace.speed_limit)
+        self.motions.append(streaming)
+        self.torque_limit[streaming.columns] = self._full_torque[streaming.columns]
         return None
 
     def steer(self, setpoint: Setpoint) -> None:
         """Pass a setpoint to its stream; ignore it when the stream has ended."""
-        for motion in self._motions:
+        for motion in self.motions:
             if isinstance(motion, Streaming) and motion.motion_id == setpoint.motion_id:
                 motion.steer(setpoint.velocity_rad_s)
 
     @property
     def commanded(self) -> list[Commanded]:
         """Goals of each stream in progress."""
-        return [motion.commanded for motion in self._motions if isinstance(motion, Streaming)]
+        return [motion.commanded for motion in self.motions if isinstance(motion, Streaming)]
 
     def stop(self, motion_id: int | None = None) -> None:
         """Brake a motion along its path, or all of them."""
-        for motion in self._motions:
+        for motion in self.motions:
             if motion_id in (None, motion.motion_id):
                 motion.stop()
 
@@ -240,12 +220,12 @@ class ArmController:
         elapsed_s = 0.0 if self._last_step_s is None else min(max(now_s - self._last_step_s, 0.0), MAX_TICK_S)
         self._last_step_s = now_s
         if not self.torque_enabled:
-            self._goal_rad = self._hold_rad = measured.position_rad
+            self.goal_rad = self._hold_rad = measured.position_rad
             return []
         self._reset_direction_if_idle()
         self._advance(measured, elapsed_s)
         yielding = self._yielding()
-        found = self.guards.check(self._goal_rad, measured, self.torque_limit, now_s, yielding)
+        found = self.guards.check(self.goal_rad, measured, self.torque_limit, now_s, yielding)
         ended = self._end_gripped(measured, yielding) if yielding is not None else []
         if self._relieves:
             self._relieve(measured, now_s)
@@ -261,37 +241,33 @@ class ArmController:
             self.pace = replace(self.pace, direction=change.direction)
         if change.speed_limit is not None and MIN_SPEED_LIMIT <= change.speed_limit <= 1.0:
             self.pace = replace(self.pace, speed_limit=change.speed_limit)
-            for motion in self._motions:
+            for motion in self.motions:
                 motion.limit_speed(change.speed_limit)
 
     def _reset_direction_if_idle(self) -> None:
-        """Return to the direction forward when no motion is in progress that could be paused."""
-        if self.pace.direction is not PlaybackDirection.FORWARD and all(motion.gripping for motion in self._motions):
+        if self.pace.direction is not PlaybackDirection.FORWARD and all(motion.gripping for motion in self.motions):
             self.pace = replace(self.pace, direction=PlaybackDirection.FORWARD)
 
-    @property
-    def _rate(self) -> float:
-        return self.pace.speed_factor * _DIRECTION[self.pace.direction]
-
     def _advance(self, measured: Measured, elapsed_s: float) -> None:
-        motions = self._motions + self._braking
-        if not motions and self._hold_rad.tolist() == self._goal_rad.tolist():
+        motions = self.motions + self._braking
+        if not motions and self._hold_rad.tolist() == self.goal_rad.tolist():
             return
         hot = max(measured.temperature_c.tolist()) >= self._slow_c
         wanted = self._hold_rad.copy()
         fastest = SLOW_RATE if hot else 1.0
         led = np.zeros(len(self._names), dtype=bool)
+        rate = self.pace.speed_factor * _DIRECTION[self.pace.direction]
         for motion in motions:
-            wanted[motion.columns] = motion.step(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
+            wanted[motion.columns] = motion.step(elapsed_s, 1.0 if motion.gripping else rate, fastest)
             led[motion.columns] = True
         if self._braking:
             led &= ~self._yielded
-        self._goal_rad = self._guarded(np.where(led, wanted, self._hold_rad), elapsed_s)
-        self._hold_rad = np.where(led, self._goal_rad, self._hold_rad)
+        self.goal_rad = self._guarded(np.where(led, wanted, self._hold_rad), elapsed_s)
+        self._hold_rad = np.where(led, self.goal_rad, self._hold_rad)
 
     def _guarded(self, goal_rad: Vector, elapsed_s: float) -> Vector:
         """Clamp a goal to the step bound around the last one, and to the soft limits, or no further outside them."""
-        bounds, last_rad = self.bounds, self._goal_rad.tolist()
+        bounds, last_rad = self.bounds, self.goal_rad.tolist()
         limits = zip(bounds.lower_rad.tolist(), bounds.upper_rad.tolist(), bounds.max_velocity.tolist(), strict=True)
         guarded = []
         for goal, last, (lower, upper, speed) in zip(goal_rad.tolist(), last_rad, limits, strict=True):
@@ -302,7 +278,7 @@ class ArmController:
 
     def _yielding(self) -> Flags | None:
         """Return the joints of grips, for which a stall is no fault; None when there is no grip."""
-        gripping = [motion for motion in self._motions if motion.gripping]
+        gripping = [motion for motion in self.motions if motion.gripping]
         if not gripping:
             return None
         yielding = np.zeros(len(self._names), dtype=bool)
@@ -313,7 +289,7 @@ class ArmController:
     def _end_gripped(self, measured: Measured, yielding: Flags) -> list[MotionEnded]:
         caught = self.guards.stalled & yielding
         ended = []
-        for motion in [motion for motion in self._motions if caught[motion.columns].any()]:
+        for motion in [motion for motion in self.motions if caught[motion.columns].any()]:
             joint = int(motion.columns[np.argmax(caught[motion.columns])])
             message = f"joint {self._names[joint]} holds something at {measured.position_rad[joint]:.3f} rad"
             ended.append(motion.ended(Outcome.GRIPPED, message))
@@ -324,13 +300,13 @@ class ArmController:
         """Limit joints that push for so long that the protection of their servos would latch."""
         thresholds = self.guards.thresholds
         lasting_s = self._loaded.lasting(np.abs(measured.load) > thresholds.sustained_torque, now_s)
-        limited = np.minimum(self._torque_limit, thresholds.sustained_torque)
-        self._torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self._torque_limit)
+        limited = np.minimum(self.torque_limit, thresholds.sustained_torque)
+        self.torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self.torque_limit)
 
     def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
         ended = []
-        for motion in list(self._motions):
-            end = motion.end(self._goal_rad, measured.position_rad, now_s)
+        for motion in list(self.motions):
+            end = motion.end(self.goal_rad, measured.position_rad, now_s)
             if end is not None:
                 ended.append(end)
                 self._drop(motion, measured if end.outcome is Outcome.GRIPPED else None)
@@ -338,27 +314,23 @@ class ArmController:
         return ended
 
     def _drop(self, motion: Motion | Streaming, gripped: Measured | None) -> None:
-        """Remove a motion; its joints hold their goals, or squeeze the gripped object."""
-        self._motions.remove(motion)
+        self.motions.remove(motion)
         columns = motion.columns
         if gripped is None:
-            self._torque_limit[columns] = self._full_torque[columns]
+            self.torque_limit[columns] = self._full_torque[columns]
             return
         grip_torque = np.minimum(
             self._full_torque[columns] * GRIP_TORQUE_SHARE, self.guards.thresholds.sustained_torque[columns]
         )
-        self._torque_limit[columns] = np.minimum(self._torque_limit[columns], grip_torque)
+        self.torque_limit[columns] = np.minimum(self.torque_limit[columns], grip_torque)
         position = gripped.position_rad[columns]
-        squeeze = np.clip(self._goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
+        squeeze = np.clip(self.goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
         self._hold_rad[columns] = position + squeeze
         # The goal takes some ticks to come back, during which the joint goes on pushing.
         self.guards.restart()
 
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
-        """React to a fault: latch it, or yield; return the ends of motions.
-
-        A latched fault is replaced only by a fault that takes torque off.
-        """
+        """React to a fault: latch it, unless a graver one is latched, or yield; return the ends of motions."""
         if self.fault is None or (found.code in RELAXING and self.fault.code not in RELAXING):
             return self.latch(found, measured)
         if found.code in _YIELDING:
@@ -374,20 +346,20 @@ class ArmController:
         self.fault = replace(fault, simulated=self._simulated)
         if not self._braking:
             self._yielded[:] = False
-        self._braking = self._braking + self._motions
+        self._braking = self._braking + self.motions
         ended = self.abandon(_OUTCOMES.get(fault.code, Outcome.FAULT), str(self.fault))
         for motion in self._braking:
             motion.stop()
         if fault.code in _FREEZING:
             self._braking = []
-            self._hold_rad = self._goal_rad.copy()
+            self._hold_rad = self.goal_rad.copy()
         if measured is not None and fault.code in _YIELDING:
             self._yield_to(measured)
         return ended
 
     def _yield_to(self, measured: Measured) -> None:
         """Move the held goal to the measured position of each joint that stalls, or rests far from its goal."""
-        yielding = np.abs(measured.position_rad - self._goal_rad) > self.guards.thresholds.goal_tolerance_rad
+        yielding = np.abs(measured.position_rad - self.goal_rad) > self.guards.thresholds.goal_tolerance_rad
         for motion in self._braking:
             # A joint on its way is behind its goal for no other reason.
             yielding[motion.columns] = False
@@ -403,7 +375,7 @@ class ArmController:
 
     def abandon(self, outcome: Outcome, message: str) -> list[MotionEnded]:
         """End every motion in progress, without braking."""
-        ended = [motion.ended(outcome, message) for motion in self._motions]
-        self._motions = []
-        self._torque_limit = self._full_torque.copy()
+        ended = [motion.ended(outcome, message) for motion in self.motions]
+        self.motions = []
+        self.torque_limit = self._full_torque.copy()
         return ended

@@ -7,8 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from robot.advice import ServoAlert, ServoWarning
-from robot.faults import Fault, FaultCode
+from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import Actuation, Flags, Measured, StatusFlag, status_names
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
@@ -19,8 +18,7 @@ STALL_ERROR_RAD = 0.092
 STALL_SPEED_RAD_S = 0.046
 STALL_LOAD_SHARE = 0.8
 
-# Three missed cycles: when every reading is older, the bus is silent, not one servo.
-ALL_SILENT_AFTER_S = 0.03
+ALL_SILENT_AFTER_S = 0.03  # three missed cycles: when every reading is older, the bus is silent, not one servo
 
 # Longer than the voltage dip of a starting motor.
 LOW_VOLTAGE_TIME_S = 0.2
@@ -38,8 +36,7 @@ MARGIN = 0.8
 # A joint that is loaded beyond its protection's threshold is relieved after this share of the protection's time.
 RELIEF_SHARE = 0.5
 
-# A stall is reported well before the protection of the servo latches.
-STALL_SHARE = 0.25
+STALL_SHARE = 0.25  # a stall is reported well before the protection of the servo latches
 
 _STATUS_FAULTS = (
     (StatusFlag.TEMPERATURE, FaultCode.OVERHEATED),
@@ -161,12 +158,7 @@ class Guards:
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None
     ) -> Fault | None:
-        """Check one tick's readings; return the gravest fault, or None.
-
-        Args:
-            torque_limit: share of full duty that each may use, shape (joints,).
-            yielding: joints for which a stall is no fault, shape (joints,); None for none.
-        """
+        """Check one tick's readings; return the gravest fault, or None. A stall of yielding joints is no fault."""
         last, self._last = self._last, (measured, now_s)
         if last is not None and self._unremarkable(goal_rad, measured, last[0]):
             if not self._fresh:
@@ -206,10 +198,7 @@ class Guards:
         return tuple(warnings)
 
     def _unremarkable(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
-        """Return True when only silence can be a fault: nothing else is one, or would be one if it lasted.
-
-        The fast path of nearly every tick, in plain numbers: operations on arrays would cost more for six joints.
-        """
+        """Return True when only silence can be a fault, now or if it lasts: in plain numbers, faster for six joints."""
         positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), before.position_rad.tolist(), strict=True)
         near_rad, jump_rad = self._near_goal_rad, self._least_jump_rad
         if not all(abs(at - goal) <= near_rad and abs(at - was) <= jump_rad for at, goal, was in positions):
@@ -260,7 +249,6 @@ class Guards:
         return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (flagged_s >= VOLTAGE_BIT_TIME_S))
 
     def _fault(self, code: FaultCode, flags: Flags, goal_rad: Vector, measured: Measured) -> Fault:
-        """Build the fault of the flagged joint that is farthest from its goal."""
         errors = [abs(at - goal) for at, goal in zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)]
         joint = max((joint for joint, flag in enumerate(flags.tolist()) if flag), key=errors.__getitem__)
         if code is FaultCode.SERVO_SILENT and measured.age_s.min() > ALL_SILENT_AFTER_S:

@@ -1,8 +1,4 @@
-"""Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages.
-
-Nothing else runs in this process, so neither a planner's lock nor a burst of messages can delay a tick. When the server
-asks for the end, or is gone, the arm is brought to its end state and the process ends.
-"""
+"""Main loop of the arm process: opens the hardware, ticks 100 times a second, and passes on the server's messages."""
 
 from __future__ import annotations
 
@@ -13,8 +9,7 @@ from typing import Any, Protocol
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
-from robot.control.pacing import MAX_TICK_S, PERIOD_S, LoopClock, Pacer, SimulationClock
-from robot.control.realtime import Scheduling, enter_realtime
+from robot.control.pacing import MAX_TICK_S, PERIOD_S, LoopClock, Pacer, Scheduling, SimulationClock, enter_realtime
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
@@ -31,10 +26,7 @@ class HardwareSource(Protocol):
 
 
 def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
-    """Build the source of an arm's hardware; a back end's libraries are imported only where it is used.
-
-    Raises OSError when the log or the control socket of emulated servos cannot be created.
-    """
+    """Build the source of an arm's hardware, and import no other back end; raises OSError for its log or socket."""
     joint_names = config.hardware.joint_names(config.robot)
     bounds = JointBounds.of(config.robot, joint_names)
     match config.hardware:
@@ -92,7 +84,6 @@ class ArmLoop:
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
 
     def _open(self) -> HardwareInterface:
-        """Open the hardware, and make its source before the first time."""
         if self._source is None:
             try:
                 self._source = hardware_source(self._config, self._clock)
@@ -133,24 +124,20 @@ class ArmLoop:
 
     def _handle(self, messages: list[Any]) -> None:
         """Handle emergency stops first, the rest in order."""
-        for message in sorted(messages, key=_rank):
+        urgent = [each for each in messages if isinstance(each, Command) and each.order is Order.EMERGENCY_STOP]
+        for message in (*urgent, *(each for each in messages if each not in urgent)):
             self._supervisor.handle(message)
 
     def _send(self, message: object, droppable: bool) -> None:
         self._channel.send(message, droppable=droppable)
 
     def _wait(self, wait_s: float) -> None:
-        """Handle the server's messages while there is no hardware, until the next attempt to open it."""
         until_s = time.monotonic() + wait_s
         while not self._supervisor.finished() and (remaining_s := until_s - time.monotonic()) > 0.0:
             if self._channel.closed:
                 self._supervisor.lose_server()
             else:
                 self._handle(self._channel.receive(remaining_s))
-
-
-def _rank(message: object) -> int:
-    return 0 if isinstance(message, Command) and message.order is Order.EMERGENCY_STOP else 1
 
 
 def main() -> None:

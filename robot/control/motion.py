@@ -1,8 +1,8 @@
-"""Motions in progress: the goal at each tick, the end, and splicing into a new trajectory.
+"""Motions and streams in progress: the goals at each tick, the end, and splicing into a new trajectory.
 
-A trajectory is played along its path: it can be slowed, stopped and reversed without leaving the path. A motion ends
-when its joints have settled at the end of the trajectory, or have stopped. A new trajectory can replace the one being
-played without a stop where both coincide for some time (splicing).
+A joint of a stream with a target velocity is sent to the limit ahead of it at that speed, so that it brakes in time by
+itself however late the next setpoint comes. The profiles are ruckig's, time-optimal within the bounds; each joint has
+its own.
 """
 
 from __future__ import annotations
@@ -12,25 +12,170 @@ from collections.abc import Iterable, MutableSequence
 
 import numpy as np
 from numpy.typing import NDArray
+from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization
+from ruckig import Trajectory as RuckigTrajectory
 
 from robot.control import checks
-from robot.control.streaming import Streaming
 from robot.description.limits import JointBounds
-from robot.messages import Execute, GuardLimits, MotionEnded, Outcome
-from robot.trajectory import Trajectory, Vector
+from robot.messages import Commanded, Execute, GuardLimits, MotionEnded, Outcome, Stream
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, Trajectory, Vector
+
+LEAST_SPEED_RAD_S = 1e-3  # slower targets count as rest: this is a servo's tick in two seconds
+
+# Six ticks. A stream that is steered at 50 Hz may lose two setpoints in a row. With the braking, joints are at rest
+# within 0.15 s of the moment at which the server stands still.
+SETPOINT_LASTS_S = 0.06
+
+
+class Streaming:
+    """Stream in progress from where the arm holds, with the interface of :class:`robot.control.motion.Motion`."""
+
+    fraction = 0.0
+    remaining_s = 0.0
+    rate = 1.0
+
+    def __init__(
+        self,
+        command: Stream,
+        names: tuple[str, ...],
+        bounds: JointBounds,
+        held_rad: Vector,
+        speed_limit: float = 1.0,
+    ) -> None:
+        self.motion_id = command.motion_id
+        self.joint_names = command.joint_names
+        self.gripping = command.gripping
+        self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.joint_names])
+        self._max_velocity = bounds.max_velocity[self.columns]
+        self._speed_limit = speed_limit
+        self._tracking = VelocityTracking(bounds.of_columns(self.columns), held_rad[self.columns])
+        self._velocity_rad_s = np.zeros(len(self.columns))
+        self._at_s = self._silence_s = 0.0
+        self._ending = ""
+
+    @property
+    def finished(self) -> bool:
+        """True when the goals no longer move, and will not again."""
+        return self._tracking.at_rest and (bool(self._ending) or self._silent)
+
+    @property
+    def commanded(self) -> Commanded:
+        """Position and velocity goals of the joints now."""
+        return Commanded(self.motion_id, self._at_s, self._tracking.position_rad, self._tracking.velocity_rad_s)
+
+    @property
+    def _silent(self) -> bool:
+        # Ticks add up to a little more or less than their sum.
+        return self._silence_s > SETPOINT_LASTS_S + 1e-9
+
+    def steer(self, velocity_rad_s: Vector) -> None:
+        """Take a setpoint, shape (joints,) [rad/s]; one of another shape, or not finite, ends the stream."""
+        self._silence_s = 0.0
+        if velocity_rad_s.shape != self.columns.shape or not np.isfinite(velocity_rad_s).all():
+            self._ending = self._ending or f"stopped: {velocity_rad_s.tolist()} are no velocities of these joints"
+            return
+        self._velocity_rad_s = velocity_rad_s
+
+    def limit_speed(self, share: float) -> None:
+        """Let no joint be faster than a share of its velocity limit, above 0 to 1, from the next step on."""
+        self._speed_limit = share
+
+    def stop(self) -> None:
+        """Begin to brake, for good."""
+        self._ending = self._ending or "stopped"
+
+    def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
+        """Advance at a share of the setpoints' speed, 0 below 0; return its joints' goals, shape (joints,) [rad]."""
+        self._at_s += elapsed_s
+        self._silence_s += elapsed_s
+        resting = bool(self._ending) or self._silent
+        target = self._velocity_rad_s * (0.0 if resting else min(max(rate, 0.0), fastest))
+        # All joints slow down alike, so that the tip keeps its direction.
+        peak_share = float(np.max(np.abs(target) / self._max_velocity, initial=0.0))
+        self._tracking.set_target(target * (self._speed_limit / max(peak_share, self._speed_limit)))
+        return self._tracking.advance(elapsed_s)
+
+    def ended(self, outcome: Outcome, message: str) -> MotionEnded:
+        """Return the stream's end."""
+        return MotionEnded(self.motion_id, outcome, message)
+
+    def end(self, _goal_rad: Vector, _position_rad: Vector, _now_s: float) -> MotionEnded | None:
+        """Return the regular end, None while in progress: at rest, and stopped or without setpoints."""
+        if not self.finished:
+            return None
+        if self._ending:
+            return self.ended(Outcome.STOPPED, self._ending)
+        return self.ended(Outcome.UNSTEERED, f"no setpoint came for {SETPOINT_LASTS_S:g} s")
+
+
+class VelocityTracking:
+    """Positions of joints that follow target velocities, from rest at some positions, shape (joints,) [rad]."""
+
+    def __init__(self, bounds: JointBounds, position_rad: Vector) -> None:
+        joints = len(position_rad)
+        self.position_rad, self.velocity_rad_s = position_rad.copy(), np.zeros(joints)
+        self._acceleration_rad_s2 = np.zeros(joints)
+        self._target_rad_s = np.zeros(joints)
+        # A joint that was switched on outside its limits may stay there, and come inside.
+        self._lower_rad = np.minimum(bounds.lower_rad, position_rad)
+        self._upper_rad = np.maximum(bounds.upper_rad, position_rad)
+        self._max_velocity = bounds.max_velocity
+        self._ruckig, self._input, self._profile = Ruckig(joints), InputParameter(joints), RuckigTrajectory(joints)
+        self._input.synchronization = Synchronization.No
+        self._input.max_acceleration = bounds.max_acceleration.tolist()
+        self._input.max_jerk = (bounds.max_acceleration / TIME_TO_FULL_ACCELERATION_S).tolist()
+        self._input.target_velocity = self._input.target_acceleration = [0.0] * joints
+        self._since_s = 0.0
+        self._plan()
+
+    @property
+    def at_rest(self) -> bool:
+        """True when nothing moves and nothing is to move."""
+        return not self._target_rad_s.any() and self._since_s >= self._profile.duration
+
+    def set_target(self, velocity_rad_s: Vector) -> None:
+        """Set finite target velocities, shape (joints,) [rad/s], clamped to the velocity limits."""
+        target = np.clip(velocity_rad_s, -self._max_velocity, self._max_velocity)
+        target[np.abs(target) < LEAST_SPEED_RAD_S] = 0.0
+        if not np.array_equal(target, self._target_rad_s):
+            self._target_rad_s = target
+            self._plan()
+
+    def advance(self, elapsed_s: float) -> Vector:
+        """Advance by ``elapsed_s`` [s] and return the position goals, shape (joints,) [rad]."""
+        self._since_s += elapsed_s
+        position, velocity, acceleration = self._profile.at_time(self._since_s)
+        self.position_rad, self.velocity_rad_s = np.array(position), np.array(velocity)
+        self._acceleration_rad_s2 = np.array(acceleration)
+        return self.position_rad
+
+    def _plan(self) -> None:
+        moving = self._target_rad_s != 0.0
+        given = self._input
+        given.current_position = self.position_rad.tolist()
+        given.current_velocity = self.velocity_rad_s.tolist()
+        given.current_acceleration = self._acceleration_rad_s2.tolist()
+        given.target_position = np.where(self._target_rad_s > 0.0, self._upper_rad, self._lower_rad).tolist()
+        # Ignored for a joint that is to rest: the velocity interface uses neither of these two.
+        given.max_velocity = np.where(moving, np.abs(self._target_rad_s), self._max_velocity).tolist()
+        interfaces = (ControlInterface.Velocity, ControlInterface.Position)
+        given.per_dof_control_interface = [interfaces[int(each)] for each in moving]
+        try:
+            self._ruckig.calculate(given, self._profile)
+        except RuckigError:
+            # Rounding leaves its equations without a solution in rare cases; braking always has one.
+            given.per_dof_control_interface = [ControlInterface.Velocity] * len(moving)
+            self._ruckig.calculate(given, self._profile)
+        self._since_s = 0.0
+
 
 # Least share of the acceleration limit for a change of the rate, also while a joint uses all of it on the path. Stops
 # in 161 plans of the SO-101 take as long with 0.02 as with 0.5, because that joint is slowed down by the path itself.
 BRAKING_SHARE = 0.05
 
-# Change of the rate where nothing moves, at the ends of a motion [1/s]: stops within one tick.
-STANDSTILL_BRAKING = 1e3
-
-# Below this rate the rest of the stop is shorter than one tick.
-STOPPED_RATE = 1e-3
-
-# Ticks in a row within the goal tolerance, after which a joint counts as settled.
-SETTLED_TICKS = 3
+STANDSTILL_BRAKING = 1e3  # change of the rate where nothing moves, at the ends of a motion [1/s]: stops within one tick
+STOPPED_RATE = 1e-3  # below this rate the rest of the stop is shorter than one tick
+SETTLED_TICKS = 3  # ticks in a row within the goal tolerance, after which a joint counts as settled
 
 # Spliced trajectories coincide to within these [rad], [rad/s]: far below a servo's tick.
 SAME_POSITION_RAD = 1e-6
@@ -139,10 +284,7 @@ class Playback:
 
 
 class Motion(Playback):
-    """Motion in progress: the playback of a command until its joints have settled or stopped.
-
-    The goal tolerance is of each of the arm's joints, shape (joints,) [rad]; None for the limits' tolerance.
-    """
+    """Motion in progress: the playback of a command until its joints have settled within a tolerance, or stopped."""
 
     def __init__(
         self,
@@ -154,6 +296,9 @@ class Motion(Playback):
         speed_limit: float = 1.0,
     ) -> None:
         self.command = command
+        self.motion_id = command.motion_id  # number of the motion, reported with its end
+        self.joint_names = command.trajectory.joint_names
+        self.gripping = command.gripping  # True when a stall on the way is a grip
         self._limits = limits
         # Indices of its joints in the controller's arrays.
         self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
@@ -167,53 +312,17 @@ class Motion(Playback):
         self._settled_ticks = 0
 
     @property
-    def motion_id(self) -> int:
-        """Number of the motion, reported with its end."""
-        return self.command.motion_id
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joints that move."""
-        return self.trajectory.joint_names
-
-    @property
-    def start_rad(self) -> Vector:
-        """Start of its path, shape (joints,) [rad]."""
-        return self.trajectory.sample(0.0)[0]
-
-    @property
-    def reversible(self) -> bool:
-        """True while it can be played back to the start of its path."""
-        return not self.gripping and not self.ending
-
-    @property
-    def at_start(self) -> bool:
-        """True at the start of its path."""
-        return self.fraction == 0.0
-
-    @property
-    def gripping(self) -> bool:
-        """True when a stall on the way is a grip."""
-        return self.command.gripping
-
-    @property
     def rate(self) -> float:
         """Share of the planned speed at which it may be played now, 0 while it is paused."""
         return min(abs(self.pace), self.ceiling)
 
     def limit_speed(self, share: float) -> None:
-        """Play all of it so much slower that no joint is faster than a share of its velocity limit, above 0 to 1.
-
-        Plans may exceed the share as they may exceed the velocity limits, by VELOCITY_TOLERANCE.
-        """
+        """Play it slower, so that no joint exceeds a share of its velocity limit by more than VELOCITY_TOLERANCE."""
         planned = self._peak_share <= share * checks.VELOCITY_TOLERANCE
         self._fastest = 1.0 if planned else share / self._peak_share
 
     def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Advance by a time step, and return the goals of its joints, shape (joints,) [rad].
-
-        The rate is the wanted path time per time, below 0 to go back, and is bounded by the fastest.
-        """
+        """Advance at a wanted rate, below 0 to go back, bounded by the fastest; return its joints' goals [rad]."""
         self.pace, self.ceiling = rate, min(fastest, self._fastest)
         return self.advance(elapsed_s)
 
@@ -222,10 +331,7 @@ class Motion(Playback):
         return MotionEnded(self.motion_id, outcome, message)
 
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
-        """Return the regular end, None while in progress: stopped, or settled at the goal, or not settled in time.
-
-        Goals and measured positions are of all joints of the arm [rad].
-        """
+        """Return the regular end, None while in progress; goals and measured positions are of all joints [rad]."""
         if not self.finished:
             return None
         if not self.completed:

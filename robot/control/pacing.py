@@ -1,4 +1,4 @@
-"""Time of the control loop: deadlines and lateness of ticks, and the clock of the arm.
+"""Time of the control loop: deadlines and lateness of ticks, the clock of the arm, and real-time scheduling.
 
 A real arm moves on while the machine is busy, so its loop must see how late it is, and its clock is the machine's. The
 time of a simulated arm passes tick by tick, by no more than :data:`MAX_TICK_S` each, so that a starved loop runs slower
@@ -7,23 +7,24 @@ than real time without effect on its guards, timers and servos.
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import logging
 import math
+import os
+import resource
 import time
 from collections import deque
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
 PERIOD_S = 0.01
 
-# Ticks over which lateness and the real-time factor are kept: the last second.
-TICKS_KEPT = round(1.0 / PERIOD_S)
-
-# Two periods: a tick that starts one period late advances by both, as on a real arm.
-MAX_TICK_S = 2.0 * PERIOD_S
-
-# Far above the rounding of monotonic times in periods, far below any visible effect.
-ROUNDING = 1e-9
+TICKS_KEPT = round(1.0 / PERIOD_S)  # ticks over which lateness and the real-time factor are kept: the last second
+MAX_TICK_S = 2.0 * PERIOD_S  # two periods: a tick that starts one period late advances by both, as on a real arm
+ROUNDING = 1e-9  # far above the rounding of monotonic times in periods, far below any visible effect
 
 
 class Pacer:
@@ -70,10 +71,7 @@ class LoopClock:
         return time.monotonic()
 
     def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
-        """Mark the start of a tick at a time of the machine [s]; the machine's time passes by itself.
-
-        A simulated arm's time passes by ``at_most_s``, more after skipped ticks [s].
-        """
+        """Mark the start of a tick [s]; a simulated arm's time passes by ``at_most_s``, more after skipped ticks."""
 
     @property
     def real_time_factor(self) -> float:
@@ -105,3 +103,56 @@ class SimulationClock(LoopClock):
         """Real-time factor over the last second's ticks; 1 before the first."""
         elapsed_s = sum(elapsed for _, elapsed in self._passed_s)
         return sum(passed for passed, _ in self._passed_s) / elapsed_s if elapsed_s > 0.0 else 1.0
+
+
+log = logging.getLogger("armbridge.arm")
+
+REAL_TIME_PRIORITY = 1  # lowest priority of its class: above every ordinary process, below the kernel's own threads
+NICENESS = -10  # tried where real-time priority is not permitted
+
+# Flags of mlockall(2) on x86 and ARM (linux/mman.h): present mappings, future ones, and each page at its first use.
+MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
+
+# Least RLIMIT_MEMLOCK under which memory is locked. All that the process maps counts against it, whether it is used or
+# not: 180 MB at its start, 36 of them used.
+MIN_LOCKABLE_BYTES = 1 << 30
+
+
+class Scheduling(NamedTuple):
+    """Protection of the loop's ticks against the rest of the machine."""
+
+    real_time: bool = False
+    memory_locked: bool = False
+
+
+def enter_realtime() -> Scheduling:
+    """Request real-time priority and locked memory, and end garbage collections, which would delay ticks."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    real_time = take_priority()
+    return Scheduling(real_time, real_time and lock_memory())
+
+
+def lock_memory() -> bool:
+    """Keep memory from being swapped out, unless a low limit would make allocations fail; return True if it is kept."""
+    limit_bytes, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if limit_bytes != resource.RLIM_INFINITY and limit_bytes < MIN_LOCKABLE_BYTES:
+        log.info("memory is not locked: RLIMIT_MEMLOCK is %d bytes, less than %d", limit_bytes, MIN_LOCKABLE_BYTES)
+        return False
+    import ctypes  # 10 ms of a start that needs it only here
+
+    if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):
+        log.info("memory is not locked: mlockall: %s", os.strerror(ctypes.get_errno()))
+        return False
+    return True
+
+
+def take_priority() -> bool:
+    """Request real-time priority, else a low niceness; return True if it is real-time."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+        return True
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    return False

@@ -23,8 +23,7 @@ log = logging.getLogger("armbridge.arm")
 # differ by rounding alone.
 START_TOLERANCE_RAD = 0.01
 
-# Number of the parking motion; the server numbers its motions from 1.
-PARKING_MOTION = 0
+PARKING_MOTION = 0  # number of the parking motion; the server numbers its motions from 1
 
 
 class Stage(Enum):
@@ -34,7 +33,7 @@ class Stage(Enum):
     BRAKING = "braking"
     GOING_BACK = "going back"
     PARKING = "parking"
-    OVER = "over"
+    OVER = "over"  # the arm is to be relaxed: it is parked, or cannot be
 
 
 class Parking:
@@ -43,20 +42,10 @@ class Parking:
     def __init__(self, joint_names: tuple[str, ...]) -> None:
         self._names = joint_names
         self._plan: ParkingPlan | None = None
-        self._stage = Stage.NOT_BEGUN
+        self.stage = Stage.NOT_BEGUN
         self._until_s = 0.0
         self._refusal = ""
         self._ended: MotionEnded | None = None
-
-    @property
-    def begun(self) -> bool:
-        """True from the first :meth:`advance` on, until :meth:`reset`."""
-        return self._stage is not Stage.NOT_BEGUN
-
-    @property
-    def over(self) -> bool:
-        """True when the arm is to be relaxed: it is parked, or cannot be."""
-        return self._stage is Stage.OVER
 
     def keep(self, plan: ParkingPlan | None) -> None:
         """Keep a trajectory in place of the former; None when the former became invalid."""
@@ -64,26 +53,26 @@ class Parking:
 
     def reset(self, controller: ArmController) -> None:
         """Give parking up, because the server is back: the arm brakes and holds, unless it is being relaxed."""
-        if self._stage is not Stage.OVER:
+        if self.stage is not Stage.OVER:
             log.warning("parking: the server is back, so that the arm stops and holds")
             controller.stop()
-        self._stage = Stage.NOT_BEGUN
+        self.stage = Stage.NOT_BEGUN
 
     def give_up(self, controller: ArmController, reason: str) -> None:
         """Brake, and have the arm relaxed; do nothing when parking is over."""
-        if self._stage is not Stage.OVER:
+        if self.stage is not Stage.OVER:
             log.warning("parking: %s; the arm is relaxed where it is", reason)
             controller.stop()
-            self._stage = Stage.OVER
+            self.stage = Stage.OVER
 
     def advance(self, controller: ArmController, now_s: float, *, may_move: bool) -> None:
         """Take the next step, once a tick; only brake while ``may_move`` is False, because the server may come back."""
-        if self._stage is Stage.NOT_BEGUN:
+        if self.stage is Stage.NOT_BEGUN:
             self._brake(controller)
-        if self._stage is Stage.BRAKING and may_move:
+        if self.stage is Stage.BRAKING and may_move:
             self._until_s = now_s + PARKING_TIMEOUT_S
             self._begin(controller)
-        elif self._stage in (Stage.GOING_BACK, Stage.PARKING):
+        elif self.stage in (Stage.GOING_BACK, Stage.PARKING):
             self._continue(controller, now_s)
 
     def _continue(self, controller: ArmController, now_s: float) -> None:
@@ -93,7 +82,7 @@ class Parking:
             self.give_up(controller, f"the arm has a fault: {controller.fault}")
         elif now_s > self._until_s:
             self.give_up(controller, f"the arm is not at its rest pose after {PARKING_TIMEOUT_S:g} s")
-        elif self._stage is Stage.GOING_BACK:
+        elif self.stage is Stage.GOING_BACK:
             self._go_back(controller)
         elif not controller.moving:
             self._finish()
@@ -104,7 +93,7 @@ class Parking:
 
     def _brake(self, controller: ArmController) -> None:
         """Bring motions to rest: on their paths, where they can be played back from there."""
-        self._stage = Stage.BRAKING
+        self.stage = Stage.BRAKING
         self._refusal = self._no_way_back(controller) if controller.moving else ""
         if controller.moving and not self._refusal:
             controller.change_pace(ChangePace(direction=PlaybackDirection.PAUSED))
@@ -113,31 +102,30 @@ class Parking:
 
     def _begin(self, controller: ArmController) -> None:
         if not controller.torque_enabled:
-            self._stage = Stage.OVER
+            self.stage = Stage.OVER
         elif self._refusal:
             self.give_up(controller, self._refusal)
         elif controller.moving:
             log.warning("parking: the arm goes back along its path to where the motion began")
             controller.change_pace(ChangePace(direction=PlaybackDirection.BACK))
-            self._stage = Stage.GOING_BACK
+            self.stage = Stage.GOING_BACK
         else:
             self._park(controller)
 
     def _no_way_back(self, controller: ArmController) -> str:
-        """Return the reason why the motions in progress cannot be played back to the parking start, empty for none."""
         if controller.pace.direction is PlaybackDirection.PAUSED or controller.pace.speed_factor == 0.0:
             return "the motion is paused"
         start_rad = controller.goal_rad.copy()
         for motion in controller.motions:
-            if not isinstance(motion, Motion) or not motion.reversible:
+            if not isinstance(motion, Motion) or motion.gripping or motion.ending:
                 return "the motion in progress has no way back"
-            start_rad[motion.columns] = motion.start_rad
+            start_rad[motion.columns] = motion.trajectory.sample(0.0)[0]
         return self._mismatch(start_rad)
 
     def _go_back(self, controller: ArmController) -> None:
         if not controller.moving:
             self._park(controller)
-        elif all(isinstance(motion, Motion) and motion.at_start for motion in controller.motions):
+        elif all(isinstance(motion, Motion) and motion.fraction == 0.0 for motion in controller.motions):
             controller.stop()
 
     def _park(self, controller: ArmController) -> None:
@@ -153,7 +141,7 @@ class Parking:
             self.give_up(controller, refused.message)
             return
         log.info("parking: the arm moves to its rest pose, in %.1f s", self._plan.trajectory.duration_s)
-        self._stage = Stage.PARKING
+        self.stage = Stage.PARKING
 
     def _finish(self) -> None:
         ended = self._ended
@@ -162,10 +150,9 @@ class Parking:
         else:
             reason = "the motion was ended" if ended is None else ended.message
             log.warning("parking: %s; the arm is relaxed where it is", reason)
-        self._stage = Stage.OVER
+        self.stage = Stage.OVER
 
     def _mismatch(self, goal_rad: Vector) -> str:
-        """Return the reason why the trajectory cannot be played from some goals, empty for none."""
         plan = self._plan
         if plan is None:
             return "no way to the rest pose is known in the present scene"

@@ -1,10 +1,4 @@
-"""Supervisor of one arm: handles the server's messages, runs orders between the ticks, watches the server, and reports.
-
-The control loop calls :meth:`Supervisor.tick` 100 times a second, :meth:`Supervisor.work` in between, and
-:meth:`Supervisor.handle` with every message. A latched fault, and the permission to switch the arm on, outlive a loss
-of the hardware. The servos have no watchdog of their own, so the arm process has one on the server. Reports are the
-arm's state many times a second and its health once a second.
-"""
+"""Supervisor of one arm: handles messages, runs orders between the ticks, watches the server, and reports."""
 
 from __future__ import annotations
 
@@ -15,24 +9,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robot.control.controller import RELAXING, ArmController
-from robot.control.cycle import ControlCycle
+from robot.control.cycle import ControlCycle, arm_health, arm_state, disconnected
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, LoopClock, Pacer
-from robot.control.parking import Parking
-from robot.control.realtime import Scheduling
-from robot.control.reports import arm_health, arm_state, disconnected
+from robot.control.pacing import PERIOD_S, LoopClock, Pacer, Scheduling
+from robot.control.parking import Parking, Stage
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface, Steps, run_to_end
-from robot.logs import LogLimiter, suppressed_note
+from robot.logs import LogLimiter
 from robot.messages import (
     END_LIMIT_S,
     END_TIMEOUT_S,
     PARKING_TIMEOUT_S,
     TORQUE_LEFT_ON,
     ArmConfig,
-    ArmState,
     ChangePace,
     Command,
     CommandDone,
@@ -66,11 +57,8 @@ HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 SPARE_TICKS = 1
 IDLE_SPARE_TICKS = 4
 
-# Ticks at rest after which the joints have reached the end of their last motion.
-SETTLED_TICKS = round(0.5 / PERIOD_S)
-
-# Least watchdog timeout of a simulated arm, which a server on a busy machine must not trip.
-SIMULATED_WATCHDOG_S = 5.0
+SETTLED_TICKS = round(0.5 / PERIOD_S)  # ticks at rest after which the joints have reached the end of their last motion
+SIMULATED_WATCHDOG_S = 5.0  # least watchdog timeout of a simulated arm, which a server on a busy machine must not trip
 
 # Log lines about a silent server: at once, and in the long run [1/s], one in ten minutes.
 SILENCE_BURST = 3
@@ -103,10 +91,7 @@ def stays_at_rest(hardware: HardwareConfig) -> bool:
 
 
 class Supervisor:
-    """Supervisor of the arm of one arm process.
-
-    It sends messages to the server, with True for a message that may be dropped while the server does not read.
-    """
+    """Supervisor of one arm; it sends messages, with True for those to drop while the server does not read."""
 
     def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, scheduling: Scheduling) -> None:
         self._config = config
@@ -210,11 +195,7 @@ class Supervisor:
 
     @property
     def spare_ticks(self) -> int:
-        """Number of ticks that may be skipped now.
-
-        A simulated arm at rest needs no more ticks than it reports states, and its machine has other work; the guards
-        of a real arm need every tick.
-        """
+        """Number of ticks that may be skipped now: of a simulated arm at rest, whose machine has other work."""
         controller = self._controller
         if not self._config.hardware.simulated or controller is None or self._task or not controller.resting:
             return 0
@@ -242,7 +223,8 @@ class Supervisor:
         self._health_due -= ticks
         if min(self._state_due, self._health_due) > 0:
             return
-        state = self._state(arm, pacer)
+        lateness_s = pacer.latest(self._ticks_per_state)
+        state = arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)
@@ -300,7 +282,6 @@ class Supervisor:
         return True
 
     def _check_servos(self, now_s: float) -> None:
-        """Begin to check the servos, where that is due and nothing else is in progress."""
         orders = self._orders
         if orders is None or self._task is not None or now_s < self._check_at_s:
             return
@@ -310,7 +291,6 @@ class Supervisor:
             self._begin(_Task(CHECKING_AGAIN, orders.survey(), None, now_s))
 
     def _torque_left(self) -> str:
-        """Describe where torque is on, with the remedy."""
         where = f"torque may be on at every joint: the arm is not connected: {self._reason}"
         if self.arm is not None:
             hardware = self.arm.hardware
@@ -421,7 +401,6 @@ class Supervisor:
             self._send(each, False)
 
     def _check_fault(self) -> None:
-        """Log a new fault once, and relax the arm where the fault requires that."""
         fault = self.fault
         if fault is not self._reported_fault:
             self._reported_fault = fault
@@ -437,13 +416,15 @@ class Supervisor:
             self.lose_server()
         lost = now_s - self._heard_s > self._watchdog_s
         if lost and not self._server_lost and self._end is None:
-            self._log_silence(now_s)
+            consequence = self._consequence(self._config.on_server_lost)
+            line = f"nothing heard of the server for {now_s - self._heard_s:.1f} s: {consequence}"
+            self._log_limiter.write(log, logging.WARNING, line, "silence", now_s)
         self._server_lost = lost
         end = self._config.on_server_lost if lost and self._end is None else self._end
         controller = self._controller
         if controller is None:
             return
-        if self._parking.begun and end is not EndState.PARK:
+        if self._parking.stage is not Stage.NOT_BEGUN and end is not EndState.PARK:
             self._parking.reset(controller)
         if end is None:
             return
@@ -452,17 +433,10 @@ class Supervisor:
             self._parking.advance(controller, now_s, may_move=gone)
         else:
             controller.stop()
-        if controller.torque_enabled and (end is EndState.RELAX or self._parking.over):
+        if controller.torque_enabled and (end is EndState.RELAX or self._parking.stage is Stage.OVER):
             self._relax()
 
-    def _log_silence(self, now_s: float) -> None:
-        if self._log_limiter.due("silence", now_s):
-            silence_s, consequence = now_s - self._heard_s, self._consequence(self._config.on_server_lost)
-            note = suppressed_note(self._log_limiter.suppressed("silence"))
-            log.warning("nothing heard of the server for %.1f s: %s%s", silence_s, consequence, note)
-
     def _consequence(self, end: EndState) -> str:
-        """Describe the arm's reaction to the loss of the server, for the log."""
         controller = self._controller
         if controller is not None and controller.moving:
             return "stopping"
@@ -475,10 +449,6 @@ class Supervisor:
         busy = self._task
         if self._orders is not None and (busy is None or not (busy.urgent or busy.name == RELAXING_ARM)):
             self._begin(_Task(RELAXING_ARM, self._orders.relax(), None, self._clock()))
-
-    def _state(self, arm: ControlCycle, pacer: Pacer) -> ArmState:
-        lateness_s = pacer.latest(self._ticks_per_state)
-        return arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
 
 
 @dataclass

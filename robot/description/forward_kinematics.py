@@ -1,7 +1,4 @@
-"""Forward kinematics of a URDF without a kinematics library, for frames and markers.
-
-Planning has forward kinematics of its own, which is faster in bulk.
-"""
+"""Forward kinematics of a URDF without a kinematics library, for frames and markers."""
 
 from __future__ import annotations
 
@@ -11,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.description.frames import origin_transform, rotation_about, unit_axis
 from robot.description.model import Joint, RobotModel
-from robot.description.urdf import Mimic
+from robot.description.urdf import Mimic, origin_transform, rotation_about, unit_axis
 from robot.trajectory import Vector
 
 
@@ -22,7 +18,8 @@ class ForwardPlacements:
 
     def __init__(self, robot: RobotModel) -> None:
         self._root = robot.root_link
-        elements = {joint.get("name"): joint for joint in _joints(robot.urdf)}
+        tree = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
+        elements = {joint.get("name"): joint for joint in tree.findall("joint")}
         by_child = {joint.child: joint for joint in robot.joints.values()}
         # Links come parents before children.
         self._steps = [
@@ -40,10 +37,7 @@ class ForwardPlacements:
         self._by_child = {step.child: step for step in self._steps}
 
     def transforms(self, positions_rad: Mapping[str, float]) -> dict[str, Vector]:
-        """Compute ``transform_link_to_root`` of every link, by name, shape (4, 4) [m].
-
-        Positions are of every movable joint [rad, or m of a prismatic one].
-        """
+        """Compute ``transform_link_to_root`` of every link, shape (4, 4) [m], from all joints' positions [rad or m]."""
         placed = {self._root: np.eye(4)}
         for step in self._steps:
             place = placed[step.parent] @ step.transform_joint_to_parent
@@ -62,10 +56,7 @@ class ForwardPlacements:
 
 @dataclass(frozen=True)
 class _Step:
-    """Joint with its fixed transform to the parent link and its axis, and the joint that it follows, as all do.
-
-    Most follow themselves; a fixed joint follows no joint.
-    """
+    """Joint with its fixed transform and axis, and the joint whose position it takes, mostly itself; None if fixed."""
 
     parent: str
     child: str
@@ -91,7 +82,3 @@ def _moved(step: _Step, positions_rad: Mapping[str, float]) -> Vector:
     else:
         transform[:3, 3] = position * step.axis
     return transform
-
-
-def _joints(urdf: str) -> list[ET.Element]:
-    return ET.fromstring(urdf).findall("joint")  # noqa: S314 - the user's own file, already parsed by robot.description.model

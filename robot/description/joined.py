@@ -14,13 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot.description import model
-from robot.description.frames import origin_transform
-from robot.description.mesh_files import find_mesh
 from robot.description.model import Gripper, Joint, JointLimits, RobotModel
+from robot.description.urdf import find_mesh, origin_transform
 from robot.errors import DescriptionError
 
-# The link on which all arms stand, which is the planning frame.
-COMMON_LINK = "world"
+COMMON_LINK = "world"  # the link on which all arms stand, which is the planning frame
 
 BOTH_ARMS, ALL_ARMS = "both_arms", "all_arms"
 
@@ -198,10 +196,7 @@ def _never_near(arms: Mapping[str, PlacedArm]) -> Iterator[ET.Element]:
 
 
 def reach_m(robot: RobotModel) -> float:
-    """Return a distance from an arm's root link beyond which no part of it comes; infinite where none is known [m].
-
-    It is the length of the longest chain of joints, with all that a link carries.
-    """
+    """Return a distance from the root link beyond which no part of an arm comes: its longest chain, or infinite [m]."""
     root = _parsed(robot.urdf)
     extents_m = {link.get("name", ""): _extent_m(link, robot) for link in root.iterfind("link")}
     from_root_m = {robot.root_link: 0.0}

@@ -11,13 +11,11 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from robot.description.frames import with_fixed_joints
-from robot.description.mesh_files import check_meshes, package_path
 from robot.description.srdf import Group as Group
 from robot.description.srdf import Semantics, read_srdf, with_group
 from robot.description.urdf import Joint as Joint
 from robot.description.urdf import JointLimits as JointLimits
-from robot.description.urdf import Tree, read_urdf
+from robot.description.urdf import Tree, check_meshes, package_path, read_urdf, with_fixed_joints
 from robot.errors import DescriptionError
 
 NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})
@@ -27,11 +25,8 @@ NONE_HELD: Mapping[str, float] = MappingProxyType({})
 OPEN_STATES = ("open", "opened")
 CLOSED_STATES = ("closed", "close")
 
-# State in which an arm is parked that names none.
-PARK_STATE = "rest"
-
-# Names of a gripper's group in an SRDF without end effector, as Panda's.
-GRIPPER_GROUPS = ("gripper", "hand")
+PARK_STATE = "rest"  # state in which an arm is parked that names none
+GRIPPER_GROUPS = ("gripper", "hand")  # names of a gripper's group in an SRDF without end effector, as Panda's
 
 
 @dataclass(frozen=True)
@@ -108,12 +103,7 @@ def load(
     held: Mapping[str, float] = NONE_HELD,
     needs_meshes: bool = True,
 ) -> RobotModel:
-    """Read a robot from files.
-
-    Args:
-        package_directories: folders for ``package://``, beside the ROS environment's and the folders around the URDF.
-        needs_meshes: False for a robot that gets hulls, so that its meshes need not be there.
-    """
+    """Read a robot from files; ``package://`` is also sought in ROS's environment, and around the URDF."""
     return parse(
         _text(urdf_path),
         _text(srdf_path),
@@ -137,13 +127,9 @@ def parse(
     needs_meshes: bool = True,
     sources: tuple[str, str] = ("URDF", "SRDF"),
 ) -> RobotModel:
-    """Read a robot from the texts of its URDF and SRDF.
+    """Read a robot from the texts of its URDF and SRDF, whose sources are named in errors.
 
-    Args:
-        limits: limits by joint that replace the URDF's.
-        held: joints that are not driven, and the positions at which they stay; they become fixed [rad or m].
-        needs_meshes: True to check that the meshes are there, where they have a directory.
-        sources: names of the URDF and of the SRDF, for errors.
+    Limits replace the URDF's. Held joints become fixed at their positions [rad or m]. Meshes must be there if needed.
     """
     tree = read_urdf(urdf, sources[0], limits)
     srdf = with_group(srdf, sources[1], tree)
@@ -180,7 +166,6 @@ def _passive_positions(tree: Tree, semantics: Semantics) -> dict[str, float]:
 
 
 def _following_positions(tree: Tree, still: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of the joints that mimic a joint that stays."""
     return {
         joint.name: joint.mimic.multiplier * still[joint.mimic.joint] + joint.mimic.offset
         for joint in tree.joints.values()
@@ -196,10 +181,7 @@ def _default_group(semantics: Semantics) -> str:
 
 
 def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gripper | None:
-    """Return the gripper of a group: an end effector of one or two joints, or else such a group "gripper" or "hand".
-
-    Of several, it is that at the group's tip. It is open and closed in its named states, or else at its limits.
-    """
+    """Return the gripper of a group: an end effector at its tip, of one or two joints, or a group named as one."""
     groups = semantics.groups
     hands = [end for end in semantics.end_effectors if end.group != arm]
     at_tip = [end.group for end in hands if end.parent_link == groups[arm].tip_link]
@@ -217,7 +199,6 @@ def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gri
 
 
 def _ends(joint: Joint, states: Mapping[str, Mapping[str, float]]) -> tuple[float, float]:
-    """Return where a joint of a gripper is when it is open and when it is closed [rad or m]."""
     opened, closed = (
         next((states[name][joint.name] for name in names if joint.name in states.get(name, {})), limit)
         for names, limit in ((OPEN_STATES, joint.upper), (CLOSED_STATES, joint.lower))

@@ -20,8 +20,7 @@ FILE_NAME = "robot.toml"
 MAX_JOINTS = 100
 MAX_BYTES = 1_000_000
 
-# Below this share of equal letters a proposal misleads.
-LIKENESS = 0.6
+LIKENESS = 0.6  # below this share of equal letters a proposal misleads
 
 Position: TypeAlias = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Rate: TypeAlias = Annotated[float, Field(gt=0.0, le=1e6)]
@@ -35,109 +34,82 @@ class _Table(BaseModel):
 class RobotTable(_Table):
     """Table ``[robot]``: the files of the description, relative to the folder."""
 
-    title: Name | None = None
-    """name of the arm for people; the folder's without one."""
-    urdf: Path | None = None
-    """the URDF; the only one in the folder without this key."""
-    srdf: Path | None = None
-    """the SRDF; the only one in the folder without this key."""
-    hulls: Path | None = None
-    """convex hull of each link, JSON."""
-    parts: Path | None = None
-    """convex parts of each link, JSON."""
-    surfaces: Path | None = None
-    """triangles of each link's surface, numpy's npz."""
+    title: Name | None = None  # name of the arm for people; the folder's without one
+    urdf: Path | None = None  # the URDF; the only one in the folder without this key
+    srdf: Path | None = None  # the SRDF; the only one in the folder without this key
+    hulls: Path | None = None  # convex hull of each link, JSON
+    parts: Path | None = None  # convex parts of each link, JSON
+    surfaces: Path | None = None  # triangles of each link's surface, numpy's npz
+    # Folders of packages that ``package://`` names.
     packages: Annotated[tuple[Path, ...], Field(max_length=MAX_JOINTS)] = ()
-    """folders of packages that ``package://`` names."""
-    joint_limits: Path | None = None
-    """MoveIt's joint_limits.yaml."""
+    joint_limits: Path | None = None  # MoveIt's joint_limits.yaml
 
 
 class PlanningTable(_Table):
     """Table ``[planning]``."""
 
-    group: Name | None = None
-    """group of goals that name none; "arm", else the first with a chain, without this key."""
-    tip: Name | None = None
-    """link that pose goals of this group move; the tip of its chain without this key."""
-    frame: Name | None = None
-    """frame of poses that name none; it must be the root link."""
+    group: Name | None = None  # group of goals that name none; "arm", else the first with a chain, without this key
+    tip: Name | None = None  # link that pose goals of this group move; the tip of its chain without this key
+    frame: Name | None = None  # frame of poses that name none; it must be the root link
+    # Named state of the SRDF in which the arm is parked; "rest", if there is one, without this key.
     park: Name | None = None
-    """named state of the SRDF in which the arm is parked; "rest", if there is one, without this key."""
 
 
 class GripperTable(_Table):
     """Table ``[gripper]``."""
 
+    # Its joints, one or two that mirror each other.
     joints: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)]
-    """its joints, one or two that mirror each other."""
-    open: Position
-    """position of each joint when it is open [rad, or m of a prismatic joint]."""
-    closed: Position
-    """position of each joint when it is closed [rad or m]."""
+    open: Position  # position of each joint when it is open [rad, or m of a prismatic joint]
+    closed: Position  # position of each joint when it is closed [rad or m]
 
 
 class JointTable(_Table):
     """Table ``[joints.NAME]``: limits that replace the URDF's."""
 
-    max_velocity: Rate | None = None
-    """[rad/s or m/s]."""
-    max_acceleration: Rate | None = None
-    """[rad/s^2 or m/s^2]."""
-    max_jerk: Rate | None = None
-    """[rad/s^3 or m/s^3]."""
+    max_velocity: Rate | None = None  # [rad/s or m/s]
+    max_acceleration: Rate | None = None  # [rad/s^2 or m/s^2]
+    max_jerk: Rate | None = None  # [rad/s^3 or m/s^3]
 
 
 class ZeroTable(_Table):
     """Value of the key ``zero``: the joint is at ``angle_rad`` at ``tick``."""
 
+    # [ticks], or the middle of the calibrated range.
     tick: Annotated[int, Field(ge=-1_048_575, le=1_048_575)] | Literal["middle"]
-    """[ticks], or the middle of the calibrated range."""
-    angle_rad: Annotated[float, Field(ge=-10.0, le=10.0)]
-    """[rad]."""
+    angle_rad: Annotated[float, Field(ge=-10.0, le=10.0)]  # [rad]
 
 
 class ServoTable(_Table):
     """Table ``[[hardware.servos]]``."""
 
-    joint: Name
-    """the joint that it turns."""
-    id: Annotated[int, Field(ge=0, le=MAX_SERVO_ID)]
-    """its id on the bus."""
-    model: Name
-    """its model, as "sts3215"."""
-    sign: Literal[1, -1] = 1
-    """-1 for ticks that fall while the joint's position rises."""
-    zero: Literal["middle", "ends"] | ZeroTable = "middle"
-    """place of the joint's zero."""
-    turns_freely: bool = False
-    """true for a joint without end stops."""
+    joint: Name  # the joint that it turns
+    id: Annotated[int, Field(ge=0, le=MAX_SERVO_ID)]  # its id on the bus
+    model: Name  # its model, as "sts3215"
+    sign: Literal[1, -1] = 1  # -1 for ticks that fall while the joint's position rises
+    zero: Literal["middle", "ends"] | ZeroTable = "middle"  # place of the joint's zero
+    turns_freely: bool = False  # true for a joint without end stops
 
 
 class ProfileTable(_Table):
     """Table ``[hardware.profile]``: settings that the servos should have, by the names of their registers."""
 
-    base: Literal["factory", "lerobot"] = "factory"
-    """profile from which they differ."""
-    registers: Annotated[dict[Name, int], Field(max_length=MAX_JOINTS)] = {}
-    """values for every servo, as P_GAIN = 20."""
-    gripper: Annotated[dict[Name, int], Field(max_length=MAX_JOINTS)] = {}
-    """values for the gripper's servos."""
+    base: Literal["factory", "lerobot"] = "factory"  # profile from which they differ
+    registers: Annotated[dict[Name, int], Field(max_length=MAX_JOINTS)] = {}  # values for every servo, as P_GAIN = 20
+    gripper: Annotated[dict[Name, int], Field(max_length=MAX_JOINTS)] = {}  # values for the gripper's servos
 
 
 class HardwareSection(_Table):
     """Table ``[hardware]``."""
 
-    kind: HardwareKind = "ideal"
-    """kind of the servos."""
-    baud: Annotated[int, Field(ge=9600, le=4_500_000)] = 1_000_000
-    """rate of the bus [baud]."""
+    kind: HardwareKind = "ideal"  # kind of the servos
+    baud: Annotated[int, Field(ge=9600, le=4_500_000)] = 1_000_000  # rate of the bus [baud]
+    # Lerobot's folders of calibrations of the arm, the newest name first.
     calibrations: Annotated[tuple[Name, ...], Field(max_length=8)] = ()
-    """lerobot's folders of calibrations of the arm, the newest name first."""
+    # The servos, in the order of the joints.
     servos: Annotated[tuple[ServoTable, ...], Field(max_length=MAX_JOINTS)] = ()
-    """the servos, in the order of the joints."""
+    # Settings of the servos; without this table the factory's or lerobot's, whichever are nearer.
     profile: ProfileTable | None = None
-    """settings of the servos; without this table the factory's or lerobot's, whichever are nearer."""
 
     @model_validator(mode="after")
     def _servos_fit_the_kind(self) -> HardwareSection:
@@ -186,7 +158,6 @@ def read(path: Path) -> RobotFile:
 
 
 def _sentence(error: ErrorDetails) -> str:
-    """Return a sentence on an invalid value, by its key."""
     place = [part for part in error["loc"] if not str(part).startswith(("literal[", "ZeroTable", "constrained"))]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if error["type"] == "extra_forbidden":
@@ -216,7 +187,6 @@ _TABLES: Mapping[str, type[_Table]] = {
 
 
 def _keys_beside(place: list[int | str]) -> list[str]:
-    """Return the keys that are allowed where an unknown one stands."""
     names = [part for part in place[:-1] if isinstance(part, str)] or [""]
     table = JointTable if names[0] == "joints" else _TABLES[names[-1]]
     return sorted(table.model_fields)

@@ -1,4 +1,7 @@
-"""Folder of an arm: ``robot.toml`` and the files that it names, read into the robot's model and its table of servos."""
+"""Folder of an arm: ``robot.toml`` and the files that it names, read into the robot's model and its table of servos.
+
+The package example-robot-data brings the descriptions of some fifty published robots, which are found by their names.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,11 +18,59 @@ from numpy.typing import NDArray
 
 import robot.arms
 from robot.description import model, robot_file
-from robot.description.example_robots import find_example
 from robot.description.model import Gripper, Hull, JointLimits, LinkSurface, RobotModel
-from robot.description.robot_file import GripperTable, HardwareSection, RobotFile, ServoTable
+from robot.description.robot_file import HardwareSection, RobotFile, ServoTable
 from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ProfileSpec, ServoSpec, Zero, ZeroTick
 from robot.errors import DescriptionError, RobotFileError
+
+PACKAGE = "example-robot-data"
+
+# Where the package keeps its descriptions; their meshes are named package://example-robot-data/robots/...
+_SHARE = f"cmeel.prefix/share/{PACKAGE}"
+
+_ENDINGS = ("", "_robot", "_reduced")  # endings that a file may have beyond the robot's name, the plainest first
+
+
+@dataclass(frozen=True)
+class ExampleRobot:
+    """Files of a published robot."""
+
+    urdf: Path
+    srdf: Path
+    packages: tuple[Path, ...]  # folders for `package://`
+
+
+def find_example(name: str) -> ExampleRobot | None:
+    """Find a robot in the installed package example-robot-data; None without the package, or for an unknown name."""
+    robots = _robots()
+    if robots is None or name not in _urdfs(robots):
+        return None
+    urdf = _urdfs(robots)[name]
+    srdf = urdf.parents[1] / "srdf" / f"{name}.srdf"
+    if not srdf.is_file():
+        raise DescriptionError(
+            f"{PACKAGE}'s robot {name!r}",
+            f"has no SRDF ({srdf} is not there): write one, and give it with --srdf beside --urdf {urdf}",
+        )
+    return ExampleRobot(urdf, srdf, (robots.parents[1],))
+
+
+def _robots() -> Path | None:
+    try:
+        folder = Path(str(metadata.distribution(PACKAGE).locate_file(_SHARE))) / "robots"
+    except metadata.PackageNotFoundError:
+        return None
+    return folder if folder.is_dir() else None
+
+
+def _urdfs(robots: Path) -> dict[str, Path]:
+    files = [*robots.glob("*/urdf/*.urdf"), *robots.glob("*/robots/*.urdf")]
+    found: dict[str, Path] = {}
+    for ending in _ENDINGS:
+        for file in sorted(file for file in files if file.stem.endswith(ending)):
+            found.setdefault(file.stem.removesuffix(ending), file)
+    return found
+
 
 Read = TypeVar("Read")
 
@@ -102,12 +154,7 @@ def problems(name_or_folder: str) -> tuple[str, ...]:
 def load(
     folder: Path, *, urdf: Path | None = None, srdf: Path | None = None, package_directories: Sequence[Path] = ()
 ) -> RobotFolder:
-    """Load an arm from its folder; a RobotFileError names all its problems.
-
-    Args:
-        urdf: URDF in place of the folder's, whose hulls, parts and surfaces then do not apply.
-        package_directories: folders for ``package://``, ahead of the folder's own.
-    """
+    """Load an arm from its folder, without its shapes for another URDF; a RobotFileError names all its problems."""
     path = folder / robot_file.FILE_NAME
     if not folder.is_dir():
         raise DescriptionError(str(folder), "is no folder")
@@ -142,7 +189,7 @@ def load(
     arm = replace(
         arm,
         **shapes,
-        gripper=arm.gripper if file.gripper is None else _gripper(file.gripper),
+        gripper=arm.gripper if file.gripper is None else Gripper(**file.gripper.model_dump()),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
         park_state=file.planning.park or arm.park_state,
@@ -169,11 +216,9 @@ class _Problems:
             return instead
 
     def add(self, sentences: Iterable[str]) -> None:
-        """Add problems, a sentence each."""
         self._sentences += sentences
 
     def error(self) -> RobotFileError:
-        """Return the error that lists them."""
         return RobotFileError(self._path, self._sentences)
 
 
@@ -280,7 +325,6 @@ def _points(vertices: object) -> NDArray[np.float64]:
 
 
 def _unknown_names(file: RobotFile, arm: RobotModel) -> Iterable[str]:
-    """Yield a sentence for each joint, link or group that the description does not have."""
     movable = {joint.name for joint in arm.movable_joints}
     listed = ", ".join(sorted(movable))
     named = [(f"gripper.joints[{i}]", name) for i, name in enumerate(file.gripper.joints if file.gripper else ())]
@@ -318,10 +362,6 @@ def _unknown_names(file: RobotFile, arm: RobotModel) -> Iterable[str]:
         yield f"planning.park: the SRDF has no state {file.planning.park!r}, but {', '.join(sorted(states)) or 'none'}"
     if file.planning.frame not in (None, arm.root_link, arm.planning_frame):
         yield f"planning.frame: must be the root link {arm.root_link!r}, not {file.planning.frame!r}"
-
-
-def _gripper(table: GripperTable) -> Gripper:
-    return Gripper(table.joints, table.open, table.closed)
 
 
 def _hardware(file: RobotFile, arm: RobotModel) -> HardwareTable:

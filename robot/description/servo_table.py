@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-# 254 is the broadcast id of both kinds of bus, and Dynamixel reserves 253 too.
-MAX_SERVO_ID = 253
+MAX_SERVO_ID = 253  # 254 is the broadcast id of both kinds of bus, and Dynamixel reserves 253 too
 
 HardwareKind: TypeAlias = Literal["feetech", "dynamixel", "ideal"]
 

@@ -7,8 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from robot.description.elements import attribute, number, root_of
-from robot.description.urdf import Joint, Tree
+from robot.description.urdf import Joint, Tree, attribute, number, root_of
 from robot.errors import DescriptionError
 
 log = logging.getLogger("armbridge.description")
@@ -63,7 +62,6 @@ def with_group(text: str, source: str, tree: Tree) -> str:
 
 
 def _farthest_link(tree: Tree) -> str:
-    """Return the link behind the most movable joints, the nearest to the root of several."""
     by_child = {joint.child: joint for joint in tree.joints.values()}
     joint_count = {tree.links[0]: 0}
     for link in tree.links[1:]:
@@ -72,8 +70,6 @@ def _farthest_link(tree: Tree) -> str:
 
 
 class _Reader:
-    """SRDF that is being read, and the robot that it must fit."""
-
     def __init__(self, root: ET.Element, source: str, tree: Tree) -> None:
         self._root, self._source, self._tree = root, source, tree
         self._by_child = {joint.child: joint for joint in tree.joints.values()}

@@ -1,14 +1,80 @@
-"""Links and joints of a URDF, with their limits."""
+"""URDF: elements, links and joints with their limits, frames, and mesh files; held joints are fixed where they stay.
+
+A mesh ``package://NAME/meshes/base.stl`` is sought below the package folders and the folders around the URDF: in a
+folder NAME there, and in the folder itself where it is the package (the standard layouts of ROS).
+"""
 
 from __future__ import annotations
 
+import logging
 import math
+import os
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from urllib.parse import unquote
 
-from robot.description.elements import attribute, number, root_of
+import numpy as np
+
 from robot.errors import DescriptionError
+from robot.trajectory import Vector
+
+# Of elements that xacro replaces; descriptions in circulation use all three.
+XACRO_NAMESPACES = ("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro", "http://ros.org/wiki/xacro")
+
+
+def root_of(text: str, source: str) -> ET.Element:
+    """Parse a URDF or SRDF, whose source is named in errors; xacro and MJCF are rejected with the next step."""
+    try:
+        root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
+    except ET.ParseError as error:
+        raise DescriptionError(source, f"is not XML: {error}") from error
+    if root.tag == "mujoco":
+        raise DescriptionError(
+            source,
+            "is MJCF, MuJoCo's format: convert it to a URDF first (pip install mjcf-urdf-simple-converter), or use the "
+            "URDF of the arm's maker, and give that",
+        )
+    if root.tag != "robot":
+        raise DescriptionError(source, f"must start with <robot>, not <{root.tag}>")
+    macros = (macro for element in root.iter() for macro in _macros(element))
+    if macro := next(macros, ""):
+        raise DescriptionError(
+            source,
+            f"is xacro, with {macro}: expand it first with "
+            "`xacro FILE.xacro > FILE` (pip install xacro), and give the result",
+        )
+    return root
+
+
+def attribute(element: ET.Element, name: str, source: str) -> str:
+    """Return an attribute that must be there."""
+    value = element.get(name)
+    if value is None:
+        raise DescriptionError(source, f"<{element.tag}> {element.attrib} has no attribute {name!r}")
+    return value
+
+
+def number(element: ET.Element, name: str, where: str) -> float:
+    """Return an attribute that must be a finite number; ``where`` names file and element in errors."""
+    text = element.get(name)
+    if text is None:
+        raise DescriptionError(where, f"has no attribute {name!r}")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise DescriptionError(where, f"{name} must be a finite number, not {text!r}")
+    return value
+
+
+def _macros(element: ET.Element) -> list[str]:
+    if element.tag.startswith(tuple(f"{{{namespace}}}" for namespace in XACRO_NAMESPACES)):
+        return [f"the element <xacro:{element.tag.rpartition('}')[2]}>"]
+    return [f'{name}="{value}"' for name, value in element.attrib.items() if "${" in value or "$(" in value]
+
 
 MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
 
@@ -220,3 +286,175 @@ def _links_from_root(robot: ET.Element, joints: Mapping[str, Joint], source: str
     if apart:
         raise DescriptionError(source, f"the links {apart} are joined to one another in a ring and not to {roots[0]!r}")
     return tuple(ordered)
+
+
+# Elements of a joint that a fixed one has no use for.
+OF_MOVING_JOINTS = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
+
+
+def rotation_about(axis: Vector, angle_rad: float) -> Vector:
+    """Compute a rotation matrix about a unit vector by Rodrigues' formula, shape (3, 3)."""
+    x, y, z = axis.tolist()
+    sin, cos = math.sin(angle_rad), math.cos(angle_rad)
+    rest = 1.0 - cos
+    return np.array(
+        [
+            [cos + x * x * rest, x * y * rest - z * sin, x * z * rest + y * sin],
+            [x * y * rest + z * sin, cos + y * y * rest, y * z * rest - x * sin],
+            [x * z * rest - y * sin, y * z * rest + x * sin, cos + z * z * rest],
+        ]
+    )
+
+
+def unit_axis(element: ET.Element) -> Vector:
+    """Return the axis of a URDF <joint>: a unit vector, shape (3,), along x where the joint has none."""
+    axis = element.find("axis")
+    values = np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]) if axis is not None else np.eye(3)[0]
+    length = float(np.linalg.norm(values))
+    return values / length if length > 0.0 else np.eye(3)[0]
+
+
+def origin_transform(element: ET.Element) -> Vector:
+    """Return the URDF <origin> of an element, shape (4, 4) [m]: a translation, then fixed-axis roll, pitch and yaw."""
+    transform = np.eye(4)
+    origin = element.find("origin")
+    if origin is not None:
+        roll, pitch, yaw = (float(v) for v in origin.get("rpy", "0 0 0").split())
+        x_axis, y_axis, z_axis = np.eye(3)
+        transform[:3, :3] = rotation_about(z_axis, yaw) @ rotation_about(y_axis, pitch) @ rotation_about(x_axis, roll)
+        transform[:3, 3] = [float(v) for v in origin.get("xyz", "0 0 0").split()]
+    return transform
+
+
+def roll_pitch_yaw(rotation: Vector) -> tuple[float, float, float]:
+    """Return URDF's fixed-axis angles of a rotation matrix, shape (3, 3) [rad]; roll 0 at a quarter turn's pitch."""
+    level = math.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = math.atan2(-rotation[2, 0], level)
+    if level < 1e-9:
+        return 0.0, pitch, math.atan2(-rotation[0, 1], rotation[1, 1])
+    return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
+
+
+def joint_motion(element: ET.Element, position: float) -> Vector:
+    """Return the motion of a URDF <joint> at a position [rad, or m of a prismatic joint], shape (4, 4) [m]."""
+    transform, axis = np.eye(4), unit_axis(element)
+    if element.get("type") == "prismatic":
+        transform[:3, 3] = position * axis
+    else:
+        transform[:3, :3] = rotation_about(axis, position)
+    return transform
+
+
+def shift_origin(element: ET.Element, position: float) -> None:
+    """Move the origin of a URDF <joint> by a position [rad, or m of a prismatic joint], which becomes its zero."""
+    transform = origin_transform(element) @ joint_motion(element, position)
+    origin = element.find("origin")
+    if origin is None:
+        origin = ET.SubElement(element, "origin")
+    origin.set("xyz", " ".join(map(repr, transform[:3, 3].tolist())))
+    origin.set("rpy", " ".join(map(repr, roll_pitch_yaw(transform[:3, :3]))))
+
+
+def with_fixed_joints(urdf: str, positions: Mapping[str, float]) -> str:
+    """Return a URDF in which some joints are fixed at their positions [rad, or m of a prismatic joint]."""
+    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed as a description
+    for element in root.findall("joint"):
+        name = element.get("name", "")
+        if name in positions:
+            _fix(element, positions[name])
+    return ET.tostring(root, encoding="unicode")
+
+
+def _fix(element: ET.Element, position: float) -> None:
+    shift_origin(element, position)
+    for child in [*element]:
+        if child.tag in OF_MOVING_JOINTS:
+            element.remove(child)
+    element.set("type", "fixed")
+
+
+log = logging.getLogger("armbridge.description")
+
+_PACKAGE = "package://"
+_FILE = "file://"
+
+# The URDF of a package is in its folder urdf or robots, or one below it; the packages of a repository are side by side.
+_FOLDERS_AROUND = 4
+
+
+def package_path(environment: Mapping[str, str]) -> tuple[Path, ...]:
+    """Return the folders of packages that ``ROS_PACKAGE_PATH`` of ROS 1 and ``AMENT_PREFIX_PATH`` of ROS 2 name."""
+    folders = [Path(each) for each in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
+    prefixes = [Path(each) for each in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
+    return (*folders, *(prefix / "share" for prefix in prefixes))
+
+
+def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Path:
+    """Find the file of a mesh, a URL or a path beside the URDF; the error names the paths that were tried."""
+    tried = list(dict.fromkeys(_candidates(name, directory, packages)))
+    found = next((path for path in tried if path.is_file()), None)
+    if found is not None:
+        return found.resolve()
+    places = ", ".join(map(str, tried)) or "nothing, for the URDF has no folder"
+    remedy = "correct the name"
+    if name.startswith(_PACKAGE):
+        package = name.removeprefix(_PACKAGE).partition("/")[0]
+        remedy = f"give the folder that contains the package {package!r}, with --package-path or ROS_PACKAGE_PATH"
+    raise DescriptionError(f"mesh {name!r}", f"is not there: {remedy}; tried: {places}")
+
+
+def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Path]) -> None:
+    """Check that the meshes of collisions are there; missing visual meshes are logged."""
+    unseen = []
+    for link in ET.fromstring(urdf).iterfind("link"):  # noqa: S314 - already parsed by robot.description.urdf
+        for use in ("collision", "visual"):
+            for mesh in _meshes(link.iterfind(use)):
+                try:
+                    find_mesh(mesh.get("filename", ""), directory, packages)
+                except DescriptionError as error:
+                    if use == "collision":
+                        raise DescriptionError(f"{source} link {link.get('name')!r} <collision>", str(error)) from error
+                    unseen.append(error)
+    if unseen:
+        log.warning("%s: %d meshes of <visual> will not be seen; the first: %s", source, len(unseen), unseen[0])
+
+
+def with_mesh_paths(urdf: str, directory: Path | None, packages: Sequence[Path]) -> str:
+    """Return a URDF whose collision meshes have their paths for names."""
+    root = ET.fromstring(urdf)  # noqa: S314 - already parsed by robot.description.urdf
+    for mesh in _meshes(root.iterfind("link/collision")):
+        mesh.set("filename", str(find_mesh(mesh.get("filename", ""), directory, packages)))
+    return ET.tostring(root, encoding="unicode")
+
+
+def _meshes(shapes: Iterable[ET.Element]) -> Iterator[ET.Element]:
+    for shape in shapes:
+        yield from shape.iterfind("geometry/mesh")
+
+
+def _candidates(name: str, directory: Path | None, packages: Sequence[Path]) -> Iterator[Path]:
+    if name.startswith(_PACKAGE):
+        package, _, inner = name.removeprefix(_PACKAGE).partition("/")
+        around = () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]
+        for folder in (*packages, *around):
+            yield from _in_folder(folder, package, inner)
+    elif name.startswith(_FILE):
+        yield Path(unquote(name.removeprefix(_FILE)))
+    elif directory is not None:
+        yield directory / name
+    elif Path(name).is_absolute():
+        yield Path(name)
+
+
+def _in_folder(folder: Path, package: str, inner: str) -> Iterator[Path]:
+    """Yield the places of a package's file, where a folder contains the package or is it."""
+    yield folder / package / inner
+    if folder.name == package or _name_of_package(folder) == package:
+        yield folder / inner
+
+
+def _name_of_package(folder: Path) -> str | None:
+    try:
+        return ET.fromstring((folder / "package.xml").read_text(encoding="utf-8")).findtext("name")  # noqa: S314 - the user's
+    except (OSError, UnicodeDecodeError, ET.ParseError):
+        return None

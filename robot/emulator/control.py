@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from robot.calibration import MAX_TICK
-from robot.emulator.adapter import Adapter, InProcessPort
+from robot.emulator.arm import Adapter, InProcessPort
 from robot.emulator.feetech import FeetechServo
 from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register
@@ -21,27 +21,20 @@ from robot.hardware.feetech.registers import Register
 # A controller that sends more bytes than this without a line end is disconnected; a command is short.
 MAX_COMMAND_BYTES = 64 << 10
 
-# One is in use at a time; the rest allows for connections that were not closed.
-MAX_CONTROLLERS = 8
+MAX_CONTROLLERS = 8  # one is in use at a time; the rest allows for connections that were not closed
 
 READ_BYTES = 4096
 
-# Full duty of the motor.
-MAX_PUSH_PERMILLE = 1000
+MAX_PUSH_PERMILLE = 1000  # full duty of the motor
 
 # Greatest values of registers PRESENT_TEMPERATURE, PRESENT_VOLTAGE and STATUS.
 MAX_TEMPERATURE_C = 255
 MAX_VOLTAGE_V = 25.5
 MAX_STATUS = 255
 
-# Longer than anything waits for a reply.
-MAX_DELAY_S = 10.0
-
-# FTDI's adapters delay bytes by 16 ms.
-MAX_USB_FRAME_MS = 100
-
-# An hour of heating in a second.
-MAX_HEAT_RATE = 3600
+MAX_DELAY_S = 10.0  # longer than anything waits for a reply
+MAX_USB_FRAME_MS = 100  # FTDI's adapters delay bytes by 16 ms
+MAX_HEAT_RATE = 3600  # an hour of heating in a second
 
 
 @dataclass(frozen=True)
@@ -53,7 +46,6 @@ class Emulation:
 
 
 def _servo_of(name: object, info: ValidationInfo[Sequence[FeetechServo]]) -> FeetechServo:
-    """Return the servo of an id or a joint's name; validation has the servos as its context."""
     return _named(name, {str(servo.servo_id): servo for servo in info.context}, info.context, "a servo id")
 
 
@@ -203,10 +195,7 @@ C = TypeVar("C", bound=LiveCommand)
 
 
 def check(model: type[C], values: Mapping[str, object], servos: Sequence[FeetechServo]) -> C:
-    """Check commands for some servos; nothing is changed yet.
-
-    Raises ValueError for an unknown command, or a value that it does not take; the text names field, limit and value.
-    """
+    """Check commands for some servos; raises ValueError that names field, limit and value, before anything changes."""
     try:
         return model.model_validate(values, context=servos)
     except ValidationError as error:
@@ -326,10 +315,7 @@ class CommandedPort(InProcessPort):
 
 
 class ControlSocket:
-    """Unix socket for live commands, one JSON object a line.
-
-    A socket that an ended process has left is replaced. Raises OSError where something else is in its place.
-    """
+    """Unix socket for live commands, one JSON object a line; it replaces a socket that an ended process has left."""
 
     def __init__(self, path: Path) -> None:
         with contextlib.suppress(FileNotFoundError):
@@ -366,7 +352,6 @@ class ControlSocket:
 
 
 def _received(controller: socket.socket) -> bytes | None:
-    """Return the bytes that have arrived, None for none; no bytes at the end of the connection."""
     try:
         return controller.recv(READ_BYTES)
     except BlockingIOError:

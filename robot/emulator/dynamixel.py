@@ -21,8 +21,7 @@ from robot.emulator.plant import NO_LOAD_TICKS_S, STALL_CURRENT_A, Drive, Plant
 from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction
 from robot.hardware.config import EmulatedDynamixelConfig
-from robot.hardware.dynamixel.family import Dynamixel, model_of
-from robot.hardware.dynamixel.packets import ALERT, HEADER, PREFIX_BYTES, crc16, packet
+from robot.hardware.dynamixel.family import ALERT, HEADER, PREFIX_BYTES, Dynamixel, crc16, model_of, packet
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
     HARDWARE_ERRORS,
@@ -51,8 +50,7 @@ DATA_LENGTH_ERROR = 5
 DATA_LIMIT_ERROR = 6
 ACCESS_ERROR = 7
 
-# The last documented address is 227, of the XL330; addresses without a register read as 0.
-MEMORY_BYTES = 256
+MEMORY_BYTES = 256  # the last documented address is 227, of the XL330; addresses without a register read as 0
 
 # Values of a new servo of every model.
 _DEFAULTS: Mapping[Register, int] = {
@@ -81,8 +79,7 @@ _DEFAULTS_OF_MODEL: Mapping[str, Mapping[Register, int]] = {
 # The Koch's supplies: 12 V for the XL430, 5 V for the XL330.
 SUPPLY_V: Mapping[str, float] = {"xl430-w250": 12.0, "xl330-m288": 5.0}
 
-# Registers of the XL330 alone.
-_CURRENT_REGISTERS = frozenset({Register.CURRENT_LIMIT, Register.GOAL_CURRENT})
+_CURRENT_REGISTERS = frozenset({Register.CURRENT_LIMIT, Register.GOAL_CURRENT})  # registers of the XL330 alone
 
 # "Goal values", which are read-only while the watchdog has stopped the servo.
 _GOALS = frozenset({Register.GOAL_PWM, Register.GOAL_CURRENT, Register.GOAL_POSITION})
@@ -101,14 +98,9 @@ _RAM = tuple(
 ANSWERS_ALL = 2
 _ANSWERED_FROM: Mapping[int, int] = {INST_PING: 0, INST_READ: 1, INST_SYNC_READ: 1}
 
-# Furthest goal of the modes that count turns.
-MOST_EXTENDED_TICKS = 1_048_575
-
-# Gain of :class:`robot.emulator.plant.Plant` with which a servo follows with a lag of 20 ms.
-STIFFNESS = 32
-
-# An acceleration of 0 is unlimited.
-UNLIMITED_TICKS_S2 = 1e7
+MOST_EXTENDED_TICKS = 1_048_575  # furthest goal of the modes that count turns
+STIFFNESS = 32  # gain of :class:`robot.emulator.plant.Plant` with which a servo follows with a lag of 20 ms
+UNLIMITED_TICKS_S2 = 1e7  # an acceleration of 0 is unlimited
 
 # Share of the stall current that counts as overload, and the time that it must last; the e-manual states neither.
 OVERLOAD_PERMILLE = 950.0
@@ -116,8 +108,7 @@ OVERLOAD_S = 1.0
 
 MOVING_TICKS_S = 10 * TICKS_S_PER_VELOCITY_UNIT
 
-# Reboot: time without an answer.
-REBOOT_S = 0.25
+REBOOT_S = 0.25  # reboot: time without an answer
 
 # Friction in the gear carries most of a resting joint's weight; the share that is left for the motor is the one of an
 # STS3215 (:mod:`robot.emulator.feetech`).
@@ -327,7 +318,6 @@ class DynamixelServo(EmulatedServo[Register]):
         return self.plant.current_a / STALL_CURRENT_A * FULL_DUTY_PERMILLE
 
     def _follow_status(self) -> None:
-        """Show the errors until a reboot; errors in register SHUTDOWN switch torque off."""
         errors = sum(bit for flag, bit in _BITS.items() if self.protection.status & flag)
         self.memory.set(Register.HARDWARE_ERROR_STATUS, errors)
         if errors & self.value(Register.SHUTDOWN):
@@ -355,12 +345,11 @@ class DynamixelServo(EmulatedServo[Register]):
 
 _HEADER_IN_BODY = b"\xff\xff\xfd"
 
-# INST and CRC.
-_SHORTEST_LENGTH = 3
+_SHORTEST_LENGTH = 3  # INST and CRC
 
 
 class DynamixelCodec(Codec):
-    """Packets of protocol 2.0, as :mod:`robot.hardware.dynamixel.packets` describes them."""
+    """Packets of protocol 2.0, as :mod:`robot.hardware.dynamixel.family` describes them."""
 
     header = HEADER
     word_bytes = 2

@@ -1,7 +1,4 @@
-"""Emulated Feetech STS3215: its registers, how they drive the motor and protect it, its packets, and an arm of it.
-
-Registers and their units follow Feetech's STS3215 memory table V3.6, packets its SCS/STS protocol manual.
-"""
+"""Emulated Feetech STS3215, and an arm of it (memory table V3.6 and SCS/STS protocol manual)."""
 
 from __future__ import annotations
 
@@ -18,11 +15,10 @@ from robot.emulator.arm import EmulatedArm, start_pose_rad
 from robot.emulator.plant import NO_LOAD_TICKS_S, Drive, Plant
 from robot.emulator.populations import FACTORY, POPULATIONS, SUPPLY_V, Population
 from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
-from robot.emulator.servo_bus import Codec, Instruction
-from robot.emulator.write_log import WriteLog
+from robot.emulator.servo_bus import Codec, Instruction, WriteLog
 from robot.hardware.config import EmulatedConfig
+from robot.hardware.feetech.bus import HEADER, LENGTH_OVERHEAD, checksum
 from robot.hardware.feetech.family import Feetech
-from robot.hardware.feetech.packets import HEADER, LENGTH_OVERHEAD, checksum
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     MODELS,
@@ -35,8 +31,7 @@ from robot.hardware.feetech.registers import (
 from robot.hardware.interface import StatusFlag
 from robot.messages import GuardLimits
 
-# The last documented address is 86; addresses beyond it read as zero.
-MEMORY_BYTES = 87
+MEMORY_BYTES = 87  # the last documented address is 86; addresses beyond it read as zero
 
 # Values of a new servo; angle limits and id are the arm's.
 FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
@@ -72,8 +67,7 @@ MAX_ACCELERATION = 254
 # Register PHASE, bit 4: the position counts on beyond one turn of the encoder, instead of beginning again.
 PHASE_MULTI_TURN = 0x10
 
-# Register MOVING is 0 for a slower joint.
-STANDSTILL_TICKS_S = 3.0
+STANDSTILL_TICKS_S = 3.0  # Register MOVING is 0 for a slower joint
 
 # This value in register TORQUE_ENABLE makes the present position the middle; torque stays as it was.
 TORQUE_ENABLE_MAKES_MIDDLE = 128
@@ -82,8 +76,7 @@ MIDDLE_TICKS = 2048
 PERMILLE_PER_PERCENT = 10
 PROTECTION_TIME_UNIT_S = 0.01
 
-# Factory value of register 38, which is not emulated.
-OVERCURRENT_TIME_S = 2.0
+OVERCURRENT_TIME_S = 2.0  # factory value of register 38, which is not emulated
 
 # Far less than the stall torque of 1.62 Nm suggests: friction in the gear carries most of a resting joint's weight.
 # With lerobot's gain the droop is then 14 ticks (1.2 deg) at a stretched shoulder, and 24 with 1.5 kg at 10 cm, where
@@ -108,10 +101,7 @@ _WRITABLE = frozenset(range(Register.ID, MEMORY_BYTES)) - {
 
 
 class FeetechServo(EmulatedServo[Register]):
-    """STS3215 on the bus, from power-up on.
-
-    The EPROM that it is given has the registers that differ from a new servo's.
-    """
+    """STS3215 on the bus, from power-up on; its EPROM is given where it differs from a new servo's."""
 
     table = TABLE
     memory_bytes = MEMORY_BYTES
@@ -147,10 +137,7 @@ class FeetechServo(EmulatedServo[Register]):
             self.hold()
 
     def write(self, address: int, data: bytes) -> int:
-        """Write memory as an instruction does.
-
-        Read-only bytes keep their value. EPROM changes act at once, but outlive a power cut only while LOCK is 0.
-        """
+        """Write memory, except read-only bytes; EPROM changes outlive a power cut only while LOCK is 0."""
         present = self.memory.read(address, len(data))
         # Goals are written a hundred times a second, also while the arm rests.
         if data == present:
@@ -180,10 +167,7 @@ class FeetechServo(EmulatedServo[Register]):
         return code in (INST_PING, INST_READ) or self.value(Register.RESPONSE_LEVEL) != 0
 
     def maintain(self, code: int) -> bool:
-        """Carry out an instruction of the factory's tools.
-
-        The arm's joints turn less than once: INST_RESET has no count of turns to clear.
-        """
+        """Carry out an instruction of the factory's tools; INST_RESET finds no count of turns to clear."""
         if code in _MAINTENANCE:
             _MAINTENANCE[code](self)
         return code in _MAINTENANCE
@@ -351,11 +335,7 @@ def emulated_feetech_arm(
 def build_servos(
     calibration: Calibration, start_rad: Sequence[float], population: Population = FACTORY, *, as_read: bool = False
 ) -> list[FeetechServo]:
-    """Build the arm's servos at a pose [rad]; the calibrated ranges are the joints' mechanical stops.
-
-    ``as_read`` is True for the pose that the calibration makes of the servos' readings, which may have another zero.
-    Raises ValueError for another number of joints, and for a pose outside the ranges.
-    """
+    """Build an arm's servos at a pose [rad], as true or as read; raises ValueError for a pose outside the ranges."""
     if len(start_rad) != len(calibration.joints):
         raise ValueError(f"the start pose needs {len(calibration.joints)} positions, not {len(start_rad)}")
     return [

@@ -5,19 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-# STS3215 C001 without load at 6 V: 0.238 s per 60 deg.
-NO_LOAD_TICKS_S = 2867.0
+NO_LOAD_TICKS_S = 2867.0  # STS3215 C001 without load at 6 V: 0.238 s per 60 deg
 
 STALL_CURRENT_A = 2.4
 
-# Fast enough for the stiffest position gain to stay stable.
-SUBSTEP_S = 0.002
-
-# A process that was suspended does not catch up.
-MAX_STEP_S = 0.1
-
-# A slower joint counts as at rest: this is a tick in a quarter of an hour.
-REST_TICKS_S = 1e-3
+SUBSTEP_S = 0.002  # fast enough for the stiffest position gain to stay stable
+MAX_STEP_S = 0.1  # a process that was suspended does not catch up
+REST_TICKS_S = 1e-3  # a slower joint counts as at rest: this is a tick in a quarter of an hour
 
 # Duty that a position error of one tick calls for, per unit of the P gain: the factory's gain of 32 follows
 # with a lag of 20 ms and stalls at 5 deg, lerobot's 16 with twice that.
@@ -29,8 +23,7 @@ DROOP_TICKS_S_PER_PERMILLE = 0.08
 # A hand turns a free joint with ease: a push like half the motor's torque makes a turn in four seconds.
 PUSH_TICKS_S_PER_PERMILLE = 2.0
 
-# Speed of a joint moved by hand, 130 deg/s.
-HAND_TICKS_S = 1500.0
+HAND_TICKS_S = 1500.0  # speed of a joint moved by hand, 130 deg/s
 
 AMBIENT_C = 32.0
 

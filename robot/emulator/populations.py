@@ -18,10 +18,7 @@ SUPPLY_12_V = 12.0
 
 @dataclass(frozen=True)
 class Population:
-    """State of an arm's servos before a program finds them.
-
-    A tuple has one value for each joint in turn, and begins again behind its last.
-    """
+    """State of an arm's servos before a program finds them; tuples have a value for each joint in turn, cyclically."""
 
     # EPROM of each servo, where it differs from a new one's.
     registers: Mapping[Register, int] = field(default_factory=dict)

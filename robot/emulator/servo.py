@@ -1,8 +1,4 @@
-"""Emulated servo, alike in every family: memory, plant, heat and protection. Pure: time is passed in.
-
-A family adds a table of registers, and the rules by which they are written and drive the motor
-(:mod:`robot.emulator.feetech`, :mod:`robot.emulator.dynamixel`).
-"""
+"""Emulated servo, alike in every family: memory, plant, heat and protection. Pure: time is passed in."""
 
 from __future__ import annotations
 
@@ -13,12 +9,11 @@ from typing import Generic
 
 from robot.emulator.plant import Drive, Motor, Plant
 from robot.hardware.interface import StatusFlag
-from robot.hardware.servos.registers import RegisterT, RegisterTable
+from robot.hardware.servos.bus import RegisterT, RegisterTable
 
 FULL_DUTY_PERMILLE = 1000.0
 
-# Unit of the registers of return delay in both families' memory tables.
-RETURN_DELAY_UNIT_S = 2e-6
+RETURN_DELAY_UNIT_S = 2e-6  # unit of the registers of return delay in both families' memory tables
 
 
 class Memory(Generic[RegisterT]):
@@ -256,10 +251,7 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         return self.memory.value(register)
 
     def hold(self, torque_share: float | None = None) -> None:
-        """Hold the present position, as an arm process leaves a servo.
-
-        The torque share limits the motor's duty; None for the present limit.
-        """
+        """Hold the present position, as an arm process leaves a servo, at a share of full duty; None for its limit."""
         if torque_share is not None:
             self.memory.set(self.torque_limit, round(torque_share * self.full_torque))
         self.memory.set(self.table.goal_position, self.present_ticks)
@@ -313,7 +305,6 @@ class EmulatedServo(ABC, Generic[RegisterT]):
 
     @property
     def _load_permille(self) -> float:
-        """Load that counts for the overload timer [0.1 %]."""
         return self.plant.duty_permille
 
     def _follow_registers(self) -> None:
@@ -324,7 +315,6 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         self._follow_drive()
 
     def _follow_write(self, address: int) -> None:
-        """Bring everything that depends on the registers from an address on up to date."""
         if address < self.table.torque_enable:
             self._follow_registers()
         else:
@@ -336,5 +326,4 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         self._measured_at = ()
 
     def _follow_status(self) -> None:
-        """Let errors that came or went act on registers and drive."""
         self._follow_registers()

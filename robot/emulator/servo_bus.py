@@ -1,4 +1,4 @@
-"""Emulated servo bus, alike in every family: instructions, the servos' replies, and time and losses on the wire.
+"""Emulated servo bus, alike in every family: instructions, replies, losses on the wire, and the log of every write.
 
 A :class:`ServoBus` takes the host's bytes and returns the replies; a family's :class:`Codec` parses and builds packets.
 Both families use the same codes of instructions (SDKs ``scservo_sdk`` and ``dynamixel_sdk``).
@@ -6,11 +6,16 @@ Both families use the same codes of instructions (SDKs ``scservo_sdk`` and ``dyn
 
 from __future__ import annotations
 
+import json
+import random
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 from scservo_sdk import (
@@ -24,10 +29,126 @@ from scservo_sdk import (
     INST_WRITE,
 )
 
-from robot.emulator.faults import Faults
 from robot.emulator.servo import EmulatedServo
-from robot.emulator.write_log import WriteLog
 from robot.hardware.port import BITS_PER_BYTE, wire_time_s
+
+_NAMES: Mapping[int, str] = MappingProxyType(
+    {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
+)
+
+
+class WriteLog:
+    """Log file with one JSON line for each write instruction or live command, flushed at once.
+
+    A line has the times of the bus and of the machine's monotonic clock [s]; the instruction with the first address and
+    the bytes by servo id, and the registers wholly written, or the live command; and of every servo, after the write,
+    positions [ticks], torque limits [0.1 %] and error bits (register STATUS). Raises OSError for a file that cannot be
+    written.
+    """
+
+    def __init__(self, path: Path, *, append: bool = False) -> None:
+        self._file = path.open("a" if append else "w", buffering=1)
+
+    def record_write(
+        self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[EmulatedServo[Any]]
+    ) -> None:
+        """Append the line of a write."""
+        memory = servos[0].memory
+        what = {
+            "instruction": _NAMES[code],
+            "address": address,
+            "data": {servo_id: list(values) for servo_id, values in data.items()},
+            "registers": {
+                servo_id: {register.name: value for register, value in memory.decode_block(address, values).items()}
+                for servo_id, values in data.items()
+            },
+        }
+        self._append(now_s, what, servos)
+
+    def record_command(self, now_s: float, command: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
+        """Append the line of a live command."""
+        self._append(now_s, {"instruction": "command", "address": None, "data": {}, "command": command}, servos)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _append(self, now_s: float, what: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
+        line = {
+            "t": now_s,
+            "machine_t": time.monotonic(),
+            **what,
+            "present": {servo.servo_id: servo.present_ticks for servo in servos},
+            "torque": {servo.servo_id: servo.named("TORQUE_ENABLE") for servo in servos},
+            "goal": {servo.servo_id: servo.named("GOAL_POSITION") for servo in servos},
+            "limit": {servo.servo_id: servo.torque_limit_permille for servo in servos},
+            "status": {servo.servo_id: servo.error for servo in servos},
+        }
+        self._file.write(json.dumps(line) + "\n")
+
+
+DELAY_S = 0.02  # longer than the host waits for a reply: a delayed one arrives after the next instruction
+
+MAX_NOISE_BYTES = 8
+
+SERVO_IDS = range(0xFD)  # ids that a servo can have
+
+
+@dataclass
+class Faults:
+    """Probabilities of faults, and servos off the bus; may be changed while the bus runs."""
+
+    drop: float = 0.0  # probability that a reply is lost
+    corrupt: float = 0.0  # probability that one byte of a reply is wrong
+    wrong_id: float = 0.0  # probability that a reply bears another id
+    truncate: float = 0.0  # probability that a reply is cut short
+    duplicate: float = 0.0  # probability that a reply comes twice
+    noise: float = 0.0  # probability that noise comes before a reply
+    delay: float = 0.0  # probability that a reply, and those behind it, are held up
+    lose_instruction: float = 0.0  # probability that no servo hears an instruction
+    delay_s: float = DELAY_S  # delay of a delayed reply [s]
+    offline: set[int] = field(default_factory=set)  # ids of servos that neither receive nor reply
+    # True if a sync read ends at the first servo that does not reply, as some firmware reportedly does; otherwise
+    # those behind it reply in its slot.
+    stall_behind_missing: bool = False
+    random: random.Random = field(default_factory=lambda: random.Random(0))  # noqa: S311 - repeatable faults, no secret
+
+    def loses_instruction(self) -> bool:
+        """Draw; return True when an instruction is lost."""
+        return self._happens(self.lose_instruction)
+
+    def hold_up_s(self) -> float:
+        """Draw the delay of a reply [s]."""
+        return self.delay_s if self._happens(self.delay) else 0.0
+
+    def id_of_reply(self, servo_id: int) -> int:
+        """Draw the id that a servo's reply bears."""
+        if not self._happens(self.wrong_id):
+            return servo_id
+        return self.random.choice([other for other in SERVO_IDS if other != servo_id])
+
+    def apply(self, packet: bytes) -> bytes:
+        """Apply the other faults of replies to one; return the bytes that arrive."""
+        if self._happens(self.drop):
+            return b""
+        if self._happens(self.corrupt):
+            packet = self._with_wrong_byte(packet)
+        if self._happens(self.truncate):
+            packet = packet[: self.random.randrange(1, len(packet))]
+        if self._happens(self.duplicate):
+            packet += packet
+        if self._happens(self.noise):
+            packet = self.random.randbytes(self.random.randint(1, MAX_NOISE_BYTES)) + packet
+        return packet
+
+    def _happens(self, probability: float) -> bool:
+        return probability > 0.0 and self.random.random() < probability
+
+    def _with_wrong_byte(self, packet: bytes) -> bytes:
+        at = self.random.randrange(len(packet))
+        wrong = packet[at] ^ self.random.randrange(1, 256)
+        return packet[:at] + bytes([wrong]) + packet[at + 1 :]
+
 
 S = TypeVar("S", bound=EmulatedServo[Any])
 
@@ -39,8 +160,7 @@ PARTIAL_PACKET_S = 0.005
 # A byte on the wire is a start bit, which is low, eight bits and a stop bit; all but the last one inverted.
 _INVERTED = 0x1FF
 
-# Time from the end of the packet before to the start of a reply.
-TURNAROUND_S = 20e-6
+TURNAROUND_S = 20e-6  # time from the end of the packet before to the start of a reply
 
 
 @dataclass(frozen=True)
@@ -265,7 +385,6 @@ class ServoBus(Generic[S]):
                 break
 
     def _words(self, parameters: bytes) -> list[int]:
-        """Return addresses and lengths among the parameters."""
         size = self._codec.word_bytes
         return [int.from_bytes(parameters[at : at + size], "little") for at in range(0, len(parameters), size)]
 
@@ -321,7 +440,6 @@ def _sync_write(hearers: Sequence[S], address: int, length: int, blocks: bytes, 
 
 
 def _write(servo: EmulatedServo[Any], address: int, data: bytes, written: Written) -> int:
-    """Write memory of a servo, and note that if it takes the bytes; return the number of the error, 0 for none."""
     error = servo.write(address, data)
     if not error:
         written.setdefault(address, {})[servo.servo_id] = data

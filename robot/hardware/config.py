@@ -14,19 +14,14 @@ from robot.hardware.feetech.profiles import ServoProfile
 
 @dataclass(frozen=True)
 class _ServosConfig:
-    """Servos of an arm."""
-
     calibration: Calibration  # servos of the joints, in the order of every array
 
     def joint_names(self, _robot: RobotModel) -> tuple[str, ...]:
-        """Return the joints that have a servo."""
         return tuple(joint.joint for joint in self.calibration.joints)
 
 
 @dataclass(frozen=True)
 class _SerialConfig(_ServosConfig):
-    """Servos on a serial port."""
-
     simulated: ClassVar[bool] = False
 
     port: str  # serial device, ``socket://host:port``, USB id or ``auto``
@@ -38,8 +33,6 @@ class _SerialConfig(_ServosConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class _SimulatedConfig:
-    """Joints of a simulation."""
-
     simulated: ClassVar[bool] = True
 
     # Joint -> position at the start [rad]; joints not named start at 0, or at the limit nearest to it.
@@ -116,5 +109,4 @@ class IdealConfig(_SimulatedConfig):
 HardwareConfig: TypeAlias = FeetechConfig | EmulatedConfig | DynamixelConfig | EmulatedDynamixelConfig | IdealConfig
 """Hardware interface of an arm: servos of Feetech or Dynamixel, on a serial port or emulated, and the ideal arm."""
 
-# Names of their ports.
-SIMULATED_PORTS = frozenset({_EmulatedBusConfig.port, IdealConfig.port})
+SIMULATED_PORTS = frozenset({_EmulatedBusConfig.port, IdealConfig.port})  # names of their ports

@@ -18,8 +18,7 @@ from robot.hardware.config import IdealConfig
 from robot.hardware.interface import Actuation, Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.trajectory import Vector
 
-# Duration of relaxing, so that a client sees the same sequence of states as with servos [s].
-RELAX_S = 0.5
+RELAX_S = 0.5  # duration of relaxing, so that a client sees the same sequence of states as with servos [s]
 
 
 class IdealArm(HardwareInterface):
@@ -49,7 +48,6 @@ class IdealArm(HardwareInterface):
         self._no_status = np.zeros(joints, dtype=int)
 
     def open(self) -> HardwareInterface:
-        """Open the arm, which is always there."""
         return self
 
     def survey(self) -> Steps[Survey]:
@@ -65,7 +63,6 @@ class IdealArm(HardwareInterface):
         )
 
     def read(self) -> Measured | None:
-        """Advance the joints to the present, and read them."""
         self._advance(self._clock())
         return Measured(
             position_rad=self._position_rad,

@@ -21,11 +21,10 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from robot.advice import ServoWarning
 from robot.calibration import Calibration
 from robot.description.limits import JointBounds
 from robot.errors import OrderRefused
-from robot.faults import Fault
+from robot.faults import Fault, ServoWarning
 from robot.trajectory import Vector
 
 Result = TypeVar("Result")
@@ -33,8 +32,7 @@ Steps: TypeAlias = Generator[float, None, Result]
 
 Flags: TypeAlias = NDArray[np.bool_]
 
-# Round trips of the last second at 100 Hz.
-ROUND_TRIPS_KEPT = 100
+ROUND_TRIPS_KEPT = 100  # round trips of the last second at 100 Hz
 
 CALIBRATION_NOT_KEPT = "a calibration is written into Feetech servos only, and this arm has others"
 
@@ -164,10 +162,7 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def check(self, stamp_s: float) -> Fault | None:
-        """Check one joint's actuator, in turn, against what was written to it; None when it agrees or none is due.
-
-        The fault has the wall-clock time ``stamp_s`` [s since the epoch].
-        """
+        """Check one actuator, in turn, against what was written to it; None when it agrees or none is due."""
 
     @abstractmethod
     def driven(self) -> Steps[Flags]:
@@ -184,17 +179,11 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def relax(self, torque_share: Vector) -> Steps[list[str]]:
-        """Lower the torque from some shares on, shape (joints,), then switch it off and verify that.
-
-        Return the labels of joints that may still be driven.
-        """
+        """Lower torque from shares, shape (joints,), and switch it off; return labels of joints perhaps driven."""
 
     @abstractmethod
     def switch_off(self, joints: Sequence[int] | None = None) -> Steps[list[str]]:
-        """Switch torque off at some indices, or everywhere, and verify that.
-
-        Return the labels of joints that may still be driven.
-        """
+        """Switch torque off at some indices, or everywhere; return labels of joints that may still be driven."""
 
     @abstractmethod
     def cut_torque(self) -> Steps[list[str]]:
@@ -202,17 +191,10 @@ class HardwareInterface(ABC):
 
     @abstractmethod
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
-        """Clear the status flags of :attr:`latched_status` at some indices, where the joints are.
-
-        Return the goals of all joints, shape (joints,) [rad]; None when nothing holds. Raises StartupError.
-        """
+        """Clear latched status flags where joints are; return all goals, shape (joints,) [rad], None if none holds."""
 
     def write_calibration(self, calibration: Calibration) -> Steps[str]:  # noqa: ARG002 - for those who can
-        """Write a calibration into the actuators, whose torque is off; positions keep the old one until a restart.
-
-        Return a sentence on what was written. Raises OrderRefused for actuators without a calibration, and
-        StartupError.
-        """
+        """Write a calibration into relaxed actuators; return a sentence. Raises OrderRefused or StartupError."""
         yield 0.0
         raise OrderRefused(CALIBRATION_NOT_KEPT)
 
@@ -230,10 +212,7 @@ class HardwareInterface(ABC):
 
 
 def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
-    """Run a sequence to its end and return its result, on hardware without a control loop, as the command line does.
-
-    Exceptions of the sequence propagate; ``wait`` waits for a time [s].
-    """
+    """Run a sequence on hardware without a control loop, and return its result; ``wait`` waits for a time [s]."""
     while True:
         try:
             wait_s = next(steps)

@@ -1,5 +1,8 @@
 """Serial port of the servo bus, by name, USB id or ``auto``; every operation ends in bounded time.
 
+A USB id names the board's serial chip, not the board: chips of the boards that servo arms are sold with come first;
+chips that a few servo boards share with other devices are taken only where no board of the first class is plugged in.
+
 ``scservo_sdk`` writes its packets through a ``PortHandler``. Its own never discards stale input, may share the device
 with another process, has no write timeout and stays locked after an exception; :class:`SerialPort` does better. Replies
 are read without the SDK, by :meth:`SerialPort.receive`.
@@ -18,32 +21,152 @@ import select
 import termios
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import serial
 from scservo_sdk import PortHandler
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
-from robot.hardware.boards import find_board, find_usb_id
+
+# Device names that do not depend on the order in which boards were plugged in: of the device (vendor, product and its
+# serial number), and of the socket it is plugged into.
+NAMES_BY_DEVICE = Path("/dev/serial/by-id")
+NAMES_BY_SOCKET = Path("/dev/serial/by-path")
+
+# Files by which the places are known where a USB device does not appear by being plugged in.
+KERNEL_RELEASE = Path("/proc/sys/kernel/osrelease")
+BOARD_MODEL = Path("/proc/device-tree/model")
+CONTAINER_MARKS = (Path("/.dockerenv"), Path("/run/.containerenv"))
+
+UsbId = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Board:
+    """Kind of board that leads to a servo bus."""
+
+    usb_id: UsbId  # vendor and product id of its serial chip
+    name: str  # chip and boards, for the reader
+    certain: bool  # False for a chip that many devices other than servo boards have
+
+
+# In order of certainty. Sources: the ids that public SO-101 projects list (phosphobot's so100.py and the constants of
+# OpenCastor's so_arm101). The last three are the usual ids of chips that the makers name; no arm was seen behind them.
+KNOWN_BOARDS = (
+    Board((0x1A86, 0x55D3), "CH343: Waveshare Bus Servo Adapter A, Seeed and Feetech boards", certain=True),
+    Board((0x1A86, 0x7523), "CH340: Feetech FE-URT-1", certain=True),
+    Board((0x0483, 0x5740), "STM32: servo boards with a virtual COM port", certain=False),
+    Board((0x303A, 0x1001), "ESP32-C3 or -S3: Seeed XIAO Bus Servo Adapter", certain=False),
+    Board((0x10C4, 0xEA60), "CP210x: Waveshare Servo Driver with ESP32", certain=False),
+    Board((0x0403, 0x6014), "FT232H: ROBOTIS U2D2", certain=False),
+)
+
+
+def find_board() -> str:
+    """Return the device of the one known board that is plugged in; raises PortError for none and for several."""
+    plugged_in = usb_ports()
+    for certain in (True, False):
+        usb_ids = {board.usb_id for board in KNOWN_BOARDS if board.certain is certain}
+        found = [info for info in plugged_in if (info.vid, info.pid) in usb_ids]
+        if found:
+            return _only("auto", found)
+    raise PortError("auto", f"found no known servo board: {_explain_missing(plugged_in)}")
+
+
+def find_usb_id(usb_id: UsbId) -> str:
+    """Return the one device with a USB id; raises PortError for none and for several."""
+    plugged_in = usb_ports()
+    found = [info for info in plugged_in if (info.vid, info.pid) == usb_id]
+    name = usb_id_text(usb_id)
+    if not found:
+        raise PortError(name, f"is the USB id of no serial device here: {_explain_missing(plugged_in)}")
+    return _only(name, found)
+
+
+def usb_ports() -> list[ListPortInfo]:
+    """Return the serial devices on USB, by name."""
+    return sorted((info for info in list_ports.comports() if info.vid is not None), key=lambda info: info.device)
+
+
+def usb_id_text(usb_id: UsbId) -> str:
+    """Return a USB id as ``lsusb`` prints it."""
+    return f"{usb_id[0]:04x}:{usb_id[1]:04x}"
+
+
+def _only(port: str, found: Sequence[ListPortInfo]) -> str:
+    if len(found) == 1:
+        return _stable_name(found[0])
+    boards = " and ".join(f"{_stable_name(info)} ({_describe(info)})" for info in found)
+    raise PortError(
+        port, f"could be any of {len(found)} boards: {boards}; name one, as in --serial {_stable_name(found[0])}"
+    )
+
+
+def _describe(info: ListPortInfo) -> str:
+    number = f"USB serial number {info.serial_number}" if info.serial_number else "no USB serial number"
+    return f"{usb_id_text((info.vid, info.pid))}, {number}"
+
+
+def _stable_name(info: ListPortInfo) -> str:
+    """Return the stable link to a device, or the device itself without one.
+
+    Boards without a serial number, as those with a CH340, all have the same name by device: the link leads to the one
+    that was plugged in last.
+    """
+    folders = (NAMES_BY_DEVICE, NAMES_BY_SOCKET) if info.serial_number else (NAMES_BY_SOCKET, NAMES_BY_DEVICE)
+    device = os.path.realpath(info.device)
+    for folder in folders:
+        if folder.is_dir():
+            for link in sorted(folder.iterdir()):
+                if os.path.realpath(link) == device:
+                    return str(link)
+    return str(info.device)
+
+
+def _explain_missing(plugged_in: Sequence[ListPortInfo]) -> str:
+    if plugged_in:
+        others = ", ".join(
+            f"{info.device} ({usb_id_text((info.vid, info.pid))}, {info.product or 'without a name'})"
+            for info in plugged_in
+        )
+        first = usb_id_text((plugged_in[0].vid, plugged_in[0].pid))
+        return f"plugged in is {others}; if that leads to the servos, name it, as in --serial {first}"
+    return f"no USB serial device is plugged in. {_advice_here()}"
+
+
+def _advice_here() -> str:
+    if "microsoft" in _text(KERNEL_RELEASE).lower():
+        return "WSL 2 sees a USB device once Windows hands it over: usbipd attach --wsl --busid BUSID"
+    if any(mark.exists() for mark in CONTAINER_MARKS):
+        return "A container sees the devices that it was started with: docker run --device /dev/ttyACM0"
+    if _text(BOARD_MODEL).startswith("Raspberry Pi"):
+        return "A board on the pins of a Raspberry Pi is not found by USB: --serial /dev/serial0"
+    return "Plug the board in with a cable that carries data, not power alone"
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(errors="replace")
+    except OSError:
+        return ""
+
 
 AUTO = "auto"
 
-# Start bit, eight data bits and stop bit.
-BITS_PER_BYTE = 10
+BITS_PER_BYTE = 10  # start bit, eight data bits and stop bit
 
 _USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
 WRITE_TIMEOUT_S = 0.1
 
-# Timeout of a read from a port without a file descriptor.
-BLOCKING_READ_S = 0.004
-
-# More than any burst of replies: six telemetry blocks have 126 bytes.
-READ_BYTES = 4096
-
-# Bound on clearing the input of a device that sends faster than it is read.
-MAX_CLEARING_READS = 16
+BLOCKING_READ_S = 0.004  # timeout of a read from a port without a file descriptor
+READ_BYTES = 4096  # more than any burst of replies: six telemetry blocks have 126 bytes
+MAX_CLEARING_READS = 16  # bound on clearing the input of a device that sends faster than it is read
 
 # Latency of replies through the host's own serial port (USB frames, scheduling) and through a network. Behind a pseudo
 # terminal is a program, which replies when it gets its turn: on two cores, half of them taken by a virtual machine's
@@ -60,8 +183,7 @@ TERMINAL_QUIET_S = 0.1
 # Pseudo terminals are not claimed: their other end would keep the claim of a process that has died.
 PSEUDO_TERMINALS = "/dev/pts/"
 
-# Errors of an unplugged adapter; ``termios.error`` is not an OSError.
-DEVICE_ERRORS = (OSError, termios.error)
+DEVICE_ERRORS = (OSError, termios.error)  # errors of an unplugged adapter; ``termios.error`` is not an OSError
 
 _NOT_FOUND = frozenset({errno.ENOENT, errno.ENXIO, errno.ENODEV})
 _PERMISSION = frozenset({errno.EACCES, errno.EPERM})
@@ -69,10 +191,7 @@ _BUSY = frozenset({errno.EBUSY, errno.EAGAIN})
 
 
 class BusPort(Protocol):
-    """Port of a servo bus, as :class:`robot.hardware.servos.bus.ServoBus` and the makers' SDKs use it.
-
-    Every method may raise PortLost when the port is gone.
-    """
+    """Port of a servo bus, as the bus and the makers' SDKs use it; every method may raise PortLost."""
 
     port_name: str  # name in errors
     baudrate: int  # bits per second
@@ -100,10 +219,7 @@ def wire_time_s(byte_count: int, baudrate: int) -> float:
 
 
 def resolve_port(port: str) -> str:
-    """Find the device to open: a path or URL unchanged, or the board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``.
-
-    Raises PortError for no such board, and for several.
-    """
+    """Find the device: a path or URL as it stands, or the one board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``."""
     if port == AUTO:
         return find_board()
     if usb_id := _USB_ID.fullmatch(port):
@@ -246,10 +362,7 @@ def _refusal(port: str, code: int | None, reason: str) -> PortError:
 
 
 def _owning_group(port: str) -> str:
-    """Return the group that may open a device, its number if it has no name here.
-
-    A device of root alone, or without an answer, gets Debian's group, which udev rules give it.
-    """
+    """Return the group that may open a device, or its number; Debian's group for a device of root alone."""
     try:
         number = os.stat(port).st_gid  # noqa: PTH116 - a port may be a URL
     except OSError:

@@ -48,11 +48,7 @@ MAX_ADDRESSES = 10_000
 
 
 class Tokens:
-    """Table of the tokens and their owners.
-
-    Args:
-        anonymous: identity of clients without a token; None when they may do nothing.
-    """
+    """Table of the tokens and their owners; ``anonymous`` are clients without, None when they may do nothing."""
 
     def __init__(self, tokens: dict[str, Identity], anonymous: Identity | None) -> None:
         # By digest: all have one length, so that a comparison shows nothing about a token's length.
@@ -62,11 +58,7 @@ class Tokens:
 
     @classmethod
     def from_settings(cls, settings: AccessSettings) -> Tokens:
-        """Read the settings, and the file that they name.
-
-        Raises:
-            ConfigurationError: the file cannot be used, a token has two owners, or nobody could connect.
-        """
+        """Read the settings, and the file that they name, or raise ConfigurationError."""
         found: dict[str, Identity] = {}
         sources = [settings] if settings.token_file is None else [settings, _read(settings.token_file)]
         for token, identity in (each for source in sources for each in _identities(source)):
@@ -99,11 +91,7 @@ class RosauthVerifier:
         self._seen: OrderedDict[str, float] = OrderedDict()
 
     def identify(self, proof: Auth, now_s: float) -> Identity | str:
-        """Return the owner of the token that a proof was made with, or a sentence why the proof does not count.
-
-        Args:
-            proof: operation with the fields of rosauth's ``authenticate``; its level does not count.
-        """
+        """Return the owner of the token that a proof was made with, or a sentence why the proof does not count."""
         if abs(now_s - proof.t) > GOOD_FOR_S:
             return f"field t: the proof was made {now_s - proof.t:+.0f} s ago by this server's clock, the limit is 5"
         if now_s > proof.end:
@@ -139,10 +127,7 @@ class AuthThrottle:
         self._wrong: OrderedDict[str, tuple[set[int], float]] = OrderedDict()
 
     def record_failure(self, address: str, shown: object) -> None:
-        """Count a wrong token or proof from an address; the same one again is no further guess.
-
-        A page or program with an old token tries it for ever, and must not lock its neighbours out.
-        """
+        """Count a wrong token from an address; the same one again, as of an old page, is no further guess."""
         key = client_key(address)
         wrong, until_s = self._known(key)
         wrong.add(hash(shown))

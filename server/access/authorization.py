@@ -208,10 +208,7 @@ class Authorizer:
         return self.name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
 
     def _rule_of_publishing(self, name: str) -> Rule:
-        """Return the rule of a topic; a topic that would stop nothing has the rule of any other topic.
-
-        A topic that stops exists, with its type: else a client that may only look could make topics, of any type.
-        """
+        """Return the rule of a topic; one that would stop nothing has the rule of any other topic."""
         rule = rule_of_topic(name, self._graph)
         if not rule.stops:
             return rule
@@ -252,13 +249,9 @@ NO_ARMS: Mapping[str, Callable[[], RunningGoal | None]] = MappingProxyType({})
 
 
 class Access:
-    """Authentication and authorization as the settings describe them.
+    """Authentication and authorization as the settings describe them, or ConfigurationError.
 
-    Args:
-        arms: by the name of each of several arms, what returns the goal that is worked on there.
-
-    Raises:
-        ConfigurationError: the tokens cannot be used.
+    ``busy`` returns the goal in progress, ``arms`` that of each of several arms by its name.
     """
 
     def __init__(

@@ -78,13 +78,7 @@ class CertificateFiles:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of :func:`ensure_certificate`.
-
-    Attributes:
-        fingerprint: of the authority, SHA-256 as phones show it.
-        made_authority: True when the authority is new, so that phones do not know it yet.
-        reason: reason for a new certificate; empty when the old one stays.
-    """
+    """Outcome of :func:`ensure_certificate`; ``reason`` is empty when the old certificate stays."""
 
     names: Sequence[str]
     ends: datetime
@@ -101,11 +95,7 @@ class _Pair:
 
 
 def ensure_certificate(files: CertificateFiles, names: Iterable[str], now: datetime | None = None) -> Outcome:
-    """Make the server's certificate, and the authority before it; leave good ones alone.
-
-    Raises:
-        ConfigurationError: a name is no host name and no address, or the files cannot be used.
-    """
+    """Make the server's certificate, and the authority before it, unless they are good; raises ConfigurationError."""
     now = datetime.now(UTC) if now is None else now
     wanted = [str(each) for each in dict.fromkeys(_checked(name) for name in names)]
     if not 1 <= len(wanted) <= MAX_NAMES:

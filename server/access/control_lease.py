@@ -36,15 +36,9 @@ BEAT_S = 1.0
 
 
 class ControlLease:
-    """Control of the arm by one client at a time.
-
-    Args:
-        idle_s: time without a request of the holder after which the arm is free for others [s].
-        namespace: of the services of one of several arms, as in /left.
-        several: True for control of all of several arms together.
+    """Control of the arm by one client at a time; ``several`` means all of several arms together.
 
     Attributes:
-        title: the words for the arm, or the arms, in sentences.
         watchers: called whenever :meth:`sentence` is another one.
         excluded_by: leases that nobody else may hold when a client takes this one: the lease of all arms and the
             lease of each arm exclude each other.
@@ -131,10 +125,7 @@ class ControlLease:
         return 0.0 if self.holder is None else max(0.0, now_s - self._heard_s)
 
     def free_in_s(self, now_s: float) -> float:
-        """Return the time until the arm is free if its holder requests nothing more [s], at a monotonic time [s].
-
-        A goal that does not move yet, and those that wait behind it, make it longer.
-        """
+        """Return the time until the arm is free if its holder requests nothing more and no goal waits [s]."""
         goal = self._busy()
         if goal is not None:
             return self._idle_limit_s + (goal.remaining_s or 0.0)

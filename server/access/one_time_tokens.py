@@ -56,11 +56,7 @@ class OneTimeTokens:
         self._count = 0
 
     def issue(self, asker: Identity | None, role: str) -> str:
-        """Return a new token.
-
-        Raises:
-            OneTimeTokenError: there is no such role, or it is above the asker's.
-        """
+        """Return a new token, or raise OneTimeTokenError for an unknown role or one above the asker's."""
         wanted = _ROLES.get(role or DEFAULT_ROLE)
         if wanted is None:
             raise OneTimeTokenError(f"field role: must be {', '.join(_ROLES)}, not {role[:40]!r}")
@@ -109,11 +105,7 @@ class OneTimeTokens:
 
 
 class OneTimeTokenService:
-    """Service that issues one-time tokens, with the addresses of the page for other machines.
-
-    Args:
-        tokens: the server's tokens; without any, nobody needs a token.
-    """
+    """Service that issues one-time tokens, with the addresses of the page for other machines."""
 
     def __init__(
         self,

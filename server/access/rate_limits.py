@@ -13,11 +13,7 @@ REMEMBERED = 1024
 
 
 class RateLimiter:
-    """Token bucket: a burst at once, and a rate in the long run.
-
-    Args:
-        per_s: rate in the long run [1/s]; 0 for no more than the burst, ever.
-    """
+    """Token bucket: a burst at once, and a rate in the long run [1/s]."""
 
     # Every client has some of them.
     __slots__ = ("_counted_s", "_left", "burst", "per_s")

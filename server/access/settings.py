@@ -87,11 +87,7 @@ def check_tokens(tokens: Mapping[str, str]) -> None:
 
 
 def check_token(token: str, whose: str = "") -> None:
-    """Check a token against the limits.
-
-    Raises:
-        ValueError: it is no good; the text never has it.
-    """
+    """Check a token against the limits, or raise ValueError, whose text never has it."""
     if not MIN_TOKEN_CHARACTERS <= len(token) <= MAX_TOKEN_CHARACTERS:
         raise ValueError(
             f"{whose}must have {MIN_TOKEN_CHARACTERS} to {MAX_TOKEN_CHARACTERS} characters, not {len(token)}"

@@ -12,8 +12,15 @@ from typing import Any
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
 from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
-from robot.commissioning.scan import BAUDRATES, ScanResult, ServoRegisters, explain_missing, scan
-from robot.commissioning.timing import measure_cycles, measure_reads
+from robot.commissioning.scan import (
+    BAUDRATES,
+    ScanResult,
+    ServoRegisters,
+    explain_missing,
+    measure_cycles,
+    measure_reads,
+    scan,
+)
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.dynamixel.family import Dynamixel
@@ -23,8 +30,7 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end, status_names
 from robot.hardware.port import resolve_port
 from robot.hardware.servos.bus import ServoBus, read_registers
-from robot.hardware.servos.family import Limit, ServoFamily
-from robot.hardware.servos.servo_map import full_torque
+from robot.hardware.servos.family import Limit, ServoFamily, full_torque
 from robot.hardware.servos.torque import LOWER_S, relax, write_limits
 from robot.messages import GuardLimits
 from server.commands.options import (
@@ -271,7 +277,6 @@ def relax_arm(
 def _look(
     family: ServoFamily, bus: ServoBus, servos: Sequence[ServoSpec]
 ) -> tuple[dict[int, Limit], dict[int, Limit], list[int]]:
-    """Return present and full torque limits of the servos that hold, by id, and the servos that do not answer."""
     present: dict[int, Limit] = {}
     full: dict[int, Limit] = {}
     silent, arm = [], Calibration.nominal(servos)

@@ -17,7 +17,7 @@ from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.calibration import differences, write_to_servos
+from robot.hardware.feetech.family import differences, write_to_servos
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Difference
@@ -134,7 +134,6 @@ class _Conversation:
         self._yes = yes
 
     def run(self) -> ExitCode:
-        """Ask, until the calibration is written."""
         session, terminal = self._session, self._terminal
         while (step := session.step) is not None:
             if step.name == WRITE and session.calibration is not None:
@@ -181,7 +180,6 @@ class _Conversation:
         self._terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
 
     def _write(self) -> None:
-        """Write the calibration to the servos if they are to have it, and to its file."""
         session, terminal = self._session, self._terminal
         calibration = session.calibration
         if calibration is None:

@@ -24,8 +24,8 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         "camera",
         _publish,
         "publish a camera's images on a running server",
-        "Publish the images of a camera as sensor_msgs/CompressedImage on a running server, which records"
-        " them like everything else (docs/datasets.md). Images that a slow network cannot take are dropped. It connects"
+        "Publish the images of a camera as sensor_msgs/CompressedImage on a running server, which records them"
+        " like everything else (docs/recording.md). Images that a slow network cannot take are dropped. It connects"
         " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], except for the device test.",
     )
     parser.add_argument(
@@ -54,8 +54,7 @@ def add_camera_parser(subparsers: Subparsers) -> None:
 
 def _publish(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.datasets.camera import open_source
-    from server.datasets.camera_client import CameraOptions, publish_camera
+    from server.datasets.camera import CameraOptions, open_source, publish_camera
     from server.publishing_client import PublishedTopic
 
     token = read_token(options)

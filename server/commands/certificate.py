@@ -68,8 +68,7 @@ def add_certificate_parser(subparsers: Subparsers) -> None:
 def _certificate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.certificates import CertificateFiles, ensure_certificate
-    from server.access.host_addresses import host_addresses
-    from server.gateway.admission import own_names
+    from server.gateway.admission import host_addresses, own_names
     from server.moveit.named_states import data_directory
 
     directory = options.directory or data_directory(os.environ) / "tls"

@@ -89,11 +89,7 @@ def add_token_file(parser: argparse.ArgumentParser, tokens: str) -> None:
 
 
 def read_token(options: argparse.Namespace) -> str | None:
-    """Read the token that a client shows, if it has one.
-
-    Raises:
-        ConfigurationError: the file cannot be read.
-    """
+    """Read the token that a client shows, if it has one."""
     file: Path | None = options.token_file
     try:
         return os.environ.get(TOKEN_VARIABLE) if file is None else file.read_text().strip()
@@ -162,11 +158,7 @@ def read_calibration(options: argparse.Namespace) -> Calibration | None:
 
 
 def load_calibration(name: str, hardware: HardwareTable) -> Calibration:
-    """Read the calibration of this name or path.
-
-    Raises:
-        ConfigurationError: it is missing or cannot be used.
-    """
+    """Read the calibration of this name or path."""
     try:
         return Calibration.load(find_calibration(name, hardware.calibrations, os.environ), hardware.servos)
     except CalibrationError as error:
@@ -249,11 +241,7 @@ def _add_options_of_settings(parser: argparse.ArgumentParser, options: Iterable[
 
 
 def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]]:
-    """The settings that file, environment and options make, and who has set which.
-
-    Raises:
-        ConfigurationError: a file that cannot be read, or a value that is unknown or out of range, named by its key.
-    """
+    """Return the settings of file, environment and options, and who has set which, or raise ConfigurationError."""
     return load_with_sources(options.config, overrides(options))
 
 
@@ -290,7 +278,6 @@ def _put(values: dict[str, Any], path: list[str], value: Any) -> None:
 
 
 def _key(text: str) -> str:
-    """Return the key of a text that should be an assignment; the rest may be secret."""
     return re.split(r"[^\w.]", text, maxsplit=1)[0]
 
 

@@ -83,8 +83,7 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
     """Collect the report."""
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.authentication import Tokens
-    from server.monitoring.report import Redactor, Report, add_faults, add_machine, add_settings
-    from server.monitoring.running_server import RunningServer
+    from server.monitoring.report import Redactor, Report, RunningServer, add_faults, add_machine, add_settings
     from server.moveit.named_states import data_directory
 
     problems = []
@@ -124,7 +123,6 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
 
 
 def _secrets(settings: Settings) -> Iterator[str]:
-    """Yield the tokens in settings and environment, even if the settings contradict each other."""
     access = settings.access
     tables = access.admin_tokens, access.operate_tokens, access.propose_tokens, access.view_tokens
     for token in (access.token, *(token for table in tables for token in table.values())):
@@ -136,7 +134,6 @@ def _secrets(settings: Settings) -> Iterator[str]:
 
 
 def _strongest(tokens: dict[str, Identity]) -> str | None:
-    """Return the token with most rights; None without any."""
     return max(tokens, key=lambda token: tokens[token].role, default=None)
 
 

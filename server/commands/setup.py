@@ -10,20 +10,23 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from robot.commissioning.register_backup import BackupFile, SavedServo, match_saved, read_backup
 from robot.commissioning.scan import BAUDRATES, FACTORY_ID
 from robot.commissioning.setup import (
     BAUDRATE,
     NO_ANSWER,
+    BackupFile,
     Change,
     FoundServo,
+    SavedServo,
     ServoLine,
     changes_back,
     changes_for,
     check_model,
     choose_profile,
     look,
+    match_saved,
     needs_writing,
+    read_backup,
     search,
     supply_complaint,
     write,
@@ -94,17 +97,20 @@ def _set_up(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 @dataclass(frozen=True)
 class _Work:
-    """Servo of a joint, and the registers to be written to it."""
-
     joint: str
     servo: FoundServo
     changes: tuple[Change, ...]
 
     @property
     def saved(self) -> SavedServo:
-        """Its registers before that."""
         new_id = next((change.wanted for change in self.changes if change.register is Register.ID), self.servo.servo_id)
-        return SavedServo(self.joint, self.servo.servo_id, new_id, self.servo.baudrate, self.servo.registers)
+        return SavedServo(
+            joint=self.joint,
+            servo_id=self.servo.servo_id,
+            new_id=new_id,
+            baudrate=self.servo.baudrate,
+            registers=dict(self.servo.registers),
+        )
 
 
 class _Visit:

@@ -27,14 +27,7 @@ class ServerLost(RobotError):  # noqa: N818 - named by the fact
 
 
 def verify(url: str, token: str | None, terminal: Terminal, arm: str = "") -> ExitCode:
-    """Have a server verify its arm.
-
-    Args:
-        arm: name of one of several arms; empty for a lone arm.
-
-    Raises:
-        ServerLost: the server cannot be reached, refuses, or has left.
-    """
+    """Have a server verify its arm, by name of one of several; raises ServerLost."""
     try:
         with connect(url, open_timeout=ANSWER_TIMEOUT_S, max_size=None) as websocket:
             return VerificationClient(websocket, terminal, arm).run(token)
@@ -95,7 +88,6 @@ class VerificationClient:
         return ExitCode.PROBLEMS if findings else ExitCode.DONE
 
     def _show(self) -> None:
-        """Print what the server says, with the distances measured so far."""
         answers = self._state.get("answers", [])
         measured = [
             (each["joint"], f"{math.degrees(abs(each['droop_rad'])):.1f}")

@@ -1,12 +1,16 @@
-"""Cameras: devices and video files by OpenCV, a test pattern, and the thread that keeps their newest image."""
+"""Cameras: devices and video files by OpenCV, a test pattern, and the client that publishes their newest images."""
 
 from __future__ import annotations
 
+import asyncio
+import base64
+import contextlib
 import importlib
 import io
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -15,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from server.errors import ServerError
+from server.publishing_client import Connection, PublishedTopic, PublishingClient, run_until_signal
 
 TEST_DEVICE = "test"
 TEST_WIDTH, TEST_HEIGHT = 640, 480
@@ -40,23 +45,14 @@ class CameraError(ServerError):
 
 
 class Captured(NamedTuple):
-    """Image of a camera.
-
-    Attributes:
-        pixels: red, green and blue, shape (height, width, 3).
-    """
+    """Image of a camera, red, green and blue of shape (height, width, 3)."""
 
     stamp_ns: int
     pixels: Pixels
 
 
 class ImageSource(Protocol):
-    """Something that gives images.
-
-    Attributes:
-        paced: True if it gives them at its own rate, False if the reader has to wait between them.
-        finite: True if it ends of itself, as a file does.
-    """
+    """Source of images, ``paced`` if it gives them at its own rate, ``finite`` if it ends of itself."""
 
     paced: bool
     finite: bool
@@ -97,11 +93,7 @@ class TestPattern:
 
 
 class OpenCvSource:
-    """Camera or video file that OpenCV reads.
-
-    Raises:
-        CameraError: OpenCV is not installed, or cannot open the device.
-    """
+    """Camera or video file that OpenCV reads, or CameraError."""
 
     def __init__(self, device: str, width: int | None) -> None:
         try:
@@ -144,12 +136,7 @@ def even(pixels: int) -> int:
 
 
 def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
-    """Return an image as JPEG, with even width and height.
-
-    Args:
-        pixels: shape (height, width, 3).
-        quality: of JPEG, 1 to 95.
-    """
+    """Return an image of shape (height, width, 3) as JPEG of a quality from 1 to 95, with even width and height."""
     image = Image.fromarray(pixels)
     if width is not None and width != image.width:
         image = image.resize((width, max(2, round(image.height * width / image.width))))
@@ -161,12 +148,7 @@ def to_jpeg(pixels: Pixels, width: int | None, quality: int) -> bytes:
 
 
 class NewestImage:
-    """Thread that reads a camera and keeps its newest image alone: a late reader gets no old ones.
-
-    Args:
-        period_s: time between two images of a source that is not paced [s].
-        arrived: called, in the thread, after each image and at the end.
-    """
+    """Thread that reads a camera and keeps its newest image alone, and calls ``arrived`` after each and at the end."""
 
     def __init__(
         self,
@@ -220,3 +202,96 @@ class NewestImage:
             self._source.close()
             self._ended.set()
             self._arrived()
+
+
+IMAGE_TYPE = "sensor_msgs/CompressedImage"
+
+# A server that does not take an image within this time has left without a word.
+TAKEN_TIMEOUT_S = 10.0
+
+# A camera that is silent is looked at again so often.
+LOOK_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Rate, size and JPEG quality of a camera's images; None keeps the camera's width."""
+
+    fps: float
+    width: int | None
+    quality: int
+    frame_id: str = ""
+
+
+class CameraClient(PublishingClient):
+    """Client that publishes a camera's images, each when the server has taken the last: a slow network gets fewer."""
+
+    def __init__(
+        self, target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
+    ) -> None:
+        super().__init__(target, IMAGE_TYPE, tell)
+        self._options = options
+        self._arrived = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        self.images = NewestImage(source, 1.0 / options.fps, lambda: _wake(loop, self._arrived))
+
+    @property
+    def ended(self) -> bool:
+        """True once the camera has no more images."""
+        return self.images.ended
+
+    async def run(self) -> None:
+        """Publish the images of the camera; comes back when they end."""
+        self.images.start()
+        try:
+            await self.keep_connected()
+        finally:
+            await asyncio.to_thread(self.images.close)
+
+    async def publish(self, connection: Connection) -> None:
+        """Publish images, one after the other."""
+        options, loop = self._options, asyncio.get_running_loop()
+        due_s = loop.time()
+        while True:
+            await asyncio.sleep(due_s - loop.time())
+            self._arrived.clear()
+            # In this order: the last image comes before the end.
+            ended, captured = self.ended, self.images.take()
+            if captured is None:
+                if ended:
+                    return
+                # Not wait_for: Python 3.11's loses a cancellation that comes together with what it waits for.
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(LOOK_PERIOD_S):
+                        await self._arrived.wait()
+                continue
+            due_s = max(due_s + 1.0 / options.fps, loop.time())
+            jpeg = await asyncio.to_thread(to_jpeg, captured.pixels, options.width, options.quality)
+            async with asyncio.timeout(TAKEN_TIMEOUT_S):
+                await self.send(connection, _message(captured, jpeg, options.frame_id))
+                await (await connection.ping())
+            self.published += 1
+
+
+def _wake(loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
+    """Set an event of a loop from another thread, unless the loop has ended."""
+    with contextlib.suppress(RuntimeError):
+        loop.call_soon_threadsafe(event.set)
+
+
+def _message(captured: Captured, jpeg: bytes, frame_id: str) -> dict[str, Any]:
+    sec, nanosec = divmod(captured.stamp_ns, 1_000_000_000)
+    return {
+        "header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id},
+        "format": "jpeg",
+        "data": base64.b64encode(jpeg).decode(),
+    }
+
+
+async def publish_camera(
+    target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
+) -> tuple[int, bool]:
+    """Publish a camera's images until they end or a signal; return their number, and True for a signal."""
+    client = CameraClient(target, options, source, tell)
+    by_signal = await run_until_signal(client.run())
+    return client.published, by_signal

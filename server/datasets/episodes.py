@@ -22,11 +22,7 @@ MAX_TASK_CHARACTERS = 300
 
 @dataclass(frozen=True)
 class Mark:
-    """Mark of an episode.
-
-    Attributes:
-        task: what the arm is to do, of a start; empty when none was named.
-    """
+    """Mark of an episode; the task of a start may be empty."""
 
     kind: Kind
     task: str = ""
@@ -47,11 +43,7 @@ class Episode:
 
 
 def parse_mark(text: str) -> Mark:
-    """Read a mark.
-
-    Raises:
-        ValueError: it is no such mark, or the task is too long.
-    """
+    """Read a mark, or raise ValueError."""
     kind, _, rest = text.strip().partition(" ")
     task = " ".join(rest.split())
     if kind == START:
@@ -62,11 +54,7 @@ def parse_mark(text: str) -> Mark:
 
 
 def checked_task(task: str) -> str:
-    """Return a task in one line.
-
-    Raises:
-        ValueError: it is too long.
-    """
+    """Return a task in one line, or raise ValueError if it is too long."""
     task = " ".join(task.split())
     if len(task) > MAX_TASK_CHARACTERS:
         raise ValueError(f"task: must have at most {MAX_TASK_CHARACTERS} characters, not {len(task)}")
@@ -75,12 +63,7 @@ def checked_task(task: str) -> str:
 
 @dataclass
 class EpisodeMarks:
-    """State between marks: the episode in progress, and those that have ended.
-
-    Attributes:
-        open: the episode in progress, which ends where it starts until a mark ends it; None between episodes.
-        ended: episodes that were not discarded, oldest first.
-    """
+    """State between marks: the ``open`` episode, None between episodes, and the ``ended`` ones that are kept."""
 
     open: Episode | None = None
     ended: list[Episode] = field(default_factory=list)
@@ -123,11 +106,7 @@ class EpisodeMarks:
 
 
 def episodes_of(marks: Iterable[tuple[float, str]], start_s: float, end_s: float) -> tuple[list[Episode], list[str]]:
-    """Return the episodes of a recording, and sentences about marks that do not fit.
-
-    Args:
-        start_s: beginning of the recording, which is one episode when it has no marks [s].
-    """
+    """Return the episodes of a recording, one without marks, and sentences about marks that do not fit."""
     state, marked = EpisodeMarks(), False
     for at_s, text in marks:
         marked = True

@@ -18,6 +18,7 @@ from protocol.registry import Registry
 from server.datasets import lerobot
 from server.datasets.episodes import MAX_GAP_S, Episode, checked_task, episodes_of
 from server.datasets.frames import Frames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
+from server.datasets.lerobot import ImageStatistics, VideoError, VideoWriter, decode
 from server.datasets.samples import (
     CONTROLLER_STATE,
     IMAGE,
@@ -33,8 +34,6 @@ from server.datasets.samples import (
     series,
     times_s,
 )
-from server.datasets.statistics import ImageStatistics
-from server.datasets.video import VideoError, VideoWriter, decode
 from server.errors import ServerError
 
 # The end of an image topic's name says how it is sent, not which camera it is.
@@ -52,12 +51,7 @@ class ExportError(ServerError):
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Options of an export.
-
-    Attributes:
-        action_topic: topic of the actions; None for the leader's, else the controllers' states, else the next state,
-            for each episode the first that it has.
-    """
+    """Options of an export; actions are the topic's, else, an episode, the leader's, controllers' or the next state."""
 
     recordings: Sequence[Path]
     output: Path
@@ -89,13 +83,7 @@ class _Source:
 
 
 def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
-    """Write a dataset of recordings.
-
-    Raises:
-        ExportError: the recordings make no dataset, or an extra is not installed.
-        RecordingError: a recording cannot be read.
-        OSError: the dataset cannot be written.
-    """
+    """Write a dataset of recordings; raises ExportError, RecordingError and OSError."""
     _check(options)
     problems: list[str] = []
     joints: tuple[str, ...] = ()
@@ -141,7 +129,6 @@ def _check(options: ExportOptions) -> None:
 
 
 def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
-    """Return a recording with its episodes; omissions are added to the problems."""
     path = samples.path
     states_s, states = series(samples.joints[STATE_TOPIC], joints)
     if not states_s.size:
@@ -241,7 +228,6 @@ def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: 
 
 
 def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:
-    """Return the times of a camera's images in the order of the file [s], not decreasing."""
     return np.maximum.accumulate(times_s([log_s for log_s, _ in images], [stamp_s for _, stamp_s in images]))
 
 
@@ -277,7 +263,6 @@ def _write_videos(
 def _add_images(
     source: _Source, writers: dict[str, VideoWriter], statistics: dict[str, list[ImageStatistics]], registry: Registry
 ) -> None:
-    """Append the images of a recording's episodes to the videos; one image at a time is in memory."""
     keys = {topic: key for key, topic in source.cameras.items()}
     # Camera -> image -> episodes that show it, each with the number of its frames.
     shown: dict[str, dict[int, list[tuple[int, int]]]] = {key: {} for key in writers}

@@ -25,14 +25,7 @@ class LeftOutError(Exception):
 
 @dataclass(frozen=True)
 class Tracks:
-    """Everything of a recording that becomes frames, by time.
-
-    Attributes:
-        state_times_s: times of the states [s], increasing.
-        states: positions of the joints, shape (n, joints).
-        action_times_s: times of the actions [s], increasing; None for the next state as the action.
-        image_times_s: camera -> times of its images [s], not decreasing.
-    """
+    """Tracks of a recording by time [s]: positions (n, joints), actions, None for the next state, and images."""
 
     state_times_s: Times
     states: Positions
@@ -49,12 +42,7 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of an episode.
-
-    Attributes:
-        states: positions of the joints, shape (frames, joints).
-        images: camera -> index of the image of each frame, not decreasing, shape (frames,).
-    """
+    """Frames of an episode: positions of shape (frames, joints), and by camera the index of each frame's image."""
 
     task: str
     start_s: float
@@ -119,12 +107,7 @@ def is_gripper(joint: str) -> bool:
 def in_lerobot_units(
     positions: Positions, joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
 ) -> Positions:
-    """Return positions in degrees, and positions of grippers in percent of their range.
-
-    Args:
-        positions: shape (n, joints) [rad].
-        limits: lower and upper end of the range, of the grippers at least [rad].
-    """
+    """Return positions of shape (n, joints) [rad] in degrees, and grippers in percent of their limits [rad]."""
     columns = [
         gripper_percent(column, limits[name]) if is_gripper(name) else np.degrees(column)
         for name, column in zip(joints, positions.T, strict=True)
@@ -133,10 +116,7 @@ def in_lerobot_units(
 
 
 def _begun(name: str, times: Times, episode: Episode, max_gap_s: float) -> float:
-    """Return the time in the episode from which on there is something.
-
-    A sample from before the episode counts unless a gap follows it: some topics are silent between episodes.
-    """
+    """Return the time in the episode from which there is something; a sample before it counts without a gap."""
     after = int(np.searchsorted(times, episode.start_s - TIME_TOLERANCE_S))
     following_s = float(times[after]) if after < times.size else episode.end_s
     if after > 0 and following_s - times[after - 1] <= max_gap_s:

@@ -7,18 +7,152 @@ each kind; readers find them by the indices and times in ``meta/episodes``.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
 
 from server.datasets.frames import Frames
-from server.datasets.statistics import ImageStatistics, Statistics, statistics_of
-from server.datasets.video import CODEC, PIXEL_FORMAT
+
+CODEC, PIXEL_FORMAT = "h264", "yuv420p"
+
+# A key frame every other frame, as lerobot does: training reads single frames at random.
+ENCODER_OPTIONS = {"g": "2", "crf": "23", "preset": "veryfast"}
+
+# Larger ones are damage, or no camera's.
+MAX_SIDE_PIXELS = 8192
+
+
+class VideoError(Exception):
+    """Images that make no video; the text is one sentence."""
+
+
+def decode(data: bytes) -> NDArray[np.uint8]:
+    """Return a compressed image as its pixels, shape (height, width, 3), or raise VideoError."""
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            if max(image.size) > MAX_SIDE_PIXELS:
+                raise VideoError(f"an image must have at most {MAX_SIDE_PIXELS} pixels a side, not {max(image.size)}")
+            return np.asarray(image.convert("RGB"))
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
+        raise VideoError(f"an image cannot be read: {error}") from error
+
+
+class VideoWriter:
+    """MP4 file that is being written; ``shape`` is (height, width), zeros before the first frame."""
+
+    def __init__(self, path: Path, fps: int) -> None:
+        # Imported when it is needed: an extra of those who export videos.
+        import av
+
+        self.shape = (0, 0)
+        self.frames = 0
+        self._fps = fps
+        self._make_frame = av.VideoFrame.from_ndarray
+        path.parent.mkdir(parents=True)
+        self._container = av.open(str(path), "w")
+        stream: Any = self._container.add_stream(CODEC, rate=fps, options=dict(ENCODER_OPTIONS))
+        self._stream = stream
+        self._stream.pix_fmt = PIXEL_FORMAT
+        self._stream.time_base = Fraction(1, fps)
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if kind is None and self.frames:
+            self._container.mux(self._stream.encode())
+        self._container.close()
+
+    def add(self, image: NDArray[np.uint8], times: int) -> None:
+        """Append an image of shape (height, width, 3), or raise VideoError if its size does not fit."""
+        height, width = image.shape[:2]
+        if not self.frames:
+            if height % 2 or width % 2:
+                raise VideoError(f"images must have even width and height for {PIXEL_FORMAT}, not {width}x{height}")
+            self.shape = height, width
+            self._stream.width, self._stream.height = width, height
+        if self.shape != (height, width):
+            first = f"{self.shape[1]}x{self.shape[0]}"
+            raise VideoError(f"all images must have the size of the first one, {first}, not {width}x{height}")
+        for _ in range(times):
+            frame = self._make_frame(image, format="rgb24")
+            frame.pts = self.frames
+            frame.time_base = Fraction(1, self._fps)
+            self._container.mux(self._stream.encode(frame))
+            self.frames += 1
+
+
+# Names as in lerobot's files.
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+
+# Values of a feature by the statistic's name, as lists that JSON and Parquet hold.
+Statistics: TypeAlias = dict[str, list[Any]]
+
+LEVELS = 256
+
+
+def statistics_of(values: NDArray[Any]) -> Statistics:
+    """Return the statistics of a feature of shape (frames,) or (frames, n), over its frames."""
+    columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    quantiles = np.quantile(columns, list(QUANTILES.values()), axis=0)
+    return {
+        "min": columns.min(axis=0).tolist(),
+        "max": columns.max(axis=0).tolist(),
+        "mean": columns.mean(axis=0).tolist(),
+        "std": columns.std(axis=0).tolist(),
+        "count": [len(columns)],
+        **dict(zip(QUANTILES, quantiles.tolist(), strict=True)),
+    }
+
+
+class ImageStatistics:
+    """Statistics of a camera's frames, channel by channel, from the histogram of their pixels."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self._histogram = np.zeros((3, LEVELS), dtype=np.int64)
+
+    def add(self, image: NDArray[np.uint8], times: int = 1) -> None:
+        """Add the pixels of a frame, shape (height, width, 3)."""
+        self.frames += times
+        for channel in range(3):
+            self._histogram[channel] += times * np.bincount(image[:, :, channel].ravel(), minlength=LEVELS)
+
+    def merge(self, other: ImageStatistics) -> None:
+        """Add the frames of others."""
+        self.frames += other.frames
+        self._histogram += other._histogram
+
+    def result(self) -> Statistics:
+        """Return the statistics of values 0 to 1, each of shape (3, 1, 1), as lerobot has statistics of images."""
+        levels = np.arange(LEVELS) / (LEVELS - 1)
+        pixels = self._histogram.sum(axis=1, keepdims=True)
+        shares = self._histogram / pixels
+        mean = shares @ levels
+        std = np.sqrt(np.maximum(shares @ levels**2 - mean**2, 0.0))
+        # The least level that at least this share of the pixels does not exceed.
+        reached = np.cumsum(self._histogram, axis=1) / pixels
+        seen = self._histogram > 0
+        result = {
+            "min": levels[np.argmax(seen, axis=1)],
+            "max": levels[LEVELS - 1 - np.argmax(seen[:, ::-1], axis=1)],
+            "mean": mean,
+            "std": std,
+            **{name: levels[np.argmax(reached >= share, axis=1)] for name, share in QUANTILES.items()},
+        }
+        return {**{name: values.reshape(3, 1, 1).tolist() for name, values in result.items()}, "count": [self.frames]}
+
 
 VERSION = "v3.0"
 
@@ -45,11 +179,7 @@ INDEX_COLUMNS = {
 
 @dataclass(frozen=True)
 class Camera:
-    """Video of a camera, as it was written.
-
-    Attributes:
-        statistics: of each episode's frames.
-    """
+    """Video of a camera, as it was written."""
 
     height: int
     width: int
@@ -58,12 +188,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Contents of a dataset.
-
-    Attributes:
-        episodes: frames of each episode, with states and actions in the dataset's units.
-        cameras: key of each video, such as ``observation.images.camera``, and the video.
-    """
+    """Contents of a dataset, its episodes in its units, its cameras by keys such as ``observation.images.camera``."""
 
     fps: int
     joints: Sequence[str]

@@ -44,8 +44,7 @@ NOT_RECORDED = "this server records nothing (armbridge serve --record FILE.mcap)
 class EpisodeServices:
     """Offers the services, which publish their marks on ``/dataset/episode``; clients may publish there as well.
 
-    While an episode is recorded, the arm's states come at their full rate, and the controllers tell what they command,
-    which nobody else may have asked for.
+    While an episode is recorded, it subscribes to states and commands, which nobody else may have asked for.
     """
 
     def __init__(self, graph: Graph, recording: Callable[[], bool], clock: Callable[[], float] | None = None) -> None:

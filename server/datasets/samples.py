@@ -43,11 +43,7 @@ MAX_CLOCK_ERROR_S = 0.5
 
 
 class JointSample(NamedTuple):
-    """Message with positions of joints.
-
-    Attributes:
-        stamp_s: stamp of its header [s]; 0 for none.
-    """
+    """Message with positions of joints; a stamp of 0 s is none."""
 
     log_s: float
     stamp_s: float
@@ -57,15 +53,7 @@ class JointSample(NamedTuple):
 
 @dataclass
 class Samples:
-    """Samples of a recording.
-
-    Attributes:
-        images: topic of each camera -> time of recording [s since the epoch] and stamp [s] of each image, in the order
-            of the file.
-        marks: time of recording [s since the epoch] and text of each mark of an episode.
-        limits: joint -> its limits [rad, m], where they were recorded.
-        calibrated: joint -> its calibrated range [rad], where it was recorded.
-    """
+    """Samples of a recording: images and marks by time of recording [s since the epoch], limits and ranges [rad, m]."""
 
     path: Path
     joints: dict[str, list[JointSample]] = field(default_factory=dict)
@@ -79,11 +67,7 @@ class Samples:
 
 
 def read_samples(path: Path, registry: Registry) -> Samples:
-    """Read a recording; of images only their times.
-
-    Raises:
-        RecordingError: it cannot be read, or has more samples than fit into memory.
-    """
+    """Read a recording, of images only their times; raises RecordingError."""
     samples = Samples(path)
     count = 0
     for message in messages(path):
@@ -109,7 +93,6 @@ def image_data(message: RecordedMessage, registry: Registry) -> bytes:
 
 
 def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int:
-    """Take a message; return 1 if it was a sample, else 0."""
     topic, type_name, log_s = message.topic, message.type_name, message.log_time_ns / 1e9
     is_sample = type_name in (JOINT_STATE, CONTROLLER_STATE, IMAGE)
     if not is_sample and type_name != ARM_STATE and topic not in (EPISODE_TOPIC, LIMITS_TOPIC):
@@ -153,16 +136,10 @@ def _stamp_s(values: dict[str, Any]) -> float:
 
 
 def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
-    """Return the times of a topic's messages on the axis of the recording.
+    """Return the times of a topic's messages on the axis of the recording [s].
 
-    Stamps are even where the time of recording has the jitter of a network and of an event loop. The clock of who
-    stamps may be another one: its difference, the median over the topic, is taken off.
-
-    Args:
-        stamp_s: stamps [s]; 0 for none.
-
-    Returns:
-        Times [s]; the times of recording where there are no usable stamps.
+    Stamps, 0 for none, are even where the time of recording has the jitter of a network. The clock of who stamps may be
+    another one: its difference, the median over the topic, is taken off.
     """
     logged, stamped = np.asarray(log_s, dtype=np.float64), np.asarray(stamp_s, dtype=np.float64)
     if not logged.size or np.any(stamped == 0.0):
@@ -175,11 +152,7 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
 
 
 def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:
-    """Return the messages of several topics as one sequence, each with the last known position of every joint.
-
-    Args:
-        topics: messages of each, in the order of the recording; messages with one stamp are of one moment.
-    """
+    """Return the messages of several topics as one sequence, each with the last known position of every joint."""
     known: dict[str, float] = {}
     result: list[JointSample] = []
     for sample in heapq.merge(*topics, key=lambda each: each.log_s):
@@ -195,14 +168,7 @@ def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:
 
 
 def series(samples: Sequence[JointSample], names: Sequence[str]) -> tuple[Times, Positions]:
-    """Return a topic's positions of joints, in the order of time.
-
-    Args:
-        samples: messages of the topic; those that lack a joint or a position are left out.
-
-    Returns:
-        Times [s], increasing, shape (n,); positions [rad, m], shape (n, joints).
-    """
+    """Return times [s], increasing, and positions [rad, m] of shape (n, joints); incomplete messages are left out."""
     wanted = list(names)
     columns: dict[tuple[str, ...], list[int] | None] = {}
     chosen: list[JointSample] = []

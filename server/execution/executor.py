@@ -23,7 +23,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
-from server.errors import RefusedError
+from server.errors import RefusedError, refused
 from server.execution.failures import FailedGoals, with_nearest_goal
 from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.monitors import (
@@ -279,9 +279,6 @@ class GoalExecutor:
         discarded = await self._confirmed(goal, planned) if request.confirm else None
         return discarded or await self._play(goal, planned, version)
 
-    async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
-        return await self._splice_external(goal, request) or await self._start_external(goal, request)
-
     async def _splice_external(self, goal: Goal, request: ExternalTrajectory) -> Answer | None:
         """Have a trajectory take over from the setpoints of the motion of a preempted goal; None if that is impossible.
 
@@ -308,7 +305,9 @@ class GoalExecutor:
         self._check_s = self._clock() - asked_s
         return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
 
-    async def _start_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
+    async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
+        if (answer := await self._splice_external(goal, request)) is not None:
+            return answer
         await self._until_ready(goal)
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad, self._clock(), None)
@@ -334,7 +333,7 @@ class GoalExecutor:
         check_ready(self._arm)
         if not await self._arm.end_streams(STREAMS_TIMEOUT_S):
             message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
-            raise RefusedError(PlanningFailure(MoveItErrorCode.CONTROL_FAILED, message))
+            raise refused(MoveItErrorCode.CONTROL_FAILED, message)
 
     async def _plan(self, goal: Goal, request: PlannedMotion) -> PlannedSequence:
         """Plan from where the arm holds, and again when it was moved meanwhile.
@@ -381,7 +380,6 @@ class GoalExecutor:
         asyncio.get_running_loop().call_soon(self._show, planned.performed)
 
     async def _confirmed(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
-        """Wait for the confirmation of a plan; return None when it is given."""
         if self._confirm is None:
             return None
         answer = await goal.unless_cancelled(self._confirm(goal, planned))
@@ -427,14 +425,12 @@ class GoalExecutor:
                 return await self._player.play(goal, checked, self._questions(checked), to_come_s=to_come_s)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
-        """Return the first of some motions in progress that a motion may touch; None if there is none."""
         for other in beside:
             question = meeting_question(motion, other, self._expected_rad(frozenset(motion.joint_names)))
             answer = await self._pool.ask(question, self._scene.scene)
             if isinstance(answer, PlanningFailure):
                 message = f"contact with {other.title} cannot be checked: {answer.message}"
-                failure = PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details)
-                raise RefusedError(failure)
+                raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, **answer.details)
             if answer.contact is not None:
                 log.info("waits for %s: %s", other.title, answer.contact.message)
                 return other
@@ -459,7 +455,7 @@ class GoalExecutor:
         if held_rad is None:
             # This arm is connected by now: another arm is not.
             message = "joint positions of another arm unknown: it was not connected yet"
-            raise RefusedError(PlanningFailure(MoveItErrorCode.ROBOT_STATE_STALE, message))
+            raise refused(MoveItErrorCode.ROBOT_STATE_STALE, message)
         return held_rad
 
     def _expected_rad(self, joints: Joints) -> dict[str, float]:
@@ -473,7 +469,6 @@ class GoalExecutor:
 
 
 async def _answered(attempt: Awaitable[Answer]) -> Answer:
-    """Return the answer of an attempt; a refusal on the way is the answer as well."""
     try:
         return await attempt
     except RefusedError as error:

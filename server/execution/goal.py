@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.arrival import arrival_epoch
-from server.errors import RefusedError
+from server.errors import refused
 from server.execution.motions import Joints, Motion, Performed
 from server.execution.time_limits import ExecutionDeadline
 from server.graph.node import Node
@@ -63,11 +63,13 @@ class CancelScope:
 
     Attributes:
         epoch: stop epoch in which the request arrived.
+        deadline: time limits of its motions, and the time that they have used.
         cancelled: reason of the cancellation, once there is one.
         replaced: True where another request may replace the motion without a stop; else the motion brakes.
     """
 
     epoch: int = field(default_factory=arrival_epoch, kw_only=True)
+    deadline: ExecutionDeadline = field(default_factory=ExecutionDeadline, kw_only=True)
     cancelled: asyncio.Future[str] = field(init=False, default_factory=_future)
     replaced: bool = field(init=False, default=False)
 
@@ -85,7 +87,7 @@ class CancelScope:
     def check(self, phase: str) -> None:
         """Raise RefusedError if the request was cancelled; the error's sentence ends with the phase of the work."""
         if self.reason:
-            raise RefusedError(PlanningFailure(MoveItErrorCode.PREEMPTED, f"{self.reason} {phase}"))
+            raise refused(MoveItErrorCode.PREEMPTED, f"{self.reason} {phase}")
 
     async def unless_cancelled(self, work: Coroutine[Any, Any, Result]) -> Result | None:
         """Return the result of some work; None when the request is cancelled before or meanwhile."""
@@ -153,7 +155,6 @@ class Goal(CancelScope):
     """Goal of a client.
 
     Attributes:
-        deadline: time limits of its motions, and the time that they have used.
         progress: the latest; None before the first.
         answered: its answer, once there is one.
     """
@@ -161,7 +162,6 @@ class Goal(CancelScope):
     goal_id: str
     request: GoalRequest
     report: Callable[[Progress], None] = lambda _progress: None
-    deadline: ExecutionDeadline = field(default_factory=ExecutionDeadline)
     _deferring: bool = field(init=False, default=False)
     _successor: str = field(init=False, default="")
     progress: Progress | None = field(init=False, default=None)

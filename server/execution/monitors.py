@@ -21,7 +21,7 @@ from protocol.messages import Stamp
 from robot.arm_group import AnyArm, ArmGroup, states_of
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
-from server.errors import RefusedError
+from server.errors import RefusedError, refused
 
 # Services that refusals name as the remedy.
 ENABLE, RESET_FAULT = "/arm/enable", "/arm/reset_fault"
@@ -88,9 +88,9 @@ def check_ready(arm: AnyArm) -> None:
     for name, state in states.items():
         if state.mode is Mode.DISCONNECTED:
             message = f"{title_of(name)} is not connected: {state.reason}"
-            raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, message)
+            raise refused(MoveItErrorCode.COMMUNICATION_FAILURE, message)
     if age_s > arm.state_max_age_s:
-        raise _not_ready(
+        raise refused(
             MoveItErrorCode.ROBOT_STATE_STALE,
             f"the last state of the arm is {age_s:.1f} s old (limit {arm.state_max_age_s:g} s)",
         )
@@ -102,26 +102,21 @@ def check_ready(arm: AnyArm) -> None:
 
 
 def _check_state(name: str, state: ArmState) -> None:
-    """Check that an arm of this name is ready."""
     title, prefix = title_of(name), name and f"/{name}"
     if state.fault is not None:
         message = f"{title} has a fault: {state.fault} The service that resets it is {prefix}{RESET_FAULT}."
-        raise _not_ready(MoveItErrorCode.CONTROL_FAILED, message)
+        raise refused(MoveItErrorCode.CONTROL_FAILED, message)
     if state.mode is Mode.CONNECTED or state.goal_rad is None:
         reason = state.reason or "its servos are being checked"
-        raise _not_ready(MoveItErrorCode.COMMUNICATION_FAILURE, f"{title} is not ready: {reason}")
+        raise refused(MoveItErrorCode.COMMUNICATION_FAILURE, f"{title} is not ready: {reason}")
     if state.mode is Mode.RELAXED:
         message = f"{title} is relaxed: enable it by the service {prefix}{ENABLE} first"
-        raise _not_ready(MoveItErrorCode.CONTROL_FAILED, message)
+        raise refused(MoveItErrorCode.CONTROL_FAILED, message)
 
 
 def title_of(name: str) -> str:
     """Return the words for an arm in a sentence, from its name, which is empty for a lone arm."""
     return f"the arm {name}" if name else "the arm"
-
-
-def _not_ready(code: MoveItErrorCode, message: str) -> RefusedError:
-    return RefusedError(PlanningFailure(code, message))
 
 
 log = logging.getLogger("armbridge.execution")
@@ -179,12 +174,11 @@ class SceneMonitor:
         self._checked_version = scene.version
         if isinstance(answer, PlanningFailure):
             message = f"the motion cannot be checked for contacts: {answer.message}"
-            raise RefusedError(PlanningFailure(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, answer.details))
+            raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, **answer.details)
         if answer.contact is not None:
             raise RefusedError(answer.contact)
 
     async def _ask(self, questions: Questions, scene: Scene) -> RecheckAnswer | PlanningFailure:
-        """Return the first answer that is not "free", else the last."""
         answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
         for question in questions:
             answer = await self._pool.ask(question, scene)

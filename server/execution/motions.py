@@ -26,7 +26,7 @@ from planners.problem import (
 from planners.scene import Scene
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
-from server.errors import RefusedError
+from server.errors import RefusedError, refused
 
 # Names of joints.
 Joints: TypeAlias = frozenset[str]
@@ -168,7 +168,6 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
 
 
 def _end_positions(motion: Trajectory) -> dict[str, float]:
-    """Return the positions of a motion's joints at its end [rad]."""
     return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
 
 
@@ -276,16 +275,22 @@ def splice_point_of(motion: Trajectory, path_time: PathTime, now_s: float, horiz
 
 
 def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: RobotModel) -> Trajectory:
-    """Lead a motion in from where the arm holds, when that is near its start.
-
-    Returns:
-        The motion with the way to its start before it; the motion itself when the arm holds at its start.
-    """
+    """Return a motion with the way to its start from where the arm holds, which must be near, before it."""
     held = np.array([held_rad[name] for name in motion.joint_names])
     away = np.abs(motion.positions_rad[0] - held)
     worst = int(np.argmax(away))
     if away[worst] > START_TOLERANCE_RAD:
-        raise _too_far(motion, held, worst, robot)
+        name = motion.joint_names[worst]
+        unit, start_rad, held_q = robot.joints[name].unit, float(motion.positions_rad[0, worst]), float(held[worst])
+        raise refused(
+            MoveItErrorCode.CONTROL_FAILED,
+            f"the motion starts with joint {name} at {start_rad:.4f} {unit}, but the arm holds it at {held_q:.4f}"
+            f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it again from here",
+            joint=name,
+            start_rad=start_rad,
+            held_rad=held_q,
+            tolerance_rad=START_TOLERANCE_RAD,
+        )
     if away[worst] <= SAME_START_RAD:
         return motion
     lead_s = _lead_in_s(motion.joint_names, away, robot)
@@ -300,7 +305,6 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
 
 
 def _between(motion: Trajectory, from_s: float, to_s: float) -> Trajectory:
-    """Return the part of a motion between two times; it is the same curve."""
     inside = (motion.time_s > from_s + MIN_PIECE_S) & (motion.time_s < to_s - MIN_PIECE_S)
     first, last = motion.sample(from_s), motion.sample(to_s)
     arrays = (motion.positions_rad, motion.velocities_rad_s, motion.accelerations_rad_s2)
@@ -317,20 +321,6 @@ def _lead_in_s(joint_names: tuple[str, ...], way_rad: np.ndarray, robot: RobotMo
     by_velocity = CUBIC_PEAK_VELOCITY * way_rad / velocity
     by_acceleration = np.sqrt(CUBIC_PEAK_ACCELERATION * way_rad / acceleration)
     return float(np.max(np.maximum(by_velocity, by_acceleration)))
-
-
-def _too_far(motion: Trajectory, held: np.ndarray, worst: int, robot: RobotModel) -> RefusedError:
-    name = motion.joint_names[worst]
-    unit = robot.joints[name].unit
-    start_rad, held_rad = float(motion.positions_rad[0, worst]), float(held[worst])
-    return RefusedError(
-        PlanningFailure(
-            MoveItErrorCode.CONTROL_FAILED,
-            f"the motion starts with joint {name} at {start_rad:.4f} {unit}, but the arm holds it at {held_rad:.4f}"
-            f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it again from here",
-            {"joint": name, "start_rad": start_rad, "held_rad": held_rad, "tolerance_rad": START_TOLERANCE_RAD},
-        )
-    )
 
 
 # Smaller deviations are within what a servo arm reaches anyway [m], [rad].

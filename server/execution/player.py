@@ -17,9 +17,9 @@ import numpy as np
 from planners.problem import ConcurrencyQuestion, MoveItErrorCode, RecheckQuestion
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
-from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
+from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
 from server.execution.motions import HORIZON_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
 from server.execution.time_limits import ArmClock
@@ -75,6 +75,56 @@ class OutgoingMotion:
         if self.ended.done():
             return None
         return splice_point_of(self.motion.trajectory, self.path_time, now_s, horizon_s)
+
+
+class MotionWatch:
+    """Watch over one motion of a request until it ends: brakes it after a cancellation, and counts its time.
+
+    Args:
+        gripping: True for a motion that keeps its own speed where others are paused or slowed down.
+    """
+
+    def __init__(
+        self,
+        arm: AnyArm,
+        motion: asyncio.Future[MotionEnded],
+        scope: CancelScope,
+        clock: Callable[[], float],
+        *,
+        gripping: bool = False,
+    ) -> None:
+        self._arm, self._motion, self._scope, self._gripping = arm, motion, scope, gripping
+        self._arm_clock = ArmClock(arm, clock)
+        self._awaited: tuple[asyncio.Future[Any], ...] = (motion, scope.cancelled)
+
+    @property
+    def over(self) -> bool:
+        """True once the motion has ended or its time is over."""
+        return self._motion.done() or self._scope.deadline.exceeded is not None
+
+    async def step(self, period_s: float) -> MotionProgress | None:
+        """Wait for a period, the motion's end or its cancellation; return its progress, None where it is unknown."""
+        await asyncio.wait(self._awaited, timeout=period_s, return_when=asyncio.FIRST_COMPLETED)
+        if self._scope.reason and not self._scope.replaced and len(self._awaited) > 1:
+            self._arm.stop(self._motion)
+            self._awaited = (self._motion,)
+        progress = self._arm.progress(self._motion)
+        pace = Pace() if self._gripping else self._arm.state.pace
+        if progress is not None:
+            # A motion that the speed limit slows down uses its time up as slowly.
+            pace = replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
+        self._scope.deadline.pass_time(self._arm_clock.elapsed_s(), pace)
+        return None if self._motion.done() else progress
+
+    async def end(self) -> MotionEnded:
+        """Return the end of the motion; a motion whose time is over is braked."""
+        if not self._motion.done():
+            self._arm.stop(self._motion)
+            await self._arm.wait((self._motion,), BRAKING_TIMEOUT_S)
+        if not self._motion.done():
+            message = f"{self._scope.deadline.exceeded}, and does not brake either"
+            return MotionEnded(0, Outcome.PROCESS_LOST, message)
+        return self._motion.result()
 
 
 class Player:
@@ -167,30 +217,20 @@ class Player:
         self, goal: Goal, ended: asyncio.Future[MotionEnded], motion: CheckedMotion, to_come_s: float
     ) -> Answer:
         goal.deadline.begin(motion.trajectory.duration_s)
-        arm_clock = ArmClock(self._arm, self._clock)
-        awaited: tuple[asyncio.Future[Any], ...] = (ended, goal.cancelled)
-        while not ended.done() and goal.deadline.exceeded is None:
-            await asyncio.wait(awaited, timeout=PROGRESS_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
-            if goal.reason and not ended.done():
-                if goal.replaced and self._end is None:
+        watch = MotionWatch(self._arm, ended, goal, self._clock)
+        while not watch.over:
+            progress = await watch.step(PROGRESS_PERIOD_S)
+            if goal.reason and self._end is None:
+                if goal.replaced and not ended.done():
                     return self._hand_over(goal, motion, ended)
-                if len(awaited) > 1:
-                    self._brake(Answer(MoveItErrorCode.PREEMPTED, goal.reason))
-                    awaited = (ended,)
-            progress, pace = self._arm.progress(ended), self._arm.state.pace
-            # A motion that the speed limit slows down uses its time up as slowly.
-            pace = pace if progress is None else replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
-            goal.deadline.pass_time(arm_clock.elapsed_s(), pace)
-            if not ended.done() and progress is not None:
+                self._end = Answer(MoveItErrorCode.PREEMPTED, goal.reason)
+            if progress is not None:
                 left_s = progress.remaining_s + to_come_s
                 goal.report(Progress(GoalState.EXECUTING, motion.summary, progress.fraction, left_s))
         if not ended.done():
             lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
-            self._brake(Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}"))
-            await self._arm.wait((ended,), BRAKING_TIMEOUT_S)
-        if not ended.done():
-            return Answer(CODE_OF_OUTCOME[Outcome.PROCESS_LOST], f"{goal.deadline.exceeded}, and does not brake either")
-        return self._answer(ended.result())
+            self._end = self._end or Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}")
+        return self._answer(await watch.end())
 
     def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
         path_time = self._path_time(motion.trajectory, ended)
@@ -217,7 +257,6 @@ class Player:
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:
-    """Return a sentence that names the joint, of some, that is farthest from its goal."""
     if state.goal_rad is None or state.position_rad is None:
         return "its joint positions are unknown"
     error_rad = np.abs(state.goal_rad - state.position_rad)

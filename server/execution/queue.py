@@ -9,8 +9,9 @@ import asyncio
 import contextlib
 import itertools
 import logging
+import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from planners.problem import MoveItErrorCode, PlanningFailure
@@ -38,7 +39,7 @@ class RunningGoal:
 
 
 class GoalQueue:
-    """Bounded queue before the executors.
+    """Bounded queue before the executors; where its methods have joints, None stands for all.
 
     Args:
         policy: treatment of a goal that arrives while another one of its joints is active, unless it comes with its
@@ -86,34 +87,21 @@ class GoalQueue:
                 reason = "the server is shutting down, and the arm did not come to rest in time"
                 self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, reason))
 
-    @property
-    def busy(self) -> str:
-        """Sentence that names the first active goal; empty when there is none."""
-        return next(map(_worked_on, self._active), "")
+    def busy(self, joints: Iterable[str] | None = None) -> str:
+        """Return a sentence that names the first active goal, of those that move any of some joints; empty for none."""
+        goal = next(iter(self._moving(joints)), None)
+        return "" if goal is None else f"goal {goal.goal_id} from {goal.request.source} is worked on"
 
-    def busy_with(self, joints: Iterable[str]) -> str:
-        """Return the sentence that names the active goal that moves any of some joints; empty when there is none."""
-        return next(map(_worked_on, self._moving(frozenset(joints))), "")
-
-    @property
-    def running(self) -> RunningGoal | None:
-        """The active goal that ends last, for those who wait for its end; None when there is none."""
-        return self._last_of(list(self._active))
-
-    def running_with(self, joints: Iterable[str]) -> RunningGoal | None:
-        """Return the active goal that ends last of those that move any of some joints; None when there is none."""
-        return self._last_of(self._moving(frozenset(joints)))
-
-    def _last_of(self, active: Sequence[Goal]) -> RunningGoal | None:
-        if not active:
-            return None
+    def running(self, joints: Iterable[str] | None = None) -> RunningGoal | None:
+        """Return the active goal that ends last, of those that move any of some joints; None when there is none."""
         # Before a goal moves, its end is unknown.
-        last = max(active, key=lambda goal: float("inf") if goal.remaining_s is None else goal.remaining_s)
-        return RunningGoal(last.title, last.remaining_s, len(self._waiting))
+        ends_s = {goal: math.inf if goal.remaining_s is None else goal.remaining_s for goal in self._moving(joints)}
+        last = max(ends_s, key=lambda goal: ends_s[goal], default=None)
+        return None if last is None else RunningGoal(last.title, last.remaining_s, len(self._waiting))
 
     @property
     def active_count(self) -> int:
-        """Number of goals that are worked on."""
+        """Number of active goals."""
         return len(self._active)
 
     @property
@@ -154,7 +142,8 @@ class GoalQueue:
         def report(progress: Progress) -> None:
             self._report(goal, progress)
 
-        goal = Goal(next(self._ids), request, report, ExecutionDeadline(self._executors.time_limits))
+        deadline = ExecutionDeadline(self._executors.time_limits)
+        goal = Goal(next(self._ids), request, report, deadline=deadline)
         return goal
 
     def cancel(self, goal_id: str, reason: str) -> None:
@@ -168,31 +157,22 @@ class GoalQueue:
         self._begin_soon()
 
     def cancel_all(self, reason: str, joints: Iterable[str] | None = None) -> None:
-        """Cancel the active goals and all that wait; each is answered PREEMPTED.
-
-        Args:
-            joints: only goals that move any of these; None for all goals.
-        """
-        wanted = None if joints is None else frozenset(joints)
-        self._clear(reason, wanted)
-        for goal in list(self._active) if wanted is None else self._moving(wanted):
+        """Cancel the active goals that move any of some joints, and those that wait; each is answered PREEMPTED."""
+        self._clear(reason, joints)
+        for goal in self._moving(joints):
             goal.cancel(reason)
 
     def stop(self, reason: str, joints: Iterable[str] | None = None) -> None:
-        """End the active goals and all that wait, each answered PREEMPTED, and every motion of the arm.
-
-        Args:
-            joints: of those arms alone that have any of these; None for all.
-        """
+        """Cancel as :meth:`cancel_all`, and end every motion of the arms that have any of the joints."""
         self.cancel_all(reason, joints)
         self._executors.stop(joints)
 
-    def _moving(self, joints: Joints) -> list[Goal]:
-        return [goal for goal in self._active if goal.request.joints & joints]
+    def _moving(self, joints: Iterable[str] | None) -> list[Goal]:
+        return [goal for goal in self._active if _moves(goal, joints)]
 
-    def _clear(self, reason: str, joints: Joints | None = None, *, replaced: bool = False) -> None:
-        """Answer the waiting goals that move any of some joints; None for all."""
-        cleared = [goal for goal in self._waiting if joints is None or goal.request.joints & joints]
+    def _clear(self, reason: str, joints: Iterable[str] | None, *, replaced: bool = False) -> None:
+        """Answer the waiting goals that move any of some joints."""
+        cleared = [goal for goal in self._waiting if _moves(goal, joints)]
         self._waiting = deque(goal for goal in self._waiting if goal not in cleared)
         for goal in cleared:
             goal.replaced = replaced
@@ -274,5 +254,5 @@ def _contained(goal: Goal) -> Iterator[None]:
         log.exception("goal %s from %s could not be reported", goal.goal_id, goal.request.source)
 
 
-def _worked_on(goal: Goal) -> str:
-    return f"goal {goal.goal_id} from {goal.request.source} is worked on"
+def _moves(goal: Goal, joints: Iterable[str] | None) -> bool:
+    return joints is None or not goal.request.joints.isdisjoint(joints)

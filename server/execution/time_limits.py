@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from robot.arm_group import AnyArm
 from robot.messages import Pace, PlaybackDirection
-from server.errors import RefusedError
+from server.errors import refused
 
 # A slower motion counts as paused: at this share of its speed a motion of 3 s takes a minute.
 MIN_SPEED_FACTOR = 0.05
@@ -41,7 +41,7 @@ class TimeLimits:
         if not duration_s <= self.trajectory_s:
             limit_s = self.trajectory_s
             text = f"{field} is {duration_s:.6g} s, longer than goals.max_trajectory_duration_s = {limit_s:g}{advice}"
-            raise RefusedError(PlanningFailure(code, text, {"duration_s": duration_s, "limit_s": limit_s}))
+            raise refused(code, text, duration_s=duration_s, limit_s=limit_s)
 
 
 class ArmClock:

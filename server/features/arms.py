@@ -1,4 +1,4 @@
-"""Orders to each arm, its state and its control, by its own names."""
+"""Features of each arm by its names: orders, state and control, commissioning, teaching and teleoperation."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class CommissioningOfArms(Feature):
         if isinstance(arm, ArmGroup):
             services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
             raise OrderRefused(f"one arm is calibrated or verified at a time, by the service of its name: {services}")
-        if busy := queue.busy_with(context.joints):
+        if busy := queue.busy(context.joints):
             raise OrderRefused(f"the arm is in use: {busy}")
         if procedure == "calibrate":
             if self._shared_calibration:

@@ -27,7 +27,7 @@ from server.execution.time_limits import TimeLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.monitoring.goal_counters import GoalCounters
+from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator, OneArm
@@ -151,7 +151,7 @@ class ArmContext:
     def running(self) -> RunningGoal | None:
         """Return the goal that occupies the arm or its gripper; None when there is none."""
         remaining_s = None if self.gripper is None else self.gripper.remaining_s
-        return self.goals.queue.running_with(self.joints) or (
+        return self.goals.queue.running(self.joints) or (
             None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
         )
 

@@ -33,11 +33,11 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.goals.goal_checks import GoalChecks
 from server.moveit.goals.goal_history import GoalHistory
-from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics, final_status
+from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics
 from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.saved_scene import NamedScenes, SavedScene, SceneFile, offer_named_scenes
+from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named_scenes
 from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
 from server.moveit.services.description import RobotDescription, TransformRepublisher, TransformsTopics
 from server.moveit.services.move_group_services import offer_services
@@ -72,8 +72,8 @@ class PlanningScene(Feature):
         self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
         if settings.scene.keep:
-            file = SceneFile(settings.scene.file or kept_scene_path(settings, robot))
-            self._saved = SavedScene(file, scene, graph.message_types)
+            path = settings.scene.file or kept_scene_path(settings, robot)
+            self._saved = SavedScene(path, scene, graph.message_types)
         # Beside the file of the present scene, in a folder of their own.
         folder = default_path("scenes", robot, os.environ).with_suffix("")
         offer_named_scenes(graph, NamedScenes(folder, scene, graph.message_types), planning.current)
@@ -90,7 +90,7 @@ class PlanningScene(Feature):
 
 
 class MoveGroup(Feature):
-    """Services and actions of move_group, with the description, the transforms and the named states."""
+    """Services and actions of move_group, with description, transforms, named states and the records of goals."""
 
     name = "move_group"
 
@@ -105,32 +105,12 @@ class MoveGroup(Feature):
         PlanningActions(graph, planning, goals.queue)
         ExecuteTrajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
         offer_services(graph, planning)
+        goals.listeners.append(GoalHistory(graph, planning, time.time))
 
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
             self._transforms.take_state(state)
             self._republisher.take_state(state)
-
-
-class GoalRecords(Feature):
-    """Records of the last goals, and the contacts for which they failed."""
-
-    name = "records of goals"
-
-    def __init__(self, context: ServerContext) -> None:
-        planning = context.planning
-        self._robot, self._display = planning.robot, planning.display
-        self._history = GoalHistory(context.graph, planning.robot, lambda: planning.scene_state.scene, time.time)
-        context.goals.listeners.append(self)
-
-    def on_progress(self, goal: Goal, progress: Progress) -> None:
-        """Note in which scene the goal is planned."""
-        self._history.take_progress(goal, progress)
-
-    def on_answer(self, goal: Goal, answer: Answer) -> None:
-        """Keep the record, and show the contacts."""
-        self._display.contacts_of(answer.details)
-        self._history.take_answer(goal, answer, final_status(goal, answer, self._robot))
 
 
 class ArmGoals(Feature):
@@ -245,5 +225,5 @@ def _servo_node(arm: ArmContext) -> ServoNode:
     whole = arm.served.arm
     steered = whole.part(planning_group(arm.planning.robot, "", arm.parameters).joints)
     joints = frozenset(name for name in arm.joints if whole.part((name,)) is steered)
-    busy = functools.partial(arm.goals.queue.busy_with, joints)
+    busy = functools.partial(arm.goals.queue.busy, joints)
     return ServoNode(arm.graph, arm.parameters, steered, arm.planning, busy)

@@ -9,10 +9,12 @@ and is then of one origin with the server for its browser; the name still stands
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import math
 import re
 import socket
+import struct
 import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,6 +23,7 @@ from fnmatch import fnmatchcase
 from functools import cached_property, lru_cache
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
+from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import parse_qs, unquote, urlsplit
 
@@ -36,6 +39,48 @@ from server.errors import ConfigurationError
 from server.gateway.http import HttpResponse
 from server.gateway.settings import ServerSettings
 from server.graph.permissions import ANYONE, Identity, Role
+
+# ioctl(2) of netdevice(7): the IPv4 address of an interface.
+_SIOCGIFADDR = 0x8915
+
+# proc(5): one line an address, of 32 digits, index, prefix length, scope and flags, all in hexadecimal, and the name.
+_IPV6_TABLE = Path("/proc/net/if_inet6")
+_GLOBAL_SCOPE = "00"
+_IPV6_FIELDS = 6
+
+
+def host_addresses() -> Sequence[str]:
+    """Return the addresses at which other machines may reach this one: IPv4 first, no loopback or link-local."""
+    return [*_ipv4_addresses(), *_ipv6_addresses(_read_table())]
+
+
+def _ipv4_addresses() -> list[str]:
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        for _, name in socket.if_nameindex():
+            request = struct.pack("256s", name.encode()[:15])
+            try:
+                answer = fcntl.ioctl(asked.fileno(), _SIOCGIFADDR, request)
+            except OSError:
+                # An interface without an IPv4 address.
+                continue
+            found.append(socket.inet_ntoa(answer[20:24]))
+    return [address for address in found if not address.startswith(("127.", "169.254."))]
+
+
+def _read_table() -> str:
+    try:
+        return _IPV6_TABLE.read_text()
+    except OSError:
+        # A kernel without IPv6.
+        return ""
+
+
+def _ipv6_addresses(table: str) -> list[str]:
+    lines = [line.split() for line in table.splitlines()]
+    found = [fields[0] for fields in lines if len(fields) == _IPV6_FIELDS and fields[3] == _GLOBAL_SCOPE]
+    return [str(IPv6Address(bytes.fromhex(digits))) for digits in found]
+
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -57,11 +102,7 @@ SHARE_OF_ADDRESS = 0.8
 
 
 class ConnectionSlot:
-    """Place of one connection, from its beginning to its end.
-
-    Attributes:
-        rejection: the answer that ends it; None for a connection that may stay.
-    """
+    """Place of one connection, from its beginning to its end."""
 
     __slots__ = ("_release", "address", "rejection")
 
@@ -78,8 +119,6 @@ class ConnectionSlot:
 
 
 class _Address:
-    """Connections and rate of one address."""
-
     __slots__ = ("open_count", "rate")
 
     def __init__(self, rate: RateLimiter) -> None:
@@ -88,12 +127,7 @@ class _Address:
 
 
 class ConnectionLimiter:
-    """Counter of connections.
-
-    Attributes:
-        rejected_count: connections that were one too many.
-        open_count: connections that may stay.
-    """
+    """Counter of connections."""
 
     def __init__(self, settings: ServerSettings) -> None:
         self.rejected_count = 0
@@ -118,11 +152,7 @@ class ConnectionLimiter:
         self._reduction = ", reduced to the files that the system lets the server open"
 
     def acquire(self, address: str, now_s: float) -> ConnectionSlot | None:
-        """Count a connection.
-
-        Returns:
-            Its place, to be released with the connection; None for a connection to be closed without an answer.
-        """
+        """Count a connection; return its place, to be released with it, or None to close it without an answer."""
         key = client_key(address)
         known = self._address(key)
         rejection = self._rejection(known, now_s)
@@ -208,12 +238,7 @@ _PORTS = {"http": 80, "https": 443}
 
 @dataclass(frozen=True)
 class Authority:
-    """Host and port as a header names them.
-
-    Attributes:
-        host: a name in lower case without the dot at its end, or an IP address without brackets.
-        port: TCP port; None for the scheme's.
-    """
+    """Host, a lower-case name or an IP address, and port as a header names them; None for the scheme's port."""
 
     host: str
     port: int | None = None
@@ -257,14 +282,7 @@ def matches(text: str, pattern: str) -> bool:
 
 
 class AllowedHosts:
-    """Hosts under which the server may be addressed.
-
-    Every IP address is one: no name was resolved that someone else could turn elsewhere.
-
-    Args:
-        allowed: more names, as ``access.allowed_hosts`` has them: with a port or without, ``*`` for any text.
-        own: names of this machine.
-    """
+    """Hosts under which the server may be addressed: every IP address, ``own`` names, and ``allowed`` patterns."""
 
     def __init__(self, allowed: Iterable[str] = (), own: Iterable[str] = ()) -> None:
         self._allowed = tuple(each.lower() for each in allowed)
@@ -279,34 +297,21 @@ class AllowedHosts:
 
 
 def own_names(hostname: str | None = None) -> Sequence[str]:
-    """Return the names of this machine that need no look-up: its hostname, and its name in multicast DNS.
-
-    Args:
-        hostname: None for the system's.
-    """
+    """Return the names of this machine that need no look-up: its hostname, and its name in multicast DNS."""
     name = (socket.gethostname() if hostname is None else hostname).lower()
     short = name.partition(".")[0]
     return (name, short, f"{short}.local") if short else ()
 
 
 class AllowedOrigins:
-    """Origins whose pages may connect: this machine's, the server's own, and the named ones.
-
-    Args:
-        allowed: origins, as ``access.allowed_origins`` has them: ``*`` for any text; ``null`` is the origin of a
-            page from a file or a sandbox.
-    """
+    """Origins whose pages may connect: this machine's, the server's own, and ``allowed`` patterns."""
 
     def __init__(self, allowed: Iterable[str] = ()) -> None:
         # As people copy it out of a browser, an origin ends in a slash.
         self._allowed = tuple(text for each in allowed for text in (each.lower(), each.lower().removesuffix("/")))
 
     def has(self, origin: str, host: Authority, *, encrypted: bool) -> bool:
-        """Return True for an origin whose pages may connect.
-
-        Args:
-            encrypted: True for a request over TLS.
-        """
+        """Return True for an origin whose pages may connect."""
         origin = origin.lower()
         if any(matches(origin, pattern) for pattern in self._allowed):
             return True
@@ -323,12 +328,7 @@ class AllowedOrigins:
 
 
 class HandshakeRequest(NamedTuple):
-    """Request of a client, as far as admission looks at it.
-
-    Attributes:
-        upgrade: True for the opening handshake of a WebSocket, False for a request over HTTP.
-        encrypted: True for a request over TLS.
-    """
+    """Request of a client, as far as admission looks at it."""
 
     address: str
     path: str
@@ -338,16 +338,7 @@ class HandshakeRequest(NamedTuple):
 
 
 class AdmissionPolicy:
-    """Policy of admission: checks each request before anything else is done for it.
-
-    Args:
-        tokens: tokens and their owners; None for a server without any.
-        settings: the section ``access``, with the names of the server and the origins that may connect.
-        one_time_tokens: tokens that let one connection in each; None for a server without any.
-
-    Attributes:
-        auth_throttle: throttle of guesses; also for tokens that come later than the request, by the op ``auth``.
-    """
+    """Checks each request by host, origin and token before anything else is done for it."""
 
     def __init__(
         self,
@@ -371,12 +362,7 @@ class AdmissionPolicy:
         return self._counts
 
     def check(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
-        """Check a request.
-
-        Returns:
-            The identity of its sender; None for a client that has yet to authenticate, by the op ``auth``; an answer
-            for a request that is refused.
-        """
+        """Return the identity of a sender, None before it has authenticated, or the answer that refuses it."""
         area = _first_part(request.path)
         host = self._host(request.headers)
         if isinstance(host, HttpResponse):
@@ -450,15 +436,9 @@ class AdmissionPolicy:
 
 
 def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insecure: bool) -> None:
-    """Check the addresses to listen on: an address that others can reach needs tokens, or ``access.insecure``.
+    """Refuse an address that others can reach without tokens, unless ``access.insecure`` allows it; warn of it.
 
-    An address that stays open is warned of at each start.
-
-    Args:
-        insecure: the setting ``access.insecure``.
-
-    Raises:
-        ConfigurationError: others could connect without a token, and no setting allows it.
+    Raises ConfigurationError.
     """
     reachable = next((address for address in addresses if not is_loopback(address)), None)
     if reachable is None:
@@ -489,7 +469,6 @@ def _unauthorized(sentence: str) -> HttpResponse:
 
 
 def _tokens(request: HandshakeRequest) -> set[str]:
-    """Return the tokens in a request, in its header and in its query."""
     lines = request.headers.get_all("Authorization")
     in_header = [line[len(_BEARER) :].strip() for line in lines if line[: len(_BEARER)].lower() == _BEARER]
     if "?" not in request.path:

@@ -61,8 +61,6 @@ _ROSAPI = "rosapi/"
 
 
 class _Done(NamedTuple):
-    """Acknowledgement of an operation: the field with the name of its subject, and the words that follow the name."""
-
     field: str
     words: str
 
@@ -85,12 +83,6 @@ class ClientStatus:
 
     Until its first operation is carried out, a client gets unasked errors about frames without an operation and about
     unknown topics: someone who types JSON by hand would wait for an answer in vain.
-
-    Args:
-        wake: called when there is something to send.
-
-    Attributes:
-        refused: operations that were not carried out.
     """
 
     def __init__(self, node: Node, session: Session, clock: Callable[[], float], wake: Callable[[], None]) -> None:
@@ -213,17 +205,12 @@ class MessageTranslator:
             self._session.dialect = "ros1"
 
     def to_client(self, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Translate a complete message for the client, as part of a reply.
-
-        Args:
-            type_name: canonical name of a message type or of a member of a service or action.
-            msg: the message; it is not changed.
-        """
+        """Translate a complete message for the client, as part of a reply."""
         speaks_bson, speaks_ros1 = self._session.speaks_bson, self._session.dialect == "ros1"
         if not (speaks_bson or speaks_ros1) or not self._registry.knows(type_name):
             return msg
         if speaks_bson:
-            msg = cbor.with_octets(self._registry, type_name, msg)
+            msg = cbor.packed(self._registry, type_name, msg, numbers=False)
         return dialect.to_ros1(self._registry, type_name, msg) if speaks_ros1 else msg
 
     def from_client(self, message: ReceivedMessage) -> ReceivedMessage:
@@ -233,15 +220,7 @@ class MessageTranslator:
 
 
 class ClientContext:
-    """Parts of one client that its topics, services, actions and authentication share.
-
-    Args:
-        wake: called when there is something to send.
-        send_at_once: sends a message if the socket takes it without waiting; returns True when it is sent.
-
-    Attributes:
-        left: True once the client has left; nothing is sent any more.
-    """
+    """Parts of one client that its topics, services, actions and authentication share."""
 
     __slots__ = ("clock", "graph", "left", "node", "send_at_once", "session", "status", "translator", "wake")
 
@@ -276,22 +255,15 @@ class ClientContext:
             self.wake()
 
     def send_message(self, fields: dict[str, Any], field: str, type_name: str) -> None:
-        """Send the client an operation with a message, which is never dropped.
+        """Send the client an operation with a message in ROS 2 spelling in ``field``, which is never dropped.
 
-        Args:
-            fields: the operation, its message complete in ROS 2 spelling.
-            field: the field with the message.
-            type_name: type of the message; a name that the registry does not know for values that are sent unchanged.
+        ``type_name`` is unknown to the registry for values that are sent unchanged.
         """
         if not self.left and self.session.reply(self._translated(fields, field, type_name), self.send_at_once):
             self.wake()
 
     def send_request(self, fields: dict[str, Any], type_name: str) -> bool:
-        """Send the client a call or a goal; return False when the client has no room for it.
-
-        Args:
-            fields: the operation, with the message in the field ``args``.
-        """
+        """Send the client a call or a goal with its message in ``args``; return False when there is no room for it."""
         if self.left:
             return False
         has_room = self.session.ask(self._translated(fields, "args", type_name), self.send_at_once)
@@ -300,18 +272,12 @@ class ClientContext:
         return has_room
 
     def send_feedback(self, fields: dict[str, Any], type_name: str) -> None:
-        """Send an operation that may be dropped when the client reads too slowly.
-
-        Args:
-            fields: the operation, with the message in the field ``values``.
-        """
+        """Send an operation with its message in ``values`` that may be dropped when the client reads too slowly."""
         if not self.left:
             self.session.feedback(self._translated(fields, "values", type_name), self.clock())
             self.wake()
 
     def _translated(self, fields: dict[str, Any], field: str, type_name: str) -> Mapping[str, Any] | LaterFields:
-        """Translate the message of an operation; a large one later."""
-
         def translated() -> Mapping[str, Any]:
             return {**fields, field: self.translator.to_client(type_name, fields[field])}
 

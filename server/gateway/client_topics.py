@@ -31,14 +31,7 @@ _TOPIC_WITHIN = 1024
 
 
 class StrictTopic(NamedTuple):
-    """Topic on which a client has published.
-
-    Attributes:
-        spelled: the topic as the client spells it.
-        name: its fully qualified name.
-        revision: the graph's revision when the topic was looked at.
-        reader: reads messages that are just as the topic's type declares them.
-    """
+    """Topic on which a client has published; ``reader`` holds for the graph's ``revision``."""
 
     spelled: str
     name: str
@@ -87,7 +80,6 @@ class ClientTopics:
         self._doubt_misspelt(operation, topic)
 
     def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
-        """Warn of a topic that this client alone uses, and whose name is nearly a topic's of the server."""
         if not self._client.status.hears_doubts:
             return
         if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
@@ -118,17 +110,12 @@ class ClientTopics:
             self._remember(operation.topic, topic)
 
     def _remember(self, spelled_topic: str, name: str) -> None:
-        """Try the next messages on a topic the strict way."""
         reader = self._graph.strict_reader(self._node, name)
         if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
             self._strict_topics[spelled_topic] = StrictTopic(spelled_topic, name, self._graph.revision, reader)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
-        """Read a frame with a message on a topic on which the client has published before.
-
-        Returns:
-            None for a frame that is to be read the general way.
-        """
+        """Read a message on a topic that the client has published on; None for a frame to be read the general way."""
         if not self._strict_topics:
             return None
         found = _TOPIC.search(frame, 0, _TOPIC_WITHIN)
@@ -198,7 +185,6 @@ class ClientTopics:
             self._client.wake()
 
     def _queue(self, published: PublishedMessage) -> bool:
-        """Send a message if the socket takes it at once; return True when it is queued instead."""
         try:
             return self._session.deliver(published, self._client.clock(), self._client.send_at_once)
         except ProtocolError as error:

@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 from protocol.dialect import Dialect
 from protocol.limits import Limits
-from protocol.send_budget import SendBudget
+from protocol.send_queue import SendBudget
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
-from server.gateway.client import Client
-from server.gateway.client_auth import AuthContext
+from server.gateway.client import AuthContext, Client
 from server.gateway.client_context import ClientContext
 from server.gateway.inbox import Scheduling
 from server.gateway.transport import Transport
@@ -62,16 +61,7 @@ def goals_end_with_client(query: Mapping[str, Sequence[str]], *, unless_asked: b
 
 
 class TrafficCounts(NamedTuple):
-    """Traffic of one connection, or of all of them.
-
-    Attributes:
-        received_messages: WebSocket messages received.
-        received_bytes: bytes received, with the handshake's.
-        sent_messages: WebSocket messages sent; a fragment is one.
-        sent_bytes: bytes of these messages.
-        dropped_messages: messages of topics dropped because the client read too slowly.
-        refused_operations: operations that were not carried out.
-    """
+    """Traffic of one connection, or of all; a sent fragment counts as a message."""
 
     received_messages: int = 0
     received_bytes: int = 0
@@ -82,12 +72,7 @@ class TrafficCounts(NamedTuple):
 
 
 class Connection:
-    """Connection of one client.
-
-    Args:
-        takes_goals_along: True where its goals are cancelled when it leaves, unless its URL says otherwise.
-        ros_version: generation of ROS in whose spelling it gets messages, unless its URL says otherwise.
-    """
+    """Connection of one client; its URL may override ``takes_goals_along`` and ``ros_version``."""
 
     def __init__(
         self,
@@ -201,7 +186,6 @@ class Connection:
 
     @property
     def _fields(self) -> dict[str, str]:
-        """Fields of log lines in JSON."""
         return {"client": str(self._client.node)}
 
     async def _write(self, wake: asyncio.Event) -> None:
@@ -229,7 +213,6 @@ class Connection:
                 self._expect_reading(time.monotonic())
 
     def _expect_reading(self, since_s: float) -> None:
-        """Look soon whether the client has read anything."""
         delay_s = min(self._max_delay_s, UNREAD_TIMEOUT_S) / LOOKS
         taken_bytes = self._transport.taken_bytes
         self._watch = asyncio.get_running_loop().call_later(delay_s, self._check_reading, taken_bytes, since_s)
@@ -259,7 +242,6 @@ class Connection:
         self._wake.set()
 
     def _limit_messages(self) -> None:
-        """Set the size of a message beyond which the connection is closed, before the message is read."""
         identity, limit_bytes = self._client.node.identity, self._max_message_bytes
         if identity is None:
             limit_bytes = MAX_UNKNOWN_BYTES
@@ -304,11 +286,7 @@ class Connection:
 
 
 class Traffic:
-    """Traffic of all connections, those that have ended included; it is added up when it is asked for.
-
-    Attributes:
-        connections: connections that there have ever been.
-    """
+    """Traffic of all connections, those that have ended included; it is added up when it is asked for."""
 
     def __init__(self) -> None:
         self.connections = 0

@@ -164,13 +164,7 @@ ETAG_DIGITS = 24
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """Content of a file, plain or compressed.
-
-    Attributes:
-        octets: the body of the answer.
-        etag: name of the content in this form.
-        gzipped: True for compressed octets.
-    """
+    """Content of a file, plain or compressed."""
 
     octets: bytes
     etag: str
@@ -192,11 +186,7 @@ _Key = tuple[Path, int, int, bool]
 
 
 class FileCache:
-    """Cache of files; reads them on a thread, one at a time, so that no slow disk and no large file delays the server.
-
-    Args:
-        limit_bytes: size of the cache [bytes]; the file that was asked for the longest ago is dropped first.
-    """
+    """Cache of files; reads them on a thread, one at a time: no slow disk and no large file delays the server."""
 
     def __init__(self, limit_bytes: int = CACHE_BYTES) -> None:
         self._limit_bytes = limit_bytes
@@ -205,15 +195,7 @@ class FileCache:
         self._one_at_a_time = asyncio.Lock()
 
     async def read(self, find: Callable[[], Path], *, gzipped: bool) -> StoredFile:
-        """Return a file, from the cache or the disk.
-
-        Args:
-            find: returns the path of the file; called on the thread, may raise.
-            gzipped: True for a client that takes gzip.
-
-        Raises:
-            OSError: it cannot be read.
-        """
+        """Return a file from cache or disk, or raise OSError; ``find`` returns its path, on the thread."""
         async with self._one_at_a_time:
             return await asyncio.to_thread(self._read, find, gzipped)
 
@@ -254,14 +236,9 @@ def page_is_built(directory: Path) -> bool:
 
 
 def find_page_file(directory: Path, name: str) -> Path:
-    """Return the path of a file of the page.
+    """Return the path of a file of the page, the page itself for an empty name.
 
-    Args:
-        name: path below it; empty for the page itself.
-
-    Raises:
-        ServiceError: there is none, or it is outside the directory.
-        FileTooLargeError: it is too large to be one.
+    Raises ServiceError for a file that does not exist or is outside, FileTooLargeError for a large one.
     """
     nowhere = f"{('/' + name)!r} is no file of the page"
     try:
@@ -280,11 +257,7 @@ def find_page_file(directory: Path, name: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class HttpResponse:
-    """Answer to a request.
-
-    Attributes:
-        body: body of the answer to a GET.
-    """
+    """Answer to a request."""
 
     status: HTTPStatus
     body: bytes
@@ -339,12 +312,7 @@ class HttpResponse:
 
 @dataclass(frozen=True, slots=True)
 class PostedRequest:
-    """Request with a body.
-
-    Attributes:
-        address: address and port of the client, as in ``10.0.0.5:50000``.
-        epoch: stop epoch in which the request arrived.
-    """
+    """Request with a body, the client's ``address`` as ``10.0.0.5:50000``, and the stop epoch in which it arrived."""
 
     request: Request
     body: bytes
@@ -379,14 +347,7 @@ def accepts_gzip(headers: Headers) -> bool:
 
 
 class HttpHandler:
-    """Handler of requests over HTTP.
-
-    Args:
-        robot: robot whose files are served; None for no such files.
-        page_directory: the built page; it may come, go and change while the server runs.
-        routes: further handlers, by path without its first slash; they come before the page's files.
-        post_routes: handlers of posted requests, likewise.
-    """
+    """Handler of requests over HTTP; routes, by path without its first slash, come before the page's files."""
 
     def __init__(
         self,
@@ -407,12 +368,7 @@ class HttpHandler:
         self._unread_bytes = 0
 
     async def answer(self, request: Request, send: Callable[[Response], Awaitable[None]]) -> None:
-        """Answer a request.
-
-        Args:
-            request: it does not ask for a WebSocket.
-            send: sends the response, and returns when the client has read it.
-        """
+        """Answer a request that asks for no WebSocket; ``send`` returns when the client has read the response."""
         methods = ("POST",) if _name(request.path) in self._post_routes else METHODS
         if request.method not in methods:
             text = f"{request.method[:20]} is not for this address, but {' and '.join(methods)}"
@@ -508,7 +464,6 @@ class HttpHandler:
         return HttpResponse.of_file(file, media_type(name), _ASK_AGAIN, _cors(ROBOT))
 
     def _tell(self, sentence: str) -> None:
-        """Warn once of a file that is not served; browsers ask for it again and again."""
         self._log.write(log, logging.WARNING, f"not served: {sentence}", sentence)
 
 
@@ -518,7 +473,6 @@ def _sentence(error: ServiceError) -> str:
 
 
 def _name(path: str) -> str | None:
-    """Return the path of a request without its first slash, None for a path that cannot be a file."""
     try:
         name = unquote(path.partition("?")[0], errors="strict")
     except ValueError:
@@ -542,6 +496,5 @@ def _cors(area: str) -> dict[str, str]:
 
 
 def _has(headers: Headers, etag: str) -> bool:
-    """Return True for a client that has the content of that name."""
     held = [item.strip().removeprefix("W/") for line in headers.get_all("If-None-Match") for item in line.split(",")]
     return etag in held or "*" in held

@@ -55,21 +55,13 @@ _UNPROCESSABLE = HTTPStatus.UNPROCESSABLE_ENTITY
 
 
 class _RefusedError(Exception):
-    """A request that is refused before anything is done for it."""
-
     def __init__(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
         super().__init__(sentence)
         self.status = status
 
 
 class HttpGoals:
-    """Goals that are posted to ``/goal``.
-
-    Args:
-        arms: names of several arms, one of which the field ``arm`` chooses.
-        takes_goals_along: True where the goal of a client that leaves before its answer is cancelled, unless its URL
-            has another ``on_disconnect``.
-    """
+    """Goals that are posted to ``/goal``; the field ``arm`` chooses one of several arms."""
 
     def __init__(self, graph: Graph, access: Access, arms: Collection[str], *, takes_goals_along: bool) -> None:
         self._graph = graph
@@ -145,7 +137,6 @@ class HttpGoals:
             raise _RefusedError(refusal, HTTPStatus.CONFLICT)
 
     def _read(self, body: bytes) -> CallService | SendActionGoal:
-        """Read a request as the operation of a client over WebSocket."""
         request = _json_object(body)
         arm = request.pop("arm", "")
         if not isinstance(arm, str) or arm not in ("", *self._arms):
@@ -203,7 +194,6 @@ def _timeout_s(posted: PostedRequest) -> float:
 
 
 def _of_response(response: Response) -> HttpResponse:
-    """Return the end of a call as the answer to its request."""
     if not response.ok:
         return HttpResponse.of_failure(_UNPROCESSABLE, str(response.values))
     if response.values["success"]:
@@ -213,7 +203,6 @@ def _of_response(response: Response) -> HttpResponse:
 
 
 def _of_result(result: Result) -> HttpResponse:
-    """Return the end of a gripper's goal as the answer to its request."""
     if not result.ok:
         return HttpResponse.of_failure(_UNPROCESSABLE, str(result.values))
     if result.status != GoalStatus.SUCCEEDED:

@@ -55,12 +55,7 @@ MAX_COMPLETIONS = 3
 
 @dataclass
 class Scheduling:
-    """Turns, threads and memory, which all clients share.
-
-    Attributes:
-        background: threads for long frames and large messages.
-        waiting_bytes: bytes in the inboxes of all clients.
-    """
+    """Turns, threads and memory, which all clients share."""
 
     turns: Turns
     background: Threads
@@ -75,16 +70,6 @@ class Scheduling:
 
 @dataclass(slots=True, eq=False)
 class _Waiting:
-    """Frame that is to be read, or part of a frame that was read.
-
-    Attributes:
-        item: the frame, or an operation of it.
-        epoch: stop epoch in which the frame arrived.
-        repeated: True for an operation that has been carried out ahead of its turn.
-        message: message of the operation, once it has been completed in the background.
-        completions: number of times that this has been done.
-    """
-
     item: str | bytes | Operation | Refusal | Packed | StrictPublication
     size_bytes: int
     epoch: int
@@ -210,7 +195,6 @@ class Inbox:
         self._holds_reader = full
 
     def _begin(self, received: _Waiting, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
-        """Read a frame before which nothing waits, and carry it out as far as the turn reaches."""
         items = self._read(frame, light=light)
         if len(items) == 1 and not isinstance(items[0], Packed):
             # The quick way of nearly every frame.
@@ -222,7 +206,6 @@ class Inbox:
             self._turns.add(self)
 
     def _add(self, waiting: _Waiting) -> None:
-        """Let a frame or an operation wait behind the others."""
         if not isinstance(waiting.item, StrictPublication):
             if not self._waiting:
                 self._read_ahead_until_s = self._clock() + READ_AHEAD_S
@@ -273,7 +256,6 @@ class Inbox:
         return not waiting.repeated
 
     def _work_off_stops(self) -> None:
-        """Carry out stops of the lane for their share of a period."""
         if self._closed:
             return
         until_s = self._clock() + STOP_TURN_S
@@ -293,7 +275,6 @@ class Inbox:
         return items if self._handler.identified or self._handler.admit_first(items) else ()
 
     def _take_step(self) -> None:
-        """Carry out the first that waits, or hand it to a thread."""
         first = self._waiting.popleft()
         self._count(-first.size_bytes)
         item = first.item
@@ -385,5 +366,4 @@ def _may_be_urgent(frame: str | bytes) -> bool:
 
 
 def _read_of(frame: _Waiting, items: Sequence[Operation | Refusal | Packed]) -> list[_Waiting]:
-    """Return what was read of a frame, to wait in its place."""
     return [_Waiting(item, frame.size_bytes, frame.epoch) for item in items]

@@ -18,23 +18,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from protocol.messages import Stamp
-from protocol.send_budget import SendBudget
+from protocol.send_queue import SendBudget
 from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
-from server.access.host_addresses import host_addresses
 from server.access.rate_limits import is_loopback
 from server.errors import ConfigurationError, StartError
 from server.gateway.admission import (
     AdmissionPolicy,
     ConnectionLimiter,
     check_exposure,
+    host_addresses,
 )
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
 from server.gateway.inbox import Scheduling
-from server.gateway.raw_tcp import TcpStream, keep_alive
 from server.gateway.settings import ServerSettings
-from server.gateway.transport import Transport
+from server.gateway.transport import TcpStream, Transport, keep_alive
 from server.gateway.turns import Threads, Turns, call_soon
 from server.gateway.websocket import WebSocket
 from server.graph.node import Node
@@ -52,17 +51,9 @@ _LOCKED = "the key has a passphrase, which nobody can enter; `openssl pkey -in K
 
 
 class Tls:
-    """A certificate with its key.
+    """A certificate with its key; ``context`` stays the same, each handshake gets the certificate read last.
 
-    Args:
-        certificate: PEM file, with the certificates that lead to its issuer.
-
-    Attributes:
-        context: context of the listening sockets, the same as long as the server runs; each handshake gets the
-            certificate that was read last.
-
-    Raises:
-        ConfigurationError: the files cannot be used.
+    Raises ConfigurationError for files that cannot be used.
     """
 
     def __init__(self, certificate: Path, key: Path) -> None:
@@ -187,7 +178,6 @@ class ClientList:
         self._change()
 
     def _change(self) -> None:
-        """Publish a change, at once unless there has just been another."""
         if self._pause is not None:
             self._changed = True
             return
@@ -237,12 +227,7 @@ class Place(NamedTuple):
 class Listener:
     """Listener on one TCP port of every address of a host; clients may ask for any path and query.
 
-    Args:
-        access: authentication and authorization; None for a server without tokens and limits.
-        takes_goals_along: True where a client's goals are cancelled when it leaves, unless its URL says otherwise.
-
-    Raises:
-        ConfigurationError: the certificate cannot be used.
+    Raises ConfigurationError for a certificate that cannot be used.
     """
 
     def __init__(
@@ -332,9 +317,7 @@ class Listener:
     async def bind(self) -> None:
         """Take the port; clients that connect now wait until :meth:`open`.
 
-        Raises:
-            ConfigurationError: others can reach the address without a token, and no setting allows it.
-            StartError: the address is in use, not allowed or not ours.
+        Raises ConfigurationError for an address open to others, StartError for one that cannot be had.
         """
         places = await resolve(self._host, self._port)
         addresses = [place.address for place in places]
@@ -405,7 +388,6 @@ class Listener:
         self._threads.close()
 
     async def _serve_client(self, transport: Transport) -> None:
-        """Serve a client until it leaves."""
         connection = Connection(
             transport,
             self._graph,
@@ -427,15 +409,7 @@ class Listener:
 
 
 async def resolve(host: str, port: int) -> list[Place]:
-    """Resolve the addresses of a host.
-
-    Args:
-        host: a name or an address; empty for every address of this machine.
-        port: TCP port, for the error.
-
-    Raises:
-        StartError: it has none.
-    """
+    """Resolve the addresses of a host, empty for every address of this machine, or raise StartError."""
     try:
         found = await asyncio.get_running_loop().getaddrinfo(
             host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -450,16 +424,7 @@ async def resolve(host: str, port: int) -> list[Place]:
 
 
 def listen(places: Sequence[Place], host: str, port: int, option: str = "--port") -> list[socket.socket]:
-    """Take a port on every address that this machine has.
-
-    Args:
-        places: at least one.
-        port: TCP port; 0 takes a free one, the same on all.
-        option: option of the command line that chooses another one, for the error.
-
-    Raises:
-        StartError: the port is in use, not allowed, or the machine has no such address.
-    """
+    """Take a port, 0 for a free one, on every address of this machine, or raise StartError naming ``option``."""
     for tries_left in reversed(range(FREE_PORT_TRIES)):
         try:
             return _listen_on_all(places, port)
@@ -521,11 +486,7 @@ def _reason(host: str, port: int, error: OSError | UnicodeError, option: str = "
 
 
 def raise_file_limit(max_clients: int) -> int:
-    """Raise this process's limit of open files as far as it may, and tell when that is not enough.
-
-    Returns:
-        Connections at a time for which there are files.
-    """
+    """Raise the process's limit of open files, warn if it is too low, and return the connections that it allows."""
     wanted = max_clients + SPARE
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft >= wanted or soft == resource.RLIM_INFINITY:

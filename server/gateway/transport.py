@@ -16,12 +16,15 @@ import sys
 import time
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
-from protocol.errors import FrameError
+from protocol.codecs import bson, json
+from protocol.errors import FrameError, one_line
+from protocol.framing import StreamSplitter
 from protocol.publication import EncodedMessage
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 from server.gateway.http import HttpResponse
+from server.gateway.settings import ServerSettings
 from server.gateway.turns import TURN_S
 from server.graph.permissions import ANYONE, Identity
 
@@ -56,18 +59,10 @@ _RESET = struct.pack("ii", 1, 0)
 class Transport(asyncio.Protocol):
     """Connection of one client.
 
-    Args:
-        transports: every connection of the listener; this one is in it from ``connection_made`` to ``connection_lost``.
-
     Attributes:
         framed: True where the client gets messages one by one; in a stream it may take two for one.
-        identity: identity of the client; None until it has authenticated.
         query: choices of the client, as a URL's query has them: ``ros``, ``on_disconnect``.
         max_message_bytes: size of a received frame beyond which the connection ends, before it is read.
-        is_open: True while frames can be sent.
-        received_bytes: bytes received, with the handshake's.
-        sent_messages: frames sent; a fragment is one.
-        sent_bytes: bytes of these frames.
     """
 
     max_message_bytes: int
@@ -130,11 +125,7 @@ class Transport(asyncio.Protocol):
 
     @abstractmethod
     def end(self, reason: str, code: int = INTERNAL_ERROR) -> None:
-        """End the connection with a reason for the client.
-
-        Args:
-            code: of a WebSocket's close frame (RFC 6455, 7.4).
-        """
+        """End the connection with a reason, and a WebSocket's close code (RFC 6455, 7.4), for the client."""
 
     # From the beginning to the end.
 
@@ -223,12 +214,7 @@ class Transport(asyncio.Protocol):
             await asyncio.wait([self._task])
 
     async def read_to_end(self) -> None:
-        """Wait until no further frame comes.
-
-        Raises:
-            ConnectionResetError: the client has broken the connection off.
-            ConnectionError: it was ended for another reason.
-        """
+        """Wait until no further frame comes; ConnectionResetError if the client broke off, else ConnectionError."""
         await self._read_all.wait()
         if self._failure is not None:
             raise self._failure
@@ -344,8 +330,7 @@ class Transport(asyncio.Protocol):
     def send_at_once(self, encoded: EncodedMessage) -> bool:
         """Send a message, in order of calling, if the socket takes it without waiting; return True when it is sent.
 
-        It is written at once, or in a flood at the end of the event loop's turn: there, a call of the kernel for each
-        message would be a third of all that is spent.
+        In a flood it is written at the end of the event loop's turn: a kernel call for each is a third of all cost.
         """
         if not self.takes_more:
             return False
@@ -377,7 +362,6 @@ class Transport(asyncio.Protocol):
             self._write(pieces)
 
     def _write(self, pieces: Sequence[bytes]) -> None:
-        """Write behind all that was sent before."""
         if self._unsent:
             self._write_unsent()
         self._write_now(pieces)
@@ -404,3 +388,111 @@ class Transport(asyncio.Protocol):
     async def drain(self) -> None:
         """Wait until the socket takes more."""
         await self._writable.wait()
+
+
+# Unanswered probes of TCP after which the client is taken for gone.
+KEEPALIVE_PROBES = 4
+
+
+class TcpStream(Transport):
+    """Connection of one client by raw TCP."""
+
+    framed = False
+
+    def __init__(
+        self,
+        settings: ServerSettings,
+        limiter: ConnectionLimiter,
+        transports: set[Transport],
+        serve: Callable[[Transport], Awaitable[None]],
+        identity: Identity | None,
+    ) -> None:
+        super().__init__(limiter, transports, serve)
+        self.identity = identity
+        self.query = {"ros": [str(settings.tcp_ros_version)]}
+        self._splitter = StreamSplitter(settings.limits.max_message_bytes)
+        # True while a frame has its turn of the loop.
+        self._writing = False
+        self._writing_paused = False
+
+    @property
+    def max_message_bytes(self) -> int:
+        return self._splitter.max_frame_bytes
+
+    @max_message_bytes.setter
+    def max_message_bytes(self, limit_bytes: int) -> None:
+        self._splitter.max_frame_bytes = limit_bytes
+
+    def _begin(self, rejection: HttpResponse | None) -> None:
+        if rejection is None:
+            self._start_serving()
+        else:
+            self.end(one_line(rejection.body.decode(errors="replace").strip()))
+
+    def _add(self, data: bytes) -> None:
+        self._splitter.add(data)
+
+    def _next_frame(self) -> str | bytes | None:
+        return self._splitter.next_frame()
+
+    def _clear(self) -> None:
+        self._splitter.clear()
+
+    def send_at_once(self, encoded: EncodedMessage) -> bool:
+        if not self.takes_more:
+            return False
+        self.send_all((encoded,))
+        return True
+
+    def send_all(self, messages: Sequence[EncodedMessage]) -> None:
+        """Send messages, each frame in a send of its own: rosbridge2cpp takes one `recv` for one message."""
+        frames = [frame.data for encoded in messages for frame in encoded.frames]
+        size_bytes = sum(map(len, frames))
+        self.sent_messages += len(frames)
+        self.sent_bytes += size_bytes
+        self._unsent += frames
+        self._unsent_bytes += size_bytes
+        if not self._writing:
+            self._write_next()
+
+    def _write_next(self) -> None:
+        self._writing = bool(self._unsent)
+        if self._writing:
+            self._writable.clear()
+            frame = self._unsent.pop(0)
+            self._unsent_bytes -= len(frame)
+            self._write_now((frame,))
+            asyncio.get_running_loop().call_soon(self._write_next)
+        elif not self._writing_paused:
+            self._writable.set()
+
+    def pause_writing(self) -> None:
+        self._writing_paused = True
+        super().pause_writing()
+
+    def resume_writing(self) -> None:
+        self._writing_paused = False
+        if not self._writing:
+            super().resume_writing()
+
+    def end(self, reason: str, _code: int = INTERNAL_ERROR) -> None:
+        """End the connection with a status message, in the encoding that the client speaks."""
+        if self._ending:
+            return
+        self._failure = ConnectionAbortedError(reason)
+        status: dict[str, Any] = {"op": "status", "level": "error", "msg": reason}
+        if not self._transport.is_closing():
+            self._write((bson.encode(status) if self._splitter.is_bson else json.encode(status),))
+        self._close_after_replies()
+
+
+def keep_alive(listening: socket.socket, interval_s: float, timeout_s: float) -> None:
+    """Have the system probe idle clients and end silent ones, as pings do; accepted sockets inherit it (tcp(7))."""
+    for option, value in (
+        (socket.TCP_KEEPIDLE, math.ceil(interval_s)),
+        (socket.TCP_KEEPINTVL, math.ceil(timeout_s / KEEPALIVE_PROBES)),
+        (socket.TCP_KEEPCNT, KEEPALIVE_PROBES),
+        (socket.TCP_USER_TIMEOUT, math.ceil(1000 * (interval_s + timeout_s))),
+    ):
+        listening.setsockopt(socket.IPPROTO_TCP, option, value)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -34,11 +34,7 @@ class Worker(Protocol):
     """Client with work that waits."""
 
     def work(self, until_s: float) -> bool:
-        """Work until a time; return True when there is more to do now.
-
-        Args:
-            until_s: monotonic time after which nothing new is begun [s].
-        """
+        """Work until a time; return True when there is more to do now."""
 
 
 def call_soon(callback: Callable[[], object]) -> object:
@@ -47,11 +43,7 @@ def call_soon(callback: Callable[[], object]) -> object:
 
 
 class Turns:
-    """Turns of all clients of a server.
-
-    Args:
-        call_soon: calls a function when the event loop has served its sockets, as :func:`call_soon`.
-    """
+    """Turns of all clients of a server."""
 
     def __init__(self, call_soon: Callable[[Callable[[], object]], object], clock: Callable[[], float]) -> None:
         self.call_soon = call_soon
@@ -107,12 +99,7 @@ class Threads:
         self._closed = False
 
     def run(self, job: Callable[[], Done], done: Callable[[Done, float], None], failed: Callable[[], None]) -> None:
-        """Run a job.
-
-        Args:
-            done: called in the event loop with the job's result and the time of a processor that it took [s].
-            failed: called in the event loop instead, when the job has raised an error, which is logged.
-        """
+        """Run a job; in the event loop ``done`` gets its result and processor time [s], or ``failed`` is called."""
 
         def timed() -> tuple[Done, float]:
             began_s = time.thread_time()
@@ -136,11 +123,7 @@ class Threads:
             )
 
     def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
-        """Encode a message, once for all who ask.
-
-        Args:
-            ready: called in the event loop afterwards, also when it cannot be encoded.
-        """
+        """Encode a message, once for all who ask; ``ready`` is called in the event loop, also on failure."""
         waiting = self._encoding.get(encoded)
         if waiting is not None:
             waiting.append(ready)

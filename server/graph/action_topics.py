@@ -36,12 +36,6 @@ MAX_PUBLISHED = 100
 
 @dataclass(slots=True)
 class _TrackedStatus:
-    """A goal on the status topic.
-
-    Attributes:
-        ended_s: when it ended [s], None while it has not.
-    """
-
     goal_info: Mapping[str, Any]
     status: int = EXECUTING
     ended_s: float | None = None
@@ -116,7 +110,6 @@ class ActionTopics:
         return self._topics.topic_type(topic) == type_name and node in self._topics.publishers(topic)
 
     def _forget_ended(self, goals: dict[Goal, _TrackedStatus]) -> None:
-        """Drop the goals that ended long ago, and the first of too many."""
         ended = {goal: each.ended_s for goal, each in goals.items() if each.ended_s is not None}
         for place, (goal, ended_s) in enumerate(ended.items()):
             if ended_s <= self._clock() - ENDED_KEPT_S or place < len(ended) - MAX_PUBLISHED:

@@ -10,14 +10,13 @@ import logging
 import uuid
 from base64 import b64encode
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.operations import Mark
 from server.errors import GraphError
-from server.graph.index import Index
-from server.graph.list_limits import CheckLists, ListLimits
+from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
@@ -41,11 +40,7 @@ class GoalStatus(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Result:
-    """The end of a goal.
-
-    Attributes:
-        values: the complete result message; without one a sentence, or what the provider gave.
-    """
+    """The end of a goal."""
 
     ok: bool
     status: int
@@ -53,12 +48,7 @@ class Result:
 
 
 class Goal(PendingRequest[Result]):
-    """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
-
-    Attributes:
-        goal_id: sixteen octets that no other goal has.
-        sender_id: the sender's own mark for it, None where it has none.
-    """
+    """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts."""
 
     def __init__(
         self,
@@ -101,8 +91,7 @@ class Goal(PendingRequest[Result]):
     def finish(self, status: GoalStatus, values: object) -> None:
         """End the goal with a result message; what it leaves out gets its default.
 
-        Raises:
-            MessageError: the values do not fit the action's type; the goal has failed, and its sender knows.
+        Raises MessageError for values that do not fit: the goal has failed, and its sender knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Result", values)
@@ -148,33 +137,12 @@ CANCEL_ACCEPTED, CANCEL_UNKNOWN_GOAL = 0, 2
 ALL_GOALS = b64encode(bytes(16)).decode()
 
 
-@dataclass(eq=False)
-class ActionProvider(Provider):
-    """An action that somebody offers.
-
-    Attributes:
-        goals: those in flight by their id in base64, the oldest first.
-    """
-
-    start: Callable[[Goal], None]
-    check_lists: CheckLists | None = None
-    max_goal_s: float = MAX_GOAL_S
-    goals: dict[str, Goal] = field(default_factory=dict)
-
-
-class Actions(Providers[ActionProvider]):
-    """All actions.
-
-    Args:
-        services: where each action gets its service ``<action>/_action/cancel_goal``.
-    """
+class Actions(Providers[Goal]):
+    """All actions, with their goals by id in base64; each has a service ``<action>/_action/cancel_goal``."""
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
-        super().__init__("action", MAX_ACTIONS, message_types)
+        super().__init__("action", MAX_ACTIONS, message_types, call_later)
         self._services = services
-        self._call_later = call_later
-        # Those in flight, by their sender.
-        self._sent: Index[Node, Goal] = Index()
         self._topics: ActionTopics | None = None
 
     def publish_on(self, topics: ActionTopics) -> None:
@@ -192,36 +160,21 @@ class Actions(Providers[ActionProvider]):
         rule: Rule | None = None,
         max_goal_s: float = MAX_GOAL_S,
     ) -> None:
-        """Offer an action; a client takes the place of a client that offered it before.
+        """Offer an action, in place of another client's; ``start`` gets each goal, and ends it later.
 
-        Args:
-            start: gets each goal and returns at once. The goal is ended later by `Goal.finish` or `Goal.fail`;
-                `Goal.when_canceled` calls back when somebody wants it ended, `Goal.when_ended` when it has ended.
-            rule: requirements of the senders of goals; None for the rule of a client's action.
-            max_goal_s: time after which a goal fails [s].
-
-        Raises:
-            GraphError: the type is unknown, or the name is taken by a part of the server.
+        Without a rule it has a client's. Raises GraphError for an unknown type or a name of the server's.
         """
-        canonical = self._claim(node, name, type_name)
-        check_lists = None
-        if limits is not None:
-            check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
-            self._message_types.compile_later(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
-        offer = ActionProvider(node, name, canonical, start, check_lists, max_goal_s)
+        offer = self._claim(node, name, type_name, start, max_goal_s, limits)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._add(offer, rule)
         if self._topics is not None:
-            self._topics.open(node, name, canonical)
+            self._topics.open(node, name, offer.type_name)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left: its actions end; it hears no more of goals that it has sent.
-
-        They go on, as in ROS, unless the node takes them along.
-        """
-        for goal in self._sent.of(node):
+        """Forget a node that has left: its actions end; its goals go on, as in ROS, unless it takes them along."""
+        for goal in self._made.of(node):
             goal.forget_sender()
             if node.takes_goals_along:
                 goal.cancel()
@@ -237,20 +190,13 @@ class Actions(Providers[ActionProvider]):
         on_feedback: Callable[[dict[str, Any]], None] | None = None,
         goal_id: bytes | None = None,
     ) -> Goal | None:
-        """Send a goal.
+        """Send a goal; return it, or None when it was not taken on.
 
-        Args:
-            on_result: called once, perhaps before this returns; not if the sender leaves before.
-            goal_id: sixteen octets by which the sender knows the goal; None for new ones.
-
-        Returns:
-            The goal, to be cancelled perhaps; None when it was not taken on.
+        ``on_result`` is called once, perhaps before this returns, unless the sender leaves before.
         """
         try:
             offer = self._offer(name, type_name, goal_id)
-            if offer.check_lists is not None:
-                offer.check_lists(arguments)
-            request = self._message_types.complete_arguments(f"{offer.type_name}_Goal", arguments)
+            request = self._completed(offer, arguments)
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
@@ -261,33 +207,23 @@ class Actions(Providers[ActionProvider]):
     def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
         """Cancel the goals of an action with this mark whose senders have left."""
         offer = self._offers.get(name)
-        for goal in list(offer.goals.values()) if offer is not None else ():
+        for goal in list(offer.requests.values()) if offer is not None else ():
             if goal.sender_left and goal.sender_id == sender_id:
                 goal.cancel()
 
-    def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> ActionProvider:
+    def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> Provider[Goal]:
         offer = self._offers.get(name)
         if offer is None:
             raise GraphError("action", name, "does not exist")
         if self._message_types.canonical(type_name, "action") != offer.type_name:
             raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
-        if goal_id is not None and b64encode(goal_id).decode() in offer.goals:
+        if goal_id is not None and b64encode(goal_id).decode() in offer.requests:
             raise GraphError("action", name, f"has a goal of the id {goal_id.hex()} already")
         return offer
 
-    def _start(self, goal: Goal, offer: ActionProvider, on_result: Callable[[Result], None]) -> None:
-        goal_id = b64encode(goal.goal_id).decode()
-        offer.goals[goal_id] = goal
-        self._sent.add(goal.sender, goal)
-        limit_s = offer.max_goal_s
-        timer = self._call_later(limit_s, lambda: goal.fail(f"Action {goal.action} took more than {limit_s:g} s"))
-
-        def forget(_result: Result) -> None:
-            timer.cancel()
-            del offer.goals[goal_id]
-            self._sent.discard(goal.sender, goal)
-
-        goal.when_ended(forget)
+    def _start(self, goal: Goal, offer: Provider[Goal], on_result: Callable[[Result], None]) -> None:
+        limit_s, key = offer.limit_s, b64encode(goal.goal_id).decode()
+        self._keep(goal, offer, key, goal.sender, limit_s, f"Action {goal.action} took more than {limit_s:g} s")
         if self._topics is not None:
             self._topics.follow(offer.node, goal)
         goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
@@ -297,10 +233,9 @@ class Actions(Providers[ActionProvider]):
             log.exception("action %s failed", goal.action)
             goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
 
-    def _end_requests(self, offer: ActionProvider) -> None:
+    def _end_requests(self, offer: Provider[Goal]) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
-        for goal in list(offer.goals.values()):
-            goal.fail(f"Action {offer.name} was withdrawn by its provider")
+        super()._end_requests(offer)
         if self._topics is not None:
             self._topics.close(offer.node, offer.name)
 
@@ -309,11 +244,13 @@ def _cancel_service(action: str) -> str:
     return f"{action}/_action/cancel_goal"
 
 
-def _cancel(offer: ActionProvider, request: dict[str, Any]) -> dict[str, Any]:
-    """Serve action_msgs/srv/CancelGoal: cancel the goal of an id, or all goals."""
+def _cancel(offer: Provider[Goal], request: dict[str, Any]) -> dict[str, Any]:
     wanted = request["goal_info"]["goal_id"]["uuid"]
-    selected = offer.goals if wanted == ALL_GOALS else {wanted: offer.goals[wanted]} if wanted in offer.goals else {}
-    canceling = {goal_id: goal for goal_id, goal in selected.items() if not goal.cancel_requested}
+    canceling = {
+        goal_id: goal
+        for goal_id, goal in offer.requests.items()
+        if wanted in (goal_id, ALL_GOALS) and not goal.cancel_requested
+    }
     for goal in canceling.values():
         goal.cancel()
     return {

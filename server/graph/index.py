@@ -47,11 +47,7 @@ class Index(Generic[Key, Item]):
 
 
 class TypedNames:
-    """Names in use of one kind, such as topics, each with its type.
-
-    Attributes:
-        revision: number of changes; lists made of the names are valid for as long as it stays the same.
-    """
+    """Names in use of one kind, such as topics, each with its type; ``revision`` counts the changes."""
 
     def __init__(self) -> None:
         self.revision = 0

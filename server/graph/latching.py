@@ -30,13 +30,6 @@ MAX_RECENT_PER_TOPIC = 10
 
 
 class _Kept(NamedTuple):
-    """A message that is kept.
-
-    Attributes:
-        until_s: time until which it is kept [s], monotonic.
-        client: the client that has latched it; None for the server.
-    """
-
     published: PublishedMessage
     size_bytes: int
     until_s: float
@@ -44,12 +37,6 @@ class _Kept(NamedTuple):
 
 
 class _Share:
-    """Latched messages of the server, or of all clients.
-
-    Attributes:
-        ending: topics whose message has an end, the earliest first.
-    """
-
     def __init__(self) -> None:
         self.size_bytes = 0
         self.ending: OrderedDict[str, None] = OrderedDict()
@@ -69,11 +56,7 @@ class LatchedMessages:
         self._next_look_s = -math.inf
 
     def latch(self, published: PublishedMessage, client: Node | None = None) -> str | None:
-        """Keep a message instead of the one latched before it.
-
-        Returns:
-            The limit that it exceeds, as a sentence; then the topic has no latched message. None when it is kept.
-        """
+        """Keep a message in place of the one latched before, or return the limit that it exceeds, as a sentence."""
         self.unlatch(published.topic)
         size_bytes = published.size_bytes
         problem = self._make_room(size_bytes, client)
@@ -118,11 +101,7 @@ class LatchedMessages:
             share.ending.move_to_end(topic)
 
     def keep(self, published: PublishedMessage, now: float, lifespan_s: float) -> None:
-        """Keep a message for a while.
-
-        Args:
-            lifespan_s: for how long [s]; the same for all.
-        """
+        """Keep a message for a while [s], the same for all."""
         topic, size_bytes = published.topic, published.size_bytes
         recent = self._recent.get(topic)
         if recent is None:

@@ -55,14 +55,6 @@ class ListLimits:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """A field that is a list, or has lists in it.
-
-    Attributes:
-        max_elements: limit of a list; None if only its values are counted.
-        values: number of values of an element.
-        inner: members of the message, or of each message in the list.
-    """
-
     path: str
     is_list: bool
     max_elements: int | None
@@ -75,7 +67,6 @@ _Members: TypeAlias = tuple[tuple[str, _Member], ...]
 
 
 def _counted(registry: Registry, type_name: str, path: str, max_elements: Mapping[str, int]) -> _Members:
-    """Return those members of a type that are to be counted, or have such members."""
     message_type = registry.message(type_name)
     found = []
     for each in message_type.fields:

@@ -19,11 +19,7 @@ from server.graph.topics import Graph, Subscriber
 
 
 class LocalGraph:
-    """The graph below a prefix; each method is the graph's own, with the full name in place of the one given.
-
-    Args:
-        namespace: without slashes; empty for the graph's own names.
-    """
+    """The graph below a prefix; each method is the graph's own, with the full name in place of the one given."""
 
     def __init__(self, graph: Graph, namespace: str = "") -> None:
         self._graph = graph

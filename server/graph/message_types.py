@@ -31,13 +31,10 @@ FREE_VALUES = 20_000
 class ReceivedMessage:
     """Message as a client has sent it, until it is completed.
 
-    Args:
-        light: True for a message that is completed and encoded quickly, however large it is.
-
     Attributes:
         are_arguments: True for a request or a goal, whose fields may come in order of declaration.
         checked: True once its lists have been found to be within their limits.
-        values: values in its lists of messages, once it is completed.
+        light: True for a message that is completed and encoded quickly, however large it is.
     """
 
     __slots__ = (
@@ -111,11 +108,7 @@ class MessageTypes:
         self._strict_readers: dict[str, PublicationReader | None] = {}
 
     def canonical(self, name: str, kind: Kind) -> str:
-        """Return the three-part name of a type.
-
-        Raises:
-            InterfaceError: no such type, and unknown ones are not relayed.
-        """
+        """Return the three-part name of a type, or raise InterfaceError."""
         try:
             return self.registry.canonical(name, kind)
         except InterfaceError:
@@ -147,12 +140,7 @@ class MessageTypes:
     def complete(self, type_name: str, value: object, received: Stamp | None = None) -> dict[str, Any]:
         """Validate a message and fill in what it leaves out; see `protocol.messages.complete`.
 
-        Args:
-            type_name: canonical name of a message type, or of a member such as ``std_srvs/srv/SetBool_Request``.
-
-        Raises:
-            MessageError: the value does not fit the type.
-            PostponedError: a client's message is too large to be completed at once.
+        Raises MessageError, and PostponedError for a client's message that is too large to be completed at once.
         """
         if not isinstance(value, ReceivedMessage):
             return self._complete(type_name, value, received, MAX_VALUES, MAX_VALUES)
@@ -167,11 +155,7 @@ class MessageTypes:
             raise PostponedError(value, type_name) from None
 
     def complete_arguments(self, type_name: str, arguments: object) -> dict[str, Any]:
-        """Complete a request or a goal, given as rosbridge's ``args``.
-
-        Args:
-            arguments: fields by name or in order of declaration; anything else stands for no fields.
-        """
+        """Complete a request or a goal, given as rosbridge's ``args``: fields by name or in order, else none."""
         if isinstance(arguments, ReceivedMessage):
             arguments.are_arguments = True
             return self.complete(type_name, arguments)
@@ -180,11 +164,7 @@ class MessageTypes:
     def complete_received(
         self, type_name: str, message: ReceivedMessage, received: Stamp | None, max_values_at_once: int
     ) -> dict[str, Any]:
-        """Complete a message of a client, in any thread.
-
-        Args:
-            max_values_at_once: values beyond which it is left to the background.
-        """
+        """Complete a message of a client, in any thread."""
         value = message.value
         if message.dialect == "ros1" and self.registry.knows(type_name):
             value = dialect.from_ros1(self.registry, type_name, value)

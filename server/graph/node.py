@@ -6,12 +6,9 @@ from server.graph.permissions import ANYONE, Identity, Role
 
 
 class Node:
-    """Anyone who publishes, subscribes, offers or calls: a connection, or a part of the server.
+    """Participant in the graph: a client (``remote``), or a part of the server, whose names no client may take.
 
-    Args:
-        remote: whether it is a client, which may not take the place of a part of the server.
-        takes_goals_along: whether the goals that it has sent to actions are cancelled when it leaves.
-        identity: who it is; None for a client that has yet to say so.
+    ``takes_goals_along`` cancels its goals when it leaves; ``identity`` is None until a client has authenticated.
     """
 
     def __init__(

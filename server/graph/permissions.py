@@ -24,11 +24,7 @@ class Role(IntEnum):
 
 @dataclass(frozen=True)
 class Identity:
-    """Name and role of a client.
-
-    Attributes:
-        name: name of the token that it has shown; empty for a client that has shown none.
-    """
+    """Role of a client, and the name of its token; empty for a client that has shown none."""
 
     name: str
     role: Role
@@ -53,15 +49,13 @@ class Rule:
     """Requirements of a service, a topic or an action.
 
     Attributes:
-        role: least role of the client.
-        stops: True for names that stop the arm; they are open to every client with the role, past filters and control,
-            as far as they lead to something that can be stopped.
+        stops: True for names that stop the arm; they are open past filters and control to every client with the role.
         at_once: True for names that go ahead of everything that waits.
         at_once_data: text in the field ``data`` with which alone a message does so; None for any message.
         drives: True for names that move or switch the arm, which one client does at a time.
         goal: True for names that count against the rate of goals.
         plan_only: path of the field in a goal that may say that nothing moves; empty where there is none.
-        plans: True for services whose answer takes a planner; the calls of one client that wait for it are limited.
+        plans: True for services whose answer takes a planner; a client's calls that wait for it are limited.
         arm: one of several arms whose control is needed; empty for control of all.
     """
 
@@ -96,12 +90,7 @@ COMMISSIONING = Rule(Role.ADMIN, drives=True)
 
 
 class NameFilter:
-    """Patterns of names that clients may use, as rosbridge_server's parameters ``topics_glob`` and its like.
-
-    Args:
-        patterns: patterns as of a shell: ``*`` is any text, also with slashes; without any pattern every name passes.
-        always: further patterns that count once there are any.
-    """
+    """Patterns of names that clients may use, as rosbridge_server's ``topics_glob``; without any, all names."""
 
     def __init__(self, setting: str, patterns: Iterable[str] = (), always: Iterable[str] = ()) -> None:
         self._setting = setting

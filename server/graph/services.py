@@ -10,18 +10,17 @@ import contextlib
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from server.errors import ServiceError, UnsuccessfulError
-from server.graph.index import Index
-from server.graph.list_limits import CheckLists, ListLimits
+from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.providers import PendingRequest, Provider, Providers
+from server.graph.providers import PendingRequest, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -43,12 +42,7 @@ ServiceFunction: TypeAlias = Callable[[dict[str, Any]], Answered | Awaitable[Ans
 
 @dataclass(frozen=True)
 class Response:
-    """The end of a call.
-
-    Attributes:
-        values: the complete response message; of a call that failed a sentence, or what the provider gave.
-        reason: why the response says that the service has not succeeded, for types without a field for it.
-    """
+    """The end of a call."""
 
     ok: bool
     values: Any
@@ -79,11 +73,7 @@ class Call(PendingRequest[Response]):
     def succeed(self, values: object, reason: str = "") -> None:
         """Answer with a response message; what it leaves out gets its default.
 
-        Args:
-            reason: as in `Response`.
-
-        Raises:
-            MessageError: the values do not fit the service's type; the call has failed, and its caller knows.
+        Raises MessageError for values that do not fit: the call has failed, and its caller knows.
         """
         try:
             completed = self._message_types.complete(f"{self.type_name}_Response", values)
@@ -93,10 +83,7 @@ class Call(PendingRequest[Response]):
         self._end(Response(ok=True, values=completed, reason=reason))
 
     def succeed_prevalidated(self, response: Mapping[str, Any], reason: str = "") -> None:
-        """Answer with a response message that is complete and valid already.
-
-        For a large response of the server's own that has mostly been sent before. Nobody may change it from here on.
-        """
+        """Answer with a large message of the server's own, complete and valid; nobody may change it any more."""
         self._end(Response(ok=True, values=response, reason=reason))
 
     def fail(self, values: object) -> None:
@@ -155,24 +142,11 @@ MAX_SERVICES = 10_000
 DEFAULT_LIMITS = ListLimits()
 
 
-@dataclass(eq=False)
-class ServiceProvider(Provider):
-    """A service that somebody offers."""
-
-    start: Callable[[Call], None]
-    timeout_s: float
-    check_lists: CheckLists | None = None
-    calls: dict[Call, None] = field(default_factory=dict)
-
-
-class Services(Providers[ServiceProvider]):
+class Services(Providers[Call]):
     """All services."""
 
     def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
-        super().__init__("service", MAX_SERVICES, message_types)
-        self._call_later = call_later
-        # Those in flight, by their caller.
-        self._calls: Index[Node, Call] = Index()
+        super().__init__("service", MAX_SERVICES, message_types, call_later)
 
     def offer(
         self,
@@ -185,15 +159,9 @@ class Services(Providers[ServiceProvider]):
         *,
         rule: Rule | None = None,
     ) -> None:
-        """Offer a service of a local part.
+        """Offer a service of a local part; its function returns or raises ServiceError.
 
-        Args:
-            function: gets the complete request and returns the response, at once or when awaited. It raises
-                ServiceError with the reason when it cannot.
-            rule: requirements of its callers; None for the rule of a client's service.
-
-        Raises:
-            GraphError: the type is unknown, or the name is taken by another part of the server.
+        Without a rule it has a client's. Raises GraphError for an unknown type or a name of another part.
         """
         self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits, rule=rule)
 
@@ -210,19 +178,13 @@ class Services(Providers[ServiceProvider]):
     ) -> None:
         """Offer a service whose calls are handed over one by one, to be ended by `Call.succeed` or `Call.fail`.
 
-        A client takes the place of a client that offered the service before. Its requests have no limits, None: what
-        another client answers costs the server no more than to pass it on.
+        A client takes the place of another client. Its requests have no limits: the server only passes them on.
         """
-        canonical = self._claim(node, name, type_name)
-        check_lists = None
-        if limits is not None:
-            check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
-            self._message_types.compile_later(f"{canonical}_Request", f"{canonical}_Response")
-        self._add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists), rule)
+        self._add(self._claim(node, name, type_name, start, timeout_s, limits), rule)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its services, and what it has called."""
-        for call in self._calls.of(node):
+        for call in self._made.of(node):
             call.caller_left = True
             call.fail("the caller has left")
         self._withdraw_all(node)
@@ -236,42 +198,19 @@ class Services(Providers[ServiceProvider]):
         timeout_s: float | None = None,
         dialect: Dialect = "ros2",
     ) -> None:
-        """Call a service.
-
-        Args:
-            timeout_s: how long to wait [s], 0 for `MAX_TIMEOUT_S`, None for what the service's offer says.
-        """
+        """Call a service; wait [s] 0 for `MAX_TIMEOUT_S`, None for the offer's time."""
         offer = self._offers.get(name)
         if offer is None:
             # The words of rosbridge_library (internal/services.py), which clients look for.
             on_response(Response(ok=False, values=f"Service {name} does not exist"))
             return
         try:
-            if offer.check_lists is not None:
-                offer.check_lists(arguments)
-            request = self._message_types.complete_arguments(f"{offer.type_name}_Request", arguments)
+            request = self._completed(offer, arguments)
         except MessageError as error:
             on_response(Response(ok=False, values=f"Service {name}: {error}"))
             return
         call = Call(name, offer.type_name, request, self._message_types, caller, dialect)
-        self._bound(call, offer, timeout_s)
+        bound_s = offer.limit_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
+        self._keep(call, offer, call, caller, bound_s, f"Service {name} did not answer in {bound_s:g} s")
         call.when_ended(on_response)
         offer.start(call)
-
-    def _bound(self, call: Call, offer: ServiceProvider, timeout_s: float | None) -> None:
-        """Keep account of a call until it ends, which it does in time."""
-        bound_s = offer.timeout_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
-        offer.calls[call] = None
-        self._calls.add(call.caller, call)
-        timer = self._call_later(bound_s, lambda: call.fail(f"Service {call.service} did not answer in {bound_s:g} s"))
-
-        def forget(_response: Response) -> None:
-            timer.cancel()
-            del offer.calls[call]
-            self._calls.discard(call.caller, call)
-
-        call.when_ended(forget)
-
-    def _end_requests(self, offer: ServiceProvider) -> None:
-        for call in list(offer.calls):
-            call.fail(f"Service {offer.name} was withdrawn by its provider")

@@ -77,10 +77,9 @@ class Subscriber:
         deliver: called with every message, at once and in order. It raises GraphError for a message that the server
             refuses: the other subscribers get it, and the publisher gets the sentence.
         on_invalid: called with the error when somebody publishes what the topic's type does not allow.
-        on_unauthorized: called with a message, empty when it cannot be read, whose sender may not publish it, with the
-            sender, and with a sentence that says why.
-        check_lists: checks the lists of a message of any publisher before it is completed; None for any lists.
-        rule: requirements of publishing, where a part of the server subscribes; None for the rule of a client's topic.
+        on_unauthorized: called with a message, empty when it cannot be read, its sender, and the reason why that sender
+            may not publish it.
+        rule: requirements of publishing, where a part of the server subscribes.
     """
 
     deliver: Callable[[PublishedMessage], None]
@@ -114,9 +113,6 @@ class Topic:
 
 class Graph:
     """All topics, services and actions.
-
-    Args:
-        unregister_timeout_s: time for which a topic that nobody uses keeps its type and its latched message [s].
 
     Attributes:
         rules: rules of publishing on the topics that local parts subscribe to, by name.
@@ -218,11 +214,7 @@ class Graph:
         return topic is not None and bool(topic.latching)
 
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
-        """Register ``node`` as publisher.
-
-        Raises:
-            GraphError: the type is unknown, or the topic has another one.
-        """
+        """Register ``node`` as publisher; raises GraphError for an unknown type, or one that the topic has not."""
         topic = self._topic(name, type_name, node)
         self._add_publisher(topic, node)
         if latch:
@@ -254,13 +246,9 @@ class Graph:
             self._left(topic)
 
     def subscribe(self, node: Node, name: str, type_name: str | None, subscriber: Subscriber) -> list[PublishedMessage]:
-        """Deliver the topic's messages to ``node``, one subscriber a node.
+        """Deliver the topic's messages to ``node``; return those published before that are still to be delivered.
 
-        Returns:
-            What was published before and is still to be delivered, oldest first.
-
-        Raises:
-            GraphError: the type is unknown, differs from the topic's, or is not given for an unknown topic.
+        Raises GraphError for a type that is unknown, not the topic's, or missing for a new topic.
         """
         topic = self._topic(name, type_name, node)
         self._take_into_use(topic)
@@ -300,18 +288,9 @@ class Graph:
     ) -> str | None:
         """Complete a message, and deliver it to every subscriber; ``node`` becomes a publisher if it is none.
 
-        Args:
-            lifespan_s: otherwise, for how long it reaches who subscribes later [s].
-            prevalidated: the message is complete and valid already, as a large message of the server's own; nobody may
-                change it any more.
-
-        Returns:
-            A sentence about a message that could not be latched: it is delivered, and lost to who subscribes later.
-
-        Raises:
-            GraphError: nobody has said what type the topic has, the client publishes on too many, or a subscriber
-                refuses the message.
-            MessageError: the message does not fit the type; the topic's local subscribers get the error as well.
+        For ``lifespan_s`` it reaches later subscribers. Nobody changes a ``prevalidated`` message any more. Returns a
+        sentence about a message that could not be latched. Raises GraphError for a topic without a type, too many
+        topics of a client, or a refusal; MessageError for a message that does not fit, which local subscribers get too.
         """
         topic = self._topic(name)
         if node.remote and node not in topic.publishers:
@@ -343,10 +322,7 @@ class Graph:
         return self._distribute(topic, published, node, lifespan_s)
 
     def strict_reader(self, node: Node, name: str) -> PublicationReader | None:
-        """Return what reads a node's frames on a topic for :meth:`relay`; None where they take the general way.
-
-        The function is valid until the `revision` changes; latched messages take the general way.
-        """
+        """Return the reader of a node's frames for :meth:`relay`, until the `revision` changes; None for none."""
         topic = self._topics.get(name)
         if topic is None or node not in topic.publishers or topic.latching or name in self.remarks:
             return None
@@ -417,17 +393,13 @@ class Graph:
             )
 
     def latch(self, name: str, message: object, *, prevalidated: bool = False) -> None:
-        """Keep a message for who subscribes later, and deliver it to nobody now.
-
-        For topics on which subscribers get changes alone; otherwise latch the published message.
-        """
+        """Keep a message for later subscribers, deliver it to nobody now: others get changes alone."""
         topic, received = self._topic(name), self.message_types.now()
         completed: Any = message if prevalidated else self.message_types.complete(topic.type_name, message, received)
         published = PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
         self._latch(published, None)
 
     def _latch(self, published: PublishedMessage, client: Node | None) -> str | None:
-        """Latch a message of a client, None for the server; return the limit that it exceeds, as a sentence."""
         problem = self._latched_messages.latch(published, client)
         if problem is None:
             return None
@@ -442,7 +414,11 @@ class Graph:
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
-                problem = "has no type yet: advertise it first, or name the type"
+                # A publication's own `type` does not count, a subscription's does.
+                remedy = "advertise the topic with its type first"
+                if node is not None:
+                    remedy = "subscribe with the type, or advertise the topic first"
+                problem = f"has no type yet: {remedy}"
                 meant = self.nearest_topic(name)
                 raise GraphError("topic", name, f"{problem}; did you mean {meant}?" if meant else problem)
             canonical = self._canonical(name, type_name)
@@ -485,7 +461,6 @@ class Graph:
         return not topic.used and self._clock() - topic.last_used_s > self._unregister_timeout_s
 
     def _take_into_use(self, topic: Topic) -> None:
-        """Enter a topic among those in use, before its first user joins."""
         if not topic.used:
             self._unused.pop(topic.name, None)
             self.topic_names.add(topic.name, topic.type_name)

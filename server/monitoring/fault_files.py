@@ -85,14 +85,7 @@ class StateTrace:
 
 
 class FaultFiles:
-    """Writer of a file about each fault, when it latches, and about each loss of the connection to the arm.
-
-    Args:
-        keep: limit of files, of some 300 kB each; the oldest make room for new ones. 0 writes none.
-
-    Attributes:
-        latest: the last file that this has written; None before.
-    """
+    """Writes a file of some 300 kB about each fault and each loss of the arm; ``keep`` 0 writes none."""
 
     def __init__(
         self,

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 from robot.messages import ArmHealth, Mode
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse
-from server.monitoring.goal_counters import GoalCounters
 
 if TYPE_CHECKING:
     from planners.interface import Planners
     from robot.arm_group import AnyArm
     from server.execution.queue import GoalQueue
+    from server.monitoring.monitor import GoalCounters
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
 
@@ -30,11 +30,7 @@ ARM_STALE_S = 1.5
 
 @dataclass
 class Sources:
-    """Parts of the server that are monitored; None for those that a server does not have.
-
-    Attributes:
-        started: True once the arm has been taken over, and goals are accepted.
-    """
+    """Parts of the server that are monitored; None for those that a server does not have."""
 
     traffic: Traffic | None = None
     refused_connections: Callable[[], Mapping[str, int]] | None = None
@@ -58,13 +54,9 @@ class Sources:
 
 @dataclass(frozen=True)
 class Health:
-    """Health of the server.
+    """Health of the server: live unless only a restart can help, ready if a goal would be carried out now.
 
     Everybody may request it, so its sentences name no device, file, address or client: those are on ``/arm/state``.
-
-    Attributes:
-        live: False if only a restart can help.
-        ready: True if a goal would be carried out now, as far as that depends on the server.
     """
 
     live: bool

@@ -53,9 +53,7 @@ SETTLED_BYTES = 4 << 20
 class CollectorPolicy:
     """Policy of Python's garbage collector, by which no collection takes long.
 
-    Args:
-        keeps_frozen: True to leave out of every collection what was left out before; a collection writes to each object
-            that it goes through, and so would copy the memory that a forked process shares with others.
+    ``keeps_frozen`` is for a forked process: a collection of all would copy the memory that it shares with others.
     """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter, *, keeps_frozen: bool = False) -> None:
@@ -117,9 +115,6 @@ class MemoryKeeper:
     """Gives memory back while nothing moves that a pause would matter to.
 
     The C library keeps what a burst of large messages took, unless it happens to be the last of its heap.
-
-    Args:
-        trim: gives free memory back; called on a thread.
     """
 
     def __init__(

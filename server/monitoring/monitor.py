@@ -17,7 +17,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prometheus_client import CollectorRegistry, Gauge, Histogram, Info, ProcessCollector, disable_created_metrics
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    Info,
+    ProcessCollector,
+    disable_created_metrics,
+)
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
@@ -26,9 +34,9 @@ from websockets.http11 import Request
 from robot.faults import FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, JointHealth, Mode
+from server.execution.goal import Answer
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
-from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import Health, Sources, check_health
 from server.monitoring.systemd import SystemdNotifier
 
@@ -38,6 +46,51 @@ if TYPE_CHECKING:
     from server.execution.queue import GoalQueue
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
+
+# Upper bounds of buckets [s]. A goal with many constraints takes seconds to plan; most take milliseconds.
+PLANNING_TIME_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
+MOTION_TIME_BUCKETS_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+
+
+class GoalCounters(Collector):
+    """Counters of answered goals."""
+
+    def __init__(self) -> None:
+        self._answered = Counter(
+            "armbridge_goals",
+            "Goals answered, by the topic or action they came by and the name of MoveIt's code.",
+            ("source", "result"),
+            registry=None,
+        )
+        self._planning_s = Histogram(
+            "armbridge_goal_planning_seconds",
+            "Time spent on planning, a goal.",
+            buckets=PLANNING_TIME_BUCKETS_S,
+            registry=None,
+        )
+        self._motion_s = Histogram(
+            "armbridge_goal_motion_seconds",
+            "Time for which the arm moved, a goal.",
+            buckets=MOTION_TIME_BUCKETS_S,
+            registry=None,
+        )
+
+    def count(self, source: str, answer: Answer) -> None:
+        """Count an answered goal."""
+        self._answered.labels(source, answer.code.name).inc()
+        performed = answer.performed
+        if performed is None:
+            return
+        if performed.planning_time_s > 0.0:
+            self._planning_s.observe(performed.planning_time_s)
+        if performed.executed is not None:
+            self._motion_s.observe(performed.executed.duration_s)
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the metrics of goals."""
+        for each in (self._answered, self._planning_s, self._motion_s):
+            yield from each.collect()
+
 
 # Upper bounds of buckets [s].
 LOOP_LAG_BUCKETS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5)
@@ -87,11 +140,7 @@ class Metrics(Collector):
         build.info({"version": metadata.version("armbridge"), "python": platform.python_version()})
 
     def expose(self, accept: str) -> tuple[bytes, str]:
-        """Return the metrics of this moment, and their media type.
-
-        Args:
-            accept: the request's header Accept; empty for the text format of Prometheus.
-        """
+        """Return the metrics as the header Accept asks, else as Prometheus' text, and their media type."""
         encode, media_type = choose_encoder(accept)
         return encode(self.registry), media_type
 
@@ -119,7 +168,6 @@ class Metrics(Collector):
 
 
 def _fresh(health: ArmHealth | None) -> ArmHealth | None:
-    """Return the arm's report, unless it is from before the arm was lost."""
     if health is None or (time.monotonic() - health.monotonic_s) * health.real_time_factor > ARM_HEALTH_STALE_S:
         return None
     return health
@@ -132,7 +180,6 @@ def _by_label(
     label: str,
     values: Iterable[tuple[str, float]],
 ) -> Metric:
-    """Return a metric with a value for each value of a label."""
     made = family(name, meaning, labels=(label,))
     for of_label, value in values:
         made.add_metric((of_label,), value)
@@ -320,11 +367,7 @@ class Monitor:
         self._notifier.notify_ready("; ".join(self.health().reasons) or "ready")
 
     def notify_stopping(self, *, starts_anew: bool = False) -> None:
-        """Take note of the begin of the stop, and notify systemd.
-
-        Args:
-            starts_anew: True if the server starts again at once: systemd ends a service that says it stops.
-        """
+        """Note the begin of the stop, and notify systemd, which would end a service that starts anew at once."""
         self._sources.stopping = True
         if starts_anew:
             self._notifier.notify_status("starting again")

@@ -16,8 +16,7 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot import logs
-from robot.advice import ADVICE, ServoAlert, advise
-from robot.faults import Fault
+from robot.faults import ADVICE, Fault, ServoAlert, advise
 from robot.hardware.config import SIMULATED_PORTS
 from robot.hardware.interface import status_names
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
@@ -172,7 +171,6 @@ def _joint_status(joint: JointHealth, health: ArmHealth, fault: Fault | None, *,
 
 
 def _joint_values(joint: JointHealth) -> dict[str, str]:
-    """Return the values of a joint, without those that its hardware does not measure."""
     torque = {None: "unknown", True: "on", False: "off"}[joint.torque_enabled]
     measured = {
         "position_rad": (joint.position_rad, ".4f"),
@@ -207,7 +205,6 @@ def _story(joint: JointHealth, health: ArmHealth, fault: Fault | None) -> dict[s
 
 
 def _alerts(joint: JointHealth, health: ArmHealth) -> Iterator[ServoAlert]:
-    """Yield the alerts of the moment, then the errors that were counted."""
     yield from (warning.alert for warning in joint.warnings)
     yield from (ServoAlert(name) for name in status_names(joint.status))
     yield from (ServoAlert(kind) for kind in joint.errors)
@@ -311,12 +308,10 @@ def _set_levels(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _level(name: str) -> int:
-    """Return the level that holds for a logger; 0 for a logger of others."""
     return logging.getLogger(name).getEffectiveLevel() if _exists(name) else 0
 
 
 def _change(name: str, level: int) -> str:
-    """Change a level; return the reason for a refusal, or an empty text."""
     if not _OURS.fullmatch(name):
         return f"name: must be {OUR_LOGGER} or a logger below it, as {OUR_LOGGER}.gateway, not {name[:80]!r}"
     if level not in LEVELS:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from robot.advice import ServoAlert
+from robot.faults import ServoAlert
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.graph.node import Node
 from server.graph.permissions import LOOKING

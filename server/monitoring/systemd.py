@@ -20,12 +20,7 @@ MAX_UNSENT = 8
 
 
 class SystemdNotifier:
-    """Sends notifications to systemd; does nothing if the server is not its service.
-
-    Args:
-        address: systemd's datagram socket; empty for none.
-        watchdog_s: silence after which systemd ends the server [s]; 0 for never.
-    """
+    """Sends notifications to systemd's datagram socket; after ``watchdog_s`` of silence systemd ends the server."""
 
     def __init__(self, address: str = "", watchdog_s: float = 0.0) -> None:
         self.watchdog_s = watchdog_s if address else 0.0
@@ -37,13 +32,7 @@ class SystemdNotifier:
     def from_environment(
         cls, environment: MutableMapping[str, str] = os.environ, pid: int | None = None
     ) -> SystemdNotifier:
-        """Return the notifier for the socket in the environment.
-
-        Its variables are removed from the environment: children must not send notifications for the server.
-
-        Args:
-            pid: process id of the server; None for this process.
-        """
+        """Return the notifier for the socket in the environment, without which children notify nobody."""
         address = environment.pop("NOTIFY_SOCKET", "")
         watchdog_us = environment.pop("WATCHDOG_USEC", "")
         watchdog_pid = environment.pop("WATCHDOG_PID", "")
@@ -85,7 +74,6 @@ class SystemdNotifier:
             self.flush()
 
     def _is_sent(self, datagram: bytes) -> bool:
-        """Send without waiting; return False if it has to be sent again."""
         try:
             if self._socket is not None:
                 self._socket.send(datagram)
@@ -97,7 +85,6 @@ class SystemdNotifier:
 
 
 def _connected(address: str) -> socket.socket | None:
-    """Return a socket that is connected to systemd; None, with a warning in the log, if it cannot be reached."""
     path = "\0" + address[1:] if address.startswith(_ABSTRACT) else address
     connecting = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
     try:

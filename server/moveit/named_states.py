@@ -62,6 +62,10 @@ class NamedStates:
         group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
         keep: changes the states that are kept, those that other servers have saved meanwhile among them; returns them
             all.
+
+    Attributes:
+        described: states of the SRDF.
+        saved: states that users saved.
     """
 
     def __init__(
@@ -73,34 +77,19 @@ class NamedStates:
     ) -> None:
         self._joints = {joint.name: joint for joint in robot.movable_joints}
         self._states_of_groups = robot.named_states
-        self._described: Mapping[str, Positions] = robot.named_states.get(group, {})
+        self.described: Mapping[str, Positions] = robot.named_states.get(group, {})
         self._keep = keep
         self._changing = asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
-        self._saved = self._usable(saved)
+        self.saved = self._usable(saved)
 
-    @property
-    def described(self) -> Mapping[str, Positions]:
-        """States of the SRDF."""
-        return self._described
-
-    @property
-    def saved(self) -> Mapping[str, Positions]:
-        """States that users saved."""
-        return self._saved
-
-    @property
-    def names(self) -> list[str]:
-        """Names of all states, in alphabetical order."""
-        return sorted(self._of(None))
-
-    def names_in(self, group: str) -> list[str]:
-        """Return the names of all states of a planning group, in alphabetical order."""
+    def names(self, group: str | None = None) -> list[str]:
+        """Return the names of all states in alphabetical order; as :meth:`find`."""
         return sorted(self._of(group))
 
     def select_group(self, group: str) -> None:
         """Choose the planning group whose states of the SRDF count."""
-        self._described = self._states_of_groups.get(group, {})
+        self.described = self._states_of_groups.get(group, {})
         self._changed()
 
     def find(self, name: str, group: str | None = None) -> tuple[str, Positions] | None:
@@ -120,8 +109,8 @@ class NamedStates:
         return by_key[alike[0]] if alike else None
 
     def _of(self, group: str | None) -> dict[str, Positions]:
-        described = self._described if group is None else self._states_of_groups.get(group, {})
-        return {**self._saved, **described}
+        described = self.described if group is None else self._states_of_groups.get(group, {})
+        return {**self.saved, **described}
 
     def on_change(self, listener: Callable[[], None]) -> None:
         """Have this called after every change."""
@@ -155,7 +144,7 @@ class NamedStates:
 
         def rename(states: States) -> States:
             spelled = self._own(old_name, states)
-            taken = _spelling(new_name, (*self._described, *states))
+            taken = _spelling(new_name, (*self.described, *states))
             if taken not in (None, spelled):
                 raise ServiceError(f"new_name: there is a state {taken!r} already")
             self._check(new, states[spelled])
@@ -164,18 +153,17 @@ class NamedStates:
         await self._change(rename)
 
     def _own(self, name: str, states: States) -> str:
-        """Return the spelling of a saved state's name, to change the state."""
-        spelled = _spelling(name, (*self._described, *states))
+        spelled = _spelling(name, (*self.described, *states))
         if spelled is None:
-            known = ", ".join(sorted((*self._described, *states)))
+            known = ", ".join(sorted((*self.described, *states)))
             raise ServiceError(f"name: there is no state {name!r}; known are: {known}")
-        if spelled in self._described:
+        if spelled in self.described:
             raise ServiceError(f"name: {spelled!r} is a state of the SRDF, which is not changed here")
         return spelled
 
     async def _change(self, change: Change) -> None:
         async with self._changing:
-            self._saved = self._usable(await self._keep(change))
+            self.saved = self._usable(await self._keep(change))
         self._changed()
 
     def _changed(self) -> None:
@@ -183,7 +171,6 @@ class NamedStates:
             listener()
 
     def _usable(self, states: Mapping[str, Positions]) -> dict[str, Positions]:
-        """Return the states of this arm: a file may have states of another arm of the same name."""
         usable: dict[str, Positions] = {}
         for name, positions_rad in states.items():
             with contextlib.suppress(ServiceError):
@@ -196,7 +183,7 @@ class NamedStates:
             raise ServiceError(
                 f"name: must have 1 to {MAX_NAME_LENGTH} printable characters, not {name[:MAX_NAME_LENGTH]!r}"
             )
-        if any(_key(described) == _key(name) for described in self._described):
+        if any(_key(described) == _key(name) for described in self.described):
             raise ServiceError(f"name: {name!r} is a state of the SRDF, which is not changed here")
         if not positions_rad:
             raise ServiceError("state: names no joint of the robot")
@@ -215,7 +202,6 @@ def _key(name: str) -> str:
 
 
 def _spelling(name: str, known: Iterable[str]) -> str | None:
-    """Return the spelling of a name among those known; None when it is not among them."""
     return next((spelled for spelled in known if _key(spelled) == _key(name)), None)
 
 
@@ -233,10 +219,8 @@ def default_path(content: str, robot: RobotModel, environment: Mapping[str, str]
 
 def data_directory(environment: Mapping[str, str]) -> Path:
     """Return the directory of the server's files, in the XDG base directory for data."""
-    data_home = environment.get("XDG_DATA_HOME") or str(
-        Path(environment.get("HOME", "~")).expanduser() / ".local/share"
-    )
-    return Path(data_home) / "armbridge"
+    home = Path(environment.get("HOME", "~")).expanduser()
+    return Path(environment.get("XDG_DATA_HOME") or home / ".local/share") / "armbridge"
 
 
 class NamedStatesFile:
@@ -261,10 +245,7 @@ class NamedStatesFile:
         return {}
 
     async def change(self, change: Change) -> States:
-        """Change the states in the file, those that other servers have saved among them; return them all.
-
-        A crash leaves the old file or the new one.
-        """
+        """Change the states in the file, also states of other servers; a crash leaves the old file or the new one."""
         return await in_thread(self._path, "the state cannot be kept", lambda: self._change(change))
 
     def _change(self, change: Change) -> States:
@@ -337,7 +318,7 @@ class NamedStatesServices:
             wanted = re.compile(pattern or ".*")
         except re.error as error:
             raise ServiceError(f"regex: {pattern!r} is no regular expression: {error}") from error
-        return {"states": [name for name in self._states.names if wanted.fullmatch(name)]}
+        return {"states": [name for name in self._states.names() if wanted.fullmatch(name)]}
 
     async def _save(self, request: Request) -> Request:
         """Save the state in the request; without joints, the present positions of the arm."""
@@ -355,7 +336,7 @@ class NamedStatesServices:
         found = self._states.find(request["name"])
         if found is None:
             raise ServiceError(
-                f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names)}"
+                f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names())}"
             )
         return {"state": state_message(dict(found[1]), self._robot.root_link, time.time())}
 

@@ -68,19 +68,16 @@ class ReplayAction:
         queue: GoalQueue,
         problems: ProblemBuilder,
     ) -> None:
-        self._graph = graph
         self._robot = robot
         self._motions = motions
         self._queue = queue
         self._problems = problems
-        # The event loop keeps only weak references to tasks.
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
+        graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         task = asyncio.create_task(self._submit(goal), name="a replay")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        # The goal keeps the task alive, which the event loop does not.
+        goal.when_ended(lambda _end: task)
 
     async def _submit(self, goal: Goal) -> None:
         try:
@@ -113,7 +110,7 @@ def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: P
     joints = frozenset(taught.joint_names)
     once = (
         *(_to_start(group, taught.start_rad, problems) for group in groups_of(robot, joints)),
-        _follow(taught, replay),
+        lambda now_rad: taught.problem(now_rad, replay.speed, CHECK_TIME_S),
     )
     return PlannedMotion(once * (1 + replay.repeat), joints)
 
@@ -136,21 +133,13 @@ def _to_start(group: Group, start_rad: Positions, problems: ProblemBuilder) -> S
     return lambda now_rad: problems.goal(group, goal, now_rad)
 
 
-def _follow(taught: TaughtMotion, replay: Replay) -> Step:
-    return lambda now_rad: taught.problem(now_rad, replay.speed, CHECK_TIME_S)
-
-
 def feedback(progress: Progress) -> Message:
     """Write the feedback of some progress."""
     return {"state": progress.state.value, "fraction": progress.fraction, "remaining_s": progress.remaining_s}
 
 
 def result(answer: Answer, note: str = "") -> dict[str, Any]:
-    """Write the result of an answer; a motion of the goal that cannot be planned is called by what it is.
-
-    Args:
-        note: end of the sentence of a success.
-    """
+    """Write the result of an answer; the note ends the sentence of a success."""
     item = answer.details.get("item")
     if isinstance(item, int):
         answer = replace(answer, message=answer.message.removeprefix(f"items[{item}]: "))

@@ -235,7 +235,7 @@ class FollowingSession:
             check_ready(follower.arm)
         except RefusedError as error:
             return str(error)
-        if self.following.phase is Phase.FOLLOWING and (busy := self._queue.busy_with(follower.joints)):
+        if self.following.phase is Phase.FOLLOWING and (busy := self._queue.busy(follower.joints)):
             return f"the arm is in use: {busy}"
         if self._ramp is not None and self._ramp.remaining_s is not None:
             self._ramp_moved_s = now_s

@@ -162,8 +162,6 @@ class Teleoperation:
                 self._offer_below(f"/{follower.name}", [follower.name])
 
     def _offer_below(self, below: str, names: Sequence[str]) -> None:
-        """Offer the services for some followers, and advertise their state."""
-
         async def start(request: Message) -> dict[str, Any]:
             return await self._start(request, names)
 
@@ -283,7 +281,7 @@ class Teleoperation:
     async def _until_unused(self, follower: Follower) -> None:
         """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake."""
         until_s = self._clock() + BRAKING_S
-        while busy := self._queue.busy_with(follower.joints):
+        while busy := self._queue.busy(follower.joints):
             if self._clock() > until_s:
                 raise ServiceError(f"{follower.name} cannot follow: it is in use: {busy}")
             await asyncio.sleep(POLL_S)

@@ -46,11 +46,7 @@ def bridge_of(settings: ZenohSettings, graph: Graph, access: Access, max_message
 
 
 class Bridge:
-    """Member of a zenoh network.
-
-    Raises:
-        ConfigurationError: zenoh is not installed, or rejects the configuration.
-    """
+    """Member of a zenoh network, or ConfigurationError where zenoh is missing or rejects the configuration."""
 
     def __init__(self, graph: Graph, settings: ZenohSettings, access: Access, max_message_bytes: int) -> None:
         config = session_config(settings)
@@ -178,7 +174,6 @@ class Sharing:
         self._offered.refresh(entities)
 
     def _is_relevant(self, entity: Entity) -> bool:
-        """Return True for an entity that may be shared; called in a thread of zenoh."""
         name = self._network.namespace.to_local(entity.endpoint.name)
         if entity.kind is EntityKind.SERVICE:
             return self._call.matches(name)
@@ -196,10 +191,7 @@ class Sharing:
 class Discovery:
     """Entities of other machines, by the liveliness tokens of rmw_zenoh, which vanish together with their machine.
 
-    Updated by zenoh's threads, and read by the event loop.
-
-    Args:
-        is_relevant: selects entities to keep; called in zenoh's threads.
+    Updated by zenoh's threads, which call ``is_relevant``, and read by the event loop.
     """
 
     def __init__(self, domain_id: int, session: str, is_relevant: Callable[[Entity], bool]) -> None:

@@ -32,11 +32,7 @@ FINAL = frozenset((GoalStatus.SUCCEEDED, GoalStatus.CANCELED, GoalStatus.ABORTED
 
 
 class RemoteService:
-    """Service of another machine, as its client on the network.
-
-    Args:
-        title: of the service, or of the action that it belongs to, in sentences.
-    """
+    """Service of another machine, as its client on the network; ``title`` names it, or its action, in sentences."""
 
     def __init__(self, network: Network, title: str, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
@@ -59,13 +55,7 @@ class RemoteService:
         fail: Callable[[str], None],
         timeout_s: float = LOCAL_TIMEOUT_S,
     ) -> None:
-        """Call the service.
-
-        Args:
-            request: a complete message.
-            take: called in the event loop with the response as CDR.
-            fail: called in the event loop with the reason for which there is none.
-        """
+        """Call the service; in the event loop ``take`` gets the response as CDR, or ``fail`` the reason."""
         if self._in_progress >= MAX_OUTGOING_CALLS:
             fail(f"{self._title}: {MAX_OUTGOING_CALLS} calls are on their way already")
             return
@@ -116,11 +106,7 @@ class RemoteService:
 
 
 class CalledService:
-    """Service of another machine, offered to clients of this server.
-
-    Raises:
-        GraphError: another service has its name.
-    """
+    """Service of another machine, offered to clients of this server, or GraphError if another service has its name."""
 
     def __init__(self, network: Network, name: str, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
@@ -148,13 +134,9 @@ class CalledService:
 
 
 class CalledAction:
-    """Action of another machine, offered to clients of this server (rcl_action, action_client.c).
+    """Action of another machine, by its service ``send_goal``, offered to clients (rcl_action, action_client.c).
 
-    Args:
-        endpoint: its service ``send_goal``.
-
-    Raises:
-        GraphError: another action has its name.
+    Raises GraphError if another action has its name.
     """
 
     def __init__(self, network: Network, name: str, endpoint: Endpoint) -> None:

@@ -50,13 +50,7 @@ MAX_SHARED = 1_000
 
 
 class SharedNames:
-    """Patterns of names; a shared name matches one of them. An action's services and topics go with its name.
-
-    Args:
-        patterns: ``*`` stands for any text, also with slashes in it, as in the globs of ``access``.
-        always: returns True for further names that match, whatever the patterns are.
-        never: returns True for names that do not match.
-    """
+    """Patterns of names, beside which ``always`` lets names pass, and ``never`` none. Parts of actions follow them."""
 
     def __init__(
         self,
@@ -130,11 +124,7 @@ class Declaration:
 
 @dataclass(frozen=True)
 class Network:
-    """Network with an open session, and this server's graph.
-
-    Attributes:
-        namespace: of this server's names on the network.
-    """
+    """Network with an open session, and this server's graph."""
 
     thread: SessionThread
     loop: asyncio.AbstractEventLoop
@@ -188,11 +178,7 @@ class Network:
         return any(not node.remote for node in self.graph.publishers(topic))
 
     def decode(self, type_name: str, octets: bytes, decoded: Callable[[ReceivedMessage | MessageError], None]) -> None:
-        """Decode a message of another machine: a small one at once, a large one by a thread, which delays nobody.
-
-        Args:
-            decoded: called in the event loop with the message, or with the reason why there is none.
-        """
+        """Decode a message, a large one by a thread; ``decoded`` gets it or its error in the event loop."""
         self._decode(type_name, octets, lambda message: self._received(type_name, message, octets), decoded)
 
     def decode_member(

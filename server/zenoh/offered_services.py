@@ -2,25 +2,110 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
+from base64 import b64decode
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
+from protocol.operations import SendActionGoal
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_service
 from server.arrival import arrived_in
+from server.graph.action_topics import ENDED_KEPT_S
+from server.graph.actions import GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.services import Response
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
-from server.zenoh.offered_goals import GOAL_SERVICES, OfferedGoals
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind
 from server.zenoh.session import call_in_loop
 
 if TYPE_CHECKING:
     import zenoh
+
+# Ending of the service's name -> ending of its type.
+GOAL_SERVICES = {"send_goal": "_SendGoal", "get_result": "_GetResult"}
+
+# Goals of all other machines whose results are kept; far more than an arm carries out.
+MAX_GOALS = 1_000
+
+Respond: TypeAlias = Callable[[Response], None]
+
+
+class OfferedGoals:
+    """Goals that other machines have sent, until their results have been kept long enough."""
+
+    def __init__(self, network: Network, authorizer: Authorizer) -> None:
+        self._network = network
+        self._authorizer = authorizer
+        self._results: dict[str, asyncio.Future[Result]] = {}
+
+    def send(self, action: str, octets: bytes, epoch: int, respond: Respond) -> None:
+        """Serve ``send_goal``, a request as CDR that arrived in a stop epoch."""
+        network, type_name = self._network, self._network.graph.actions.type_of(action)
+        if type_name is None:
+            respond(_no_action(action))
+            return
+
+        def take(request: dict[str, Any] | MessageError) -> None:
+            if isinstance(request, MessageError):
+                refusal: str | None = str(request)
+            else:
+                with arrived_in(epoch):
+                    refusal = self._start(action, type_name, request["goal_id"]["uuid"], request["goal"])
+            if refusal is not None:
+                network.warn(f"a goal of another machine to {action} is rejected: {refusal}")
+            stamp = network.graph.message_types.now().as_message()
+            respond(Response(ok=True, values={"accepted": refusal is None, "stamp": stamp}))
+
+        network.decode_member(f"{type_name}_SendGoal_Request", "goal", octets, take)
+
+    def _start(self, action: str, type_name: str, goal_id: str, goal: ReceivedMessage) -> str | None:
+        network = self._network
+        if len(self._results) >= MAX_GOALS:
+            return f"{MAX_GOALS} goals of other machines are known already"
+        if goal_id in self._results:
+            return "another goal has its id"
+        refusal = self._authorizer.refusal(SendActionGoal(action=action, action_type=type_name, args=goal.value))
+        if refusal is not None:
+            return refusal
+        result: asyncio.Future[Result] = network.loop.create_future()
+        network.graph.actions.send_goal(
+            network.node, action, type_name, goal, result.set_result, goal_id=b64decode(goal_id)
+        )
+        if result.done() and result.result().status == GoalStatus.UNKNOWN:
+            return str(result.result().values)
+        self._results[goal_id] = result
+        result.add_done_callback(lambda _: network.loop.call_later(ENDED_KEPT_S, self._results.pop, goal_id, None))
+        return None
+
+    def get_result(self, action: str, octets: bytes, respond: Respond) -> None:
+        """Serve ``get_result``: respond when the goal has ended; at once, with an unknown status, for no known goal."""
+        network, type_name = self._network, self._network.graph.actions.type_of(action)
+        if type_name is None:
+            respond(_no_action(action))
+            return
+
+        def answer(result: Result) -> None:
+            values = result.values if result.ok else network.graph.message_types.complete(f"{type_name}_Result", {})
+            respond(Response(ok=True, values={"status": int(result.status), "result": values}))
+
+        def take(request: dict[str, Any] | MessageError) -> None:
+            known = None if isinstance(request, MessageError) else self._results.get(request["goal_id"].value["uuid"])
+            if known is None:
+                answer(Result(ok=False, status=GoalStatus.UNKNOWN, values=""))
+            else:
+                known.add_done_callback(lambda done: answer(done.result()))
+
+        network.decode_member(f"{type_name}_GetResult_Request", "goal_id", octets, take)
+
+
+def _no_action(action: str) -> Response:
+    return Response(ok=False, values=f"Action {action} does not exist")
+
 
 # Calls of all other machines in progress; at worst each is a plan or a motion, which takes its time.
 MAX_INCOMING_CALLS = 64
@@ -30,11 +115,7 @@ MAX_INCOMING_STOPS = 64
 
 
 class IncomingCall(NamedTuple):
-    """Call of a service of this server.
-
-    Attributes:
-        epoch: stop epoch in which it arrived.
-    """
+    """Call of a service of this server."""
 
     service: OfferedService
     query: zenoh.Query
@@ -44,11 +125,7 @@ class IncomingCall(NamedTuple):
 
 
 class OfferedService:
-    """Service of this server that other machines may call.
-
-    Attributes:
-        max_calls: calls of all services in progress from which on this one is refused.
-    """
+    """Service of this server that other machines may call."""
 
     def __init__(
         self, network: Network, name: str, endpoint: Endpoint, receive: Callable[[IncomingCall], None]

@@ -62,11 +62,7 @@ class Endpoint:
 
 @dataclass(frozen=True)
 class Entity:
-    """Publisher, subscription, service or client that a token announces.
-
-    Attributes:
-        latched: True for a publisher that keeps its last message for later subscribers.
-    """
+    """Publisher, subscription, service or client that a token announces."""
 
     kind: EntityKind
     session: str
@@ -109,12 +105,7 @@ class LivelinessTokens:
 
 
 class Attachment(NamedTuple):
-    """Attachment of a message, request or response; rmw_zenoh drops those that have none.
-
-    Attributes:
-        source_timestamp_ns: time of sending [ns since the epoch].
-        gid: the sender's id, `GID_BYTES` long.
-    """
+    """Attachment of a message, request or response; rmw_zenoh drops those that have none."""
 
     sequence_number: int
     source_timestamp_ns: int

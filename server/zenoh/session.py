@@ -46,14 +46,8 @@ class SessionThread:
     """Threads that open a session, carry out jobs with it, and close it.
 
     zenoh's calls wait for one another, and requests and responses wait for a machine that does not read them until its
-    link is closed; messages on topics do not, they are dropped. So there is a thread for either, and the event loop
-    submits jobs without waiting.
-
-    Args:
-        open_session: opens the session; repeated as long as it raises ``zenoh.ZError``.
-
-    Attributes:
-        opened: the session's id, once it is open.
+    link is closed; messages on topics do not, they are dropped. So there is a thread for either. Opening is repeated as
+    long as it raises ``zenoh.ZError``; ``opened`` is the session's id.
     """
 
     def __init__(self, open_session: Callable[[], zenoh.Session]) -> None:

@@ -107,12 +107,7 @@ def check_installed(settings: ZenohSettings) -> None:
 
 
 def session_config(settings: ZenohSettings) -> zenoh.Config:
-    """Return zenoh's configuration.
-
-    Raises:
-        ConfigurationError: zenoh is not installed, its file cannot be read, it rejects a value, or strangers could send
-            commands.
-    """
+    """Return zenoh's configuration, or raise ConfigurationError; it is refused where strangers could send commands."""
     check_installed(settings)
     # Optional, and few servers use it.
     import zenoh
@@ -142,11 +137,7 @@ def is_endpoint(text: str) -> bool:
 
 
 def exposed_endpoint(endpoints: Iterable[str], *, mutual_tls: bool) -> str | None:
-    """Return the first endpoint that admits other machines without authentication; None if there is none.
-
-    Args:
-        mutual_tls: True if peers that connect by TLS must show a certificate.
-    """
+    """Return the first endpoint that admits other machines without authentication; None if there is none."""
     return next((each for each in endpoints if not _is_protected(each, mutual_tls)), None)
 
 

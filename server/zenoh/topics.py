@@ -165,14 +165,7 @@ class Source(NamedTuple):
 
 
 class IncomingTopic:
-    """Topic of other machines that this server subscribes to.
-
-    Attributes:
-        waiting: messages that come while a thread decodes an earlier one, in order; the newest.
-
-    Raises:
-        GraphError: this server has a topic of that name and another type.
-    """
+    """Topic of other machines that this server subscribes to; GraphError if another topic has its name."""
 
     def __init__(self, network: Network, name: str, source: Source, received: ReceiveQueue[IncomingMessage]) -> None:
         self.name = name
@@ -231,11 +224,7 @@ class IncomingTopic:
 
 
 class IncomingMessage(NamedTuple):
-    """Message of another machine as CDR.
-
-    Attributes:
-        epoch: stop epoch in which it arrived.
-    """
+    """Message of another machine as CDR."""
 
     topic: IncomingTopic
     octets: bytes

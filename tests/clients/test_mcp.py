@@ -6,7 +6,9 @@ import json
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -60,6 +62,20 @@ def sentence(answer: dict[str, Any]) -> str:
 def answers() -> Iterator[dict[str, Any]]:
     with RunningServer(settings=FAST) as server:
         yield end(begin(server, "alone"))
+
+
+def test_its_types_hold_against_the_package_mcp(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={tmp_path}"]
+    done = subprocess.run(
+        [*command, f"--python-executable={PYTHON}", "armbridge_mcp"],
+        cwd=ROOT / "clients" / "mcp",
+        env={**os.environ, "MYPYPATH": str(ROOT / "clients" / "python")},
+        capture_output=True,
+        text=True,
+        timeout=RUN_TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0:8000", "8000", "127.0.0.1:http"])

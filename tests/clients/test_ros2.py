@@ -7,6 +7,7 @@ import os
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,9 +15,10 @@ from harness.server import ROOT, RunningServer
 from harness.waiting import running
 
 PYTHON = ROOT / "build" / "ros2" / "bin" / "python"
-SCENARIO = Path(__file__).with_name("ros2_scenario.py")
 SCENARIO_TIMEOUT_S = 300
 END_TIMEOUT_S = 60
+# action_msgs/GoalStatus
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 pytestmark = pytest.mark.skipif(
     not (ROOT / "build" / "ros2" / ".installed").exists(),
@@ -41,10 +43,9 @@ def bridge(server: RunningServer) -> Iterator[subprocess.Popen[str]]:
         assert process.wait(END_TIMEOUT_S) == 0
 
 
-@pytest.mark.usefixtures("bridge")
-def test_a_node_of_ros_2_sees_the_arm_moves_it_and_stops_it() -> None:
+def heard_by(scenario: str) -> dict[str, Any]:
     done = subprocess.run(
-        [str(PYTHON), str(SCENARIO)],
+        [str(PYTHON), str(Path(__file__).with_name(scenario))],
         capture_output=True,
         text=True,
         timeout=SCENARIO_TIMEOUT_S,
@@ -52,9 +53,31 @@ def test_a_node_of_ros_2_sees_the_arm_moves_it_and_stops_it() -> None:
         env=ENVIRONMENT,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    seen = json.loads(done.stdout.splitlines()[-1])
+    seen: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return seen
+
+
+@pytest.mark.usefixtures("bridge")
+def test_a_node_of_ros_2_sees_the_arm_moves_it_and_stops_it() -> None:
+    seen = heard_by("ros2_scenario.py")
     assert seen["ends"][:2] == 2 * [["1", "the arm is there"]]
     assert seen["ends"][2][0] == "-7"
     assert seen["shoulder_pan"] == pytest.approx(0.5, abs=0.02)
     assert "<robot" in seen["urdf"] or seen["urdf"].startswith("<?xml")
     assert seen["stop"][0] is True
+
+
+@pytest.mark.skipif(
+    not (ROOT / "build" / "ros2" / "share" / "moveit_msgs").exists(),
+    reason="the packages of actions are not on PyPI: make test-ros2 compiles them",
+)
+@pytest.mark.usefixtures("bridge")
+def test_action_clients_of_ros_2_get_feedback_results_and_cancel() -> None:
+    seen = heard_by("ros2_actions_scenario.py")
+    assert seen["followed"] == [SUCCEEDED, 0, True]
+    assert seen["cancelled"] == CANCELED
+    assert seen["refused"][0] == ABORTED
+    assert "shoulder_pan" in seen["refused"][1]
+    assert seen["gripper"] == [SUCCEEDED, True, 1.0]
+    assert seen["moved"] == [SUCCEEDED, 1, True]
+    assert seen["pose"] == [1, "base_link"]

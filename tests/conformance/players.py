@@ -13,8 +13,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from harness.waiting import until
 from server.access.authorization import Access
 from server.gateway.listener import Listener
-from server.gateway.raw_tcp import TcpStream
 from server.gateway.settings import ServerSettings
+from server.gateway.transport import TcpStream
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import play

@@ -14,18 +14,17 @@ from bson import decode as decode_bson
 
 from protocol.codecs.bson import is_document
 from protocol.errors import FrameError
+from protocol.framing import StreamSplitter
 from protocol.interface_files import Generation, read_file
 from protocol.limits import Limits
 from protocol.operations import Operation
 from protocol.publication import Frame
 from protocol.registry import Kind, Registry
 from protocol.session import Packed, Refusal, Session
-from protocol.stream import StreamSplitter
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.gateway.client import Client
-from server.gateway.client_auth import AuthContext
+from server.gateway.client import AuthContext, Client
 from server.gateway.client_context import ClientContext
 from server.gateway.inbox import Scheduling
 from server.gateway.turns import Turns, encode_or_log

@@ -6,8 +6,8 @@ from random import Random
 
 import pytest
 
+from protocol.framing import StreamSplitter
 from protocol.publication import Frame
-from protocol.stream import StreamSplitter
 from server.gateway.client_topics import ClientTopics
 from tests.fuzz.batches import cut_down, problem_of
 from tests.fuzz.sessions import SessionMaker

@@ -9,8 +9,7 @@ import numpy as np
 
 from robot.calibration import Calibration
 from robot.control.guards import ActuatorThresholds, Guards, Temperatures
-from robot.control.pacing import PERIOD_S, Pacer
-from robot.control.realtime import Scheduling
+from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import Supervisor
 from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig

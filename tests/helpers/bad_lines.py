@@ -12,8 +12,7 @@ from scservo_sdk import INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
 from robot.emulator.feetech import FEETECH
 from robot.emulator.servo_bus import Instruction
 from robot.errors import NoReply
-from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.packets import StatusFrame
+from robot.hardware.feetech.bus import Bus, StatusFrame
 from robot.hardware.feetech.registers import LAYOUT, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, encode
 from tests.helpers.scripted_servos import Script
 

@@ -15,10 +15,10 @@ from robot.emulator.feetech import FEETECH as FEETECH_CODEC
 from robot.emulator.feetech import FeetechServo
 from robot.emulator.plant import Plant
 from robot.emulator.servo_bus import Codec
-from robot.hardware.dynamixel import packets as dynamixel_packets
+from robot.hardware.dynamixel import family as dynamixel_packets
 from robot.hardware.dynamixel import registers as dynamixel_registers
 from robot.hardware.dynamixel.registers import MODELS, TICKS_S_PER_VELOCITY_UNIT
-from robot.hardware.feetech import packets as feetech_packets
+from robot.hardware.feetech import bus as feetech_packets
 from robot.hardware.feetech import registers as feetech_registers
 from tests.helpers import emulator
 

@@ -23,8 +23,7 @@ from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
 from server.gateway.admission import ConnectionLimiter
-from server.gateway.client import Client
-from server.gateway.client_auth import AuthContext
+from server.gateway.client import AuthContext, Client
 from server.gateway.client_context import ClientContext
 from server.gateway.http import HttpHandler
 from server.gateway.inbox import Scheduling

@@ -10,7 +10,7 @@ import time
 import tty
 from collections import deque
 
-from robot.control.realtime import take_priority
+from robot.control.pacing import take_priority
 from robot.emulator.feetech import FEETECH
 from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.hardware.feetech.bus import Bus

@@ -11,7 +11,7 @@ from planners.budget import Budget
 from planners.cartesian.planning import TipTracker, plan_cartesian
 from planners.geometry.kinematics import ForwardKinematics
 from planners.geometry.shapes import as_pose
-from planners.problem import Arc, CartesianProblem, Line
+from planners.problem import Arc, CartesianProblem, Line, PlanningError
 from tests.planners.invariants import never
 
 TIP = "gripper_frame_link"
@@ -50,7 +50,10 @@ class Follower:
 
     def plan(self, problem, should_stop=never):
         budget = Budget(time.monotonic, problem.allowed_time_s, should_stop)
-        return plan_cartesian(problem, self.robot, self.collision, self.forward, budget)
+        try:
+            return plan_cartesian(problem, self.robot, self.collision, self.forward, budget)
+        except PlanningError as error:
+            return error.failure
 
 
 def line(placement):

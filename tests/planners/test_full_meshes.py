@@ -55,7 +55,7 @@ def test_hard_problems_of_the_benchmark_are_solved_and_valid(name: str, problem:
     fields = json.loads(path.read_text())
     file = problem_file.read(path, so101())
     (outcome,) = plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=(problem,))))
-    (answer,) = plan_command.as_json([outcome], file.joint_names)
+    answer = plan_command.as_json(outcome, file.joint_names)
     (entry,) = (entry for entry in fields["position_problems"] if entry["id"] == problem)
     assert outcome.expected
     assert not Judge(resources.shared_data(), fields).faults(entry, answer)
@@ -69,7 +69,7 @@ def test_a_share_of_the_shared_problems_is_planned_and_valid(name: str) -> None:
     outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=tuple(entries)))))
     wrong = {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected}
     assert not wrong
-    answers = plan_command.as_json(outcomes, file.joint_names)
+    answers = [plan_command.as_json(outcome, file.joint_names) for outcome in outcomes]
     judge = judged(name)[1]
     faults = {one["problem"]: judge.faults(entries[one["problem"]], one) for one in answers if "positions" in one}
     assert not {name: found for name, found in faults.items() if found}

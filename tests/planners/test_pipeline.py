@@ -43,6 +43,7 @@ from tests.planners.invariants import (
     assert_touches_nothing,
     configurations,
 )
+from tests.planners.refusals import refusal
 from tests.planners.scenes import thing
 from tests.planners.setting import TIP, Setting, end_of
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
@@ -299,4 +300,4 @@ def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, put)
     ],
 )
 def test_questions_about_no_motion_are_refused(robot, collision, motion, asked, code):
-    assert ask(robot, collision, motion, **asked).code == code
+    assert refusal(ask, robot, collision, motion, **asked).code == code

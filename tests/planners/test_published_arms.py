@@ -17,7 +17,7 @@ from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot.description import model
-from robot.description.example_robots import PACKAGE, find_example
+from robot.description.robot_folder import PACKAGE, find_example
 from tests.helpers.resources import in_proportion
 from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import assert_touches_nothing

@@ -71,13 +71,7 @@ AT_ONCE = dataclasses.replace(EASY, optimization_time_s=0.0)
 
 
 class Planning:
-    """A planner that does what a test sets.
-
-    Attributes:
-        works: answers a request; gets it, and what tells that the request is cancelled.
-        scenes: scenes that were set up.
-        refusal: of every scene.
-    """
+    """A planner that does what a test sets."""
 
     def __init__(self, _robot: RobotModel) -> None:
         self.works: Callable[[Request, Callable[[], bool]], Answer] = lambda _request, _stop: SOUND

@@ -12,9 +12,9 @@ import pytest
 from harness.clients import arm_client, frame_client
 from harness.server import RunningServer
 from robot.description import model
-from robot.description.example_robots import _robots, _urdfs, find_example
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
+from robot.description.robot_folder import _robots, _urdfs, find_example
 from server.moveit.messages import pose_of, write_pose
 
 pytestmark = [

@@ -1,4 +1,4 @@
-"""Symptoms of real arms, from what happens to the sentence that names it, as docs/hardware.md quotes it.
+"""Symptoms of real arms, from what happens to the sentence that names it, as docs/troubleshooting.md quotes it.
 
 The page is read by these tests: a sentence that the program does not say fails here. ``TRAPS.md`` lists all of them.
 """
@@ -23,7 +23,7 @@ from harness.waiting import wait_until
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
-from robot.hardware import boards
+from robot.hardware import port
 from robot.hardware.config import FeetechConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
@@ -38,7 +38,7 @@ from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101_SERVOS
 from tests.server.commands.conftest import Run, armbridge, emulator  # noqa: F401 - fixtures
 
-PAGE = ROOT / "docs" / "hardware.md"
+PAGE = ROOT / "docs" / "troubleshooting.md"
 TABLE = ROOT / "tests" / "TRAPS.md"
 
 LIFT, ELBOW, ROLL, GRIPPER = 2, 3, 5, 6
@@ -92,7 +92,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPort
     found: list[ListPortInfo] = []
     monkeypatch.setattr(list_ports, "comports", lambda: found)
     for name in ("NAMES_BY_DEVICE", "NAMES_BY_SOCKET", "KERNEL_RELEASE", "BOARD_MODEL"):
-        monkeypatch.setattr(boards, name, tmp_path / name)
+        monkeypatch.setattr(port, name, tmp_path / name)
     return found
 
 
@@ -423,7 +423,7 @@ def simulation() -> Iterator[ServerOnBus]:
         ("A 7.4 V servo has 12 V", {"supply": 12.0}, {"supply": 5.0}),
         ("The supply is too weak", {"supply": 4.2}, {"supply": 5.0}),
         ("One servo falls silent", {"offline": [ELBOW]}, {"online": [ELBOW]}),
-        ("A servo starts anew while the arm moves", {"power_cycle": [ELBOW]}, {"push": {"3": 0}}),
+        ("A servo restarts while the arm moves", {"power_cycle": [ELBOW]}, {"push": {"3": 0}}),
         ("The gripper stops after two seconds", {"status": {"6": int(StatusFlag.OVERLOAD)}}, {"status": {"6": 0}}),
     ],
 )

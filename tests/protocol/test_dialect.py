@@ -85,15 +85,6 @@ def test_a_type_that_exists_only_in_ros2_is_spelled_as_if_ros1_had_it():
     assert to_ros1(REGISTRY, "action_msgs/GoalInfo", message)["stamp"] == {"secs": 0, "nsecs": 0}
 
 
-def test_a_type_that_exists_only_in_ros1_is_spelled_as_ros1_does():
-    message = complete(REGISTRY, "control_msgs/PointHeadActionGoal", {}, NOW)
-    assert_spelled_as(
-        REGISTRY.ros1,
-        "control_msgs/PointHeadActionGoal",
-        to_ros1(REGISTRY, "control_msgs/PointHeadActionGoal", message),
-    )
-
-
 def test_a_message_may_be_partial_on_the_way_in():
     assert from_ros1(REGISTRY, "sensor_msgs/JointState", {"header": {"stamp": {"secs": 5}}}) == {
         "header": {"stamp": {"sec": 5}}

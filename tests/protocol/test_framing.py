@@ -4,7 +4,6 @@ import contextlib
 import json
 import random
 
-import bson as pymongo_bson
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -117,15 +116,6 @@ def test_deep_nesting_is_refused_in_any_framing(frame):
     assert "limit of 64 levels" in str(read(frame)[0])
 
 
-def test_binary_frames_are_bson_or_json_each_by_its_own_look():
-    reader = FrameReader(Limits())
-    assert not reader.last_was_bson
-    assert reader.feed(pymongo_bson.encode({"op": "a"})) == [{"op": "a"}]
-    assert reader.last_was_bson
-    assert reader.feed(b'{"op":"b"}') == [{"op": "b"}]
-    assert not reader.last_was_bson
-
-
 def test_a_broken_bson_document_is_refused_and_answered_in_kind():
     reader = FrameReader(Limits())
     (refusal,) = reader.feed(b"\x08\x00\x00\x00\xff\xff\xff\x00")
@@ -157,18 +147,6 @@ def test_fragments_are_reassembled_in_any_order(text, size, source):
     source.shuffle(frames)
     results = outcome(reassembly(), *map(Fragment.model_validate, frames))
     assert results == [None] * (len(frames) - 1) + [text]
-
-
-@given(st.text(min_size=1), st.integers(1, 50))
-def test_pieces_are_numbered_in_integers_and_no_longer_than_wanted(text, size):
-    frames = split(text, size, "7")
-    for number, frame in enumerate(frames):
-        assert frame.isascii()
-        piece = json.loads(frame)
-        assert list(piece) == ["op", "id", "data", "num", "total"]
-        assert (piece["id"], piece["num"], piece["total"]) == ("7", number, len(frames))
-        assert type(piece["total"]) is int
-        assert len(piece["data"]) <= size
 
 
 def test_a_fragment_that_comes_twice_costs_nothing_either():

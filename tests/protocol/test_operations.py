@@ -156,16 +156,6 @@ def test_what_clients_send_is_taken_as_it_is() -> None:
             assert getattr(parse({"op": op, **MINIMAL[op], field: value}), field) == value, (op, field)
 
 
-@pytest.mark.parametrize("compression", ["none", "png", "cbor", "cbor-raw"])
-def test_a_known_compression_is_applied(compression):
-    assert parse({"op": "subscribe", "topic": "/a", "compression": compression}).encoding == compression
-
-
-@pytest.mark.parametrize("compression", ["zip", "", "PNG"])
-def test_an_unknown_compression_counts_as_none(compression):
-    assert parse({"op": "subscribe", "topic": "/a", "compression": compression}).encoding == "none"
-
-
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),

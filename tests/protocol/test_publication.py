@@ -16,7 +16,6 @@ from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp, complete
 from protocol.publication import (
-    FRAME_OVERHEAD_BYTES,
     LARGE_BYTES,
     EncodedMessage,
     Frame,
@@ -24,15 +23,10 @@ from protocol.publication import (
     pack,
 )
 from protocol.registry import Registry
-from tests.helpers.messages import deserialize
 
 
 def text_frame(length):
     return Frame(b"x" * length, text=True)
-
-
-def test_an_encoded_message_costs_its_frames_and_what_is_spent_on_each():
-    assert EncodedMessage(text_frame(10), text_frame(20)).size_bytes == 30 + 2 * FRAME_OVERHEAD_BYTES
 
 
 @pytest.mark.parametrize(
@@ -104,11 +98,6 @@ def decoded(frame, encoding):
     return json.loads(frame.data) if encoding == "none" else cbor2.loads(frame.data)
 
 
-def test_a_json_frame_has_three_keys_in_order_and_the_topic_as_the_subscriber_spells_it():
-    frame = frame_of(published(), "chatter")
-    assert frame == (b'{"op":"publish","topic":"chatter","msg":{"data":"hello"}}', True)
-
-
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_every_encoding_carries_op_and_topic_as_spelled_and_is_text_or_binary(encoding):
     frame = frame_of(published(), "chatter", encoding)
@@ -132,12 +121,6 @@ def test_the_message_is_encoded_once_for_all_spellings(encoding):
     message.msg["data"] = "after"
     second = frame_of(message, "chatter", encoding)
     assert decoded(second, encoding)["msg"] == decoded(first, encoding)["msg"]
-
-
-def test_cbor_raw_carries_the_time_of_receipt_and_the_serialized_message():
-    sent = cbor2.loads(frame_of(published(), "/chatter", "cbor-raw").data)["msg"]
-    assert (sent["secs"], sent["nsecs"]) == RECEIVED
-    assert deserialize(REGISTRY, "std_msgs/String", sent["bytes"]) == {"data": "hello"}
 
 
 @pytest.mark.parametrize("dialect", ["ros2", "ros1"])

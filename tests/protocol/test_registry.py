@@ -6,8 +6,7 @@ import pytest
 
 from protocol import registry
 from protocol.errors import InterfaceError
-from protocol.messages import Stamp, complete
-from protocol.registry import ArrayBounds, Constant, Registry
+from protocol.registry import ArrayBounds, Registry
 from tests.helpers.resources import shared_data
 
 # The reference has them as they were before 2025.
@@ -34,38 +33,16 @@ def test_the_ros1_table_adds_seven_messages_for_each_action():
             assert table[f"{package}/msg/{name}{suffix}"]["kind"] == "msg"
 
 
-def test_an_action_goal_of_ros1_is_header_id_and_goal():
-    fields = registry.read_ros1()["control_msgs/msg/PointHeadActionGoal"]["fields"]
-    assert fields == [
-        ["header", "std_msgs/Header"],
-        ["goal_id", "actionlib_msgs/GoalID"],
-        ["goal", "control_msgs/PointHeadGoal"],
-    ]
-
-
 def field(registry, type_name, field_name):
     return next(field for field in registry.message(type_name).fields if field.name == field_name)
-
-
-def every_message_name(registry):
-    return [name for name in registry.type_names() if registry.knows(name)]
-
-
-def test_every_message_type_of_the_tables_and_all_that_it_refers_to_can_be_read(registry):
-    names = every_message_name(registry)
-    assert len(names) == 338
-    for name in names:
-        for each in registry.message(name).fields:
-            assert each.primitive or registry.message(each.base).name == each.base
 
 
 @pytest.mark.parametrize(
     "name", ["std_msgs/string", "Std_msgs/String", "String", "", "/", "a/b/c/d", "std_msgs/srv/String", "std_msgs/"]
 )
 def test_a_name_that_does_not_match_to_the_letter_is_refused(registry, name):
-    with pytest.raises(InterfaceError, match="unknown") as refusal:
+    with pytest.raises(InterfaceError, match="unknown"):
         registry.message(name)
-    assert refusal.value.type_name == name
 
 
 @pytest.mark.parametrize("name", ["std_srvs/srv/Trigger", "control_msgs/action/PointHead"])
@@ -128,30 +105,6 @@ def test_every_service_and_action_and_all_that_they_refer_to_can_be_read(registr
 def test_a_type_that_is_no_service_is_refused_as_one(registry, name):
     with pytest.raises(InterfaceError):
         registry.service(name)
-
-
-def test_constants_keep_their_order_type_and_value(registry):
-    assert registry.message("visualization_msgs/UVCoordinate").constants == ()
-    assert registry.message("shape_msgs/SolidPrimitive").constants[:2] == (
-        Constant("uint8", "BOX", 1),
-        Constant("uint8", "SPHERE", 2),
-    )
-
-
-def test_text_constants_lose_their_quotes_and_comments(registry):
-    constants = {each.name: each.value for each in registry.message("control_msgs/VDA5050State").constants}
-    assert constants["MODE_SEMI_AUTOMATIC"] == "SEMIAUTOMATIC"
-
-
-def test_ros1_declares_times_and_headers_its_own_way(registry):
-    header = registry.ros1.message("std_msgs/Header")
-    assert [(field.name, field.base) for field in header.fields][:2] == [("seq", "uint32"), ("stamp", "time")]
-    assert [field.name for field in registry.ros1.message("time").fields] == ["secs", "nsecs"]
-
-
-def test_types_that_exist_only_in_ros1_can_be_used_in_ros2_spelling(registry):
-    completed = complete(registry, "std_msgs/Time", {"data": "now"}, Stamp(1, 2))
-    assert completed == {"data": {"sec": 1, "nanosec": 2}}
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from protocol import send_queue
 from protocol.limits import Limits
 from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame
-from protocol.send_budget import SendBudget
-from protocol.send_queue import SendQueue
+from protocol.send_queue import SendBudget, SendQueue
 from protocol.subscriptions import Subscription
 
 TOPIC = Subscription("/t")

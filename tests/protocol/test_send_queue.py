@@ -61,13 +61,6 @@ def test_beyond_the_bound_the_oldest_topic_data_is_dropped_whatever_its_topic(fr
     assert box.dropped == 2
 
 
-def test_the_newest_message_stays_even_if_it_is_larger_than_the_bound(free):
-    box = send_queue(topic_frames=3)
-    put_all(box, free, frames(2))
-    box.put_topic_data(free, encoded(b"x" * 10_000), 0.0)
-    assert taken(box, 1.0) == [b"x" * 10_000]
-
-
 def test_a_queue_length_keeps_the_newest_of_its_topic_only(free):
     box, short = send_queue(), Subscription("/short", queue_length=2)
     put_all(box, free, frames(3))
@@ -396,13 +389,6 @@ def test_messages_of_one_topic_keep_their_order_whatever_their_sizes() -> None:
     while due := taken(box, 1.0, 65_536):
         got += due
     assert got == sent
-
-
-def test_no_reply_overtakes_feedback_however_large(free: Subscription) -> None:
-    box = SendQueue(Limits())
-    box.put_topic_data(free, encoded(LARGE), 0.0, in_order=True)
-    box.put_reply(encoded(b"result"))
-    assert taken(box, 1.0) == [LARGE, b"result"]
 
 
 def test_small_messages_do_not_wait_for_a_large_one_whose_encoding_takes_long(free: Subscription) -> None:

@@ -11,7 +11,7 @@ from protocol.operations import MAX_NAME_CHARACTERS, OPERATIONS, Operation, Publ
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.send_queue import BEHIND_S, BULKY_BYTES
-from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Packed, Refusal, Session
+from protocol.session import DROPS_TOLD_EVERY_S, Packed, Refusal, Session
 
 REGISTRY = Registry.load()
 
@@ -128,12 +128,6 @@ def test_nothing_that_comes_raises(frame):
         assert isinstance(item, (Operation, Refusal))
 
 
-def test_every_operation_of_a_frame_is_read_in_order():
-    topics = ["/a", "/b", "/c"]
-    frame = "".join(json.dumps({"op": "unsubscribe", "topic": topic}) for topic in topics)
-    assert [operation.topic for operation in read(Session(), frame)] == topics
-
-
 @pytest.mark.parametrize("frame", ["{", '{"op":"fly"}', b"\xff", bson.encode({"op": "fly"})])
 def test_a_frame_that_is_not_one_operation_is_not_read_ahead(frame):
     assert Session().peek(frame) is None
@@ -171,13 +165,6 @@ def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(
     assert send("third", lambda _: False)
     assert send("fourth", lambda _: pytest.fail("it would overtake the third"))
     assert received_data(sent(session)) == ["third", "fourth"]
-
-
-def test_nothing_is_queued_of_a_topic_without_a_subscription_or_before_its_time():
-    session = subscribed(throttle_rate=1000)
-    assert not session.deliver(message("x", topic="/b"), 1.0)
-    assert session.deliver(message("x"), 1.0)
-    assert not session.deliver(message("x"), 1.5)
 
 
 def test_a_throttle_without_a_queue_drops_what_comes_too_early_and_does_not_count_it():
@@ -282,20 +269,7 @@ def test_a_client_that_sends_bson_is_answered_in_bson_and_one_that_sends_json_ag
     assert session.data_to_send(1.0)[0].frames[0].text
 
 
-# Status messages
-
-
 # Bounds
-
-
-def test_a_client_that_stops_reading_holds_no_more_than_it_may():
-    limits = Limits.model_construct(max_queued_bytes=1_000_000, max_queued_reply_bytes=300_000)
-    session = subscribed(limits=limits)
-    for step in range(3000):
-        session.deliver(message("x" * 1000 + str(step)), 1.0)
-        session.reply({"op": "service_response", "values": "y" * 1000})
-        assert session.send_queue.size_bytes <= limits.max_queued_bytes
-    assert session.send_queue.overflowed
 
 
 def test_a_clients_next_operations_wait_while_a_few_large_replies_do():
@@ -317,15 +291,6 @@ def test_a_result_does_not_overtake_feedback_however_large():
     for encoded in session.send_queue.take_unready():
         encoded.encode()
     assert [json.loads(frame)["op"] for frame in sent(session, BEHIND_S + 1.0)] == ["action_feedback", "action_result"]
-
-
-def test_the_data_fetched_at_a_time_is_bounded():
-    session = subscribed()
-    for step in range(500):
-        session.deliver(message("x" * 1000 + str(step)), 1.0)
-    fetched = session.data_to_send(1.0)
-    assert sum(encoded.size_bytes for encoded in fetched) <= SEND_BUDGET_BYTES + 2000
-    assert session.send_queue.next_due(1.0) == 1.0
 
 
 @pytest.mark.parametrize(("wanted", "told"), [("none", 0), ("error", 1), ("warning", 2), ("info", 3)])
@@ -362,6 +327,3 @@ def test_a_client_is_not_warned_of_what_its_own_throttle_drops():
     for _ in range(5):
         session.deliver(message("x"), 1.0)
     assert {json.loads(frame)["op"] for frame in sent(session, 1.0)} == {"publish"}
-
-
-# What was packed

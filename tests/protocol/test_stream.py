@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import random
 
 import bson
 import pytest
@@ -9,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import FrameError
+from protocol.framing import StreamSplitter
 from protocol.session import Refusal, Session
-from protocol.stream import StreamSplitter
 from tests.protocol.test_framing import operations, pieces
 
 LIMIT = 10_000
@@ -23,7 +22,7 @@ def frames_of(*data: bytes, limit: int = LIMIT) -> tuple[list[bytes], str | None
         for piece in data:
             splitter.add(piece)
             while (frame := splitter.next_frame()) is not None:
-                assert isinstance(frame, bytes) or not splitter.speaks_bson
+                assert isinstance(frame, bytes) or not splitter.is_bson
                 frames.append(frame.encode() if isinstance(frame, str) else frame)
     except FrameError as error:
         return frames, str(error)
@@ -135,14 +134,6 @@ def test_a_stream_of_bson_stays_bson():
     frames, end = frames_of(document + b'{"op":"x"}')
     assert frames == [document]
     assert "a BSON document of" in str(end)
-
-
-def test_random_cuts_of_a_long_stream_give_every_document():
-    draw = random.Random(1)
-    documents = [bson.encode({"op": "publish", "n": n, "x": "y" * draw.randrange(300)}) for n in range(300)]
-    stream = b"".join(documents)
-    cut = [stream[at : at + 7] for at in range(0, len(stream), 7)]
-    assert frames_of(*cut) == (documents, None)
 
 
 def test_an_object_comes_as_text_and_one_that_is_no_utf8_as_bytes_to_be_refused():

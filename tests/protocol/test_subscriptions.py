@@ -67,59 +67,14 @@ def merged(*operations):
 # The table
 
 
-def test_several_ids_on_one_topic_are_one_delivery():
-    table = subscriptions(subscribe(id="x"))
-    first = table.get("/a")
-    assert table.add(subscribe(id="y")) is False
-    assert table.get("/a") is first
-    assert list(table) == ["/a"]
-
-
 def test_throttle_and_queue_of_several_ids_are_the_least_of_each():
     both = (subscribe(id=1, throttle_rate=200, queue_length=5), subscribe(id=2, throttle_rate=100, queue_length=9))
     assert merged(*both) == merged(*reversed(both)) == (0.1, 5)
 
 
-def test_subscribing_again_with_the_same_id_replaces():
-    assert merged(subscribe(id=1, throttle_rate=100), subscribe(id=1, throttle_rate=300)) == (0.3, 0)
-    assert merged(subscribe(throttle_rate=100), subscribe(throttle_rate=300)) == (0.3, 0)
-
-
-def test_unsubscribing_one_id_merges_the_rest_anew():
-    table = subscriptions(subscribe(id=1, throttle_rate=100), subscribe(id=2, throttle_rate=300))
-    assert table.remove("/a", 1) is False
-    assert table.get("/a").throttle_s == 0.3
-
-
-def test_unsubscribing_without_an_id_withdraws_all_and_closes_the_delivery():
-    table = subscriptions(subscribe(id=1), subscribe(id=2))
-    subscription = table.get("/a")
-    assert table.remove("/a", None) is True
-    assert subscription.closed
-    assert table.get("/a") is None
-    assert "/a" not in table
-
-
 def test_a_topic_is_delivered_as_its_first_subscription_spelled_it():
     table = subscriptions(subscribe("a", id=1), subscribe("/a", id=2))
     assert table.get("/a").spelled_topic == "a"
-
-
-def test_a_topic_subscribed_to_anew_is_delivered_in_its_new_spelling():
-    table = subscriptions(subscribe("a"))
-    table.remove("a", None)
-    assert table.add(subscribe("/a")) is True
-    assert table.get("/a").spelled_topic == "/a"
-
-
-def test_the_compression_that_any_id_wants_most_serves_all():
-    for compressions, chosen in [
-        (("none", "png"), "png"),
-        (("png", "cbor", "none"), "cbor"),
-        (("cbor", "cbor-raw"), "cbor-raw"),
-    ]:
-        table = subscriptions(*(subscribe(id=one, compression=one) for one in compressions))
-        assert table.get("/a").compression == chosen
 
 
 def test_the_least_fragment_size_that_is_given_serves_all():
@@ -136,11 +91,6 @@ def test_the_least_fragment_size_that_is_given_serves_all():
 def test_messages_queued_for_a_closed_subscription_are_due_at_once():
     subscription = Subscription("/a", throttle_s=10.0, queue_length=4, last_sent_s=5.0, closed=True)
     assert subscription.due_count(3, 5.0) == 3
-
-
-@pytest.mark.parametrize(("throttle_s", "queue_length", "skips"), [(0.1, 0, True), (0.1, 1, False), (0.0, 0, False)])
-def test_only_a_throttle_without_a_queue_skips_messages(throttle_s, queue_length, skips):
-    assert Subscription("/a", throttle_s, queue_length).skips is skips
 
 
 @given(

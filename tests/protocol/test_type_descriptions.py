@@ -83,10 +83,6 @@ def test_a_typedef_tells_a_bounded_array_as_one_of_any_length_and_constants_as_t
     assert (definition["constnames"][0], definition["constvalues"][0]) == ("BOX", "1")
 
 
-def test_members_of_services_have_typedefs_too():
-    assert typedefs(REGISTRY, "std_srvs/srv/SetBool_Request")[0]["type"] == "std_srvs/SetBool_Request"
-
-
 def test_a_time_of_ros1_is_a_typedef_of_its_own():
     assert typedefs(REGISTRY, "std_msgs/Header", "ros1")[1]["fieldnames"] == ["secs", "nsecs"]
 

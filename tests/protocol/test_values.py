@@ -46,12 +46,6 @@ def test_an_integer_type_takes_its_whole_range_and_no_more(name):
         assert convert_list([value]) is None
 
 
-def test_a_whole_float_is_taken_for_an_integer():
-    converted = values.converter("int32")(2.0)
-    assert converted == 2
-    assert type(converted) is int
-
-
 @pytest.mark.parametrize("value", [True, 1.5, math.nan, math.inf, "1", None, []])
 def test_an_integer_refuses_what_is_not_whole(value):
     with pytest.raises(MessageError, match="wanted int32"):

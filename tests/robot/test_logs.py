@@ -175,13 +175,6 @@ def test_a_flood_of_lines_is_cut_short_and_counted(caplog: pytest.LogCaptureFixt
     assert caplog.messages[-1] == "client x: refused: later (30 more lines like this were left out before)"
 
 
-def test_by_default_a_line_is_written_once_for_each_key(caplog: pytest.LogCaptureFixture) -> None:
-    limiter = LogLimiter()
-    for kind, value in (("origin", "a"), ("origin", "b"), ("origin", "a"), ("origin", "a"), ("host", "a")):
-        limiter.write(LOG, logging.WARNING, f"refused: the {kind} {value}", (kind, value))
-    assert caplog.messages == ["refused: the origin a", "refused: the origin b", "refused: the host a"]
-
-
 def test_keys_that_clients_choose_are_bounded_and_the_end_is_told(caplog: pytest.LogCaptureFixture) -> None:
     limiter = LogLimiter()
     for number in range(2 * MAX_KEYS):

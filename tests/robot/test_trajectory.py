@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot.messages import ArmState, Mode
 from robot.trajectory import Trajectory, rest_to_rest
 from tests.helpers.motions import smooth_move
 
@@ -61,3 +63,16 @@ def test_between_the_corners_the_speed_is_the_slope_of_the_way() -> None:
 
 def test_no_way_is_a_motion_without_duration() -> None:
     assert rest_to_rest("jaw", 0.3, 0.3, 2.5, 10.0).duration_s == 0.0
+
+
+NUMBERS = st.lists(st.floats(), max_size=8).map(lambda numbers: np.array(numbers, dtype=float))
+
+
+@given(NUMBERS, NUMBERS)
+def test_arrays_of_frequent_messages_arrive_as_they_were_sent(position_rad: np.ndarray, goal_rad: np.ndarray) -> None:
+    sent = ArmState(1.0, Mode.MOVING, ("gripper",), position_rad=position_rad, goal_rad=goal_rad, lateness_s=(0.1,))
+    got = pickle.loads(pickle.dumps(sent))
+    for given_rad, got_rad in ((position_rad, got.position_rad), (goal_rad, got.goal_rad)):
+        assert (got_rad.dtype, got_rad.shape) == (given_rad.dtype, given_rad.shape)
+        np.testing.assert_array_equal(got_rad, given_rad)
+    assert (got.mode, got.joint_names, got.lateness_s, got.velocity_rad_s) == (Mode.MOVING, ("gripper",), (0.1,), None)

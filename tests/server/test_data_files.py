@@ -13,7 +13,8 @@ from server.config import Settings
 from server.features.moveit import kept_scene_path
 from server.graph.message_types import MessageTypes
 from server.moveit.named_states import NamedStatesFile
-from server.moveit.scene.saved_scene import SceneFile, complete_scene
+from server.moveit.scene.saved_scene import complete_scene
+from server.named_files import read_json
 from server.teaching.taught_motion import MotionFiles
 from tests.helpers.clock import FakeClock
 from tests.helpers.moveit import REGISTRY, ROBOT
@@ -48,7 +49,7 @@ async def test_taught_motions_open(directory: Path) -> None:
 def test_the_planning_scene_of_an_older_version_opens(tmp_path: Path) -> None:
     path = tmp_path / "planning_scene_so101.json"
     shutil.copy(WRITTEN / path.name, path)
-    content: Any = SceneFile(path).read()
+    content: Any = read_json(path, 1_000_000)
     scene = complete_scene(MessageTypes(REGISTRY, FakeClock()), content)
     assert [each["id"] for each in scene["world"]["collision_objects"]] == ["box"]
 

@@ -52,10 +52,6 @@ def world() -> AskedWorld:
     return AskedWorld()
 
 
-def test_the_time_is_the_servers(world: AskedWorld) -> None:
-    assert world.ask("get_time")["time"] == {"sec": 12, "nanosec": 500_000_000}
-
-
 @pytest.mark.parametrize(
     ("dialect", "version"),
     [("ros2", {"version": 2, "distro": "jazzy"}), ("ros1", {"version": 1, "distro": "noetic"})],
@@ -88,14 +84,6 @@ def test_a_failed_question_fails_the_call_with_its_reason(world: AskedWorld) -> 
 # Topics, services and nodes.
 
 
-def test_topics_come_with_their_types(world: AskedWorld) -> None:
-    answer = world.ask("topics")
-    assert dict(zip(answer["topics"], answer["types"], strict=True)) == {
-        "/joint_states": "sensor_msgs/msg/JointState",
-        "/chatter": "std_msgs/msg/String",
-    }
-
-
 @pytest.mark.parametrize("type_name", ["std_msgs/String", "std_msgs/msg/String", "builtin_interfaces/Time", "time"])
 def test_topics_are_found_by_every_spelling_of_their_type(world: AskedWorld, type_name: str) -> None:
     world.graph.advertise(CLIENT, "/now", "builtin_interfaces/Time")
@@ -119,10 +107,9 @@ def test_services_are_listed_with_type_and_node(world: AskedWorld) -> None:
     assert world.ask("services_for_type", type="std_srvs/Trigger")["services"] == ["/arm/stop"]
     assert world.ask("service_node", service="/arm/stop")["node"] == "/arm"
     assert world.ask("service_node", service="/nobody")["node"] == ""
-
-
-def test_providers_are_asked_for_by_type(world: AskedWorld) -> None:
     assert world.ask("service_providers", service="std_srvs/Trigger")["providers"] == ["/arm"]
+    assert world.ask("service_host", service="/arm/stop")["host"]
+    assert world.ask("service_host", service="/nobody")["host"] == ""
 
 
 def test_nodes_and_what_they_do_are_told(world: AskedWorld) -> None:
@@ -136,11 +123,6 @@ def test_nodes_and_what_they_do_are_told(world: AskedWorld) -> None:
     assert world.ask("node_details", node="/arm")["services"] == ["/arm/stop"]
     assert world.ask("publishers", topic="/joint_states")["publishers"] == ["/arm"]
     assert world.ask("subscribers", topic="joint_states")["subscribers"] == [client]
-
-
-def test_a_service_is_on_the_servers_host(world: AskedWorld) -> None:
-    assert world.ask("service_host", service="/arm/stop")["host"]
-    assert world.ask("service_host", service="/nobody")["host"] == ""
 
 
 def test_types_are_spelled_as_the_callers_generation_does(world: AskedWorld) -> None:
@@ -172,13 +154,6 @@ def test_message_details_have_plain_field_names(world: AskedWorld) -> None:
     assert main["fieldnames"] == ["header", "name", "position", "velocity", "effort"]
     assert main["fieldarraylen"] == [-1, 0, 0, 0, 0]
     assert {"std_msgs/Header", "builtin_interfaces/Time"} == {other["type"] for other in others}
-
-
-def test_service_details_tell_both_members(world: AskedWorld) -> None:
-    request = world.ask("service_request_details", type="std_srvs/SetBool")["typedefs"][0]
-    response = world.ask("service_response_details", type="std_srvs/srv/SetBool")["typedefs"][0]
-    assert request["fieldnames"] == ["data"]
-    assert response["fieldnames"] == ["success", "message"]
 
 
 @pytest.mark.parametrize("dialect", ["ros2", "ros1"])
@@ -259,14 +234,6 @@ def test_a_type_that_is_relayed_unknown_has_no_text(world: AskedWorld) -> None:
     for dialect, spelled in (("ros2", "acme_msgs/msg/Thing"), ("ros1", "acme_msgs/Thing")):
         answer = world.response("topics_and_raw_types", {}, dialect).values
         assert (answer["types"][-1], answer["typedefs_full_text"][-1]) == (spelled, "")
-
-
-def test_details_are_those_of_the_callers_generation(world: AskedWorld) -> None:
-    header, time = world.ask("message_details", "ros1", type="std_msgs/Header")["typedefs"]
-    assert (header["fieldnames"], header["fieldtypes"]) == (["seq", "stamp", "frame_id"], ["uint32", "time", "string"])
-    assert (time["type"], time["fieldnames"]) == ("time", ["secs", "nsecs"])
-    request = world.ask("service_request_details", "ros1", type="rosapi/GetParam")["typedefs"][0]
-    assert (request["type"], request["fieldnames"]) == ("rosapi/GetParamRequest", ["name", "default"])
 
 
 def test_the_texts_of_many_topics_are_bounded(world: AskedWorld, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -372,15 +339,6 @@ def kept() -> Kept:
     return Kept()
 
 
-def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
-    assert kept.ask("set_param", name="/speed", value="0.5") == DONE
-    assert kept.ask("get_param", name="/speed", default_value="") == {**DONE, "value": "0.5"}
-    assert kept.ask("search_param", name="/speed") == {"global_name": "/speed"}
-    assert kept.ask("delete_param", name="/speed") == DONE
-    assert kept.ask("has_param", name="/speed") == {"exists": False}
-    assert kept.ask("search_param", name="/speed") == {"global_name": ""}
-
-
 @pytest.mark.parametrize(
     ("default", "value"),
     [("0.1", 0.1), ('"text"', "text"), ("text", "text"), ("null", None), ("{", "{"), ("[" * 200_000, "[" * 200_000)],
@@ -412,10 +370,6 @@ def test_the_parameters_of_a_node_have_its_name_with_or_without_the_slash(kept: 
         assert kept.ask("get_param", name=name, default_value="")["value"] == "30"
         assert kept.ask("has_param", name=name) == {"exists": True}
     assert kept.ask("get_param_names") == {"names": ["/camera:rate"]}
-
-
-def test_the_default_of_a_parameter_may_have_its_older_name(world: AskedWorld) -> None:
-    assert world.ask("get_param", name="/nothing", default="3")["value"] == "3"
 
 
 def test_the_servers_own_parameters_are_there_for_clients(kept: Kept) -> None:

@@ -23,6 +23,8 @@ class ArmbridgeCamera(Camera):
     def __init__(self, config: ArmbridgeCameraConfig) -> None:
         super().__init__(config)
         self.config = config
+        self.width: int | None = config.width
+        self.height: int | None = config.height
         self._arm: Arm | None = None
         self._images: Watch[CompressedImage] | None = None
         self._read = 0

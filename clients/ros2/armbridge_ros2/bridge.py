@@ -9,16 +9,34 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
-from armbridge_ros2.interfaces import FROM_SERVER, SERVICES, TO_SERVER, Joined, fill, ros_class, to_json
+from armbridge_ros2.interfaces import (
+    ACTIONS,
+    FROM_SERVER,
+    SERVICES,
+    TO_SERVER,
+    Joined,
+    fill,
+    refused,
+    ros_class,
+    to_json,
+)
 from armbridge_ros2.server import Server
 
 ANSWER_TIMEOUT_S = 60.0
+# Calls and goals that wait for the server hold a thread each; topics and services that stop have threads of their own.
+MAX_WAITING = 16
+OTHER_THREADS = 4
+STOPS = ("/arm/stop", "/arm/emergency_stop")
+# action_msgs/GoalStatus
+SUCCEEDED, CANCELED = 4, 5
+CANCEL_PERIOD_S = 0.05
 LONGEST_WAIT_S = 0.5
 QUEUE = 10
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -36,7 +54,8 @@ class Bridge(Node):
         token_file: str = self.declare_parameter("token_file", "").value
         token = Path(token_file).read_text().strip() if token_file else ""
         self._from_server: dict[str, Any] = {}
-        self._connection = Server(url, token, self._on_message, self.get_logger().info)
+        self._action_servers: list[ActionServer[Any, Any, Any]] = []
+        self._connection = Server(url, token, self._on_message, self._report)
         # One after the other: of a goal and a stop that wait together the stop, the last of the list, goes last.
         self._in_order = MutuallyExclusiveCallbackGroup()
         self._side_by_side = ReentrantCallbackGroup()
@@ -44,14 +63,20 @@ class Bridge(Node):
             self._join(topic, self._take_topic)
         for topic in TO_SERVER:
             self._join(topic, self._offer_topic)
+        self._waiting = threading.BoundedSemaphore(MAX_WAITING)
         for service in SERVICES:
             self._join(service, self._offer_service)
+        for action in ACTIONS:
+            self._join(action, self._offer_action)
         self._connection.start()
 
     def close(self) -> None:
         """Leave the server and the graph."""
         self._connection.close()
         self.destroy_node()
+
+    def _report(self, sentence: str) -> None:
+        self.get_logger().info(sentence)
 
     def _join(self, joined: Joined, join: Any) -> None:
         try:
@@ -78,7 +103,7 @@ class Bridge(Node):
     def _offer_service(self, service: Joined, service_class: Any) -> None:
         def ask(request: Any, response: Any) -> Any:
             try:
-                return fill(response, self._connection.call(service.name, to_json(request)).result(ANSWER_TIMEOUT_S))
+                return fill(response, self._answer(service.name, request))
             except (ConnectionError, RuntimeError, concurrent.futures.TimeoutError) as error:
                 # A ROS service has no way to refuse; many have a field for a sentence.
                 sentence = str(error) or f"no answer within {ANSWER_TIMEOUT_S:g} s"
@@ -88,6 +113,69 @@ class Bridge(Node):
                 return response
 
         self.create_service(service_class, service.name, ask, callback_group=self._side_by_side)
+
+    def _answer(self, service: str, request: Any) -> dict[str, Any]:
+        if service in STOPS:
+            return self._connection.call(service, to_json(request)).result(ANSWER_TIMEOUT_S)
+        if not self._waiting.acquire(blocking=False):
+            raise RuntimeError(f"{MAX_WAITING} calls and goals wait for the server: call again later")
+        try:
+            return self._connection.call(service, to_json(request)).result(ANSWER_TIMEOUT_S)
+        finally:
+            self._waiting.release()
+
+    def _offer_action(self, action: Joined, action_class: Any) -> None:
+        def take(_goal: Any) -> GoalResponse:
+            if self._waiting.acquire(blocking=False):
+                return GoalResponse.ACCEPT
+            self.get_logger().error(f"{action.name}: {MAX_WAITING} calls and goals wait for the server")
+            return GoalResponse.REJECT
+
+        def execute(goal: Any) -> Any:
+            try:
+                return self._execute(action, action_class, goal)
+            finally:
+                self._waiting.release()
+
+        server = ActionServer(
+            self,
+            action_class,
+            action.name,
+            execute_callback=execute,
+            goal_callback=take,
+            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+            callback_group=self._side_by_side,
+        )
+        self._action_servers.append(server)
+
+    def _execute(self, action: Joined, action_class: Any, goal: Any) -> Any:
+        """Carry a goal out on the server, however long it takes: the server limits a goal's time."""
+
+        def on_feedback(values: dict[str, Any]) -> None:
+            if goal.is_active:
+                goal.publish_feedback(fill(action_class.Feedback(), values))
+
+        number, answer = self._connection.send_goal(action.name, action.type, to_json(goal.request), on_feedback)
+        result = action_class.Result()
+        cancelled = False
+        try:
+            while not concurrent.futures.wait((answer,), CANCEL_PERIOD_S).done:
+                if goal.is_cancel_requested and not cancelled:
+                    self._connection.cancel_goal(action.name, number)
+                    cancelled = True
+            end = answer.result()
+        except (ConnectionError, RuntimeError) as error:
+            self.get_logger().error(f"{action.name}: {error}")
+            goal.abort()
+            return refused(result, str(error))
+        fill(result, end["values"])
+        if end["status"] == SUCCEEDED:
+            goal.succeed()
+        elif end["status"] == CANCELED and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
 
     def _on_message(self, topic: str, serialized: bytes) -> None:
         # The bytes are those of ROS 2 already: no field is read.
@@ -103,7 +191,7 @@ def main() -> None:
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, lambda *_: ended.set())
     bridge = Bridge()
-    executor = MultiThreadedExecutor()
+    executor = MultiThreadedExecutor(MAX_WAITING + OTHER_THREADS)
     executor.add_node(bridge)
     try:
         while not ended.is_set():

@@ -1,4 +1,4 @@
-"""Topics and services that are joined, and ROS messages as the server's JSON has them."""
+"""Topics, services and actions that are joined, and ROS messages as the server's JSON has them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 
 class Joined(NamedTuple):
-    """A topic or service, with its type as ROS 2 spells it.
+    """A topic, service or action, with its type as ROS 2 spells it.
 
     Attributes:
         latched: late subscribers get the last message (transient local).
@@ -51,6 +51,12 @@ SERVICES = (
     Joined("/get_planning_scene", "moveit_msgs/srv/GetPlanningScene"),
     Joined("/apply_planning_scene", "moveit_msgs/srv/ApplyPlanningScene"),
 )
+ACTIONS = (
+    Joined("/arm_controller/follow_joint_trajectory", "control_msgs/action/FollowJointTrajectory"),
+    Joined("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand"),
+    Joined("/move_action", "moveit_msgs/action/MoveGroup"),
+    Joined("/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory"),
+)
 
 
 def ros_class(type_name: str) -> Any:
@@ -82,6 +88,17 @@ def fill(message: Any, values: Mapping[str, Any]) -> Any:
         if name in values:
             setattr(message, name, _value(getattr(message, name), type_name, values[name]))
     return message
+
+
+def refused(result: Any, sentence: str) -> Any:
+    """Return an action's result that names a failure of the bridge, where its type has fields for one."""
+    if hasattr(result, "error_string"):
+        # control_msgs/FollowJointTrajectory: INVALID_GOAL
+        result.error_code, result.error_string = -1, sentence
+    elif hasattr(result, "error_code"):
+        # moveit_msgs/MoveItErrorCodes: FAILURE; its sentence is younger than ROS 2 Humble.
+        fill(result.error_code, {"val": 99999, "message": sentence})
+    return result
 
 
 def _value(present: Any, type_name: str, value: Any) -> Any:

@@ -36,6 +36,7 @@ class Server:
         self._report = report
         self._registrations: list[dict[str, Any]] = [{"op": "set_level", "level": "error"}]
         self._calls: dict[str, Future[dict[str, Any]]] = {}
+        self._on_feedback: dict[str, Callable[[dict[str, Any]], None]] = {}
         self._number = 0
         self._lock = threading.Lock()
         self._socket: ClientConnection | None = None
@@ -74,16 +75,51 @@ class Server:
 
     def call(self, service: str, request: Any) -> Future[dict[str, Any]]:
         """Call a service; the future has the values of the response, or a ConnectionError or RuntimeError."""
+        return self._ask(service, {"op": "call_service", "service": service, "args": request})[1]
+
+    def send_goal(
+        self, action: str, type_name: str, goal: Any, on_feedback: Callable[[dict[str, Any]], None]
+    ) -> tuple[str, Future[dict[str, Any]]]:
+        """Send a goal; the future has its operation ``action_result``, or what :meth:`call` fails with.
+
+        Args:
+            action: the action's name.
+            type_name: its type, as ROS 2 spells it.
+            goal: its fields as JSON.
+            on_feedback: called with the values of each feedback, on the connection's thread.
+
+        Returns:
+            The goal's number, for :meth:`cancel_goal`, and the future.
+        """
+        operation = {
+            "op": "send_action_goal",
+            "action": action,
+            "action_type": type_name,
+            "args": goal,
+            "feedback": True,
+        }
+        return self._ask(action, operation, on_feedback)
+
+    def cancel_goal(self, action: str, number: str) -> None:
+        """Ask for the end of a goal; its result comes as ever."""
+        self._send({"op": "cancel_action_goal", "action": action, "id": number})
+
+    def _ask(
+        self, name: str, operation: dict[str, Any], on_feedback: Callable[[dict[str, Any]], None] | None = None
+    ) -> tuple[str, Future[dict[str, Any]]]:
         answer: Future[dict[str, Any]] = Future()
         with self._lock:
             self._number += 1
             number = str(self._number)
             self._calls[number] = answer
-        sent = self._send({"op": "call_service", "id": number, "service": service, "args": request})
+            if on_feedback is not None:
+                self._on_feedback[number] = on_feedback
+        answer.add_done_callback(lambda _: self._on_feedback.pop(number, None))
+        sent = self._send({**operation, "id": number})
         # The connection's thread may have given the call up already.
         if not sent and self._calls.pop(number, None) is not None:
-            answer.set_exception(ConnectionError(f"{service}: there is no connection to {self._url}"))
-        return answer
+            answer.set_exception(ConnectionError(f"{name}: there is no connection to {self._url}"))
+        return number, answer
 
     def _register(self, operation: dict[str, Any]) -> None:
         with self._lock:
@@ -135,10 +171,13 @@ class Server:
         match operation["op"]:
             case "publish":
                 self._on_message(operation["topic"], operation["msg"]["bytes"])
-            case "service_response":
+            case "action_feedback":
+                if (on_feedback := self._on_feedback.get(operation["id"])) is not None:
+                    on_feedback(operation["values"])
+            case "service_response" | "action_result":
                 answer = self._calls.pop(operation.get("id", ""), None)
                 if answer is not None and operation["result"]:
-                    answer.set_result(operation["values"])
+                    answer.set_result(operation if operation["op"] == "action_result" else operation["values"])
                 elif answer is not None:
                     answer.set_exception(RuntimeError(str(operation["values"])))
             case "status":

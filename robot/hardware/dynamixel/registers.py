@@ -14,8 +14,8 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from robot.hardware.interface import StatusFlag
-from robot.hardware.servos.registers import TWOS_COMPLEMENT, RegisterEnum, RegisterTable
-from robot.hardware.servos.registers import Area as Area
+from robot.hardware.servos.bus import TWOS_COMPLEMENT, RegisterEnum, RegisterTable
+from robot.hardware.servos.bus import Area as Area
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
@@ -112,8 +112,7 @@ WATCHDOG_TRIPPED = -1
 VOLT_PER_UNIT = 0.1
 AMPERE_PER_UNIT = 0.001
 
-# Full motor duty in registers GOAL_PWM and PRESENT_PWM.
-FULL_PWM = 885
+FULL_PWM = 885  # full motor duty in registers GOAL_PWM and PRESENT_PWM
 
 # 0.229 rev/min in ticks of 4096 a turn, and 214.577 rev/min^2.
 TICKS_S_PER_VELOCITY_UNIT = 0.229 / 60.0 * 4096.0

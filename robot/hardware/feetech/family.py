@@ -1,10 +1,11 @@
-"""Feetech's STS series: STS3215 and STS3250.
+"""Feetech's STS series, STS3215 and STS3250, and the calibration in their EPROM.
 
 A servo whose supply dips reboots, with torque off and its torque limit at register MAX_TORQUE.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,11 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import Calibration, JointCalibration
-from robot.errors import StartupError
+from robot.errors import PortError, RobotError, StartupError
+from robot.faults import ServoAlert, ServoWarning
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.calibration import read_differences, write_to_servos
 from robot.hardware.feetech.profiles import FACTORY, ServoProfile, meaning, nearest_profile
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
@@ -36,24 +36,96 @@ from robot.hardware.feetech.registers import (
     goal_block,
     parse_telemetry,
 )
-from robot.hardware.interface import Actuation, Steps
-from robot.hardware.servos.bus import ServoBus, StatusFrame, write_verified
+from robot.hardware.interface import Actuation, Result, Steps, run_to_end
+from robot.hardware.servos.bus import ATTEMPTS, Block, ServoBus, StatusFrame, Telemetry, read, write_verified
 from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Values, label
-from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
 from robot.trajectory import Vector
+
+
+def calibrated_registers(joint: JointCalibration) -> dict[Register, int]:
+    """Return a joint's calibrated registers in the order of writing: never a new offset with old limits."""
+    return {
+        Register.MIN_ANGLE_LIMIT: joint.range_min,
+        Register.MAX_ANGLE_LIMIT: joint.range_max,
+        Register.HOMING_OFFSET: joint.homing_offset,
+    }
+
+
+def differences(calibration: Calibration, held: Mapping[int, Mapping[Register, int]]) -> list[Difference]:
+    """Compare a calibration with the registers of servos by id; joints of other servos are left out."""
+    return [
+        Difference(joint.joint, joint.servo_id, register, value, held[joint.servo_id][register])
+        for joint in calibration.joints
+        if joint.servo_id in held
+        for register, value in calibrated_registers(joint).items()
+        if held[joint.servo_id][register] != value
+    ]
+
+
+def read_differences(bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:
+    """Compare a calibration with the servos' registers, as a sequence; raises NoReply."""
+    held: dict[int, dict[Register, int]] = {}
+    for joint in calibration.joints:
+        held[joint.servo_id] = {}
+        for register in calibrated_registers(joint):
+            held[joint.servo_id][register] = yield from read(bus, joint.servo_id, register)
+    return differences(calibration, held)
+
+
+def write_to_servos(bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:
+    """Write a calibration to servos without torque, as a sequence; EPROM wears, so only what differs is written.
+
+    A servo takes all of its changes or, after an error or when the sequence is given up, none, as far as it answers.
+    Its EPROM is locked again in either case. Raises StartupError for a servo that keeps another value, and NoReply.
+    """
+    for servo_id in dict.fromkeys(change.servo_id for change in changes):
+        own = [change for change in changes if change.servo_id == servo_id]
+        yield from write_verified(bus, servo_id, Register.TORQUE_ENABLE, 0)
+        try:
+            yield from write_verified(bus, servo_id, Register.LOCK, 0)
+            for change in own:
+                if (yield from read(bus, servo_id, change.register)) != change.calibrated:
+                    yield from write_verified(bus, servo_id, change.register, change.calibrated)
+            yield from write_verified(bus, servo_id, Register.LOCK, 1)
+        except BaseException:
+            _undo_and_lock(bus, servo_id, own)
+            raise
+
+
+def _undo_and_lock(bus: ServoBus, servo_id: int, changes: Sequence[Difference]) -> None:
+    """Undo the changes of a servo that has not taken all, and lock its EPROM, at once: no steps follow."""
+    with contextlib.suppress(RobotError):
+        _undo_incomplete(bus, changes)
+    for _ in range(ATTEMPTS):
+        try:
+            _at_once(write_verified(bus, servo_id, Register.LOCK, 1))
+        except PortError:
+            return
+        except RobotError:
+            continue
+        return
+
+
+def _undo_incomplete(bus: ServoBus, changes: Sequence[Difference]) -> None:
+    """Write the former values back, the offset first, unless the last change has been made and so all have."""
+    if _at_once(read(bus, changes[-1].servo_id, changes[-1].register)) == changes[-1].calibrated:
+        return
+    for change in reversed(changes):
+        if _at_once(read(bus, change.servo_id, change.register)) != change.in_servo:
+            _at_once(write_verified(bus, change.servo_id, change.register, change.in_servo))
+
+
+def _at_once(steps: Steps[Result]) -> Result:
+    return run_to_end(steps, lambda _wait_s: None)
+
 
 # Register ACCELERATION: its largest value, 39 rad/s^2. Smoothness comes from the trajectory, and any less adds lag.
 ACCELERATION = 254
 
-# Register OPERATING_MODE of a servo that follows position goals.
-POSITION_MODE = 0
-
-# Register PHASE, bit 4: positions count on beyond one turn, and overflow.
-PHASE_MULTI_TURN = 0x10
-
-# Registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT of a servo without limits.
-NO_LIMITS = (0, 0)
+POSITION_MODE = 0  # Register OPERATING_MODE of a servo that follows position goals
+PHASE_MULTI_TURN = 0x10  # Register PHASE, bit 4: positions count on beyond one turn, and overflow
+NO_LIMITS = (0, 0)  # registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT of a servo without limits
 
 _GOAL_AT = Register.GOAL_POSITION - GOAL_ADDRESS
 _GOAL_END = _GOAL_AT + TABLE.layout[Register.GOAL_POSITION].size
@@ -133,7 +205,6 @@ class Feetech(ServoFamily):
         plain = super().actuation(joints, found)
 
         def each(register: Register) -> Vector:
-            """Return the values of a register."""
             return np.array([float(found[joint.servo_id].values[register]) for joint in joints])
 
         def threshold(register: Register) -> Vector:
@@ -193,7 +264,6 @@ def _firmware(values: Values) -> tuple[int, int]:
 
 
 def _named_model(joint: JointCalibration) -> int:
-    """Return the model number that the robot's folder names, by name or by number."""
     name = joint.servo.model
     return int(name) if name.isdecimal() else MODELS.get(name, MODELS["sts3215"])
 

@@ -78,10 +78,7 @@ _MEANINGS: Mapping[Register, str] = MappingProxyType(
 
 
 def profile_of(spec: ProfileSpec | None) -> ServoProfile | None:
-    """Build the profile of table ``[hardware.profile]`` in robot.toml; None for an arm without this table.
-
-    Raises DescriptionError for an unknown register, and for a value that it cannot hold.
-    """
+    """Build the profile of ``[hardware.profile]``; raises DescriptionError for an unknown register or its value."""
     if spec is None:
         return None
     base = PROFILES[spec.base]
@@ -114,7 +111,6 @@ def meaning(register: Register, value: int) -> str:
 
 
 def _registers(named: Mapping[str, int], key: str) -> dict[Register, int]:
-    """Convert names of registers, checked against what each can hold."""
     settings = {register.name: register for register in LAYOUT if LAYOUT[register].area is Area.EEPROM}
     found = {}
     for name, value in named.items():

@@ -10,9 +10,9 @@ import struct
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from robot.hardware.servos.registers import Area as Area
-from robot.hardware.servos.registers import Block, RegisterEnum, RegisterTable
-from robot.hardware.servos.registers import Telemetry as Telemetry
+from robot.hardware.servos.bus import Area as Area
+from robot.hardware.servos.bus import Block, RegisterEnum, RegisterTable
+from robot.hardware.servos.bus import Telemetry as Telemetry
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
@@ -86,11 +86,8 @@ PROTECTION_TIME_UNIT_S = 0.01
 # Current of a stalled STS3215 C001 at full duty (Feetech's data sheet: 2.4 A at 6 V, 2.7 A at 7.4 V).
 STALL_CURRENT_A = 2.7
 
-# Its speed without load at 7.4 V (Feetech's data sheet).
-FREE_SPEED_RAD_S = 5.5
-
-# The acceleration register counts in steps of 100 ticks/s^2.
-TICKS_S2_PER_ACCELERATION_UNIT = 100
+FREE_SPEED_RAD_S = 5.5  # its speed without load at 7.4 V (Feetech's data sheet)
+TICKS_S2_PER_ACCELERATION_UNIT = 100  # the acceleration register counts in steps of 100 ticks/s^2
 
 TABLE = RegisterTable(Register)
 value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode

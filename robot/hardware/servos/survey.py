@@ -1,7 +1,4 @@
-"""Survey of the servos before anything is written to them, and the reasons not to drive them.
-
-The survey assumes nothing about the registers: torque may be on or off at power-up, and the goal may have any value.
-"""
+"""Survey of the servos before anything is written to them, and the reasons not to drive them."""
 
 from __future__ import annotations
 
@@ -9,13 +6,12 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping
 
-from robot.advice import ServoAlert, ServoWarning
 from robot.calibration import MAX_TICK, TICKS_PER_TURN, JointCalibration
 from robot.errors import NoReply, StartupError
+from robot.faults import ServoAlert, ServoWarning
 from robot.hardware.interface import Steps
 from robot.hardware.servos.bus import ServoBus, read, read_registers
-from robot.hardware.servos.family import ServoFamily, ServoFound, Values, label
-from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.family import ServoFamily, ServoFound, ServoMap, Values, label
 
 MISSING_ADVICE = ": check the cable to the first one named and its id"
 
@@ -30,10 +26,7 @@ MOST_TURNS = 16
 def survey(
     family: ServoFamily, bus: ServoBus, servos: ServoMap, *, simulated: bool = False
 ) -> Steps[dict[int, ServoFound]]:
-    """Survey every servo of the arm, by id, without writing; emulated ones have no cable and supply to check.
-
-    Raises NoReply, and StartupError for a servo that is missing, of an unknown model, or of an uncertain position.
-    """
+    """Survey every servo by id, without writing; raises NoReply, and StartupError for one that must not be driven."""
     models = yield from _identify(family, bus, servos, simulated=simulated)
     found = {}
     for joint in servos.joints:
@@ -57,11 +50,7 @@ def limits_warnings(
 
 
 def calibration_refusal(family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
-    """Return the reason not to drive servos that contradict the calibration, empty for none.
-
-    With another homing offset every position means another angle. With the calibrated offset, but limits of another
-    one, its limits stop the joint at wrong angles.
-    """
+    """Return the reason not to drive servos with another homing offset, or limits of another one; empty for none."""
     shifted = []
     for joint in servos.joints:
         held = found[joint.servo_id].values[family.registers.homing_offset]
@@ -84,10 +73,7 @@ def change_refusal(
     *,
     offsets_known: bool,
 ) -> str:
-    """Return the reason not to drive servos whose calibration has changed since the arm was connected, empty for none.
-
-    If the calibration has the servos' homing offsets, servos that agree with it may be driven.
-    """
+    """Return the reason not to drive servos whose calibration has changed while connected; none if it is known."""
     changed = []
     for joint in servos.joints:
         was, held = (_calibrated(family, each[joint.servo_id].values) for each in (before, found))

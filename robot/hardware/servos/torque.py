@@ -3,7 +3,7 @@
 Torque on with a stale goal strips gears: the goal is set to the present position and read back before torque comes on,
 with the torque limited and then raised slowly. An arm that is already holding keeps its goals. Every public operation
 is a sequence (:mod:`robot.hardware.interface`) that may be abandoned between any two of its steps. Positions are as the
-calibration counts (:mod:`robot.hardware.servos.servo_map`).
+calibration counts (:mod:`robot.hardware.servos.family`).
 """
 
 from __future__ import annotations
@@ -15,14 +15,12 @@ from enum import IntEnum
 from robot.errors import NoReply, StartupError
 from robot.hardware.interface import Steps
 from robot.hardware.servos.bus import STEP_ATTEMPTS, ServoBus, read, write_verified
-from robot.hardware.servos.family import Limit, ServoFamily, ServoFound
-from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMap
 
 # Largest distance from the goal when torque comes on; more means that the arm moved or the goal was not taken.
 TORQUE_ON_WITHIN_TICKS = 30
 
-# Further outside its soft limits than this (9 deg) an arm is not switched on.
-OUTSIDE_LIMIT_TICKS = 100
+OUTSIDE_LIMIT_TICKS = 100  # further outside its soft limits than this (9 deg) an arm is not switched on
 
 # An arm counts as at rest when three readings of each joint lie within this many ticks (0.7 deg).
 REST_READINGS = 3
@@ -50,11 +48,7 @@ OFF_INTERVAL_S = 0.05
 
 
 def relax(bus: ServoBus, ids: Sequence[int], start: Mapping[int, Limit], full: Mapping[int, Limit]) -> Steps[list[int]]:
-    """Lower the torque limits from a start, by id, then switch torque off and verify that.
-
-    The full limits are left: the next program that switches torque on finds an arm that can hold itself. Return the
-    servos that may still be driven.
-    """
+    """Lower torque limits by id, switch torque off, and leave full limits; return servos that may be driven."""
     for left in reversed(range(LOWER_STEPS)):
         yield LOWER_S / LOWER_STEPS
         lowered = {servo: Limit(register, value * left // LOWER_STEPS) for servo, (register, value) in start.items()}
@@ -66,10 +60,7 @@ def relax(bus: ServoBus, ids: Sequence[int], start: Mapping[int, Limit], full: M
 
 
 def emergency_stop(bus: ServoBus, ids: Sequence[int]) -> Steps[list[int]]:
-    """Switch torque off everywhere with the first step, then verify it servo by servo.
-
-    Return the servos that may still be driven.
-    """
+    """Switch torque off everywhere with the first step, then verify it; return servos that may still be driven."""
     for _ in range(BROADCASTS):
         bus.broadcast_torque_off()
         yield BROADCAST_INTERVAL_S
@@ -97,10 +88,7 @@ def write_limits(bus: ServoBus, limits: Mapping[int, Limit]) -> None:
 
 
 class ServoTorque:
-    """Torque of an arm's servos, which are surveyed later; a servo's registers change when its mode is changed.
-
-    Soft limits are the lowest and highest calibrated position, by id [ticks].
-    """
+    """Torque of servos that are surveyed later; soft limits are the calibrated positions allowed, by id [ticks]."""
 
     def __init__(
         self,
@@ -150,10 +138,7 @@ class ServoTorque:
         return goals
 
     def clear_error(self, servo_id: int, *, hold: bool) -> Steps[None]:
-        """Clear the error with which a servo has protected itself; then it holds its position, or its torque is off.
-
-        Raises StartupError for a servo that does not take a value, or moves, and NoReply.
-        """
+        """Clear a servo's latched error; then it holds, or is off. Raises StartupError if it moves, and NoReply."""
         yield from self._family.clear_error(self._bus, self._servos.by_id[servo_id])
         if hold or self._family.torque_on_clears_errors:
             yield from self._switch_on(servo_id)
@@ -205,7 +190,6 @@ class ServoTorque:
         return self._family.limit(self._servos.by_id[servo_id], self._found[servo_id].values, share)
 
     def _check_position(self, servo_id: int, present_ticks: int) -> None:
-        """Raise StartupError for a servo that must not be switched on at its position."""
         soft, own = self._soft[servo_id], self.goal_limits_ticks(servo_id)
         inside = soft[0] - OUTSIDE_LIMIT_TICKS <= present_ticks <= soft[1] + OUTSIDE_LIMIT_TICKS
         # The servo clamps or refuses a goal beyond its own limits: torque would move it, or it could not stay there.
@@ -257,14 +241,14 @@ class ServoTorque:
         return goal_ticks
 
     def _switch_on(self, servo_id: int) -> Steps[int]:
-        """Switch torque on at the present position and at reduced torque; return the goal [ticks]."""
         found, watchdog = self._found[servo_id], self._family.watchdog
         values = yield from self._family.prepare(self._bus, self._servos.by_id[servo_id], found.values)
         self._found[servo_id] = replace(found, values=values)
         if watchdog is not None and self.has_watchdog(servo_id):
             yield from write_verified(self._bus, servo_id, watchdog.register, 0)
         yield from self._set_profile(servo_id)
-        yield from write_verified(self._bus, servo_id, *self._first_limit(servo_id))
+        share = min(FIRST_TORQUE, self._servos.by_servo(self._servos.full_torque)[servo_id])
+        yield from write_verified(self._bus, servo_id, *self._limit(servo_id, share))
         goal = yield from self._set_goal(servo_id, self.reachable(servo_id, (yield from self._present(servo_id))))
         self._check_still(servo_id, (yield from self._present(servo_id)) - goal, "before")
         yield from write_verified(self._bus, servo_id, self._bus.registers.torque_enable, 1)
@@ -290,10 +274,6 @@ class ServoTorque:
         if abs(moved_ticks) > TORQUE_ON_WITHIN_TICKS:
             joint = self._servos.by_id[servo_id].joint
             raise StartupError(f"joint {joint} moved by {moved_ticks} ticks {when} torque came on; torque is off")
-
-    def _first_limit(self, servo_id: int) -> Limit:
-        full = self._servos.by_servo(self._servos.full_torque)[servo_id]
-        return self._limit(servo_id, min(FIRST_TORQUE, full))
 
     def _raise_torque(self, ids: Sequence[int]) -> Steps[None]:
         full, start = self.full_limits(), {}

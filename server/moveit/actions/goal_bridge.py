@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import asyncio
+import logging
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
@@ -10,6 +13,8 @@ from server.execution.motions import Motion
 from server.execution.queue import GoalQueue
 from server.graph.actions import Goal, GoalStatus
 from server.moveit.messages import Message
+
+log = logging.getLogger("armbridge.actions")
 
 
 def submit_goal(
@@ -47,12 +52,38 @@ def submit_goal(
     cancel_with_goal(goal, lambda reason: queue.cancel(queued.goal_id, reason))
 
 
-def cancel_with_goal(goal: Goal, cancel: Callable[[str], None]) -> None:
+def answer_by_task(goal: Goal, work: Coroutine[Any, Any, Answer], end: Callable[[Answer], None]) -> None:
+    """Have a task answer a goal, and end the task with the goal."""
+    task = asyncio.create_task(work, name=f"plan for {goal.action}")
+    task.add_done_callback(lambda done: end(answer_of_task(done)))
+    # The goal keeps the task alive, which the event loop does not.
+    cancel_with_goal(goal, lambda _reason: task.cancel())
+
+
+def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
+    """Return the answer of a planning task that is done, failed or cancelled."""
+    if done.cancelled():
+        return Answer(MoveItErrorCode.PREEMPTED, "cancelled while planning")
+    error = done.exception()
+    if error is not None:
+        log.error("planning for an action failed", exc_info=error)
+        return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
+    answer = done.result()
+    if answer.code is not MoveItErrorCode.SUCCESS:
+        log.warning("a plan was asked for: %s: %s", answer.code.name, answer.message)
+    return answer
+
+
+def cancel_with_goal(goal: Goal, cancel: Callable[[str], object]) -> None:
     """Cancel the work for a goal when a client asks for it, and when the goal ends in any other way.
 
     A goal may end before its motion: its time is over, or a part of the server has failed.
     """
-    goal.when_canceled(lambda: cancel(f"cancelled by a client of {goal.action}"))
+
+    def cancelled() -> None:
+        cancel(f"cancelled by a client of {goal.action}")
+
+    goal.when_canceled(cancelled)
     goal.when_ended(lambda end: cancel(f"the goal of {goal.action} is over" + ("" if end.ok else f": {end.values}")))
 
 

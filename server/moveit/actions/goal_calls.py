@@ -10,12 +10,12 @@ import asyncio
 import functools
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
-from server.errors import RefusedError, invalid
+from server.errors import RefusedError, invalid, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.goal import Goal as QueuedGoal
 from server.execution.motions import Performed, PlannedMotion
@@ -27,8 +27,8 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
-from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
-from server.moveit.actions.move_group import answer_of_task, plan_steps
+from server.moveit.actions.goal_bridge import answer_of_task, cancel_with_goal, goal_status
+from server.moveit.actions.move_group import plan_steps
 from server.moveit.goals.goal_messages import GoalTranslator, suggestion
 from server.moveit.goals.goal_topics import Confirmation, details_as_json
 from server.moveit.messages import Message
@@ -42,15 +42,6 @@ SERVICE_TYPE, ACTION_TYPE = "armbridge_msgs/srv/MoveitGoal", "armbridge_msgs/act
 
 # Joints of one goal; no robot comes near.
 MAX_JOINTS = 200
-
-
-@dataclass(frozen=True)
-class ReadGoal:
-    """Request that can be carried out."""
-
-    message: Message
-    motion: PlannedMotion
-    plan_only: bool
 
 
 class GoalCalls:
@@ -71,71 +62,42 @@ class GoalCalls:
         self._context = context
         self._node = Node("moveit goal")
         self._name = graph.resolve(NAME)
-        # The event loop keeps only weak references to tasks.
-        self._tasks: set[asyncio.Task[Answer]] = set()
         lists = ("name", "position", "velocity", "effort")
         limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
         self._graph.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
         self._graph.offer_action(self._node, NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
 
-    # As a service.
-
     def _call(self, call: Call) -> None:
-        """Carry out a call; it ends with its goal, and the goal with it."""
+        def ended(response: Response) -> None:
+            """Cancel the goal of a call without its answer; as others, it outlives its client's leaving."""
+            outlives = call.caller_left and not call.caller.takes_goals_along and not call.request["plan_only"]
+            if cancel is not None and not response.ok and not outlives:
+                cancel(f"the call of {self._name} is over: {response.values}")
+
         with services.failure_told(call):
-            goal = self._read(call.request, call.caller, lambda values: call.succeed(values))
-            if goal is None:
-                return
-            if goal.plan_only:
-                services.answer(call, lambda _request: self._planned(goal, call.caller))
-                return
-            number = self._submit(goal, call.caller, lambda values: call.succeed(values))
-            call.when_ended(functools.partial(self._call_ended, call, number))
-
-    def _call_ended(self, call: Call, number: str, response: Response) -> None:
-        """Cancel the goal of a call that was not answered with its end; as others, it outlives its client's leaving."""
-        if not response.ok and (call.caller.takes_goals_along or not call.caller_left):
-            self._queue.cancel(number, f"the call of {self._name} is over: {response.values}")
-
-    # As an action.
+            cancel = self._begin(call.request, call.caller, call.succeed)
+            call.when_ended(ended)
 
     def _start(self, goal: Goal) -> None:
+        def report(progress: Progress) -> None:
+            goal.feedback(_feedback(progress))
+
         def end(values: Mapping[str, Any]) -> None:
             report(Progress(GoalState.DONE, values["message"], 1.0 if values["success"] else 0.0))
             goal.finish(goal_status(MoveItErrorCode(values["code"])), values)
 
-        def report(progress: Progress) -> None:
-            goal.feedback(_feedback(progress))
+        cancel = self._begin(goal.request, goal.sender, end, report)
+        if cancel is not None:
+            cancel_with_goal(goal, cancel)
 
-        read = self._read(goal.request, goal.sender, end)
-        if read is None:
-            return
-        if read.plan_only:
-            self._plan_for(goal, read, end)
-            return
-        number = self._submit(read, goal.sender, end, report)
-        cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
-
-    def _plan_for(self, goal: Goal, read: ReadGoal, end: Callable[[Mapping[str, Any]], None]) -> None:
-        task = asyncio.create_task(self._plan(read, goal.sender), name=f"plan for {self._name}")
-
-        def ended(done: asyncio.Task[Answer]) -> None:
-            self._tasks.discard(done)
-            end(self._result(read.message, answer_of_task(done)))
-
-        goal.feedback(_feedback(Progress(GoalState.PLANNING, "planning")))
-        self._tasks.add(task)
-        task.add_done_callback(ended)
-
-        def cancel(_reason: str) -> None:
-            task.cancel()
-
-        cancel_with_goal(goal, cancel)
-
-    # Both.
-
-    def _read(self, request: Message, client: Node, end: Callable[[Mapping[str, Any]], None]) -> ReadGoal | None:
-        """Read a request; end a request that cannot be carried out, and return None."""
+    def _begin(
+        self,
+        request: Message,
+        client: Node,
+        end: Callable[[Mapping[str, Any]], None],
+        report: Callable[[Progress], None] = lambda _progress: None,
+    ) -> Callable[[str], object] | None:
+        """Begin to carry a request out; return the function that cancels it, None if it was rejected."""
         message: Message = {}
         proposed = client.is_viewer and not request["plan_only"]
         try:
@@ -149,8 +111,21 @@ class GoalCalls:
             return None
         for warning in motion.warnings:
             log.warning("%s: %s", self._name, warning)
-        confirm = proposed or self._confirmation.enabled
-        return ReadGoal(message, replace(motion, confirm=confirm, proposed=proposed), request["plan_only"])
+        if request["plan_only"]:
+            report(Progress(GoalState.PLANNING, "planning"))
+            task = asyncio.create_task(self._plan(motion, client), name=f"plan for {self._name}")
+            task.add_done_callback(lambda done: end(self._result(message, answer_of_task(done))))
+            return lambda _reason: task.cancel()
+        motion = replace(motion, confirm=proposed or self._confirmation.enabled, proposed=proposed)
+        # A proposal neither preempts a motion nor is refused for one.
+        policy = GoalPolicy.QUEUE if proposed else None
+        queued = self._queue.submit(GoalRequest(self._name, motion, message, client, policy=policy, on_progress=report))
+        if proposed:
+            self._confirmation.propose(queued)
+        queued.answered.add_done_callback(
+            lambda answered: end(self._result(message, answered.result(), queued.goal_id))
+        )
+        return functools.partial(self._queue.cancel, queued.goal_id)
 
     def _goal_of(self, request: Message) -> tuple[Message, Callable[..., PlannedMotion]]:
         """Return the one goal of a request as the message of its topic, and its translation."""
@@ -166,29 +141,7 @@ class GoalCalls:
             raise invalid(f"exactly one of the fields named, joints and pose must be given, not {got}")
         return next(iter(given.values()))
 
-    def _submit(
-        self,
-        goal: ReadGoal,
-        client: Node,
-        end: Callable[[Mapping[str, Any]], None],
-        report: Callable[[Progress], None] = lambda _progress: None,
-    ) -> str:
-        # A proposal neither preempts a motion nor is refused for one.
-        policy = GoalPolicy.QUEUE if goal.motion.proposed else None
-        queued = self._queue.submit(
-            GoalRequest(self._name, goal.motion, goal.message, client, policy=policy, on_progress=report)
-        )
-        if goal.motion.proposed:
-            self._confirmation.propose(queued)
-        queued.answered.add_done_callback(
-            lambda answered: end(self._result(goal.message, answered.result(), queued.goal_id))
-        )
-        return queued.goal_id
-
-    async def _planned(self, goal: ReadGoal, client: Node) -> Mapping[str, Any]:
-        return self._result(goal.message, await self._plan(goal, client))
-
-    async def _plan(self, goal: ReadGoal, client: Node) -> Answer:
+    async def _plan(self, motion: PlannedMotion, client: Node) -> Answer:
         """Plan from where the arm is, whatever it does meanwhile."""
         await self._context.scene_state.settled()
         state = self._graph.message_types.complete("moveit_msgs/msg/RobotState", {})
@@ -196,7 +149,7 @@ class GoalCalls:
             start = self._context.start(state, client)
         except RefusedError as error:
             return Answer.of(error.failure)
-        return await plan_steps(goal.motion.steps, start, start.scene, self._context)
+        return await plan_steps(motion.steps, start, start.scene, self._context)
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
         instead = suggestion(message, answer.details, self._context.robot)
@@ -215,7 +168,7 @@ class GoalCalls:
 def _second_proposal(first: QueuedGoal) -> RefusedError:
     state = "is carried out" if first.remaining_s is not None else "waits for approval"
     sentence = f"{first.title} {state}; one proposed goal is taken at a time: wait for its answer, or cancel it"
-    return RefusedError(PlanningFailure(MoveItErrorCode.CONTROL_FAILED, sentence))
+    return refused(MoveItErrorCode.CONTROL_FAILED, sentence)
 
 
 def _is_given(pose: Message) -> bool:

@@ -12,7 +12,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,8 +26,8 @@ from server.arrival import is_stopped
 from server.errors import RefusedError, invalid
 from server.execution.goal import CancelScope
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
-from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress
-from server.execution.time_limits import ArmClock, TimeLimits
+from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress, MotionWatch
+from server.execution.time_limits import ExecutionDeadline, TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
@@ -150,7 +150,7 @@ class Gripper:
 
     def claim(self) -> CancelScope:
         """Claim the gripper for the request in progress; a request that a stop has overtaken replaces no other."""
-        claim = CancelScope()
+        claim = CancelScope(deadline=ExecutionDeadline(self._limits.time))
         if not is_stopped(self._arm.last_stop, claim.epoch):
             if self._newest is not None:
                 self._newest.cancel("a newer command has come")
@@ -190,10 +190,6 @@ class Gripper:
                 return MotionEnded(0, Outcome.PROCESS_LOST, "the arm did not end the gripper's motion in time")
             return stream.ended.result()
 
-    def _stop_motion(self) -> None:
-        if self._motion is not None and not self._motion.done():
-            self._arm.stop(self._motion)
-
     async def _play(
         self, claim: CancelScope, command: GripperCommand, report: Callable[[GripperReading], None]
     ) -> MotionEnded:
@@ -208,43 +204,27 @@ class Gripper:
         )
         share = min(command.max_effort / self._limits.torque, 1.0) if command.max_effort else 1.0
         self._ends_s = self._clock() + trajectory.duration_s
-        self._motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=claim.epoch)
-        self._in_progress.add(trajectory, self._motion)
+        motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=claim.epoch)
+        self._motion = motion
+        self._in_progress.add(trajectory, motion)
+        claim.deadline.begin(trajectory.duration_s)
+        watch = MotionWatch(self._arm, motion, claim, self._clock, gripping=True)
         try:
-            left_s = self._limits.time.allowed_s(trajectory.duration_s)
-            ended = await self._until_ended(claim, self._motion, left_s, report)
+            while not watch.over:
+                await watch.step(FEEDBACK_PERIOD_S)
+                if not motion.done() and (reading := self.reading()) is not None:
+                    report(reading)
+            overrun = "" if motion.done() else claim.deadline.exceeded
+            ended = await watch.end()
         finally:
-            # Also after an error here no motion goes on without its goal; nothing happens when it has ended.
-            self._stop_motion()
+            # Also after an error here no motion goes on without its goal.
+            if not motion.done():
+                self._arm.stop(motion)
+        if overrun and ended.outcome is Outcome.STOPPED:
+            return replace(ended, outcome=Outcome.NOT_SETTLED, message=f"{overrun}; {ended.message}")
         if ended.outcome is Outcome.GRIPPED:
             await self._until_squeezed()
         return ended
-
-    async def _until_ended(
-        self,
-        claim: CancelScope,
-        motion: asyncio.Future[MotionEnded],
-        left_s: float,
-        report: Callable[[GripperReading], None],
-    ) -> MotionEnded:
-        arm_clock = ArmClock(self._arm, self._clock)
-        awaited: tuple[asyncio.Future[Any], ...] = (motion, claim.cancelled)
-        while not motion.done() and left_s > 0.0:
-            await asyncio.wait(awaited, timeout=FEEDBACK_PERIOD_S, return_when=asyncio.FIRST_COMPLETED)
-            if claim.reason and len(awaited) > 1:
-                self._stop_motion()
-                awaited = (motion,)
-            progress = self._arm.progress(motion)
-            left_s -= arm_clock.elapsed_s() * (1.0 if progress is None else progress.rate)
-            reading = self.reading()
-            if not motion.done() and reading is not None:
-                report(reading)
-        if not motion.done():
-            self._stop_motion()
-            await self._arm.wait((motion,), BRAKING_TIMEOUT_S)
-        if not motion.done():
-            return MotionEnded(0, Outcome.PROCESS_LOST, "the arm did not end the gripper's motion in time")
-        return motion.result()
 
     async def _until_squeezed(self) -> None:
         """Wait until the goal rests at its squeeze: the next motion starts there."""
@@ -395,7 +375,6 @@ class GripperActions:
             graph.resolve(FETCH_ACTION): simple,
             graph.resolve(PARALLEL_ACTION): ParallelGripperCommandMessages(gripper.joints),
         }
-        self._tasks: set[asyncio.Task[None]] = set()
         node = Node("gripper")
         for name in ACTIONS:
             graph.offer_action(
@@ -412,9 +391,8 @@ class GripperActions:
         claim = self._gripper.claim()
         cancel_with_goal(goal, claim.cancel)
         task = asyncio.create_task(self._execute(goal, messages, claim, command), name="gripper")
-        # The event loop keeps no task alive.
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        # The goal keeps the task alive, which the event loop does not.
+        goal.when_ended(lambda _end: task)
 
     async def _execute(self, goal: Goal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
         try:
@@ -428,7 +406,6 @@ class GripperActions:
             goal.fail(f"internal error: {type(error).__name__}: {error}")
 
     def _finish(self, goal: Goal, messages: ActionMessages, ended: MotionEnded) -> None:
-        """Finish the goal as its motion ended; a grip is a success."""
         status = {
             Outcome.REACHED: GoalStatus.SUCCEEDED,
             Outcome.GRIPPED: GoalStatus.SUCCEEDED,

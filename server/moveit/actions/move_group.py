@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import math
 import time
@@ -24,7 +23,7 @@ from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import cancel_with_goal, finish_goal, reject_goal, submit_goal
+from server.moveit.actions.goal_bridge import answer_by_task, finish_goal, reject_goal, submit_goal
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
 from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.messages import Message, error_code
@@ -46,7 +45,6 @@ DEFAULT_ATTEMPTS = 5
 MAX_ATTEMPTS = 100
 MAX_DELAY_S = 10.0
 
-
 # MoveIt's names of states (MoveGroupState in move_group); a goal that waits in the queue has none.
 MOVE_GROUP_STATES = {
     GoalState.PLANNING: "PLANNING",
@@ -56,30 +54,20 @@ MOVE_GROUP_STATES = {
 
 
 @dataclass(frozen=True)
-class PlanningOptions:
-    """Options of a goal, from moveit_msgs/PlanningOptions.
-
-    Attributes:
-        scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
-    """
-
-    plan_only: bool
-    attempts: int
-    delay_s: float
-    scene_diff: Message | None
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class PlanningGoal:
     """Contents of a goal.
 
     Attributes:
         requests: moveit_msgs/MotionPlanRequest of each motion, in their order.
+        scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
     """
 
     requests: Sequence[Message]
-    options: PlanningOptions
+    plan_only: bool
+    attempts: int
+    delay_s: float
+    scene_diff: Message | None
+    warnings: tuple[str, ...]
 
 
 class MoveGroupFeedback:
@@ -122,32 +110,12 @@ def sequence_result(answer: Answer, robot: RobotModel) -> Message:
 
 
 def _explained_code(answer: Answer, robot: RobotModel) -> dict[str, Any]:
-    """Write the code of an answer, with what would work in its message if anything was found."""
     return error_code(answer.code, with_suggestion(answer.message, answer.details, robot))
 
 
 def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[str, Any]:
     """Write the moveit_msgs/RobotTrajectory of a motion; as in MoveIt, one of no duration has no points."""
     return to_message(None if motion is None or motion.duration_s == 0.0 else motion, robot.root_link)
-
-
-@dataclass(frozen=True)
-class PlanningAction:
-    """Action with goals that are planned.
-
-    Attributes:
-        requests: returns the moveit_msgs/MotionPlanRequest of a goal message; raises RefusedError.
-    """
-
-    type_name: str
-    requests: Callable[[Message], Sequence[Message]]
-    result: Callable[[Answer, RobotModel], Message]
-
-
-MOVE_GROUP = PlanningAction("moveit_msgs/action/MoveGroup", lambda goal: [goal["request"]], move_group_result)
-SEQUENCE = PlanningAction(
-    "moveit_msgs/action/MoveGroupSequence", lambda goal: sequence_requests(goal["request"]), sequence_result
-)
 
 
 class PlanningActions:
@@ -158,19 +126,26 @@ class PlanningActions:
         self._context = context
         self._queue = queue
         self._node = Node("move group")
-        self._tasks: set[asyncio.Task[Answer]] = set()
         for name in MOVE_ACTIONS:
-            self._offer(name, MOVE_GROUP)
-        self._offer(SEQUENCE_ACTION, SEQUENCE)
+            self._offer(name, "MoveGroup", lambda goal: [goal["request"]], move_group_result)
+        self._offer(
+            SEQUENCE_ACTION, "MoveGroupSequence", lambda goal: sequence_requests(goal["request"]), sequence_result
+        )
 
-    def _offer(self, name: str, action: PlanningAction) -> None:
+    def _offer(
+        self,
+        name: str,
+        type_name: str,
+        requests: Callable[[Message], Sequence[Message]],
+        write_result: Callable[[Answer, RobotModel], Message],
+    ) -> None:
         def result(answer: Answer) -> Message:
-            return action.result(answer, self._context.robot)
+            return write_result(answer, self._context.robot)
 
         def start(goal: Goal) -> None:
             try:
-                planning_goal = read_planning_goal(goal.request, action)
-                if planning_goal.options.plan_only:
+                planning_goal = read_planning_goal(requests(goal.request), goal.request["planning_options"])
+                if planning_goal.plan_only:
                     self._plan_only(goal, planning_goal, result)
                 else:
                     motion = planned_motion(planning_goal, self._context)
@@ -180,31 +155,20 @@ class PlanningActions:
             except RefusedError as error:
                 reject_goal(goal, self._queue, error.failure, result)
 
-        self._graph.actions.offer(self._node, name, action.type_name, start, PLANNING_LIMITS, rule=PLANNING_GOAL)
+        type_name = f"moveit_msgs/action/{type_name}"
+        self._graph.actions.offer(self._node, name, type_name, start, PLANNING_LIMITS, rule=PLANNING_GOAL)
 
     def _plan_only(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
-        def end(done: asyncio.Task[Answer]) -> None:
-            self._tasks.discard(done)
+        def end(answer: Answer) -> None:
             goal.feedback({"state": "IDLE"})
-            finish_goal(goal, answer_of_task(done), result)
+            finish_goal(goal, answer, result)
 
         goal.feedback({"state": "PLANNING"})
-        planning = plan_only(planning_goal, goal.sender, self._context)
-        task = asyncio.create_task(planning, name=f"plan for {goal.action}")
-        # The event loop keeps only weak references to tasks.
-        self._tasks.add(task)
-        task.add_done_callback(end)
-        cancel_with_goal(goal, lambda _reason: _cancel(task))
+        answer_by_task(goal, plan_only(planning_goal, goal.sender, self._context), end)
 
 
-def read_planning_goal(message: Message, action: PlanningAction) -> PlanningGoal:
-    """Read a goal."""
-    options = read_planning_options(message["planning_options"])
-    return PlanningGoal(action.requests(message), options)
-
-
-def read_planning_options(message: Message) -> PlanningOptions:
-    """Read moveit_msgs/PlanningOptions."""
+def read_planning_goal(requests: Sequence[Message], message: Message) -> PlanningGoal:
+    """Read a goal with moveit_msgs/MotionPlanRequests and moveit_msgs/PlanningOptions."""
     delay_s = float(message["replan_delay"])
     if not (math.isfinite(delay_s) and 0.0 <= delay_s <= MAX_DELAY_S):
         text = f"planning_options.replan_delay must be from 0 to {MAX_DELAY_S:g} s, not {delay_s:g}"
@@ -215,7 +179,8 @@ def read_planning_options(message: Message) -> PlanningOptions:
             raise refused(MoveItErrorCode.FAILURE, text, field=field)
     attempts = message["replan_attempts"] if message["replan_attempts"] > 0 else DEFAULT_ATTEMPTS
     diff = message["planning_scene_diff"]
-    return PlanningOptions(
+    return PlanningGoal(
+        requests,
         plan_only=message["plan_only"],
         attempts=min(attempts, MAX_ATTEMPTS) if message["replan"] else 1,
         delay_s=delay_s,
@@ -246,9 +211,7 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
     """
-    options, present_rad = goal.options, context.current.positions_rad()
-    diff = options.scene_diff
-    warnings = options.warnings
+    diff, warnings, present_rad = goal.scene_diff, goal.warnings, context.current.positions_rad()
     if any(request["start_state"]["joint_state"]["name"] for request in goal.requests):
         # As in MoveIt.
         warnings += ("start_state is ignored: the motion begins where the arm is",)
@@ -258,8 +221,8 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
         steps=tuple(context.problems.step(request) for request in goal.requests),
         joints=context.problems.joints(goal.requests),
         scene=None if diff is None else lambda now_rad: context.scene_state.with_diff(diff, now_rad),
-        attempts=options.attempts,
-        delay_s=options.delay_s,
+        attempts=goal.attempts,
+        delay_s=goal.delay_s,
         warnings=warnings,
     )
 
@@ -270,17 +233,17 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
     Args:
         sender: its client; positions that it assumes complete the start state.
     """
-    state, options = goal.requests[0]["start_state"], goal.options
+    state, diff = goal.requests[0]["start_state"], goal.scene_diff
     try:
         start = context.start(state, sender)
-        scene, diff = start.scene, options.scene_diff
+        scene = start.scene
         if diff is not None:
             scene = context.scene_state.with_diff({**diff, **(attached_diff(state) or {})}, start.start_rad)
         warnings = _check_requests(goal.requests, start.start_rad, context)
     except RefusedError as error:
         return Answer.of(error.failure)
     steps = tuple(context.problems.step(request) for request in goal.requests)
-    return await plan_steps(steps, start, scene, context, (*options.warnings, *warnings))
+    return await plan_steps(steps, start, scene, context, (*goal.warnings, *warnings))
 
 
 async def plan_steps(
@@ -302,24 +265,6 @@ def _check_requests(requests: Sequence[Message], start_rad: Positions, context: 
     return tuple(warning for one in built for warning in one.warnings)
 
 
-def _cancel(task: asyncio.Task[Answer]) -> None:
-    task.cancel()
-
-
-def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
-    """Return the answer of a planning task that is done, failed or cancelled."""
-    if done.cancelled():
-        return Answer(MoveItErrorCode.PREEMPTED, "cancelled while planning")
-    error = done.exception()
-    if error is not None:
-        log.error("planning for an action failed", exc_info=error)
-        return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
-    answer = done.result()
-    if answer.code is not MoveItErrorCode.SUCCESS:
-        log.warning("a plan was asked for: %s: %s", answer.code.name, answer.message)
-    return answer
-
-
 class ExecuteTrajectory:
     """ExecuteTrajectory, for trajectories of any origin."""
 
@@ -327,9 +272,8 @@ class ExecuteTrajectory:
         self._context = context
         self._robot = context.planning.robot
         self._queue = context.queue
-        node = Node("execute trajectory")
-        type_name = "moveit_msgs/action/ExecuteTrajectory"
-        graph.actions.offer(node, EXECUTE_ACTION, type_name, self._start, TRAJECTORY_LIMITS, rule=GOAL)
+        offer = Node("execute trajectory"), EXECUTE_ACTION, "moveit_msgs/action/ExecuteTrajectory", self._start
+        graph.actions.offer(*offer, TRAJECTORY_LIMITS, rule=GOAL)
 
     def _start(self, goal: Goal) -> None:
         trajectory = goal.request["trajectory"]

@@ -12,7 +12,6 @@ from typing import Any
 from planners.files import problem_file
 from planners.problem import PlanningFailure, PlanningProblem
 from planners.scene import Scene
-from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.goal import Answer, Goal, GoalState, Progress
@@ -20,11 +19,10 @@ from server.execution.motions import Motion, Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
+from server.moveit.goals.goal_topics import final_status
 from server.moveit.messages import Message
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.trajectories import to_message
-
-HISTORY_SERVICE, HISTORY_TYPE = "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory"
-RECORD_SERVICE, RECORD_TYPE = "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord"
 
 MAX_GOALS = 100
 
@@ -57,41 +55,40 @@ class GoalRecord:
 
 
 class GoalHistory:
-    """Records of the last goals, and the services that tell them."""
+    """Records of the last goals, and the services that tell them; contacts for which goals failed are displayed."""
 
-    def __init__(
-        self, graph: Graph, robot: RobotModel, scene: Callable[[], Scene], wall_clock: Callable[[], float]
-    ) -> None:
-        self._graph = graph
-        self._robot = robot
-        self._scene = scene
+    def __init__(self, graph: Graph, planning: PlanningContext, wall_clock: Callable[[], float]) -> None:
+        self._robot = planning.robot
+        self._planning = planning
         self._wall_clock = wall_clock
         self._records: OrderedDict[str, GoalRecord] = OrderedDict()
         # Scene of each goal in progress when it was planned last: it may change before the answer.
         self._planned_in: dict[str, Scene] = {}
         self._summaries: dict[str, str] = {}
         node = Node("goal history")
-        self._graph.services.offer(node, HISTORY_SERVICE, HISTORY_TYPE, self._history, rule=LOOKING)
-        self._graph.services.offer(node, RECORD_SERVICE, RECORD_TYPE, self._record, rule=LOOKING)
+        offer = graph.services.offer
+        offer(node, "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory", self._history, rule=LOOKING)
+        offer(node, "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord", self._record, rule=LOOKING)
 
-    def take_progress(self, goal: Goal, progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         """Note the scene of a goal that is being planned, and the summary of its plan."""
         if progress.state is GoalState.PLANNING:
-            self._planned_in[goal.goal_id] = self._scene()
+            self._planned_in[goal.goal_id] = self._planning.scene_state.scene
         elif progress.state is GoalState.EXECUTING:
             # The first of them has the plan's methods and times; later ones may say that the motion is paused.
             self._summaries.setdefault(goal.goal_id, progress.message)
 
-    def take_answer(self, goal: Goal, answer: Answer, status: Message) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Keep the record of a goal, unless its answer is for one client alone, or no news of a stream."""
-        scene = self._planned_in.pop(goal.goal_id, None) or self._scene()
+        self._planning.display.contacts_of(answer.details)
+        scene = self._planned_in.pop(goal.goal_id, None) or self._planning.scene_state.scene
         summary = self._summaries.pop(goal.goal_id, "")
         if goal.request.only_for is not None or goal.unlogged:
             return
         performed = answer.performed or Performed({})
         self._records[goal.goal_id] = GoalRecord(
             self._wall_clock(),
-            status,
+            final_status(goal, answer, self._robot),
             goal.request.message,
             performed.planned,
             summary,
@@ -104,7 +101,6 @@ class GoalHistory:
         self._forget_scenes()
 
     def _forget_scenes(self) -> None:
-        """Forget the scenes, with the problems in them, beyond the newest few."""
         newest: set[int] = set()
         for goal_id, record in reversed(self._records.items()):
             if record.scene is None:

@@ -15,14 +15,13 @@ from planners.goals import (
     JointConstraint,
     JointGoal,
     OrientationConstraint,
-    Point,
     PoseGoal,
     PositionConstraint,
     PositionGoal,
     SingleGoal,
 )
 from planners.problem import MoveItErrorCode
-from planners.scene import Pose
+from planners.scene import Point, Pose
 from robot.description.model import Group, Joint, RobotModel
 from server.errors import invalid, refused
 from server.moveit.messages import Message, check_finite, read_point, read_pose

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from planners.problem import MoveItErrorCode
@@ -38,24 +37,14 @@ class LinkTransforms:
     def __init__(
         self, robot: RobotModel, forward: ForwardPlacements, positions_rad: Mapping[str, float] | None
     ) -> None:
-        self._robot = robot
+        self.robot = robot
         self._forward = forward
         self._positions_rad = positions_rad
         self._transforms: Mapping[str, Vector] | None = None
 
-    @property
-    def root_link(self) -> str:
-        """The link that does not move."""
-        return self._robot.root_link
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Every link."""
-        return self._robot.links
-
     def pose(self, link: str) -> Pose:
         """Return the pose of a link in the root link."""
-        if link == self.root_link:
+        if link == self.robot.root_link:
             return IDENTITY
         if self._positions_rad is None:
             raise _unknown(link, f"the pose of the link {link!r} is not known: the arm's position is not known")
@@ -71,33 +60,24 @@ class Frames:
         self._robot = robot
         self._forward = ForwardPlacements(robot)
         self._state = scene_state
-        self._latest = _Resolved(None, None, {})
+        # The many poses of one request are in the same frame mostly: poses by name, for a scene and joint positions.
+        self._resolved_in: tuple[SceneContents, Mapping[str, float] | None] | None = None
+        self._resolved: dict[str, Pose] = {}
 
     def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose:
         """Return the pose of a frame in the root link; names and errors as for :func:`find_frame`."""
-        latest, contents = self._latest, self._state.contents
-        # The many poses of one request are in the same frame mostly.
+        contents, known = self._state.contents, None if positions_rad is None else dict(positions_rad)
         if (
-            latest.contents is not contents
-            or latest.positions_rad != positions_rad
-            or len(latest.poses) >= MAX_RESOLVED
+            self._resolved_in is None
+            or self._resolved_in[0] is not contents
+            or self._resolved_in[1] != known
+            or len(self._resolved) >= MAX_RESOLVED
         ):
-            known = None if positions_rad is None else dict(positions_rad)
-            latest = self._latest = _Resolved(contents, known, {})
-        pose = latest.poses.get(frame_id)
-        if pose is None:
+            self._resolved_in, self._resolved = (contents, known), {}
+        if frame_id not in self._resolved:
             links = LinkTransforms(self._robot, self._forward, positions_rad)
-            pose = latest.poses[frame_id] = find_frame(frame_id, contents, links)
-        return pose
-
-
-@dataclass(frozen=True)
-class _Resolved:
-    """Poses of frames in the root link, by name, for one scene and one set of joint positions."""
-
-    contents: SceneContents | None
-    positions_rad: Mapping[str, float] | None
-    poses: dict[str, Pose]
+            self._resolved[frame_id] = find_frame(frame_id, contents, links)
+        return self._resolved[frame_id]
 
 
 def find_frame(frame_id: str, around: SceneContents | SceneDraft, links: LinkTransforms) -> Pose:
@@ -112,7 +92,7 @@ def find_frame(frame_id: str, around: SceneContents | SceneDraft, links: LinkTra
     if len(name) > MAX_NAME_LENGTH:
         text = f"the frame's name has {len(name)} letters, more than {MAX_NAME_LENGTH}"
         raise _unknown(name[:MAX_NAME_LENGTH], text)
-    if name in links.names:
+    if name in links.robot.links:
         return links.pose(name)
     for object_name, subframe in _splits(name):
         found = _object_frame(object_name, subframe, around, links)
@@ -122,7 +102,7 @@ def find_frame(frame_id: str, around: SceneContents | SceneDraft, links: LinkTra
         return around.fixed_frames[name]
     if name == WORLD:
         return IDENTITY
-    known = [*links.names, *around.objects, *around.attached, *around.fixed_frames]
+    known = [*links.robot.links, *around.objects, *around.attached, *around.fixed_frames]
     listed = ", ".join(known[:MAX_LISTED]) + (", ..." if len(known) > MAX_LISTED else "")
     raise _unknown(name, f"there is no frame {name!r}; known are {listed}")
 
@@ -140,9 +120,7 @@ def seen_from(frame: Pose, pose: Pose) -> Pose:
 def _splits(name: str) -> Iterator[tuple[str, str]]:
     """Yield every split of a name into object and subframe: both may contain slashes."""
     yield name, ""
-    for i, letter in enumerate(name):
-        if letter == "/":
-            yield name[:i], name[i + 1 :]
+    yield from ((name[:i], name[i + 1 :]) for i, letter in enumerate(name) if letter == "/")
 
 
 def _object_frame(name: str, subframe: str, around: SceneContents | SceneDraft, links: LinkTransforms) -> Pose | None:

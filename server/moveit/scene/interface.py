@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from planners.scene import Pose
 from planners.scene_checks import MAX_SCENE_TRIANGLES, MAX_SHAPES
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
@@ -20,9 +19,18 @@ from server.graph.node import Node
 from server.graph.permissions import LOOKING, WORKING
 from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
-from server.moveit.messages import Message, write_pose
+from server.moveit.messages import Message, write_pose, write_transform
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.collision_objects import ADD, IDENTITY, MAX_SUBFRAMES, NO_STAMP, REMOVE
+from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
+from server.moveit.scene.collision_objects import (
+    GEOMETRY_KINDS,
+    IDENTITY,
+    MAX_SUBFRAMES,
+    NO_STAMP,
+    REMOVE,
+    AttachedCollisionObject,
+    CollisionObject,
+)
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
@@ -79,35 +87,13 @@ NO_OCTOMAP = {
     "origin": write_pose(IDENTITY),
     "octomap": {"header": NO_HEADER, "binary": False, "id": "", "resolution": 0.0, "data": []},
 }
-NO_MATRIX: Message = {
-    "entry_names": [],
-    "entry_values": [],
-    "default_entry_names": [],
-    "default_entry_values": [],
-}
+NO_MATRIX: Message = AllowedCollisionMatrix((), frozenset(), {}).message
 NO_STATE: Message = state_message({}, "", 0.0)
-NO_OBJECT: Message = {
-    "header": NO_HEADER,
-    "pose": write_pose(IDENTITY),
-    "id": "",
-    "type": {"key": "", "db": ""},
-    "primitives": [],
-    "primitive_poses": [],
-    "meshes": [],
-    "mesh_poses": [],
-    "planes": [],
-    "plane_poses": [],
-    "subframe_names": [],
-    "subframe_poses": [],
-    "operation": ADD,
-}
-NO_ATTACHED_OBJECT: Message = {
-    "link_name": "",
-    "object": NO_OBJECT,
-    "touch_links": [],
-    "detach_posture": {"header": NO_HEADER, "joint_names": [], "points": []},
-    "weight": 0.0,
-}
+_NO_GEOMETRY: dict[str, list[Message]] = {field: [] for field, _, _ in GEOMETRY_KINDS}
+_EMPTY = CollisionObject("", "", IDENTITY, {"key": "", "db": ""}, _NO_GEOMETRY, (), {})
+NO_OBJECT: Message = _EMPTY.message
+_NO_POSTURE: Message = {"header": NO_HEADER, "joint_names": [], "points": []}
+NO_ATTACHED_OBJECT: Message = AttachedCollisionObject(_EMPTY, (), _NO_POSTURE, 0.0).message
 
 
 def scene_message(contents: SceneContents, robot: RobotModel, state: Message, components: int) -> dict[str, Any]:
@@ -119,6 +105,7 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     """
     requested = components or EVERYTHING
     settings, links = requested & SCENE_SETTINGS, requested & LINK_PADDING_AND_SCALING
+    colors = contents.colors if requested & OBJECT_COLORS else {}
     return {
         "name": contents.name if settings else "",
         "robot_state": _state(contents, state, requested),
@@ -129,7 +116,7 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
         else NO_MATRIX,
         "link_padding": _padding(contents, robot) if links else [],
         "link_scale": _scale(contents, robot) if links else [],
-        "object_colors": _colors(contents) if requested & OBJECT_COLORS else [],
+        "object_colors": [{"id": name, "color": color} for name, color in colors.items()],
         "world": {"collision_objects": _objects(contents, robot, requested), "octomap": NO_OCTOMAP},
         "is_diff": False,
     }
@@ -138,6 +125,7 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
 def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
     """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours and frames."""
     links = (before.padding_m, before.scale) != (after.padding_m, after.scale)
+    colors = after.colors if before.colors != after.colors else {}
     return {
         "name": after.name,
         "robot_state": {**NO_STATE, "attached_collision_objects": _changed_attached(before, after), "is_diff": True},
@@ -148,7 +136,7 @@ def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -
         else NO_MATRIX,
         "link_padding": _padding(after, robot) if links else [],
         "link_scale": _scale(after, robot) if links else [],
-        "object_colors": _colors(after) if before.colors != after.colors else [],
+        "object_colors": [{"id": name, "color": color} for name, color in colors.items()],
         "world": {"collision_objects": _changed_objects(before, after), "octomap": NO_OCTOMAP},
         "is_diff": True,
     }
@@ -173,9 +161,10 @@ def _objects(contents: SceneContents, robot: RobotModel, requested: int) -> list
 
 def _changed_objects(before: SceneContents, after: SceneContents) -> list[Message]:
     # Attaching an object removes it from the world.
-    removed = _known(before).keys() - _known(after).keys()
+    known = {*after.objects, *after.attached}
+    removed = [name for name in (*before.objects, *before.attached) if name not in known]
     changed = [each.message for name, each in after.objects.items() if before.objects.get(name) is not each]
-    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in _known(before) if name in removed), *changed]
+    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in removed), *changed]
 
 
 def _changed_attached(before: SceneContents, after: SceneContents) -> list[Message]:
@@ -189,10 +178,6 @@ def _changed_attached(before: SceneContents, after: SceneContents) -> list[Messa
     return [*detached, *attached]
 
 
-def _known(contents: SceneContents) -> dict[str, object]:
-    return {**contents.objects, **contents.attached}
-
-
 def _padding(contents: SceneContents, robot: RobotModel) -> list[Message]:
     return [{"link_name": link, "padding": contents.padding_m.get(link, NO_PADDING_M)} for link in robot.links]
 
@@ -201,32 +186,17 @@ def _scale(contents: SceneContents, robot: RobotModel) -> list[Message]:
     return [{"link_name": link, "scale": contents.scale.get(link, NO_SCALE)} for link in robot.links]
 
 
-def _colors(contents: SceneContents) -> list[Message]:
-    return [{"id": name, "color": color} for name, color in contents.colors.items()]
-
-
 def _transforms(contents: SceneContents, robot: RobotModel) -> list[Message]:
     """Write the fixed frames; as in MoveIt the planning frame is among them."""
+    header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
     return [
-        _transform(robot.root_link, name, pose)
+        {"header": header, "child_frame_id": name, "transform": write_transform(pose)}
         for name, pose in {robot.root_link: IDENTITY, **contents.fixed_frames}.items()
     ]
 
 
-def _transform(root: str, name: str, pose: Pose) -> Message:
-    written = write_pose(pose)
-    return {
-        "header": {"stamp": NO_STAMP, "frame_id": root},
-        "child_frame_id": name,
-        "transform": {"translation": written["position"], "rotation": written["orientation"]},
-    }
-
-
-def subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
-    """Apply the messages of the scene's topics; rejected ones are logged.
-
-    A topic does not tell its publisher, so joints in a ``/planning_scene`` are ignored.
-    """
+def _subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
+    """Apply the messages of the scene's topics, without the joints: a topic does not tell its publisher."""
     topics: Mapping[str, tuple[str, ReadChange]] = {
         "/planning_scene": ("moveit_msgs/msg/PlanningScene", state.diff),
         "/planning_scene_world": ("moveit_msgs/msg/PlanningSceneWorld", state.world),
@@ -380,13 +350,13 @@ class SceneInterface:
     ) -> None:
         node = Node("planning_scene")
         self._state = state
-        subscribe_to_scene_topics(graph, node, state, current)
+        _subscribe_to_scene_topics(graph, node, state, current)
         SceneServices(graph, node, state, assumed, current)
         GeometryFiles(graph, node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
         self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
 
     def close(self) -> None:
-        """Publish no more."""
+        """Publish no more, and apply no more changes."""
         self._publisher.close()
         self._state.close()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import islice
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose, Scene
@@ -30,7 +30,6 @@ from server.moveit.scene.collision_objects import (
     REMOVE,
     AttachedCollisionObject,
     CollisionObject,
-    Shapes,
     has_geometry,
     read_bounded_pose,
     read_collision_object,
@@ -111,19 +110,17 @@ class SceneContents:
 class SceneDraft:
     """Scene contents under change.
 
-    Args:
-        contents: the contents to start from; they stay as they are.
-        links: transforms of the links, which do not move meanwhile.
-
     Attributes:
-        before: the contents to start from; an object of theirs that is only repeated stays the same object.
-        links: as given.
+        before: the contents to start from, which stay as they are; an object that is only repeated stays the same one.
+        links: transforms of the links, which do not move meanwhile.
+        root: the planning frame.
     The other attributes are as in :class:`SceneContents`.
     """
 
     def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
         self.before = contents
         self.links = links
+        self.root = links.robot.root_link
         self.allowed_collisions = contents.allowed_collisions
         self.name = contents.name
         self.objects: dict[str, CollisionObject] = dict(contents.objects)
@@ -132,11 +129,6 @@ class SceneDraft:
         self.scale: dict[str, float] = dict(contents.scale)
         self.colors: dict[str, Message] = dict(contents.colors)
         self.fixed_frames: dict[str, Pose] = dict(contents.fixed_frames)
-
-    @property
-    def root(self) -> str:
-        """The planning frame."""
-        return self.links.root_link
 
     def contents(self) -> SceneContents:
         """Return the changed contents."""
@@ -155,10 +147,6 @@ class SceneDraft:
         """Tell by its name alone if a frame is the planning frame."""
         return frame_id in ("", self.root)
 
-    def frame(self, frame_id: str) -> Pose:
-        """Return the pose of a frame in the planning frame."""
-        return find_frame(frame_id, self, self.links)
-
     def in_planning_frame(self, collision_object: CollisionObject) -> CollisionObject:
         """Return an object with its pose in the planning frame."""
         pose = self.object_pose(collision_object.name, collision_object.frame, collision_object.pose)
@@ -169,7 +157,7 @@ class SceneDraft:
     def object_pose(self, name: str, frame_id: str, pose: Pose) -> Pose:
         """Transform the pose of an object from a frame into the planning frame."""
         try:
-            return in_root(self.frame(frame_id), pose)
+            return in_root(find_frame(frame_id, self, self.links), pose)
         except RefusedError as error:
             failure = error.failure
             text = f"the object {name!r}, header.frame_id: {failure.message}"
@@ -204,24 +192,24 @@ def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> N
 
 
 def appended(draft: SceneDraft, present: CollisionObject, message: Message, where: str) -> CollisionObject:
-    """Return an object with the shapes and subframes of a message appended, at the poses that these have there.
-
-    Args:
-        message: moveit_msgs/CollisionObject; its pose may differ from the object's.
-    """
+    """Return an object with the shapes and subframes of a moveit_msgs/CollisionObject at another pose appended."""
     more = draft.in_planning_frame(read_collision_object(message, message["header"]["frame_id"], where))
     own_pose = draft.in_planning_frame(present).pose
 
     def moved(pose: Pose) -> Pose:
         return pose if more.pose == own_pose else seen_from(own_pose, in_root(more.pose, pose))
 
-    before = _shapes_by_kind(present.geometry, present.shapes)
-    added = _shapes_by_kind(more.geometry, tuple((shape, moved(at)) for shape, at in more.shapes))
+    geometry, shapes = {}, []
+    left, added = iter(present.shapes), iter(more.shapes)
+    for kind, _, _ in GEOMETRY_KINDS:
+        own, others = present.geometry[kind], more.geometry[kind]
+        geometry[kind] = [*own, *others]
+        shapes += [*islice(left, len(own)), *((shape, moved(at)) for shape, at in islice(added, len(others)))]
     return replace(
         present,
         type=more.type if any(more.type.values()) else present.type,
-        geometry={field: [*present.geometry[field], *more.geometry[field]] for field in before},
-        shapes=tuple(each for field in before for each in (*before[field], *added[field])),
+        geometry=geometry,
+        shapes=tuple(shapes),
         subframes={**present.subframes, **{name: moved(at) for name, at in more.subframes.items()}},
     )
 
@@ -275,20 +263,12 @@ def _unknown(draft: SceneDraft, name: str, where: str) -> RefusedError:
     return refused(MoveItErrorCode.INVALID_OBJECT_NAME, text, object=name)
 
 
-def _shapes_by_kind(geometry: Mapping[str, Any], shapes: Shapes) -> dict[str, Shapes]:
-    kinds = {}
-    for kind, _, _ in GEOMETRY_KINDS:
-        count = len(geometry[kind])
-        kinds[kind], shapes = shapes[:count], shapes[count:]
-    return kinds
-
-
 def apply_attached_object(draft: SceneDraft, message: Message, where: str) -> None:
     """Apply a moveit_msgs/AttachedCollisionObject."""
     operation, name, link = message["object"]["operation"], message["object"]["id"], message["link_name"]
     # An object can be detached without naming its link.
-    if link not in draft.links.names and (link or operation != REMOVE):
-        known = ", ".join(draft.links.names)
+    if link not in draft.links.robot.links and (link or operation != REMOVE):
+        known = ", ".join(draft.links.robot.links)
         text = f"{where}.link_name of the object {name!r}: there is no link {link!r}; the robot has {known}"
         raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, object=name, link=link)
     if operation == REMOVE:
@@ -322,7 +302,6 @@ def _read_attached(draft: SceneDraft, message: Message, where: str) -> AttachedC
 
 
 def _object_to_attach(draft: SceneDraft, message: Message, where: str) -> CollisionObject:
-    """Return the object in the message, the known one of its name if it has no shape, or both for APPEND."""
     name = message["id"]
     known = draft.attached[name].collision_object if name in draft.attached else draft.objects.get(name)
     if known is not None and message["operation"] == APPEND:
@@ -339,7 +318,7 @@ def _in_link(draft: SceneDraft, collision_object: CollisionObject, link: str) ->
     """Return an object with its pose in the frame of a link; unchanged, without rounding, if that is its frame."""
     if collision_object.frame == link:
         return collision_object
-    pose = seen_from(draft.frame(link), draft.in_planning_frame(collision_object).pose)
+    pose = seen_from(find_frame(link, draft, draft.links), draft.in_planning_frame(collision_object).pose)
     return replace(collision_object, frame=link, pose=pose)
 
 
@@ -368,10 +347,8 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
     _apply_fixed_frames(draft, scene["fixed_frame_transforms"])
     _apply_attached_objects(draft, scene["robot_state"], whole=not scene["is_diff"])
     _apply_matrix(draft, scene["allowed_collision_matrix"])
-    paddings = [(entry["link_name"], entry["padding"]) for entry in scene["link_padding"]]
-    _apply_link_values(draft, draft.padding_m, paddings, NO_PADDING_M)
-    scales = [(entry["link_name"], entry["scale"]) for entry in scene["link_scale"]]
-    _apply_link_values(draft, draft.scale, scales, NO_SCALE)
+    _apply_link_values(draft, draft.padding_m, scene, "padding", NO_PADDING_M)
+    _apply_link_values(draft, draft.scale, scene, "scale", NO_SCALE)
     _apply_colors(draft, scene["object_colors"])
     apply_world(draft, scene["world"], "world")
 
@@ -416,14 +393,13 @@ def _apply_matrix(draft: SceneDraft, message: Message) -> None:
         draft.allowed_collisions = read_allowed_collision_matrix(message, "allowed_collision_matrix")
 
 
-def _apply_link_values(
-    draft: SceneDraft, values: dict[str, float], changes: Sequence[tuple[str, float]], default: float
-) -> None:
+def _apply_link_values(draft: SceneDraft, values: dict[str, float], scene: Message, kind: str, default: float) -> None:
     """Set padding or scale of links; default values are not kept, so that equal scenes compare equal."""
-    field = "link_padding" if default == NO_PADDING_M else "link_scale"
-    for link, value in changes:
-        if link not in draft.links.names:
-            text = f"{field}: there is no link {link!r}; the robot has {', '.join(draft.links.names)}"
+    field = f"link_{kind}"
+    for entry in scene[field]:
+        link, value = entry["link_name"], entry[kind]
+        if link not in draft.links.robot.links:
+            text = f"{field}: there is no link {link!r}; the robot has {', '.join(draft.links.robot.links)}"
             raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, link=link)
         if not (math.isfinite(value) and 0.0 <= value <= MAX_LENGTH_M) or (default == NO_SCALE and value == 0.0):
             lowest = "at least" if default == NO_PADDING_M else "above"
@@ -452,8 +428,7 @@ def _apply_fixed_frames(draft: SceneDraft, messages: Sequence[Message]) -> None:
         if not draft.is_root(frame_id.removeprefix("/")):
             text = f"{where}.header.frame_id must be the planning frame {draft.root!r}, not {frame_id!r}"
             raise refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, text, frame=frame_id)
-        transform = entry["transform"]
-        pose = {"position": transform["translation"], "orientation": transform["rotation"]}
+        pose = {"position": entry["transform"]["translation"], "orientation": entry["transform"]["rotation"]}
         draft.fixed_frames[name] = read_bounded_pose(pose, f"{where}.transform")
     if len(draft.fixed_frames) > MAX_FIXED_FRAMES:
         raise invalid(f"there would be {len(draft.fixed_frames)} fixed frames, more than {MAX_FIXED_FRAMES}")

@@ -1,7 +1,7 @@
-"""The planning scene between two runs of the server: the file that keeps what clients have added.
+"""Planning scenes in files: the scene between two runs of the server, and scenes that users save by name.
 
-The file holds a moveit_msgs/PlanningScene as JSON, without joints. One server has it at a time, from its start to its
-end; two servers would take the other's obstacles for their own.
+A file holds a moveit_msgs/PlanningScene as JSON, without joints. One server has the file of the present scene from
+its start to its end; two servers would take the other's obstacles for their own.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -51,52 +51,19 @@ DELAY_S = 1.0
 WRITING_SHARE = 0.1
 
 
-class SceneFile:
-    """File of a scene."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.lock = files.FileLock(path)
-
-    def read(self) -> Any:
-        """Return the content, as JSON has it; None when there is no file.
-
-        Raises:
-            ValueError: it is too large, or no JSON.
-            OSError: it cannot be read.
-        """
-        try:
-            return read_json(self.path, MAX_FILE_BYTES)
-        except FileNotFoundError:
-            return None
-
-    def write(self, message: Message) -> None:
-        """Replace the content; a crash leaves the old one or the new one.
-
-        Raises:
-            ValueError: the message is too large; the file is removed, for an older scene would be a wrong one.
-            OSError: it cannot be written.
-        """
-        try:
-            text = encoded_bounded(message, MAX_FILE_BYTES)
-        except ValueError:
-            self.path.unlink(missing_ok=True)
-            raise
-        files.replace(self.path, text)
-
-
 class SavedScene:
     """Keeper of the scene: restores it at the start, and writes it after changes, off the event loop."""
 
     def __init__(
         self,
-        file: SceneFile,
+        path: Path,
         state: SceneState,
         message_types: MessageTypes,
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
     ) -> None:
-        self._file = file
+        self._path = path
+        self._lock = files.FileLock(path)
         self._state = state
         self._message_types = message_types
         self._clock = clock
@@ -110,10 +77,10 @@ class SavedScene:
 
     async def start(self) -> None:
         """Restore the scene, and keep its changes from now on; nothing that is wrong with the file prevents a start."""
-        path = self._file.path
+        path = self._path
         try:
             # A server that is just ending is waited for.
-            await asyncio.to_thread(self._file.lock.acquire, files.LOCK_TIMEOUT_S)
+            await asyncio.to_thread(self._lock.acquire, files.LOCK_TIMEOUT_S)
         except files.FileLockedError as error:
             remedy = "give one of the two servers a scene.file of its own"
             log.warning("the planning scene is not kept: %s %s; %s", path, error.strerror, remedy)
@@ -124,7 +91,7 @@ class SavedScene:
         try:
             self._restore()
         except OSError as error:
-            self._file.lock.release()
+            self._lock.release()
             log.warning("the planning scene is not kept: %s cannot be read: %s", path, error.strerror)
             return
         self._open = True
@@ -145,25 +112,20 @@ class SavedScene:
             if self._state.contents is not self._kept:
                 await self._write()
         finally:
-            self._file.lock.release()
+            self._lock.release()
 
     def _restore(self) -> None:
-        """Apply the scene in the file; set a file aside that has none."""
         try:
-            content = self._file.read()
-            if content is None:
-                return
+            content = read_json(self._path, MAX_FILE_BYTES)
             self._state.apply_diff(complete_scene(self._message_types, content), None)
+        except FileNotFoundError:
+            return
         except (ValueError, MessageError, RefusedError) as error:
-            aside = files.set_aside(self._file.path)
-            log.warning(
-                "the planning scene in %s cannot be restored: %s; the file is now %s", self._file.path, error, aside
-            )
+            aside = files.set_aside(self._path)
+            log.warning("the planning scene in %s cannot be restored: %s; the file is now %s", self._path, error, aside)
             return
         world, held = len(self._state.contents.objects), len(self._state.contents.attached)
-        log.info(
-            "the planning scene is restored from %s: %d objects, %d of them held", self._file.path, world + held, held
-        )
+        log.info("the planning scene is restored from %s: %d objects, %d of them held", self._path, world + held, held)
 
     def _schedule(self) -> None:
         if self._open and self._timer is None and self._writing is None:
@@ -187,14 +149,23 @@ class SavedScene:
         # What cannot be written is not tried again before the next change.
         self._kept = contents
         try:
-            await asyncio.to_thread(self._file.write, kept_message(contents, self._state.robot))
+            await asyncio.to_thread(self._replace, kept_message(contents, self._state.robot))
         except (OSError, ValueError) as error:
             if not self._failing:
-                log.warning("the planning scene is not kept in %s: %s", self._file.path, error)
+                log.warning("the planning scene is not kept in %s: %s", self._path, error)
             self._failing = True
         else:
             self._failing = False
         self._delay_s = max(DELAY_S, (self._clock() - began_s) / WRITING_SHARE)
+
+    def _replace(self, message: Message) -> None:
+        """Replace the file; a file of a scene that is too large is removed: an older scene would be a wrong one."""
+        try:
+            text = encoded_bounded(message, MAX_FILE_BYTES)
+        except ValueError:
+            self._path.unlink(missing_ok=True)
+            raise
+        files.replace(self._path, text)
 
 
 def kept_message(contents: SceneContents, robot: RobotModel) -> Message:
@@ -230,7 +201,8 @@ def encoded_bounded(message: Message, max_bytes: int) -> bytes:
         ValueError: it is too large.
     """
     pieces, size = [], 0
-    for piece in encoded(message):
+    # With numbers that are not finite, in pieces of at most a millisecond.
+    for piece in encoded_pieces(message, _NOTATION):
         # Give the interpreter's lock to the event loop, if that waits for it, and not only every 5 ms.
         time.sleep(0)
         pieces.append(piece)
@@ -238,11 +210,6 @@ def encoded_bounded(message: Message, max_bytes: int) -> bytes:
         if size > max_bytes:
             raise ValueError(f"it has more than {max_bytes} bytes as text")
     return b"".join(pieces)
-
-
-def encoded(value: Any) -> Iterator[bytes]:
-    """Encode a message as JSON, with numbers that are not finite, in pieces of at most a millisecond."""
-    return encoded_pieces(value, _NOTATION)
 
 
 _NOTATION = json_notation(lambda value: json.dumps(value).encode())

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 from planners.goals import Constraints
-from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, StateAnswer, StateQuestion
+from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, StateQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
@@ -116,10 +116,11 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
         request["constraints"], context.problems.context(group, positions_rad), "constraints"
     )
     state = required(await context.pool.ask(StateQuestion(group.name, positions_rad), scene))
-    unmet = [
-        _unmet(required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene)))
-        for single in _single_constraints(constraints)
-    ]
+    unmet = []
+    for single in _single_constraints(constraints):
+        answered = required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene))
+        violated = (each for each in answered.problems if each.code is MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED)
+        unmet.append(next(violated, None))
     pairs = [pair for problem in state.problems for pair in problem.details.get("pairs", ())]
     context.display.contacts(pairs)
     response = {
@@ -143,23 +144,14 @@ def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
     yield from (Constraints(orientations=(one,)) for one in constraints.orientations)
 
 
-def _unmet(answer: StateAnswer) -> PlanningFailure | None:
-    """Return the failure of a constraint; None if it holds."""
-    violated = MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED
-    return next((problem for problem in answer.problems if problem.code is violated), None)
-
-
 def _constraint_result(unmet: PlanningFailure | None) -> dict[str, Any]:
-    """Write a moveit_msgs/ConstraintEvalResult; its distance is the one beyond the tolerance, 0 if it holds."""
-    return {"result": unmet is None, "distance": 0.0 if unmet is None else _distance(unmet.details)}
-
-
-def _distance(details: Mapping[str, Any]) -> float:
-    """Return the distance beyond a constraint's tolerance [m], [rad]."""
-    if "beyond_m" in details or "beyond_rad" in details:
-        return float(details.get("beyond_m", 0.0) or details.get("beyond_rad", 0.0))
-    position = details["position_rad"]
-    return float(max(details["lower_rad"] - position, position - details["upper_rad"], 0.0))
+    """Write a moveit_msgs/ConstraintEvalResult, with the distance beyond the tolerance [m], [rad]."""
+    details = {} if unmet is None else unmet.details
+    beyond = details.get("beyond_m", 0.0) or details.get("beyond_rad", 0.0)
+    if "position_rad" in details:
+        position = details["position_rad"]
+        beyond = max(details["lower_rad"] - position, position - details["upper_rad"], 0.0)
+    return {"result": unmet is None, "distance": float(beyond)}
 
 
 def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scene) -> list[dict[str, Any]]:
@@ -271,10 +263,8 @@ def set_planner_params(context: PlanningContext, request: Message, caller: Node)
     keys, values = request["params"]["keys"], request["params"]["values"]
     if len(keys) != len(values):
         raise ServiceError(f"params.keys has {len(keys)} entries and params.values {len(values)}")
-    replace = request["replace"]
-    context.parameters.set(
-        request["group"], request["planner_config"], dict(zip(keys, values, strict=True)), replace=replace
-    )
+    scope, texts = (request["group"], request["planner_config"]), dict(zip(keys, values, strict=True))
+    context.parameters.set(*scope, texts, replace=request["replace"])
     return {}
 
 
@@ -317,22 +307,17 @@ def group_urdf(robot: RobotModel, group: Group) -> str:
     return ET.tostring(part, encoding="unicode")
 
 
-def error_response(failure: PlanningFailure) -> dict[str, Any]:
-    """Write a response with nothing but an error code."""
+def _error_response(failure: PlanningFailure) -> dict[str, Any]:
     return {"error_code": error_code(failure.code, failure.message)}
 
 
-def fail_call(failure: PlanningFailure) -> dict[str, Any]:
-    """Make the call fail, for responses without a field for the reason."""
+def _fail_call(failure: PlanningFailure) -> dict[str, Any]:
+    """Make the call fail: its response has no field for the reason."""
     raise ServiceError(failure.message)
 
 
-def invalid_state(failure: PlanningFailure) -> dict[str, Any]:
-    """Answer that a state is invalid; the response has no field for the reason.
-
-    Raises:
-        UnsuccessfulError: always.
-    """
+def _invalid_state(failure: PlanningFailure) -> dict[str, Any]:
+    """Answer that a state is invalid; the response has no field for the reason."""
     raise UnsuccessfulError({"valid": False}, failure.message)
 
 
@@ -347,7 +332,7 @@ class MoveGroupService:
 
     type_name: str
     handler: Handler
-    rejection: Callable[[PlanningFailure], dict[str, Any]] = error_response
+    rejection: Callable[[PlanningFailure], dict[str, Any]] = _error_response
     complete: bool = False
     rule: Rule = PLANNING
 
@@ -356,7 +341,7 @@ SERVICES: Mapping[str, MoveGroupService] = {
     "/plan_kinematic_path": MoveGroupService(
         "moveit_msgs/srv/GetMotionPlan",
         plan_kinematic_path,
-        lambda failure: {"motion_plan_response": error_response(failure)},
+        lambda failure: {"motion_plan_response": _error_response(failure)},
         complete=True,
     ),
     "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
@@ -365,22 +350,22 @@ SERVICES: Mapping[str, MoveGroupService] = {
         "moveit_msgs/srv/GetCartesianPath", compute_cartesian_path, complete=True
     ),
     "/check_state_validity": MoveGroupService(
-        "moveit_msgs/srv/GetStateValidity", check_state_validity, invalid_state, complete=True
+        "moveit_msgs/srv/GetStateValidity", check_state_validity, _invalid_state, complete=True
     ),
     "/plan_sequence_path": MoveGroupService(
         "moveit_msgs/srv/GetMotionSequence",
         plan_sequence_path,
-        lambda failure: {"response": error_response(failure)},
+        lambda failure: {"response": _error_response(failure)},
         complete=True,
     ),
     "/query_planner_interface": MoveGroupService(
-        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, fail_call, rule=LOOKING
+        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING
     ),
     "/get_planner_params": MoveGroupService(
-        "moveit_msgs/srv/GetPlannerParams", get_planner_params, fail_call, rule=LOOKING
+        "moveit_msgs/srv/GetPlannerParams", get_planner_params, _fail_call, rule=LOOKING
     ),
     "/set_planner_params": MoveGroupService(
-        "moveit_msgs/srv/SetPlannerParams", set_planner_params, fail_call, rule=CONFIGURING
+        "moveit_msgs/srv/SetPlannerParams", set_planner_params, _fail_call, rule=CONFIGURING
     ),
     "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
 }

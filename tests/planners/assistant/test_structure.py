@@ -4,7 +4,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from planners.assistant.structure import Tree, find_structure
+from planners.assistant.draft import Tree, find_structure
 from planners.errors import AssistantError
 from robot.description import model, robot_folder
 from tests.helpers.robots import SEVEN_JOINT_URDF

@@ -13,6 +13,7 @@ from planners.goals import Constraints, JointConstraint
 from planners.problem import Arc, CartesianProblem, Line, MoveItErrorCode
 from planners.scene import Pose
 from tests.helpers.resources import examples
+from tests.planners.refusals import refusal
 
 START = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.1]))
 QUARTER_ABOUT_Z = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
@@ -111,9 +112,9 @@ NAN = float("nan")
     ],
 )
 def test_each_bad_name_or_number_is_refused_by_name(robot, asked, code, said):
-    refusal = check_path(robot, replace(PROBLEM, **asked))
-    assert refusal.code == code
-    assert said in refusal.message
+    failure = refusal(check_path, robot, replace(PROBLEM, **asked))
+    assert failure.code == code
+    assert said in failure.message
 
 
 @pytest.mark.parametrize(
@@ -126,13 +127,13 @@ def test_each_bad_name_or_number_is_refused_by_name(robot, asked, code, said):
     ],
 )
 def test_a_bad_segment_is_told_by_its_number(robot, segment, said):
-    refusal = check_path(robot, replace(PROBLEM, segments=(*PROBLEM.segments, segment)))
-    assert refusal.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
-    assert "segment 1" in refusal.message
-    assert said in refusal.message
+    failure = refusal(check_path, robot, replace(PROBLEM, segments=(*PROBLEM.segments, segment)))
+    assert failure.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert "segment 1" in failure.message
+    assert said in failure.message
 
 
 def test_a_path_of_too_many_points_is_refused_with_the_limit():
-    refusal = check_shape(np.array([0.1, 0.0, 0.1]), replace(PROBLEM, max_step_m=1e-6))
-    assert refusal.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
-    assert "10000" in refusal.message
+    failure = refusal(check_shape, np.array([0.1, 0.0, 0.1]), replace(PROBLEM, max_step_m=1e-6))
+    assert failure.code == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert "10000" in failure.message

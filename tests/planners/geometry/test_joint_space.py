@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from planners.geometry.collision import CollisionModel
-from planners.geometry.joint_space import CONDITION_STEP_M, JointSpace
-from planners.geometry.sweep import ALL_PAIRS, NO_CANDIDATES
+from planners.geometry.joint_space import ALL_PAIRS, CONDITION_STEP_M, NO_CANDIDATES, JointSpace
 from planners.scene import Box, Pose, SceneObject
 from robot.description import model
 from tests.planners.invariants import BLOCKED_LINES

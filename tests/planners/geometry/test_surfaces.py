@@ -59,6 +59,6 @@ def test_goals_next_to_things_are_free_by_the_parts_or_refused_as_the_meshes_say
     )
     assert not {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected}
     judge = Judge(shared_data, fields)
-    for answer in plan_command.as_json(outcomes, file.joint_names):
+    for answer in [plan_command.as_json(outcome, file.joint_names) for outcome in outcomes]:
         if "positions" in answer:
             assert not judge.faults(entries[answer["problem"]], answer)

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.geometry.sweep import EARLIEST_STEP_M, FINEST_STEP_M, Cubics, first_contact, line_is_free
+from planners.geometry.certificate import EARLIEST_STEP_M, FINEST_STEP_M, Cubics, first_contact
+from planners.geometry.joint_space import JointSpace
 from tests.helpers.resources import examples
 
 
@@ -11,6 +12,7 @@ class Discs:
     """A point in a plane among round obstacles: its distance to them is known."""
 
     travel_m_per_rad = np.array([1.0, 1.0])
+    line_free = JointSpace.line_free
 
     def __init__(self, *discs):
         self.discs = discs
@@ -73,7 +75,7 @@ def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
     nearest = min((around.distance(point) for point in start + along * (end - start)), default=np.inf)
     if around.distance(start) <= 0.0:
         return
-    if line_is_free(around, start, end, FINEST_STEP_M):
+    if around.line_free(start, end, FINEST_STEP_M):
         assert nearest > -FINEST_STEP_M
     else:
         assert nearest < FINEST_STEP_M
@@ -93,10 +95,10 @@ def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
 
 def test_a_coarse_step_only_glances():
     around = Discs((0.123, 0.0, 0.0003))
-    assert line_is_free(around, np.array([-1.0, 0.0]), np.array([1.0, 0.0]), 0.5)
+    assert around.line_free(np.array([-1.0, 0.0]), np.array([1.0, 0.0]), 0.5)
     assert around.asked < 10
     # The end is looked at all the same.
-    assert not line_is_free(Discs((1.0, 0.0, 0.0001)), np.array([0.0, 0.0]), np.array([1.0, 0.0]), 0.5)
+    assert not Discs((1.0, 0.0, 0.0001)).line_free(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 0.5)
 
 
 def test_the_earliest_of_several_contacts_is_told():

@@ -19,6 +19,7 @@ from planners.goals import (
 from planners.ik.kinematics import MAX_POINTS
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
+from tests.planners.refusals import refusal
 
 TIP = "gripper_frame_link"
 NAN = math.nan
@@ -70,7 +71,7 @@ def orientation(**changes):
     ],
 )
 def test_senseless_goals_are_refused_with_names_and_values(robot, arm, goal, said):
-    failure = check_goal(robot, arm, goal)
+    failure = refusal(check_goal, robot, arm, goal)
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert all(part in failure.message for part in said), failure.message
 
@@ -86,7 +87,7 @@ def test_senseless_goals_are_refused_with_names_and_values(robot, arm, goal, sai
     ],
 )
 def test_unknown_links_are_refused_with_the_known_ones(robot, arm, goal):
-    failure = check_goal(robot, arm, goal)
+    failure = refusal(check_goal, robot, arm, goal)
     assert failure.code is MoveItErrorCode.INVALID_LINK_NAME
     assert TIP in failure.message
     # A group whose joints are not one chain has no tip.
@@ -114,7 +115,7 @@ def test_unknown_links_are_refused_with_the_known_ones(robot, arm, goal):
     ],
 )
 def test_senseless_constraints_are_refused_with_names_and_values(robot, constraints, said):
-    failure = check_constraints(robot, constraints)
+    failure = refusal(check_constraints, robot, constraints)
     assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
     assert all(part in failure.message for part in said), failure.message
 
@@ -122,7 +123,7 @@ def test_senseless_constraints_are_refused_with_names_and_values(robot, constrai
 def test_joint_goal_may_exceed_a_limit_by_rounding_only(robot, arm):
     joint = robot.joints["elbow_flex"]
     upper = joint.upper
-    assert check_goal(robot, arm, JointGoal({"elbow_flex": upper + 0.009}, tolerance_rad=0.01)) is None
-    refusal = check_goal(robot, arm, JointGoal({"elbow_flex": upper + 0.011}, tolerance_rad=0.01))
+    assert refusal(check_goal, robot, arm, JointGoal({"elbow_flex": upper + 0.009}, tolerance_rad=0.01)) is None
+    failure = refusal(check_goal, robot, arm, JointGoal({"elbow_flex": upper + 0.011}, tolerance_rad=0.01))
     limits = {"lower_rad": joint.lower, "upper_rad": upper}
-    assert refusal.details == {"joint": "elbow_flex", "position_rad": upper + 0.011, **limits}
+    assert failure.details == {"joint": "elbow_flex", "position_rad": upper + 0.011, **limits}

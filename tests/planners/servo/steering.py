@@ -10,8 +10,8 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
-from planners.servo.velocity_limits import WATCHED_M
-from robot.control.streaming import VelocityTracking
+from planners.servo.steering import WATCHED_M
+from robot.control.motion import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from server.moveit.servo.servo_loop import LEAD_S
@@ -23,16 +23,7 @@ READY = {"shoulder_lift": -0.5, "elbow_flex": 0.5}
 
 
 class SteeredArm:
-    """An arm that stands somewhere until it is steered.
-
-    Args:
-        planner: answers.
-        robot: the arm.
-        start_rad: where it stands; joints not named are at 0 [rad].
-        limits: how it is steered.
-        period_s: time between two answers, a multiple of two ticks [s].
-        tip: the link that is steered.
-    """
+    """An arm that stands somewhere until it is steered."""
 
     def __init__(
         self,

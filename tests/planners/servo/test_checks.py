@@ -23,19 +23,22 @@ from planners.servo.steering import (
     MAX_DRIFT_M,
     MAX_DRIFT_RAD,
     Outcome,
+    VelocityBounds,
     check_servo_question,
     relaxed_anchor,
     servo_answer,
     target_motion,
     twist_motion,
 )
-from planners.servo.velocity_limits import VelocityBounds
+from tests.planners.refusals import refusal
 from tests.planners.servo.steering import PERIOD_S, TIP
 
 
-def refusal(robot, command, velocity_rad_s=None):
+def refused(robot, command, velocity_rad_s=None):
     at_home = {joint.name: 0.0 for joint in robot.movable_joints}
-    return check_servo_question(robot, ServoQuestion("arm", TIP, at_home, velocity_rad_s or {}, PERIOD_S, command))
+    return refusal(
+        check_servo_question, robot, ServoQuestion("arm", TIP, at_home, velocity_rad_s or {}, PERIOD_S, command)
+    )
 
 
 @pytest.mark.parametrize(
@@ -50,13 +53,13 @@ def refusal(robot, command, velocity_rad_s=None):
     ],
 )
 def test_commands_that_mean_nothing_are_refused_with_what_is_wrong(robot, command, said):
-    assert said in refusal(robot, command).message
+    assert said in refused(robot, command).message
 
 
 def test_sound_commands_are_accepted_after_velocities_that_are_numbers(robot):
     for command in (TipTwist(), JointVelocities({"elbow_flex": 0.1}), TipTarget(Pose((0.2, 0.0, 0.2)))):
-        assert refusal(robot, command) is None
-        assert "nan" in refusal(robot, command, {"elbow_flex": math.nan}).message
+        assert refused(robot, command) is None
+        assert "nan" in refused(robot, command, {"elbow_flex": math.nan}).message
 
 
 ORIGIN = Anchor(Pose())

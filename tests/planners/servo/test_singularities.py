@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planners.servo.question import ServoLimits, ServoStatus
-from planners.servo.velocity_limits import PredictedTip, regularized
+from planners.servo.steering import PredictedTip, regularized
 
 LIMITS = ServoLimits(singularity_slow=10.0, singularity_stop=20.0)
 FASTEST = np.array([2.0, 2.0, 2.0])

@@ -17,7 +17,7 @@ import pytest
 
 from harness.server import free_port
 from planners.errors import BatchError
-from planners.files import batch, problem_file
+from planners.files import plan_command, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
 from tests.helpers.resources import Pair, make_pair
 from tests.helpers.robots import so101
@@ -31,18 +31,12 @@ TIMEOUT_S = 120.0
 # Long enough that the first of them is answered while most are not.
 SLOWLY = ("--optimize", "1")
 
-
 HOST = "127.0.0.1"
 START_TIMEOUT_S = 60.0
 
 
 class DaskCluster:
-    """A scheduler and its workers, by the commands of docs/planning.md; each takes one problem at a time.
-
-    Args:
-        workers: how many.
-        certificate: signed by itself, by which all of them know each other; None without TLS.
-    """
+    """A scheduler and its workers, by the commands of docs/planning.md; each takes one problem at a time."""
 
     def __init__(self, workers: int, certificate: Pair | None = None) -> None:
         self._port = free_port()
@@ -208,15 +202,15 @@ def test_certificates_are_those_of_dasks_configuration(tmp_path: Path) -> None:
 @pytest.fixture
 def other_version(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The version of this process, which is none of a worker's."""
-    monkeypatch.setattr(batch, "_SOURCES", ())
-    batch.version.cache_clear()
-    yield batch.version()
-    batch.version.cache_clear()
+    monkeypatch.setattr(plan_command, "_SOURCES", ())
+    plan_command.version.cache_clear()
+    yield plan_command.version()
+    plan_command.version.cache_clear()
 
 
 def test_workers_with_another_armbridge_are_named_with_both_versions(cluster: DaskCluster, other_version: str) -> None:
     with pytest.raises(BatchError) as raised:
-        next(batch.plan_on(cluster.address, []))
+        next(plan_command.plan_on(cluster.address, []))
     theirs, ours = str(raised.value).split("; install ")
     assert theirs.startswith("the Dask worker tcp://127.0.0.1:")
     assert "runs armbridge 0." in theirs
@@ -224,19 +218,19 @@ def test_workers_with_another_armbridge_are_named_with_both_versions(cluster: Da
 
 
 def test_a_worker_that_joined_late_with_another_armbridge_plans_nothing() -> None:
-    setup = pickle.loads(batch._packed_setup(problem_file.read(GAP, so101())))
+    setup = pickle.loads(plan_command._packed_setup(problem_file.read(GAP, so101())))
     with pytest.raises(BatchError, match="another armbridge"):
-        batch.answer(setup, b"", "0.0.1")
+        plan_command.answer(setup, b"", "0.0.1")
 
 
 def test_a_worker_keeps_a_planner_for_each_thread_and_file() -> None:
-    first, second = (pickle.loads(batch._packed_setup(problem_file.read(GAP, so101()))) for _ in range(2))
-    other = pickle.loads(batch._packed_setup(problem_file.read(CLUTTER, so101())))
-    planner, refusal = batch._planner(first, 1)
+    first, second = (pickle.loads(plan_command._packed_setup(problem_file.read(GAP, so101()))) for _ in range(2))
+    other = pickle.loads(plan_command._packed_setup(problem_file.read(CLUTTER, so101())))
+    planner, refusal = plan_command._planner(first, 1)
     assert refusal is None
-    assert batch._planner(batch.Setup(first.digest, second.robot, second.scene), 1)[0] is planner
-    assert batch._planner(first, 2)[0] is not planner
-    assert batch._planner(other, 1)[0] is not planner
+    assert plan_command._planner(plan_command.Setup(first.digest, second.robot, second.scene), 1)[0] is planner
+    assert plan_command._planner(first, 2)[0] is not planner
+    assert plan_command._planner(other, 1)[0] is not planner
 
 
 class FailedFuture:
@@ -257,17 +251,17 @@ class FailedFuture:
     ],
 )
 def test_a_problem_that_a_worker_fails_at_is_a_crash(error: Exception, words: str) -> None:
-    answer = batch._result(FailedFuture(error))
+    answer = plan_command._result(FailedFuture(error))
     assert answer == (PlanningFailure(MoveItErrorCode.CRASH, words), 0.0)
 
 
 def test_without_dask_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch, "find_spec", lambda name: None)
+    monkeypatch.setattr(plan_command, "find_spec", lambda name: None)
     with pytest.raises(BatchError, match=r"pip install 'armbridge\[dask\]'"):
-        next(batch.plan_on("tcp://127.0.0.1:1", []))
+        next(plan_command.plan_on("tcp://127.0.0.1:1", []))
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://127.0.0.1"])
 def test_an_invalid_scheduler_address_is_refused(address: str) -> None:
     with pytest.raises(BatchError, match="must be tcp://HOST:PORT or tls://HOST:PORT"):
-        next(batch.plan_on(address, []))
+        next(plan_command.plan_on(address, []))

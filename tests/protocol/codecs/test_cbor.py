@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.codecs import cbor
-from protocol.codecs.cbor import with_octets, with_typed_arrays
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 
@@ -35,36 +34,36 @@ TAGS = {
 def test_numbers_become_a_typed_array_of_their_tag_little_endian(name, tag, code):
     type_name = f"std_msgs/{name}MultiArray"
     message = complete(REGISTRY, type_name, {"data": [1, 2, 100]}, NOW)
-    packed = with_typed_arrays(REGISTRY, type_name, message)["data"]
+    packed = cbor.packed(REGISTRY, type_name, message, numbers=True)["data"]
     assert packed == cbor2.CBORTag(tag, struct.pack(f"<3{code}", 1, 2, 100))
 
 
-@pytest.mark.parametrize("pack", [with_octets, with_typed_arrays])
-def test_base64_text_becomes_octets_at_any_depth(pack):
+@pytest.mark.parametrize("numbers", [False, True])
+def test_base64_text_becomes_octets_at_any_depth(numbers):
     message = complete(REGISTRY, "action_msgs/GoalStatusArray", {"status_list": [{}]}, NOW)
-    status = pack(REGISTRY, "action_msgs/GoalStatusArray", message)["status_list"][0]
+    status = cbor.packed(REGISTRY, "action_msgs/GoalStatusArray", message, numbers=numbers)["status_list"][0]
     assert status["goal_info"]["goal_id"]["uuid"] == bytes(16)
 
 
 def test_text_truth_values_and_single_numbers_stay_as_they_are():
     message = complete(REGISTRY, "moveit_msgs/AllowedCollisionMatrix", {"entry_names": ["a"]}, NOW)
-    assert with_typed_arrays(REGISTRY, "moveit_msgs/AllowedCollisionMatrix", message) == message
+    assert cbor.packed(REGISTRY, "moveit_msgs/AllowedCollisionMatrix", message, numbers=True) == message
 
 
 def test_octets_alone_leave_lists_of_numbers():
     message = complete(REGISTRY, "std_msgs/Float64MultiArray", {"data": [1.5]}, NOW)
-    assert with_octets(REGISTRY, "std_msgs/Float64MultiArray", message)["data"] == [1.5]
+    assert cbor.packed(REGISTRY, "std_msgs/Float64MultiArray", message, numbers=False)["data"] == [1.5]
 
 
 def test_the_message_is_left_as_it_was():
     message = complete(REGISTRY, "std_msgs/UInt8MultiArray", {"data": [1]}, NOW)
-    with_typed_arrays(REGISTRY, "std_msgs/UInt8MultiArray", message)
+    cbor.packed(REGISTRY, "std_msgs/UInt8MultiArray", message, numbers=True)
     assert message["data"] == "AQ=="
 
 
 def test_a_message_without_such_arrays_is_not_copied():
     message = complete(REGISTRY, "geometry_msgs/PoseArray", {"poses": [{}]}, NOW)
-    assert with_typed_arrays(REGISTRY, "geometry_msgs/PoseArray", message) is message
+    assert cbor.packed(REGISTRY, "geometry_msgs/PoseArray", message, numbers=True) is message
 
 
 @given(st.text())

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from robot.commissioning.doctor import Verdict, judge_cycles, judge_long_reads, judge_scan
-from robot.commissioning.scan import ScanResult, ServoRegisters
-from robot.commissioning.timing import CycleTimes
+from robot.commissioning.scan import CycleTimes, ScanResult, ServoRegisters
 from robot.hardware.feetech.registers import Register
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 

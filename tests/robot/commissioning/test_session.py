@@ -1,20 +1,38 @@
 from __future__ import annotations
 
-import pytest
+import math
+from dataclasses import replace
 
-from robot.calibration import TICKS_PER_TURN
-from robot.commissioning.directions import asked_motions
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot.calibration import MAX_TICK, TICKS_PER_TURN
+from robot.commissioning.directions import LEAST_MOTION_TICKS, AskedMotion, asked_motions, turned_the_other_way
 from robot.commissioning.session import (
     AGAIN,
     AS_IT_IS,
     DONE,
+    LEAST_SWEEP_TICKS,
+    MIDDLE_TICK,
     RELAX,
     SKIP,
     SKIP_ALL,
+    WIDEST_SWEEP_TICKS,
     WRITE_NOW,
     Act,
     CalibrationSession,
+    Sweep,
+    expected_width,
+    met_both_stops,
+    place,
+    place_free,
 )
+from robot.commissioning.verify import LIMIT_MARGIN_RAD, Droop, poses, seen_findings
+from robot.description import robot_folder
+from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.servo_table import MAX_HOMING_OFFSET
 from robot.errors import CalibrationError
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration, so101
 
@@ -226,3 +244,227 @@ def test_progress_never_falls_on_the_way():
         session.answer(answer)
     assert seen == sorted(seen)
     assert session.step.name == "write"
+
+
+ELBOW = next(servo for servo in SO101_SERVOS if servo.joint == "elbow_flex")
+SWEPT_ROLL = next(servo for servo in SO101_SERVOS if servo.turns_freely)
+
+LARGEST_OFFSET = MAX_HOMING_OFFSET["feetech"]
+
+
+def swept(encoder_stops, offset, start_share=0.5, servo=ELBOW):
+    """A hand's sweep of one joint between two stops of its encoder, as a servo with an offset tells it: in one turn."""
+    low, high = encoder_stops
+    start = round(low + start_share * (high - low))
+
+    def reading(encoder):
+        return (encoder - offset) % TICKS_PER_TURN
+
+    sweep = Sweep({servo.servo_id: reading(start)})
+    way = [*range(start, low, -300), low, *range(low, high, 300), high, *range(high, start, -300), start]
+    for encoder in way:
+        sweep.add({servo.servo_id: reading(encoder)})
+    return sweep
+
+
+@given(
+    st.integers(-5000, 5000),
+    st.integers(LEAST_SWEEP_TICKS, WIDEST_SWEEP_TICKS),
+    st.integers(-LARGEST_OFFSET, LARGEST_OFFSET),
+    st.floats(0.0, 1.0),
+)
+def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_stop, width, offset, start_share):
+    sweep = swept((lower_stop, lower_stop + width), offset, start_share)
+    placed = place(ELBOW, sweep, offset, recentre=True)
+    assert abs(placed.homing_offset) <= LARGEST_OFFSET
+    assert 0 <= placed.range_min < placed.range_max <= MAX_TICK
+    # The same stops: an encoder's position less the offset, within the turn.
+    assert placed.range_max - placed.range_min == width
+    assert (lower_stop - placed.homing_offset - placed.range_min) % TICKS_PER_TURN == 0
+    assert abs((placed.range_min + placed.range_max) / 2 - MIDDLE_TICK) <= 1
+
+
+@given(
+    st.integers(-5000, 5000),
+    st.integers(-LARGEST_OFFSET, LARGEST_OFFSET),
+    st.floats(0.0, 1.0),
+)
+@pytest.mark.parametrize(
+    ("width", "reason"),
+    [
+        (0, "was moved by 0 ticks"),
+        (LEAST_SWEEP_TICKS - 1, "was moved by"),
+        (WIDEST_SWEEP_TICKS + 1, "no stops within a turn"),
+        (MAX_TICK + 800, "no stops within a turn"),
+    ],
+)
+def test_a_joint_that_hardly_moved_or_turned_round_is_refused(width, reason, lower_stop, offset, start_share):
+    sweep = swept((lower_stop, lower_stop + width), offset, start_share)
+    with pytest.raises(CalibrationError, match=reason):
+        place(ELBOW, sweep, offset, recentre=True)
+
+
+@given(st.integers(0, MAX_TICK), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET))
+def test_wherever_a_free_joint_shows_its_middle_the_offset_puts_it_in_the_middle(encoder, offset):
+    middle = (encoder - offset) % TICKS_PER_TURN
+    placed = place_free(SWEPT_ROLL, middle, offset, recentre=True)
+    assert abs((encoder - placed.homing_offset) % TICKS_PER_TURN - MIDDLE_TICK) <= 1
+    assert abs(placed.homing_offset) <= LARGEST_OFFSET
+    assert (placed.range_min, placed.range_max) == (0, MAX_TICK)
+
+
+def test_without_a_new_offset_the_range_is_what_the_servo_reports():
+    placed = place(ELBOW, swept((937, 3137), offset=37), 37, recentre=False)
+    assert (placed.homing_offset, placed.range_min, placed.range_max) == (37, 900, 3100)
+
+
+def test_a_range_across_the_seam_is_refused_and_a_new_offset_is_named_as_the_remedy():
+    with pytest.raises(CalibrationError, match=r"crosses the seam .*--write-servos"):
+        place(ELBOW, swept((-700, 1300), offset=0), 0, recentre=False)
+
+
+def test_a_free_joint_off_the_formats_middle_needs_a_new_offset():
+    assert place_free(SWEPT_ROLL, 2100, 5, recentre=False).homing_offset == 5
+    with pytest.raises(CalibrationError, match="its middle is tick 2500"):
+        place_free(SWEPT_ROLL, 2500, 0, recentre=False)
+
+
+def test_a_joint_met_both_stops_when_it_covered_most_of_what_the_model_has():
+    width = expected_width(ELBOW)
+    assert met_both_stops(ELBOW, round(0.85 * width))
+    assert not met_both_stops(ELBOW, round(0.75 * width))
+
+
+def test_a_free_joint_with_stops_is_told_from_one_that_turned_round():
+    # The stops of the SO-101's wrist.
+    assert met_both_stops(SWEPT_ROLL, 3981 - 113)
+    assert not met_both_stops(SWEPT_ROLL, MAX_TICK)
+    assert met_both_stops(replace(SWEPT_ROLL, turns_freely=False), MAX_TICK)
+
+
+NONE: frozenset[str] = frozenset()
+
+
+@pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1", "fetch"])
+def test_every_candidate_keeps_away_from_the_limits_of_every_built_in_arm(name):
+    robot = robot_folder.resolve(name).model
+    for pose in poses(robot):
+        for candidate in pose.candidates:
+            for joint, position in candidate.items():
+                low, high = robot.joints[joint].lower, robot.joints[joint].upper
+                margin = min(LIMIT_MARGIN_RAD, (high - low) / 2.0)
+                assert low + margin - 1e-9 <= position <= high - margin + 1e-9 or joint in robot.gripper.joints
+
+
+def test_the_poses_beside_zero_show_the_direction_of_every_joint():
+    zero, first, second, gripper = (pose.candidates[0] for pose in poses(so101()))
+    for joint in zero:
+        assert (first[joint] - zero[joint]) * (second[joint] - zero[joint]) < 0.0
+        # A hand's breadth, not a swing.
+        assert max(abs(first[joint] - zero[joint]), abs(second[joint] - zero[joint])) < 0.5
+    assert set(gripper) == {"gripper"}
+
+
+@pytest.mark.parametrize(
+    ("droop", "words"),
+    [
+        (Droop("elbow_flex", 0.03, load=0.2, p_gain=32), None),
+        (Droop("elbow_flex", 0.09, load=0.4, p_gain=16), "its position gain of 16 lets it"),
+        (Droop("elbow_flex", -0.12, load=0.05, p_gain=32), f"stands {math.degrees(0.12):.1f} deg from its goal"),
+        (Droop("elbow_flex", -0.12, load=0.05, p_gain=32), "supply is weak"),
+    ],
+    ids=["as its gain lets it", "a low gain", "blocked", "a weak supply"],
+)
+def test_a_droop_is_explained_by_gain_and_load_or_is_a_finding(droop, words):
+    if words is None:
+        assert droop.finding() == ""
+    else:
+        assert words in droop.finding()
+
+
+A, G = frozenset({"a"}), frozenset({"g"})
+
+
+@pytest.mark.parametrize(
+    ("seen", "words"),
+    [
+        (
+            [("zero", A), ("first", A), ("second", NONE)],
+            "in 2 of 3 poses: its zero is off",
+        ),
+        ([("zero", NONE), ("first", A), ("second", A)], "turns the other way"),
+        ([("zero", NONE), ("open gripper", G)], "drive_mode"),
+    ],
+    ids=["off at zero too", "off beside zero only", "a gripper"],
+)
+def test_a_joint_that_looks_otherwise_than_the_model_is_a_finding_with_its_cause(seen, words):
+    (found,) = seen_findings(seen, G)
+    assert words in found
+
+
+STEP_RAD = 0.01
+
+
+def moved(robot, joint, link, rises):
+    """Motion of a link when a joint moves a little from the model's zero, shape (3,) [m]."""
+    forward, zero = ForwardPlacements(robot), {each.name: 0.0 for each in robot.movable_joints}
+    step = STEP_RAD if rises else -STEP_RAD
+    places = [forward.transforms({**zero, joint: at})[link][:3, 3] for at in (0.0, step)]
+    return places[1] - places[0]
+
+
+def test_the_forearm_goes_where_the_request_says():
+    motion = asked_motions(so101())["elbow_flex"]
+    assert motion.request == "move elbow flex so that the far end of lower arm goes up"
+    way = moved(so101(), "elbow_flex", "wrist_link" if "wrist_link" in so101().links else "wrist", motion.rises)
+    assert way[2] > 0.9 * np.linalg.norm(way)
+
+
+def test_a_joint_with_an_upright_axis_turns_the_arm_to_the_left_of_who_stands_behind_it():
+    motion = asked_motions(so101())["shoulder_pan"]
+    assert "to the left" in motion.request
+    assert moved(so101(), "shoulder_pan", so101().tip_link, motion.rises)[1] > 0.0
+
+
+def test_a_joint_along_its_link_is_turned_and_not_moved():
+    assert "clockwise, as seen along the arm" in asked_motions(so101())["wrist_roll"].request
+
+
+@pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1"])
+def test_the_gripper_is_to_be_opened_whichever_way_its_joint_turns(name):
+    robot = robot_folder.resolve(name).model
+    motion = asked_motions(robot)[robot.gripper.joints[0]]
+    assert motion == AskedMotion("open the gripper", rises=robot.gripper.open > robot.gripper.closed)
+
+
+def test_a_gripper_whose_joint_falls_when_it_opens_is_to_be_opened_too():
+    robot = so101()
+    assert robot.gripper is not None
+    falling = replace(robot, gripper=replace(robot.gripper, open=-1.0, closed=0.0))
+    assert asked_motions(falling)["gripper"] == AskedMotion("open the gripper", rises=False)
+
+
+@pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1", "fetch"])
+def test_there_is_a_motion_for_every_joint_of_every_built_in_arm(name):
+    robot = robot_folder.resolve(name).model
+    assert set(asked_motions(robot)) == {joint.name for joint in robot.movable_joints}
+
+
+@pytest.mark.parametrize(
+    ("sign", "rises", "ticks", "other"),
+    [
+        (1, True, 300, False),
+        (1, False, 300, True),
+        (-1, True, 300, True),
+        (-1, False, 300, False),
+        (1, True, -300, True),
+    ],
+)
+def test_the_sign_of_the_folder_is_compared_with_what_the_hand_did(sign, rises, ticks, other):
+    servo = replace(ELBOW, sign=sign)
+    assert turned_the_other_way(servo, AskedMotion("bend it", rises=rises), ticks) is other
+
+
+def test_a_twitch_shows_no_direction():
+    with pytest.raises(CalibrationError, match=r"elbow_flex: was moved by 99 ticks only.*bend it, further"):
+        turned_the_other_way(ELBOW, AskedMotion("bend it", rises=True), 1 - LEAST_MOTION_TICKS)

@@ -187,14 +187,6 @@ def test_an_arm_found_outside_its_soft_limits_may_be_brought_back_inside() -> No
     assert np.array(rig.goals)[:, 0].max() <= outside
 
 
-def test_progress_is_reported_while_moving(rig: Rig) -> None:
-    rig.move_pan(100, 9)
-    motion = rig.controller.motion
-    assert motion.motion_id == 9
-    assert motion.fraction == pytest.approx(0.5, abs=0.02)
-    assert motion.remaining_s == pytest.approx(1.0, abs=0.02)
-
-
 BLOCKED_RAD = 0.4
 
 

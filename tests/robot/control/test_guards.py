@@ -5,9 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot.advice import ServoAlert, ServoWarning
 from robot.control.guards import LOW_VOLTAGE_TIME_S, MARGIN, VOLTAGE_BIT_TIME_S, ActuatorThresholds
-from robot.faults import Fault, FaultCode
+from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import Actuation, Measured, StatusFlag
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import PLAIN, guards, reading

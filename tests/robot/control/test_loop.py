@@ -10,8 +10,7 @@ import pytest
 
 from robot.channel import Channel
 from robot.control.loop import ArmLoop, hardware_source
-from robot.control.pacing import MAX_TICK_S, Pacer
-from robot.control.realtime import Scheduling
+from robot.control.pacing import MAX_TICK_S, Pacer, Scheduling
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
 from robot.hardware.config import (

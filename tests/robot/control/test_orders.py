@@ -10,6 +10,7 @@ import pytest
 
 from harness.server import read_write_log
 from robot.calibration import Calibration
+from robot.emulator.populations import POPULATIONS
 from robot.errors import StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import EmulatedConfig, FeetechConfig
@@ -171,9 +172,7 @@ def test_a_gripper_of_lerobot_squeezes_for_long_without_an_overload(emulator: St
     assert abs(rig.state.load[5]) > 0.1
 
 
-def test_a_gripper_of_lerobot_that_is_kept_from_its_goal_is_relieved_before_an_overload(
-    emulator: SteppedEmulator,
-) -> None:
+def test_a_gripper_of_lerobot_kept_from_its_goal_is_relieved_before_an_overload(emulator: SteppedEmulator) -> None:
     # So near to the goal that the gripper counts as being there, and pushes on.
     rig = after_squeezing(emulator, 0.9, 0.81, gripping=False)
     assert rig.ended[-1].outcome is Outcome.REACHED
@@ -216,9 +215,7 @@ def held_by(rig: ArmRig) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(rig.bus.read(servo, register) for register in CALIBRATED) for servo in IDS)
 
 
-def test_an_arm_with_a_new_calibration_in_its_servos_is_not_enabled_before_the_old_one_is_written_back(
-    rig: ArmRig,
-) -> None:
+def test_an_arm_with_a_new_calibration_is_not_enabled_before_the_old_one_is_written_back(rig: ArmRig) -> None:
     assert rig.order(Order.WRITE_CALIBRATION, other_elbow()).done
     assert not rig.order(Order.ENABLE).done
     rig.run(0.5)
@@ -234,9 +231,7 @@ def test_an_arm_with_a_new_calibration_in_its_servos_is_not_enabled_before_the_o
     assert rig.order(Order.ENABLE).done
 
 
-def test_an_arm_that_was_written_to_is_not_enabled_before_every_servo_was_read(
-    emulator: SteppedEmulator, rig: ArmRig
-) -> None:
+def test_an_arm_written_to_is_not_enabled_before_every_servo_was_read(emulator: SteppedEmulator, rig: ArmRig) -> None:
     rig.order(Order.WRITE_CALIBRATION, other_elbow())
     emulator.command(offline=[5])
     rig.run(3.0)
@@ -323,3 +318,63 @@ def test_a_hand_that_turns_a_relaxed_joint_across_the_seam_is_no_fault(emulator:
     rig.run(0.1)
     assert rig.mode is Mode.RELAXED
     assert rig.order(Order.ENABLE).done
+
+
+USABLE = [name for name in POPULATIONS if name not in ("ros2_driver", "kit")]
+
+
+def rig_on(population: str) -> ArmRig:
+    return ArmRig(SteppedEmulator("--population", population, wire_time=False))
+
+
+@pytest.mark.parametrize("population", USABLE)
+def test_an_arm_of_each_population_is_enabled_where_it_stands(population):
+    rig = rig_on(population)
+    rig.until_mode(Mode.HOLDING)
+    before = [servo.plant.position_ticks for servo in rig.emulator.servo_bus.servos]
+    rig.run(1.0)
+    after = [servo.plant.position_ticks for servo in rig.emulator.servo_bus.servos]
+    assert after == pytest.approx(before, abs=30.0)
+
+
+def test_a_kit_is_no_arm_yet():
+    rig = rig_on("kit")
+    rig.run(3.0)
+    assert rig.mode is not Mode.HOLDING
+    assert [servo.value(40) for servo in rig.emulator.servo_bus.servos] == [0] * 6
+
+
+@pytest.fixture
+def latched() -> ArmRig:
+    """An arm of clones, whose elbow has been pushed until its overload latched."""
+    rig = rig_on("clone")
+    rig.until_mode(Mode.HOLDING)
+    rig.emulator.command(push={"3": 900})
+    rig.until(lambda: rig.fault_code == "overload", 10.0)
+    rig.emulator.command(push={"3": 0})
+    # The controller tries to relax the arm by itself.
+    rig.run(5.0)
+    return rig
+
+
+def test_the_reset_of_an_overload_that_stays_says_to_cut_the_supply(latched):
+    answer = latched.order(Order.RESET_FAULT)
+    assert not answer.done
+    assert "elbow_flex (id 3)" in answer.message
+    assert "switch the servos' supply off and on" in answer.message
+
+
+@pytest.mark.parametrize("order", [Order.RELAX, Order.EMERGENCY_STOP])
+def test_torque_that_cannot_be_switched_off_says_to_cut_the_supply(latched, order):
+    answer = latched.order(order)
+    assert not answer.done
+    assert "elbow_flex (id 3): they may still be driven until the servos' supply is cut" in answer.message
+
+
+def test_a_power_cycle_ends_an_overload_that_stays(latched):
+    latched.emulator.command(power_cycle=[1, 2, 3, 4, 5, 6])
+    latched.run(1.0)
+    answer = latched.order(Order.RESET_FAULT)
+    assert answer.done, answer.message
+    assert latched.order(Order.ENABLE).done
+    assert latched.mode is Mode.HOLDING

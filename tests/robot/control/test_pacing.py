@@ -11,14 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.pacing import MAX_TICK_S, PERIOD_S, TICKS_KEPT, LoopClock, Pacer, SimulationClock, percentiles
-from robot.control.realtime import (
+from robot.control.pacing import (
+    MAX_TICK_S,
     MCL_CURRENT,
     MCL_FUTURE,
     MCL_ONFAULT,
+    PERIOD_S,
+    TICKS_KEPT,
+    LoopClock,
+    Pacer,
     Scheduling,
+    SimulationClock,
     enter_realtime,
     lock_memory,
+    percentiles,
 )
 
 

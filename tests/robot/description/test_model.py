@@ -1,17 +1,25 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from planners.geometry.kinematics import ForwardKinematics
+from robot.calibration import Calibration
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.limits import END_STOP_MARGIN_RAD, FASTEST_TICKS_S, within_calibration
+from robot.description.urdf import find_mesh, package_path, with_mesh_paths
 from robot.errors import DescriptionError
 from tests.helpers.resources import shared_data
-from tests.helpers.robots import so101
+from tests.helpers.robots import nominal_calibration, so101
+from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 URDF = """<robot name="two"><link name="a"/><link name="b"/><link name="c"/>
 <joint name="ab" type="revolute"><parent link="a"/><child link="b"/><limit lower="-1" upper="2" velocity="3"/></joint>
@@ -19,18 +27,6 @@ URDF = """<robot name="two"><link name="a"/><link name="b"/><link name="c"/>
 SRDF = """<robot name="two"><group name="g"><chain base_link="a" tip_link="c"/></group>
 <group_state name="up" group="g"><joint name="ab" value="1"/></group_state>
 <disable_collisions link1="a" link2="b"/></robot>"""
-
-
-def test_the_builtin_arm_has_its_joints_in_order_with_limits_of_the_servos() -> None:
-    robot = so101()
-    assert robot.groups["arm"].joints == ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-    assert [joint.name for joint in robot.movable_joints] == [*robot.groups["arm"].joints, "gripper"]
-    assert robot.root_link == "base_link"
-    assert robot.groups["arm"].tip_link == "gripper_frame_link"
-    for joint in robot.movable_joints:
-        assert joint.lower < joint.upper
-        assert 0.0 < joint.max_velocity < 5.0
-        assert 0.0 < joint.max_acceleration < 20.0
 
 
 def test_every_link_with_a_shape_has_a_hull_whose_triangles_exist() -> None:
@@ -173,3 +169,174 @@ def test_a_robot_without_a_group_gets_the_longest_chain_and_a_line_in_the_log(ca
     assert (robot.default_group, robot.groups["arm"].tip_link) == ("arm", "finger")
     assert '<group name="arm">' in robot.srdf
     assert "has no <group>: the group 'arm' is the longest chain" in caplog.text
+
+
+ARMS = {"so101": so101(), "crane": model.parse(CRANE_URDF, CRANE_SRDF)}
+
+
+@pytest.fixture(params=ARMS)
+def arm(request):
+    return ARMS[request.param]
+
+
+def drawn(arm, rng):
+    return {joint.name: rng.uniform(joint.lower, joint.upper) for joint in arm.movable_joints}
+
+
+def test_every_link_is_where_pinocchio_has_it(arm):
+    names = [joint.name for joint in arm.movable_joints]
+    kinematics, rng = ForwardKinematics(arm, names), np.random.default_rng(3)
+    for _ in range(20):
+        positions = drawn(arm, rng)
+        kinematics.place(np.array([positions[name] for name in names]))
+        for link, transform in ForwardPlacements(arm).transforms(positions).items():
+            assert transform == pytest.approx(kinematics.placement(link).homogeneous, abs=1e-9)
+
+
+def test_a_link_stands_on_its_parent(arm):
+    placements, positions = ForwardPlacements(arm), drawn(arm, np.random.default_rng(4))
+    placed = placements.transforms(positions)
+    for link in set(arm.links) - {arm.root_link}:
+        parent, transform_link_to_parent = placements.joint_transform(link, positions)
+        assert placed[parent] @ transform_link_to_parent == pytest.approx(placed[link], abs=1e-12)
+
+
+def test_the_root_link_stands_on_nothing(arm):
+    with pytest.raises(KeyError):
+        ForwardPlacements(arm).joint_transform(arm.root_link, {})
+
+
+def test_limits_never_exceed_the_urdf_nor_the_calibrated_range_less_the_margin() -> None:
+    robot, calibration = so101(), nominal_calibration()
+    short = replace(calibration.joints[1], range_min=1500, range_max=2500)
+    calibration = Calibration((calibration.joints[0], short, *calibration.joints[2:]))
+    joint = within_calibration(robot, calibration).joints["shoulder_lift"]
+    assert joint.lower == pytest.approx(short.lower_rad + END_STOP_MARGIN_RAD)
+    assert joint.upper == pytest.approx(short.upper_rad - END_STOP_MARGIN_RAD)
+
+
+def test_a_velocity_limit_above_the_servos_is_narrowed_with_one_log_line(caplog: pytest.LogCaptureFixture) -> None:
+    robot = so101()
+    joints = {**robot.joints, "wrist_flex": replace(robot.joints["wrist_flex"], max_velocity=4.0)}
+    narrowed = within_calibration(replace(robot, joints=joints), nominal_calibration())
+    servo = nominal_calibration().joints[3]
+    assert narrowed.joints["wrist_flex"].max_velocity == pytest.approx(2.51, abs=0.01)
+    assert abs(servo.ticks_s_from_rad_s(narrowed.joints["wrist_flex"].max_velocity)) < FASTEST_TICKS_S
+    assert [record.message for record in caplog.records] == [
+        "joint wrist_flex: its velocity limit of 4 rad/s is narrowed to 2.51 rad/s, the most its servo can follow"
+    ]
+
+
+def test_a_range_of_no_width_is_refused() -> None:
+    calibration = nominal_calibration()
+    narrow = replace(calibration.joints[0], range_min=2000, range_max=2010)
+    with pytest.raises(DescriptionError, match="shoulder_pan"):
+        within_calibration(so101(), Calibration((narrow, *calibration.joints[1:])))
+
+
+def test_a_calibrated_joint_that_the_robot_lacks_is_named() -> None:
+    calibration = nominal_calibration()
+    first = calibration.joints[0]
+    other = replace(first, servo=replace(first.servo, joint="knee"))
+    with pytest.raises(DescriptionError, match="knee"):
+        within_calibration(so101(), Calibration((other, *calibration.joints[1:])))
+
+
+MESH_SRDF = '<robot name="r"><group name="g"><chain base_link="a" tip_link="b"/></group></robot>'
+
+
+def urdf(mesh: str, use: str = "collision") -> str:
+    return (
+        f'<robot name="r"><link name="a"/><link name="b"><{use}><geometry><mesh filename="{mesh}"/></geometry></{use}>'
+        '</link><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
+    )
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Package arm_description in the standard layout, with one mesh and a folder for URDFs."""
+    folder = tmp_path / "src" / "arm_description"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "urdf").mkdir()
+    (folder / "meshes" / "b.stl").touch()
+    return folder
+
+
+def test_a_relative_name_is_sought_beside_the_urdf_and_a_url_or_an_absolute_path_is_the_path(package: Path) -> None:
+    mesh = package / "meshes" / "b.stl"
+    assert find_mesh("../meshes/b.stl", package / "urdf", ()) == mesh
+    assert find_mesh(f"file://{mesh}", None, ()) == mesh
+    assert find_mesh(str(mesh), package, ()) == mesh
+
+
+URL = "package://arm_description/meshes/b.stl"
+
+
+def test_a_package_is_found_around_its_urdf_beside_another_and_in_folders_given(package: Path, tmp_path: Path) -> None:
+    other, elsewhere = package.parent / "cell_description" / "urdf", tmp_path / "elsewhere"
+    other.mkdir(parents=True)
+    for beside, given in (
+        (package / "urdf", ()),
+        (other, ()),
+        (elsewhere, (package.parent,)),
+        (elsewhere, (package,)),
+    ):
+        assert find_mesh(URL, beside, given) == package / "meshes" / "b.stl"
+
+
+def test_a_package_in_a_folder_of_another_name_is_known_by_its_package_xml(package: Path) -> None:
+    checkout = package.rename(package.parent / "arm-main")
+    (checkout / "package.xml").write_text("<package><name>arm_description</name></package>")
+    assert find_mesh(URL, checkout / "urdf", ()) == checkout / "meshes" / "b.stl"
+
+
+def test_a_given_folder_comes_before_those_around_the_urdf(package: Path, tmp_path: Path) -> None:
+    given = tmp_path / "given" / "arm_description" / "meshes" / "b.stl"
+    given.parent.mkdir(parents=True)
+    given.touch()
+    assert find_mesh(URL, package / "urdf", (tmp_path / "given",)) == given
+
+
+def test_the_environment_of_either_ros_names_folders_of_packages() -> None:
+    environment = {"ROS_PACKAGE_PATH": "/ws/src:/opt/share", "AMENT_PREFIX_PATH": "/opt/ros/humble"}
+    assert package_path(environment) == (Path("/ws/src"), Path("/opt/share"), Path("/opt/ros/humble/share"))
+    assert package_path({}) == ()
+
+
+def test_a_mesh_that_is_not_there_is_refused_with_the_paths_tried(tmp_path: Path) -> None:
+    with pytest.raises(DescriptionError) as refused:
+        find_mesh("package://gone/b.stl", None, (tmp_path,))
+    text = str(refused.value)
+    assert str(tmp_path / "gone" / "b.stl") in text
+    assert "--package-path" in text
+
+
+def test_a_collision_mesh_that_is_not_there_stops_the_reading_with_file_and_link(package: Path, tmp_path: Path) -> None:
+    (package / "urdf" / "r.urdf").write_text(urdf("../meshes/gone.stl"))
+    (tmp_path / "r.srdf").write_text(MESH_SRDF)
+    with pytest.raises(DescriptionError) as refused:
+        model.load(package / "urdf" / "r.urdf", tmp_path / "r.srdf")
+    for words in (str(package / "urdf" / "r.urdf"), "link 'b' <collision>", "gone.stl' is not there"):
+        assert words in str(refused.value)
+
+
+def test_a_mesh_that_is_only_seen_is_missed_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        model.parse(urdf("gone.dae", "visual"), MESH_SRDF, mesh_directory=tmp_path)
+    assert "gone.dae" in caplog.text
+
+
+def test_folders_given_and_of_the_environment_are_those_of_the_robot(
+    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "r.urdf").write_text(urdf(URL))
+    (tmp_path / "r.srdf").write_text(MESH_SRDF)
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(package.parent))
+    robot = model.load(tmp_path / "r.urdf", tmp_path / "r.srdf", (tmp_path,))
+    assert robot.package_directories == (tmp_path, package.parent)
+
+
+def test_collision_meshes_get_their_paths_for_names(package: Path) -> None:
+    text = with_mesh_paths(urdf("../meshes/b.stl"), package / "urdf", ())
+    assert f'filename="{package / "meshes" / "b.stl"}"' in text

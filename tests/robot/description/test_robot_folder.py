@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import tempfile
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.description import robot_folder
+from robot.description import model, robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.model import RobotModel
+from robot.description.robot_file import MAX_BYTES, read
+from robot.description.robot_folder import PACKAGE, _robots, _urdfs, find_example
 from robot.description.servo_table import ZeroTick
-from robot.errors import DescriptionError
+from robot.errors import DescriptionError, RobotFileError
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF, so101
 
 SERVOS = "".join(
@@ -167,3 +171,151 @@ def test_another_urdf_takes_the_folder_s_place_without_its_hulls(tmp_path: Path)
     assert (other.model.hulls, other.model.parts) == ({}, {})
     assert other.hardware == found.hardware
     assert other.model.joints["shoulder_lift"].max_velocity == 1.2
+
+
+def problems(folder: Path, text: str) -> tuple[str, ...]:
+    path = folder / "robot.toml"
+    path.write_text(text)
+    with pytest.raises(RobotFileError) as refused:
+        read(path)
+    return refused.value.problems
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('[robot]\nurd = "x"', "robot.urd: there is no such key; did you mean urdf?"),
+        ("[joints.a]\nmax_velocty = 2", "joints.a.max_velocty: there is no such key; did you mean max_velocity?"),
+        ("[hardwear]", "hardwear: there is no such key; did you mean hardware?"),
+        ("[gripper]\njoints = ['a']\nopen = 1", "gripper.closed: is missing"),
+        ("[held_joints]\na = 'up'", "held_joints.a: input should be a valid number"),
+        (
+            "[hardware]\nkind = 'feetec'",
+            "hardware.kind: input should be 'feetech', 'dynamixel' or 'ideal', not",
+        ),
+        ("[hardware]\nkind = 'feetech'", 'hardware: the kind "feetech" needs its table [[hardware.servos]]'),
+        ("[joints.a]\nmax_velocity = 0", "joints.a.max_velocity: input should be greater than 0, not 0"),
+        (
+            "[hardware]\n[[hardware.servos]]\njoint = 'a'\nid = 1\nmodel = 'x'",
+            'hardware: the kind "ideal" has no servos',
+        ),
+        ("[robot", "is no TOML"),
+        ("x = 'ü'".encode("latin-1").decode("latin-1") + "#" * MAX_BYTES, f"has more than {MAX_BYTES} bytes"),
+    ],
+)
+def test_a_wrong_key_or_value_is_named(tmp_path: Path, text: str, sentence: str) -> None:
+    assert any(problem.startswith(sentence) for problem in problems(tmp_path, text)), problems(tmp_path, text)
+
+
+@pytest.mark.parametrize(("key", "first", "second"), [("id", "7", "7"), ("joint", "'a'", "'a'")])
+def test_two_servos_of_one_id_or_joint_are_named(tmp_path: Path, key: str, first: str, second: str) -> None:
+    rows = [{"joint": "'a'", "id": "1"}, {"joint": "'b'", "id": "2"}]
+    rows[0][key], rows[1][key] = first, second
+    servos = "".join(f"[[hardware.servos]]\njoint = {row['joint']}\nid = {row['id']}\nmodel = 'x'\n" for row in rows)
+    (problem,) = problems(tmp_path, f"[hardware]\nkind = 'feetech'\n{servos}")
+    assert f"servos[1].{key} {first} stands at servos[0] as well" in problem
+
+
+def test_everything_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
+    assert len(problems(tmp_path, "[robot]\nurd = 'x'\n[gripper]\nopen = 1\n[joints.a]\nmax_jerk = -1")) == 4
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RobotFileError, match=r"robot\.toml cannot be read"):
+        read(tmp_path / "robot.toml")
+
+
+# Of the arms, those whose files lack something, and the sentence about it.
+LACKING = {
+    "z1": "z1.srdf group 'end_effector' <chain> names the link 'base', which the URDF of 'z1_description' does not",
+}
+
+# Planning group, its joints and its tip.
+ARMS = {
+    "panda": ("arm", 7, "panda_hand_tcp"),
+    "xarm7": ("xarm7", 7, "link_eef"),
+    "kinova": ("end_effector", 6, "j2s6s200_end_effector"),
+    "pr2": ("right_arm_and_torso", 8, "r_wrist_roll_link"),
+    # Their SRDF has no group.
+    "ur5": ("arm", 6, "wrist_3_link"),
+    "ur3_gripper": ("arm", 6, "wrist_3_link"),
+    "talos": ("l_arm", 7, "wrist_left_ft_tool_link"),
+}
+
+
+def installed() -> bool:
+    try:
+        metadata.distribution(PACKAGE)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+needs_package = pytest.mark.skipif(not installed(), reason=f"{PACKAGE} is not installed (pip install {PACKAGE})")
+
+
+def read_published(name: str) -> RobotModel:
+    example = find_example(name)
+    return model.load(example.urdf, example.srdf, package_directories=example.packages)
+
+
+def robot_or_refusal(name: str) -> RobotModel | str:
+    try:
+        return read_published(name)
+    except DescriptionError as refusal:
+        return str(refusal)
+
+
+@needs_package
+@pytest.mark.parametrize("name", ARMS)
+def test_a_published_arm_is_read_as_it_is(name: str) -> None:
+    group, joints, tip = ARMS[name]
+    found = read_published(name).groups[group]
+    assert (len(found.joints), found.tip_link) == (joints, tip)
+
+
+@needs_package
+@pytest.mark.parametrize(("name", "words"), LACKING.items())
+def test_a_published_arm_that_lacks_something_is_refused_with_its_file_and_element(name: str, words: str) -> None:
+    with pytest.raises(DescriptionError) as refused:
+        read_published(name)
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@needs_package
+@pytest.mark.parametrize("name", sorted(_urdfs(_robots() or Path())))
+def test_every_published_robot_is_read_or_refused_in_a_sentence(name: str) -> None:
+    robot = robot_or_refusal(name)
+    if isinstance(robot, str):
+        assert robot.startswith(("URDF /", "SRDF /", PACKAGE))
+        return
+    for group in robot.groups.values():
+        assert group.joints
+        assert {robot.joints[joint].movable for joint in group.joints} == {True}
+        assert group.tip_link == "" or group.tip_link in robot.links
+
+
+@needs_package
+def test_a_robot_without_srdf_is_refused_with_the_place_where_one_is_missed() -> None:
+    with pytest.raises(DescriptionError, match=r"'ur10' has no SRDF"):
+        find_example("ur10")
+
+
+@needs_package
+def test_a_published_robot_is_loaded_by_its_name_with_ideal_joints() -> None:
+    found = robot_folder.resolve("panda")
+    assert found.model.gripper == model.Gripper(("panda_finger_joint1",), 0.04, 0.0)
+    assert found.hardware.kind == "ideal"
+
+
+def test_a_name_that_the_package_does_not_have_is_not_found() -> None:
+    assert find_example("no such robot") is None
+
+
+def test_without_the_package_no_robot_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> metadata.Distribution:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "distribution", missing)
+    assert find_example("panda") is None

@@ -11,7 +11,7 @@ from robot.emulator.dynamixel import (
     DynamixelServo,
 )
 from robot.emulator.plant import Plant
-from robot.hardware.dynamixel.packets import ALERT
+from robot.hardware.dynamixel.family import ALERT
 from robot.hardware.dynamixel.registers import MODELS, OperatingMode, Register, decode, encode
 from tests.helpers.emulated_family import run
 

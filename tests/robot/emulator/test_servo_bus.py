@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import random
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.dynamixel import CRC_ERROR, INSTRUCTION_ERROR
-from robot.emulator.faults import Faults
 from robot.emulator.feetech import FEETECH as FEETECH_CODEC
 from robot.emulator.feetech import FeetechServo, build_servos
-from robot.emulator.servo_bus import PARTIAL_PACKET_S, Instruction, InstructionParser, ServoBus, superimposed
-from robot.emulator.write_log import WriteLog
-from robot.hardware.feetech.registers import Register, encode
+from robot.emulator.servo_bus import (
+    PARTIAL_PACKET_S,
+    Faults,
+    Instruction,
+    InstructionParser,
+    ServoBus,
+    WriteLog,
+    superimposed,
+)
+from robot.hardware.feetech.bus import parse_status_frames
+from robot.hardware.feetech.registers import Register, encode, goal_block
 from tests.helpers.emulated_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 from tests.helpers.emulator import (
     ACTION,
@@ -68,9 +77,7 @@ def wire(family: Family) -> Wire:
 
 @OF_BOTH_FAMILIES
 @given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=60))
-def test_any_instruction_is_carried_out_without_an_exception(
-    family: Family, servo_id: int, code: int, parameters: bytes
-) -> None:
+def test_any_instruction_raises_no_exception(family: Family, servo_id: int, code: int, parameters: bytes) -> None:
     Wire(family).ask(servo_id, code, parameters)
 
 
@@ -202,9 +209,7 @@ def bytes_of(family: Family, instruction: Instruction) -> bytes:
 
 @OF_BOTH_FAMILIES
 @given(st.lists(INSTRUCTIONS, max_size=4), st.lists(st.integers(1, 40), max_size=20))
-def test_instructions_are_the_same_however_their_bytes_are_cut(
-    family: Family, instructions: list[Instruction], cuts: list[int]
-) -> None:
+def test_instructions_may_come_in_pieces(family: Family, instructions: list[Instruction], cuts: list[int]) -> None:
     stream = b"".join(bytes_of(family, instruction) for instruction in instructions)
     parser, parsed = InstructionParser(family.codec), []
     for count in [*cuts, len(stream)]:
@@ -415,3 +420,82 @@ def test_every_instruction_on_the_bus_feeds_every_watchdog(dynamixels):
     assert dynamixels.values("BUS_WATCHDOG") == [5, 5, 5]
     dynamixels.bus.advance(1.0)
     assert dynamixels.values("BUS_WATCHDOG") == [-1, -1, -1]
+
+
+ID = 1
+SENT = FEETECH_CODEC.status_packet(ID, 0, bytes(15))
+OF_REPLIES = ["drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise"]
+
+
+def faults(seed=5, **probabilities):
+    return Faults(**probabilities, random=random.Random(seed))
+
+
+def arrived(chance):
+    return chance.apply(FEETECH_CODEC.status_packet(chance.id_of_reply(ID), 0, bytes(15)))
+
+
+@pytest.mark.parametrize("name", OF_REPLIES)
+def test_a_reply_is_struck_as_often_as_asked_and_alike_for_a_seed(name):
+    def arrivals():
+        chance = faults(**{name: 0.3})
+        return [arrived(chance) for _ in range(1000)]
+
+    assert sum(each == SENT for each in arrivals()) == pytest.approx(700, abs=60)
+    assert arrivals() == arrivals()
+
+
+def test_without_faults_every_reply_arrives_as_it_was_sent():
+    assert arrived(faults()) == SENT
+    assert not faults().loses_instruction()
+    assert faults().hold_up_s() == 0.0
+
+
+@given(st.integers(0, 2**32), st.sampled_from(["drop", "corrupt", "wrong_id", "truncate"]))
+def test_a_reply_that_is_struck_is_never_taken_for_a_good_one(seed, name):
+    assert parse_status_frames(arrived(faults(seed, **{name: 1.0})), [ID], 15) == {}
+
+
+def test_a_doubled_reply_comes_twice_and_a_noisy_one_ends_as_it_was_sent():
+    assert arrived(faults(duplicate=1.0)) == SENT * 2
+    noisy = arrived(faults(noise=1.0))
+    assert noisy.endswith(SENT)
+    assert len(noisy) > len(SENT)
+
+
+def lines_of(path, record):
+    log = WriteLog(path)
+    record(log)
+    lines = [json.loads(line) for line in path.read_text().splitlines()]  # not closed: a killed process leaves all
+    log.close()
+    return lines
+
+
+def test_a_line_has_the_write_and_the_state_of_every_servo(tmp_path):
+    servos = build_servos(nominal_calibration(), [0.0] * 6)
+    servos[1].write(40, b"\x01")
+    before_s = time.monotonic()
+    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(12.5, 3, 40, {2: b"\x01"}, servos))
+    assert before_s <= line.pop("machine_t") <= time.monotonic()
+    assert line == {
+        "t": 12.5,
+        "instruction": "write",
+        "address": 40,
+        "data": {"2": [1]},
+        "registers": {"2": {"TORQUE_ENABLE": 1}},
+        "present": {str(servo.servo_id): servo.present_ticks for servo in servos},
+        "torque": {"1": 0, "2": 1, "3": 0, "4": 0, "5": 0, "6": 0},
+        "goal": {str(i): 0 for i in range(1, 7)},
+        "limit": {str(i): 1000 for i in range(1, 7)},
+        "status": {str(i): 0 for i in range(1, 7)},
+    }
+
+
+def test_the_registers_wholly_written_are_named_and_decoded(tmp_path):
+    block, servos = goal_block(-5, 700), build_servos(nominal_calibration(), [0.0] * 6)
+    data = {3: block, 4: block[:2]}
+    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(0.0, 0x83, 41, data, servos))
+    assert line["registers"] == {
+        "3": {"ACCELERATION": 254, "GOAL_POSITION": -5, "GOAL_TIME": 0, "GOAL_VELOCITY": 700},
+        "4": {"ACCELERATION": 254},
+    }

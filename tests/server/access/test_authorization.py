@@ -226,6 +226,7 @@ class TestControl:
             ("call_service", {"service": "/arm/pause"}),
             ("call_service", {"service": "/execute_trajectory/_action/cancel_goal"}),
             ("call_service", {"service": "/plan_kinematic_path"}),
+            ("call_service", {"service": "/arm/set_speed_limit"}),
             ("publish", {"topic": "/planning_scene"}),
             ("publish", {"topic": "/moveit_goal_confirm"}),
             ("send_action_goal", {**ACTION, "args": {"planning_options": {"plan_only": True}}}),
@@ -397,12 +398,6 @@ def test_topics_that_stop_the_arm_are_open_to_viewers_and_those_that_move_it_nee
     rules = {name: authorization.rule_of_topic(name, SERVER) for name in STOPPING_TOPICS + MOVING_TOPICS}
     assert {name for name, rule in rules.items() if rule.stops and rule.role is Role.VIEW} == set(STOPPING_TOPICS)
     assert {name for name, rule in rules.items() if rule.drives and rule.role is Role.OPERATE} == set(MOVING_TOPICS)
-
-
-@pytest.mark.parametrize("name", ["/arm/set_speed_limit", "/left/arm/set_speed_limit"])
-def test_the_speed_limit_needs_the_role_operate_and_no_control(name: str) -> None:
-    rule = authorization.rule_of_service(name, SEVERAL)
-    assert (rule.role, rule.drives, rule.stops) == (Role.OPERATE, False, False)
 
 
 def test_names_that_look_like_a_stop_are_none() -> None:

@@ -200,12 +200,6 @@ def test_the_client_that_takes_control_is_named(world: World) -> None:
     }
 
 
-def test_the_holder_releases_control(world: World) -> None:
-    world.call("a", "/arm/take_control")
-    assert world.call("a", "/arm/release_control")["success"]
-    assert world.call("b", "/arm/take_control")["success"]
-
-
 async def test_a_client_that_leaves_releases_control_and_others_are_told(world: World) -> None:
     world.call("a", "/arm/take_control")
     world.watch("viewer")
@@ -245,13 +239,6 @@ def test_with_shared_control_every_client_is_granted_it() -> None:
     for name in ("a", "b"):
         answer = world.call(name, "/arm/take_control")
         assert answer == {"success": True, "message": "all clients may drive the arm at once (access.control)"}
-
-
-def test_the_status_tells_when_control_will_be_free(world: World) -> None:
-    world.watch("viewer")
-    world.call("a", "/arm/take_control")
-    world.clock.advance(3.0)
-    assert values_of(world.told("viewer")[-1])["free_in_s"] == "7"
 
 
 def test_a_client_is_told_what_it_is_called_and_what_it_may_do(world: World) -> None:

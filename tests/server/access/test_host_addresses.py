@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from ipaddress import ip_address
 
-from server.access import host_addresses as module
-from server.access.host_addresses import host_addresses
+from server.gateway import admission as module
+from server.gateway.admission import host_addresses
 
 TABLE = """\
 00000000000000000000000000000001 01 80 10 80       lo

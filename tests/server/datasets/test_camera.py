@@ -119,7 +119,7 @@ with_opencv = pytest.mark.skipif(
 @with_opencv
 def test_a_video_file_is_read_to_its_end(tmp_path: Path) -> None:
     video = pytest.importorskip("av", reason="the extra [datasets] is not installed: no av") and tmp_path / "v.mp4"
-    from server.datasets.video import VideoWriter
+    from server.datasets.lerobot import VideoWriter
 
     path = tmp_path / "folder" / video.name
     with VideoWriter(path, 10) as writer:

@@ -17,8 +17,7 @@ from harness.clients import arm_client
 from harness.server import ROOT, ServerOnBus, free_port
 from harness.waiting import until
 from server import publishing_client
-from server.datasets.camera import ImageSource, NewestImage, TestPattern
-from server.datasets.camera_client import CameraClient, CameraOptions
+from server.datasets.camera import CameraClient, CameraOptions, ImageSource, NewestImage, TestPattern
 from server.publishing_client import PublishedTopic
 from tests.helpers.held_connection import HeldConnection
 from tests.server.datasets.test_camera import Scripted, opened

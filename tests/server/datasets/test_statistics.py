@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from server.datasets.statistics import QUANTILES, ImageStatistics
+from server.datasets.lerobot import QUANTILES, ImageStatistics
 
 
 def test_statistics_of_images_are_those_of_their_pixels_in_all_frames() -> None:

@@ -20,13 +20,6 @@ def world() -> InProcess:
     return InProcess()
 
 
-def test_a_refusal_is_logged_with_client_operation_and_reason(
-    world: InProcess, caplog: pytest.LogCaptureFixture
-) -> None:
-    world.say("x", op="publish", topic="/nobody", msg={})
-    assert "x: refused: publish: topic /nobody" in caplog.text
-
-
 def test_a_bug_in_one_operation_does_not_take_the_client_with_it(
     world: InProcess, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

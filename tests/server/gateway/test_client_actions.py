@@ -24,13 +24,6 @@ def finish(world: InProcess, number: int) -> None:
     world.say("p", op="action_result", action="/grip", id=mark, values={}, status=4, result=True)
 
 
-def test_the_number_of_offers_of_a_client_is_bounded(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
-    for action in ("/a", "/b"):
-        world.say("p", op="advertise_action", action=action, type=TYPE)
-    assert set(world.graph.actions.types()) == {"/grip", "/a"}
-    assert "advertise_action: this client has 2, the limit is 2" in caplog.text
-
-
 def test_goals_beyond_the_limit_fail_at_once_and_ended_ones_make_room(world: InProcess) -> None:
     for mark in range(3):
         send_goal(world, mark)
@@ -77,11 +70,3 @@ def test_goals_that_a_provider_has_no_room_for_fail_and_the_provider_stays() -> 
     assert {(answer["status"], answer["result"]) for answer in refused} == {(0, False)}
     assert "does not read its goals" in refused[0]["values"]
     assert len(refused) + len(world.heard("p")) == 5
-
-
-def test_a_broken_result_leaves_the_goals_of_others_alone(world: InProcess) -> None:
-    send_goal(world, "g")
-    world.say("x", op="action_result", action="/grip", id="action_goal:/grip:1")
-    assert world.heard("c") == []
-    world.say("p", op="action_result", action="/grip", id="action_goal:/grip:1")
-    assert [(answer["id"], answer["status"]) for answer in world.heard("c")] == [("g", 6)]

@@ -10,7 +10,7 @@ import pytest
 from protocol.codecs import png
 from server.access.authentication import MAX_WRONG, AuthThrottle
 from server.access.settings import AccessSettings
-from server.gateway.client_auth import MAX_FIRST_BYTES
+from server.gateway.client import MAX_FIRST_BYTES
 from server.graph.permissions import Identity, Role
 from tests.helpers.gateway import InProcess
 
@@ -45,11 +45,6 @@ def test_a_token_identifies_a_client(world: InProcess) -> None:
     assert identity(world) == Identity("screen", Role.VIEW)
     assert world.client("x").node.name == "screen (10.0.0.1:5)"
     assert not world.closed
-
-
-def test_so_does_rosauths_proof_of_one(world: InProcess) -> None:
-    world.say("x", **mac(ADA, world.clock()))
-    assert identity(world) == Identity("ada", Role.ADMIN)
 
 
 def test_operations_after_auth_in_the_same_frame_are_carried_out(world: InProcess) -> None:
@@ -97,11 +92,6 @@ def test_whatever_else_comes_first_ends_the_connection_and_does_nothing(world: I
     assert world.graph.topic_types() == {}
 
 
-def test_the_reason_says_what_is_wanted(world: InProcess) -> None:
-    world.say("x", op="subscribe", topic="/joint_states")
-    assert world.closed["x"] == FIRST
-
-
 def test_packed_into_a_picture_an_operation_is_no_other(world: InProcess) -> None:
     inside = json.dumps({"op": "subscribe", "topic": "/a", "type": "std_msgs/String"}).encode()
     picture = png.encode(inside)
@@ -121,6 +111,7 @@ def test_there_is_one_guess_a_connection(world: InProcess) -> None:
 def test_a_proof_that_somebody_has_overheard_is_good_for_nothing(world: InProcess) -> None:
     overheard = mac(ADA, world.clock())
     world.say("x", **overheard)
+    assert identity(world) == Identity("ada", Role.ADMIN)
     world.enter("thief", None)
     world.say("thief", **overheard)
     assert "used before" in world.closed["thief"]

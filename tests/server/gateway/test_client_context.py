@@ -7,7 +7,7 @@ from typing import Any
 import bson
 import pytest
 
-from protocol.operations import Auth, Operation, Publish, SetLevel, Status
+from protocol.operations import Auth, Operation, SetLevel, Status
 from protocol.session import Refusal, Session
 from server.gateway.client_context import MAX_UNASKED_ERRORS, ClientStatus, MessageTranslator
 from server.graph.node import Node
@@ -76,12 +76,6 @@ def test_a_client_that_never_sends_anything_valid_gets_some_errors_only() -> Non
     for _ in range(2 * MAX_UNASKED_ERRORS):
         told.status.refuse(Refusal(None, None, "no JSON"))
     assert len(told.messages()) == MAX_UNASKED_ERRORS
-
-
-def test_what_fails_behind_a_valid_operation_is_not_told_unasked() -> None:
-    told = raw_client()
-    told.status.tell("error", Publish(topic="/a"), "in collision")
-    assert told.messages() == []
 
 
 def test_replies_to_a_client_that_speaks_bson_have_octets() -> None:

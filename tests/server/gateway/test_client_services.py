@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from protocol.limits import Limits
-from server.gateway import client_services
+from server.gateway import client_requests
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.services import Call
@@ -48,17 +48,6 @@ def test_calls_beyond_the_limit_fail_at_once_and_ended_ones_make_room(world: InP
     world.say("c", op="call_service", service="/s", id=3)
     assert [answer["id"] for answer in world.heard("c")] == [0]
     assert len(world.heard("p")) == 3
-
-
-def test_a_call_that_timed_out_is_forgotten(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
-    world.say("c", op="call_service", service="/s", timeout=1)
-    world.clock.advance(2.0)
-    assert world.heard("c")[0]["result"] is False
-    assert world.clock.waiting == 0
-    world.heard("p")
-    respond(world, 1)
-    assert world.heard("c") == []
-    assert "no call of this id waits for a response" in caplog.text
 
 
 def test_a_late_response_is_never_taken_for_the_next_call(world: InProcess) -> None:
@@ -165,7 +154,7 @@ def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
 
 
 def test_values_in_calls_that_wait_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client_services, "MAX_VALUES_IN_FLIGHT", 2500)
+    monkeypatch.setattr(client_requests, "MAX_VALUES_IN_FLIGHT", 2500)
     world = InProcess()
     started: list[Call] = []
     world.graph.services.offer_calls(Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append)

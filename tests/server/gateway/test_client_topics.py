@@ -38,20 +38,6 @@ def test_an_operation_at_the_limit_keeps_what_the_client_has_on_that_topic(world
     assert len(world.heard("x")) == 1
 
 
-async def test_a_client_that_left_gets_nothing(world: InProcess) -> None:
-    world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
-    left = world.client("x")
-    await world.close("x")
-    world.say("y", op="publish", topic="/a", msg={"data": "late"})
-    assert left.session.data_to_send(world.clock()) == []
-
-
-def test_publish_makes_the_client_a_publisher(world: InProcess) -> None:
-    world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
-    world.say("y", op="publish", topic="/a", msg={"data": "hello"})
-    assert world.graph.publishers("/a") == [world.client("y").node]
-
-
 def test_a_message_that_cannot_be_encoded_for_one_reaches_the_others(
     world: InProcess, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import json
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -17,7 +16,6 @@ from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway import connection
-from server.gateway.connection import Traffic, TrafficCounts
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.graph.node import Node
@@ -71,16 +69,6 @@ async def test_a_client_that_never_reads_costs_others_nothing_and_a_bounded_amou
         await until(lambda: "messages were dropped" in caplog.text)
 
 
-async def test_a_throttled_message_leaves_when_it_is_due(graph: Graph, url: str) -> None:
-    async with connect(url) as client:
-        await client.send(json.dumps({"op": "subscribe", "topic": "/t", "throttle_rate": 50, "queue_length": 1}))
-        await until_subscribed(graph, 1)
-        for data in ("first", "dropped", "last"):
-            graph.publish(TALKER, "/t", {"data": data})
-        got = [(await receive(client))["msg"]["data"] for _ in range(2)]
-    assert got == ["first", "last"]
-
-
 async def test_a_client_that_breaks_off_is_taken_out_of_the_graph_without_a_warning(
     graph: Graph, url: str, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -111,20 +99,6 @@ async def test_a_client_that_does_not_read_its_replies_is_closed_with_a_code_and
             while True:
                 await deaf.recv()
     assert deaf.close_code == 1008
-
-
-async def test_text_and_binary_frames_go_out_as_such(graph: Graph, url: str) -> None:
-    async with connect(url) as reading:
-        await reading.send(SUBSCRIBE)
-        await until_subscribed(graph, 1)
-        graph.publish(TALKER, "/t", {"data": "x"})
-        assert isinstance(await asyncio.wait_for(reading.recv(), TIMEOUT_S), str)
-        await reading.send(json.dumps({"op": "subscribe", "topic": "/t", "compression": "cbor", "id": "c"}))
-        # The answer comes after the subscription that was said before.
-        await reading.send(json.dumps({"op": "call_service", "service": "/nobody"}))
-        assert (await receive(reading))["service"] == "/nobody"
-        graph.publish(TALKER, "/t", {"data": "x"})
-        assert isinstance(await asyncio.wait_for(reading.recv(), TIMEOUT_S), bytes)
 
 
 @pytest.mark.parametrize(
@@ -229,9 +203,6 @@ class TestGuarded:
             code, _ = await self.closed(client)
         assert code == 1009
 
-    def test_all_of_one_address_together_take_little_memory_before_they_show_a_token(self) -> None:
-        assert ServerSettings().max_clients_per_address * connection.MAX_UNKNOWN_BYTES <= 128 << 20
-
     async def test_the_right_token_lifts_the_limits_on_time_and_size(
         self, guarded: Listener, guarded_url: str, graph: Graph
     ) -> None:
@@ -272,35 +243,6 @@ async def test_a_client_that_hears_little_costs_no_task_of_its_own(graph: Graph,
         graph.publish(TALKER, "/t", {"data": "hello"})
         await asyncio.wait_for(client.recv(), TIMEOUT_S)
         assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("write to")]
-
-
-@dataclass(eq=False)
-class Talk:
-    """A connection as it is looked at."""
-
-    said: TrafficCounts
-    queued_bytes: int = 0
-
-    def counts(self) -> TrafficCounts:
-        return self.said
-
-
-def test_traffic_of_clients_that_left_is_still_counted() -> None:
-    traffic, first, second = Traffic(), Talk(TrafficCounts(1, 10, 2, 20, 3, 4)), Talk(TrafficCounts(5, 50, 6, 60, 7, 8))
-    traffic.add(first)
-    traffic.add(second)
-    both = TrafficCounts(6, 60, 8, 80, 10, 12)
-    assert (traffic.counts(), traffic.clients, traffic.connections) == (both, 2, 2)
-    traffic.remove(first)
-    assert (traffic.counts(), traffic.clients, traffic.connections) == (both, 1, 2)
-
-
-def test_queued_bytes_are_told_of_all_clients_and_of_the_slowest() -> None:
-    traffic = Traffic()
-    assert traffic.queued_bytes() == (0, 0)
-    for queued_bytes in (5, 70, 6):
-        traffic.add(Talk(TrafficCounts(), queued_bytes))
-    assert traffic.queued_bytes() == (81, 70)
 
 
 async def test_a_real_client_is_counted_by_what_it_says_and_hears(graph: Graph) -> None:

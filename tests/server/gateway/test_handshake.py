@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
-from server.gateway.handshake import MAX_REQUEST_BYTES, accept, read_upgrade
+from server.gateway.websocket import MAX_REQUEST_BYTES, accept, read_upgrade
 
 KEY = "dGhlIHNhbXBsZSBub25jZQ=="
 PLAIN = {

@@ -32,7 +32,6 @@ from server.gateway.http import (
     media_type,
     names,
 )
-from server.gateway.websocket import ANSWER_TIMEOUT_S
 from tests.helpers.gateway import listening
 from tests.helpers.robots import so101
 
@@ -314,11 +313,6 @@ async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
             pass
 
 
-def test_the_largest_mesh_has_the_time_it_needs_over_a_poor_wireless_link() -> None:
-    poor_link_bytes_s = 200_000
-    assert robot_files.MAX_FILE_BYTES / poor_link_bytes_s < ANSWER_TIMEOUT_S
-
-
 FILE = StoredFile(b"content", '"name"', gzipped=True)
 
 
@@ -420,11 +414,6 @@ async def test_files_are_read_by_one_thread_beside_the_event_loop(tmp_path: Path
 
     cache = FileCache()
     await asyncio.gather(*(cache.read(find, gzipped=True) for _ in range(5)))
-
-
-def test_all_meshes_of_an_arm_fit_into_what_is_kept() -> None:
-    meshes_of_the_so101_bytes = 16_100_000
-    assert 2 * meshes_of_the_so101_bytes < gate.CACHE_BYTES
 
 
 def test_a_page_file_that_is_too_large_is_refused_with_the_limit(

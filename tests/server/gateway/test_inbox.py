@@ -273,17 +273,6 @@ def test_a_stop_at_the_end_of_a_long_frame_goes_ahead_of_it(world: World) -> Non
     assert world.done == ["/stop"] + ["no /goal"] * 999
 
 
-def test_every_stop_of_many_goes_ahead_of_its_clients_operations(world: World) -> None:
-    client = world.client(step_s=ROUND_S)
-    for number in range(1, 101):
-        client.publish(*["/goal"] * 10, "/stop")
-        world.clock.advance(STOP_PERIOD_S)
-        assert world.done.count("/stop") == number
-    world.run()
-    assert world.done.count("/stop") == 100
-    assert world.done.count("no /goal") + world.done.count("/goal") == 1000
-
-
 def test_stops_that_come_faster_are_carried_out_one_after_the_other_in_a_share_of_the_time(world: World) -> None:
     client = world.client(step_s=STOP_TURN_S / 4)
     client.publish(*["/goal", "/stop"] * 20)

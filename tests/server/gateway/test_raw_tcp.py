@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from protocol.framing import StreamSplitter
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage, Frame
-from protocol.stream import StreamSplitter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.errors import StartError
@@ -263,15 +263,6 @@ async def test_a_client_that_has_said_its_last_still_gets_its_answers(
             client.send(op="call_service", service="/trigger", id=str(number))
         client.writer.write_eof()
         assert [(await client.receive())["id"] for _ in range(50)] == [str(number) for number in range(50)]
-        assert await client.next_frame() is None
-
-
-async def test_the_end_of_what_a_client_says_leaves_the_way_for_its_answers_open(listener: Listener) -> None:
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.send(op="call_service", service="/trigger")
-        await client.receive()
-        (stream,) = streams_of(listener)
-        assert stream.eof_received()
         assert await client.next_frame() is None
 
 

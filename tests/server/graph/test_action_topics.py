@@ -52,12 +52,6 @@ def world() -> World:
     return World()
 
 
-def test_the_provider_publishes_both_topics(world: World) -> None:
-    assert world.graph.publishers(STATUS) == world.graph.publishers(FEEDBACK) == [world.provider]
-    assert world.graph.topic_type(STATUS) == "action_msgs/msg/GoalStatusArray"
-    assert world.graph.topic_type(FEEDBACK) == "control_msgs/action/GripperCommand_FeedbackMessage"
-
-
 @pytest.mark.parametrize("topic", [STATUS, FEEDBACK])
 def test_nothing_is_published_on_a_topic_of_this_name_that_the_provider_has_made_itself(topic: str) -> None:
     world = World(CLIENT, made=topic)

@@ -108,16 +108,6 @@ def test_a_local_part_may_end_a_goal_later_and_as_canceled(world: World) -> None
     assert world.results[0].status == 5
 
 
-def test_goals_end_when_their_provider_leaves(world: World) -> None:
-    provider, _ = world.offer()
-    world.send()
-    world.actions.remove(provider)
-    assert not world.results[0].ok
-    assert world.clock.waiting == 0
-    assert world.actions.types() == {}
-    assert world.services.types() == {}
-
-
 def test_no_goal_lasts_for_ever(world: World) -> None:
     world.offer()
     world.send()
@@ -130,7 +120,7 @@ def test_a_goal_that_has_ended_leaves_nothing_behind(world: World) -> None:
     world.send()
     goals[0].finish(GoalStatus.SUCCEEDED, {})
     assert world.clock.waiting == 0
-    assert not world.actions._offers.get("/grip").goals
+    assert not world.actions._offers["/grip"].requests
 
 
 def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:

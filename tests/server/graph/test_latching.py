@@ -6,7 +6,7 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.graph import latching
-from server.graph.latching import MAX_RECENT_PER_TOPIC, LatchedMessages
+from server.graph.latching import LatchedMessages
 from server.graph.node import Node
 
 REGISTRY = Registry.load()
@@ -30,29 +30,6 @@ def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
     kept.unlatch_at("/t", 10.0)
     kept.latch(published("y"))
     assert data_of(kept, 100.0) == ["y"]
-
-
-def test_messages_are_kept_for_their_lifespan_in_order(kept: LatchedMessages) -> None:
-    for now, data in enumerate("abc"):
-        kept.keep(published(data), float(now), lifespan_s=1.5)
-    assert data_of(kept, 2.2) == ["b", "c"]
-    assert data_of(kept, 4.0) == []
-
-
-def test_topics_do_not_mix(kept: LatchedMessages) -> None:
-    kept.keep(published("a"), 0.0, 1.0)
-    kept.latch(published("b", "/other"))
-    assert data_of(kept, 0.5) == ["a"]
-    assert data_of(kept, 0.5, "/other") == ["b"]
-    kept.forget("/t")
-    assert data_of(kept, 0.5) == []
-    assert data_of(kept, 0.5, "/other") == ["b"]
-
-
-def test_of_one_topic_only_so_many_are_kept(kept: LatchedMessages) -> None:
-    for number in range(3 * MAX_RECENT_PER_TOPIC):
-        kept.keep(published(str(number)), 0.0, 1.0)
-    assert data_of(kept, 0.5) == [str(number) for number in range(2 * MAX_RECENT_PER_TOPIC, 3 * MAX_RECENT_PER_TOPIC)]
 
 
 def test_recent_messages_are_bounded_in_bytes_and_the_oldest_goes(

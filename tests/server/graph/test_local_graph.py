@@ -69,14 +69,6 @@ def test_rules_below_the_prefix_are_those_of_the_arm() -> None:
     assert graph.rules == {"/left/stop": replace(STOPPING, arm="left")}
 
 
-def test_without_a_prefix_the_names_are_the_graphs() -> None:
-    graph = Graph(Registry.load())
-    only = LocalGraph(graph)
-    only.offer(Node("part"), "/arm/stop", "std_srvs/Trigger", lambda _request: {"success": True}, rule=STOPPING)
-    assert graph.services.provider("/arm/stop") is not None
-    assert only.resolve("/arm/stop") == "/arm/stop"
-
-
 async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> None:
     graph, left = graph_with_left()
     ended: asyncio.Future[Any] = asyncio.get_running_loop().create_future()

@@ -5,7 +5,6 @@ import asyncio
 import pytest
 
 from protocol.errors import InterfaceError, MessageError
-from protocol.messages import Stamp
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Registry
 from protocol.strict_messages import strict_type
@@ -25,19 +24,6 @@ STRICT = MessageTypes(REGISTRY, wall_clock=lambda: 12.5)
 RELAYING = MessageTypes(REGISTRY, relay_unknown_types=True)
 
 
-def test_the_time_of_receipt_is_now() -> None:
-    assert STRICT.now() == Stamp(12, 500_000_000)
-    assert STRICT.complete("std_msgs/msg/Header", {})["stamp"] == {"sec": 12, "nanosec": 500_000_000}
-    assert STRICT.complete("std_msgs/msg/Header", {}, Stamp(1, 2))["stamp"] == {"sec": 1, "nanosec": 2}
-
-
-def test_unknown_types_are_refused_unless_they_are_relayed() -> None:
-    with pytest.raises(InterfaceError):
-        STRICT.canonical("acme_msgs/Thing", "msg")
-    assert RELAYING.canonical("acme_msgs/Thing", "msg") == "acme_msgs/msg/Thing"
-    assert RELAYING.canonical("acme_msgs/srv/Do", "srv") == "acme_msgs/srv/Do"
-
-
 @pytest.mark.parametrize("name", ["Thing", "a/b/c/d", ""])
 def test_an_invalid_type_name_is_refused_even_when_unknown_types_are_relayed(name: str) -> None:
     with pytest.raises(InterfaceError):
@@ -48,24 +34,6 @@ def test_messages_of_unknown_types_stay_as_they_are_but_are_objects() -> None:
     assert RELAYING.complete("acme_msgs/msg/Thing", {"a": [None]}) == {"a": [None]}
     with pytest.raises(MessageError, match="acme_msgs/msg/Thing"):
         RELAYING.complete("acme_msgs/msg/Thing", [1])
-
-
-REQUEST = "rosapi_msgs/srv/SetParam_Request"
-
-
-@pytest.mark.parametrize("arguments", [{"name": "a", "value": "1"}, ["a", "1"]])
-def test_arguments_come_by_name_or_in_order(arguments: object) -> None:
-    completed = STRICT.complete_arguments(REQUEST, arguments)
-    assert (completed["name"], completed["value"]) == ("a", "1")
-
-
-@pytest.mark.parametrize("arguments", [None, 5, "text", [], {}])
-def test_anything_else_stands_for_no_arguments(arguments: object) -> None:
-    assert STRICT.complete_arguments(REQUEST, arguments) == STRICT.complete(REQUEST, {})
-
-
-def test_arguments_beyond_the_fields_are_dropped() -> None:
-    assert STRICT.complete_arguments(REQUEST, ["x"] * 9) == STRICT.complete_arguments(REQUEST, ["x"] * 2)
 
 
 def test_arguments_in_order_need_a_known_type() -> None:

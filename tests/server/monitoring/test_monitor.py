@@ -32,12 +32,12 @@ from server.execution.goal import Answer
 from server.execution.motions import Performed
 from server.gateway.connection import Traffic, TrafficCounts
 from server.monitoring import monitor as monitor_module
-from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import Health, Sources
 from server.monitoring.monitor import (
     ARM_HEALTH_STALE_S,
     WATCHDOG_NOTIFICATIONS,
     EventLoopMonitor,
+    GoalCounters,
     Metrics,
     Monitor,
     arm_health_metrics,

@@ -14,8 +14,7 @@ from harness.server import ServerOnBus
 from harness.waiting import until
 from protocol.registry import Registry
 from robot import logs as changed
-from robot.advice import ServoAlert, ServoWarning
-from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode
+from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import BusCounters, StatusFlag
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.graph.node import Node

@@ -7,8 +7,7 @@ import pytest
 
 from harness.clients import ArmClient
 from protocol.registry import Registry
-from robot.advice import ServoAlert, ServoWarning
-from robot.faults import Fault, FaultCode
+from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.messages import ArmState, Mode
 from server.graph.node import Node
 from server.graph.topics import Graph

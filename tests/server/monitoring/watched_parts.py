@@ -10,8 +10,8 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.interface import BusCounters
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.gateway.connection import Traffic
-from server.monitoring.goal_counters import GoalCounters
 from server.monitoring.health import Sources
+from server.monitoring.monitor import GoalCounters
 
 JOINTS = ("shoulder_pan", "gripper")
 

@@ -73,7 +73,7 @@ async def test_a_saved_state_is_found_whatever_its_case_and_blanks_and_kept(stat
     assert states.find("overthe TABLE") == ("Over the table", BENT)
     assert states.kept == {"Over the table": BENT}
     assert states.changes == 1
-    assert "Over the table" in states.names
+    assert "Over the table" in states.names()
 
 
 async def test_a_renamed_state_keeps_its_joints_and_may_change_its_case(states: Kept) -> None:

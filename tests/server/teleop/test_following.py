@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot.control.streaming import VelocityTracking
+from robot.control.motion import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
 from server.teleop.following import Act, Following, Phase, TrackingLimits, tracking_velocities

@@ -11,8 +11,7 @@ import pytest
 from harness.server import ServerOnBus, free_port, server_on_bus
 from harness.waiting import wait_until
 from server.config import Settings
-from server.monitoring.report import Redactor, Report
-from server.monitoring.running_server import RunningServer
+from server.monitoring.report import Redactor, Report, RunningServer
 
 TOKEN = "one-0123456789abcdef"
 VIEW_TOKEN = "two-0123456789abcdef"

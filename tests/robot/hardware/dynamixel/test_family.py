@@ -1,25 +1,43 @@
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from dynamixel_sdk import INST_READ, INST_REBOOT
+from dynamixel_sdk import COMM_SUCCESS, INST_PING, INST_READ, INST_REBOOT, INST_WRITE, PacketHandler
+from hypothesis import given
+from hypothesis import strategies as st
 
-from robot.advice import ServoAlert
-from robot.emulator.dynamixel import ACCESS_ERROR, DATA_LIMIT_ERROR, DYNAMIXEL, REBOOT_S
+from robot.emulator.dynamixel import DYNAMIXEL, REBOOT_S
 from robot.errors import NoReply, StartupError
-from robot.faults import FaultCode
-from robot.hardware.dynamixel.family import WATCHDOG, Bus, Dynamixel
-from robot.hardware.dynamixel.packets import instruction_packet, packet
-from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, encode
-from robot.hardware.interface import run_to_end
+from robot.faults import FaultCode, ServoAlert
+from robot.hardware.dynamixel.family import (
+    WATCHDOG,
+    Bus,
+    Dynamixel,
+    StatusFrame,
+    instruction_packet,
+    packet,
+    parse_status_frames,
+    status_bytes,
+    stuffed_bytes,
+)
+from robot.hardware.dynamixel.registers import (
+    FULL_PWM,
+    TICKS_S_PER_VELOCITY_UNIT,
+    OperatingMode,
+    Register,
+    decode,
+    encode,
+    status_of,
+)
+from robot.hardware.interface import StatusFlag, run_to_end
 from robot.hardware.servos.bus import write_verified
-from robot.hardware.servos.family import ServoFound
+from robot.hardware.servos.family import ServoFound, ServoMap
 from robot.hardware.servos.hardware import CYCLES_BETWEEN, TELEMETRY_EVERY
-from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
 from robot.hardware.servos.torque import TORQUE_ON_WITHIN_TICKS, ServoTorque
 from robot.messages import Mode, Order
@@ -72,9 +90,7 @@ def test_a_servo_whose_model_nobody_knows_is_refused(dynamixels: SteppedDynamixe
 
 
 @pytest.mark.parametrize(("servo", "mode"), [(1, 1), (1, 5), (3, 0), (3, 16)])
-def test_a_servo_that_does_not_follow_positions_is_refused(
-    dynamixels: SteppedDynamixels, servo: int, mode: int
-) -> None:
+def test_a_servo_not_following_positions_is_refused(dynamixels: SteppedDynamixels, servo: int, mode: int) -> None:
     set_register(dynamixels, servo, Register.OPERATING_MODE, mode)
     with pytest.raises(StartupError, match=rf"operating mode {mode}.*OPERATING_MODE \(11\) to 4"):
         surveyed(dynamixels)
@@ -88,9 +104,7 @@ def test_a_servo_that_ignores_its_homing_offset_is_refused(dynamixels: SteppedDy
 
 
 @pytest.mark.parametrize("drive_mode", [1, 4, 8])
-def test_a_drive_mode_that_changes_direction_profile_or_torque_is_refused(
-    dynamixels: SteppedDynamixels, drive_mode: int
-) -> None:
+def test_a_drive_mode_of_another_meaning_is_refused(dynamixels: SteppedDynamixels, drive_mode: int) -> None:
     set_register(dynamixels, 3, Register.DRIVE_MODE, drive_mode)
     with pytest.raises(StartupError, match=rf"drive mode {drive_mode}.*DRIVE_MODE \(10\) to 0"):
         surveyed(dynamixels)
@@ -136,9 +150,7 @@ def positions(dynamixels: SteppedDynamixels) -> list[float]:
     return [servo.plant.position_ticks for servo in dynamixels.servo_bus.servos]
 
 
-def test_a_servo_that_counts_turns_holds_where_it_is_and_goes_to_goals_in_its_turns(
-    dynamixels: SteppedDynamixels,
-) -> None:
+def test_a_servo_that_counts_turns_holds_and_goes_to_goals_in_its_turns(dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo(3)._turns_ticks += 2 * 4096
     before = positions(dynamixels)
     servos = DynamixelsInUse(dynamixels)
@@ -150,9 +162,7 @@ def test_a_servo_that_counts_turns_holds_where_it_is_and_goes_to_goals_in_its_tu
     assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
 
 
-def test_servos_that_hold_have_watchdog_and_profile_and_limits_of_duty_or_for_the_gripper_of_current(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
+def test_servos_that_hold_have_watchdog_profile_and_limits(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
     enable(torque, dynamixels)
     modes = dynamixels.registers(Register.OPERATING_MODE)
     assert modes == [OperatingMode.EXTENDED_POSITION] * 5 + [OperatingMode.CURRENT_BASED_POSITION]
@@ -181,9 +191,7 @@ def test_a_firmware_without_watchdog_is_driven_without(dynamixels: SteppedDynami
     assert [servos.hardware.check(0.0) for _ in range(12 * CYCLES_BETWEEN)] == [None] * 12 * CYCLES_BETWEEN
 
 
-def test_a_servo_that_its_watchdog_has_stopped_stays_where_it_stopped(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
+def test_a_servo_stopped_by_its_watchdog_stays_there(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
     enable(torque, dynamixels)
     servo = dynamixels.servo(5)
     servo.write(Register.PROFILE_VELOCITY, encode(Register.PROFILE_VELOCITY, 10))
@@ -200,9 +208,7 @@ def test_a_servo_that_its_watchdog_has_stopped_stays_where_it_stopped(
     assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
 
 
-def test_a_servo_that_does_not_come_back_from_its_reboot_is_named(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
+def test_a_servo_that_is_not_back_from_its_reboot_is_named(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo_bus.faults.offline = {3}
     with pytest.raises(NoReply):
         run_to_end(torque.clear_error(3, hold=True), dynamixels.run)
@@ -251,9 +257,7 @@ def test_an_assumed_calibration_has_servos_without_homing_offsets(dynamixels: St
 
 
 @pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])
-def test_a_servo_that_has_protected_itself_is_a_fault_that_can_be_reset(
-    dynamixels: SteppedDynamixels, bits: int, code: FaultCode
-) -> None:
+def test_a_servo_that_protected_itself_is_reset(dynamixels: SteppedDynamixels, bits: int, code: FaultCode) -> None:
     rig = DynamixelRig(dynamixels)
     rig.until(lambda: rig.mode is Mode.HOLDING)
     rig.run(1.0)
@@ -341,12 +345,6 @@ def bus(dynamixels: SteppedDynamixels) -> Bus:
     return dynamixels.open_bus()
 
 
-def test_the_number_of_a_servos_error_is_told(bus: Bus) -> None:
-    assert bus.write(3, Register.GOAL_PWM, 886) == DATA_LIMIT_ERROR
-    bus.write(3, Register.TORQUE_ENABLE, 1)
-    assert bus.write(3, Register.OPERATING_MODE, 3) == ACCESS_ERROR
-
-
 def test_a_hardware_error_is_no_error_of_the_instruction(bus: Bus, dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo(3).fail(0x01)
     assert bus.write(3, Register.LED, 1) == 0
@@ -418,3 +416,122 @@ def test_a_value_that_is_not_taken_is_told_with_the_servos_error(bus: Bus) -> No
     bus.write(3, Register.TORQUE_ENABLE, 1)
     with pytest.raises(StartupError, match=r"servo 3 does not take 3 in register OPERATING_MODE \(11\).*error 7"):
         run_to_end(write_verified(bus, 3, Register.OPERATING_MODE, 3))
+
+
+def test_negative_positions_are_in_twos_complement() -> None:
+    assert encode(Register.GOAL_POSITION, -1) == b"\xff\xff\xff\xff"
+    assert decode(Register.PRESENT_POSITION, b"\x00\xf0\xff\xff") == -4096
+
+
+@pytest.mark.parametrize(
+    ("bits", "status"),
+    [
+        (0x00, StatusFlag(0)),
+        (0x01, StatusFlag.VOLTAGE),
+        (0x04, StatusFlag.TEMPERATURE),
+        (0x08, StatusFlag.ENCODER),
+        (0x10, StatusFlag.CURRENT),
+        (0x20, StatusFlag.OVERLOAD),
+        (0x24, StatusFlag.TEMPERATURE | StatusFlag.OVERLOAD),
+        (0xC2, StatusFlag(0)),
+    ],
+)
+def test_hardware_errors_are_the_controllers_status_flags(bits: int, status: StatusFlag) -> None:
+    assert status_of(bits) == status
+
+
+# Examples of the e-manual, DYNAMIXEL Protocol 2.0: Ping, Read, Write, Sync Read and Reboot.
+@pytest.mark.parametrize(
+    ("built", "wire"),
+    [
+        (packet(1, INST_PING), "fffffd00 01 0300 01 194e"),
+        (packet(254, INST_PING), "fffffd00 fe 0300 01 3142"),
+        (packet(1, INST_READ, bytes([132, 0, 4, 0])), "fffffd00 01 0700 02 84000400 1d15"),
+        (packet(1, INST_WRITE, bytes([116, 0, 0, 2, 0, 0])), "fffffd00 01 0900 03 740000020000 ca89"),
+        (packet(254, 0x82, bytes([132, 0, 4, 0, 1, 2])), "fffffd00 fe 0900 82 840004000102 cefa"),
+        (packet(1, 0x08), "fffffd00 01 0300 08 2f4e"),
+        (DYNAMIXEL.status_packet(1, 0, bytes([0x06, 0x04, 0x26])), "fffffd00 01 0700 55 00060426 655d"),
+        (DYNAMIXEL.status_packet(2, 0, (2079).to_bytes(4, "little")), "fffffd00 02 0800 55 001f080000 babe"),
+    ],
+)
+def test_packets_are_those_of_the_manual(built: bytes, wire: str) -> None:
+    assert built == bytes.fromhex(wire)
+
+
+class Sent:
+    """The SDK's port, which keeps what is written."""
+
+    def __init__(self) -> None:
+        self.is_using = False
+        self.data = b""
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
+        return
+
+    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
+        self.data = bytes(packet)
+        return len(packet)
+
+
+@given(st.integers(0, 252), st.sampled_from([1, 2, 3, 8, 0x82, 0x83]), st.binary(max_size=60))
+def test_the_sdk_sends_what_is_built_here(servo_id: int, code: int, parameters: bytes) -> None:
+    if b"\xff\xff\xfd" in parameters:
+        return
+    port = Sent()
+    assert PacketHandler(2.0).txPacket(port, instruction_packet(servo_id, code, parameters)) == COMM_SUCCESS
+    assert port.data == packet(servo_id, code, parameters)
+
+
+def test_what_the_sdk_would_send_without_its_stuffed_byte_is_refused() -> None:
+    with pytest.raises(ValueError, match="FF FF FD"):
+        instruction_packet(1, INST_WRITE, [116, 0, 0xFF, 0xFF, 0xFD, 0xFF])
+
+
+def test_a_packet_longer_than_the_sdk_sends_is_refused() -> None:
+    with pytest.raises(ValueError, match="1024"):
+        instruction_packet(1, INST_WRITE, [0] * 1015)
+
+
+# Bytes that have headers, and almost headers, among them.
+HEADERS = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x12]), max_size=24).map(bytes)
+
+
+@given(HEADERS, st.integers(0, 255))
+def test_any_data_arrives_as_they_were_sent(data: bytes, error: int) -> None:
+    received = DYNAMIXEL.status_packet(3, error, data)
+    assert parse_status_frames(received, (3,), len(data)) == {3: StatusFrame(3, error, data)}
+    assert len(received) - stuffed_bytes(received) == status_bytes(len(data))
+
+
+@given(HEADERS)
+def test_no_packet_has_a_header_but_its_own(data: bytes) -> None:
+    assert DYNAMIXEL.status_packet(3, 0, data).count(b"\xff\xff\xfd\x00") == 1
+
+
+REPLIES = b"".join(DYNAMIXEL.status_packet(servo, 0, bytes([servo] * 4)) for servo in (1, 2, 3))
+
+
+def test_a_damaged_byte_never_changes_a_reading() -> None:
+    for at, flip in itertools.product(range(len(REPLIES)), (0x01, 0x80, 0xFF)):
+        damaged = REPLIES[:at] + bytes([REPLIES[at] ^ flip]) + REPLIES[at + 1 :]
+        frames = parse_status_frames(damaged, (1, 2, 3), 4)
+        assert frames, (at, flip)
+        assert all(frame == StatusFrame(servo, 0, bytes([servo] * 4)) for servo, frame in frames.items()), (at, flip)
+
+
+def reply(servo: int, data: bytes = b"ab") -> bytes:
+    return DYNAMIXEL.status_packet(servo, 0, data)
+
+
+STREAMS = {
+    "noise between replies": (b"\xff\xff\x00" + reply(1) + b"\xfd\xff" + reply(2), {1, 2}),
+    "another servo, and another length": (reply(5) + reply(1, b"abc") + reply(2), {2}),
+    "a servo that contradicts itself": (reply(1) + reply(1, b"ac") + reply(2), {2}),
+    "the host's own instruction": (packet(1, INST_WRITE, b"abc"), set()),
+    **{f"cut off after {end} bytes": (reply(1)[:end], set()) for end in range(len(reply(1)))},
+}
+
+
+def test_only_whole_replies_of_those_who_were_asked_are_believed() -> None:
+    for name, (received, believed) in STREAMS.items():
+        assert set(parse_status_frames(received, (1, 2), 2)) == believed, name

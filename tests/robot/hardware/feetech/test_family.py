@@ -1,27 +1,32 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from harness.server import read_write_log
-from robot.advice import ServoAlert
-from robot.errors import StartupError
+from robot.calibration import Calibration
+from robot.commissioning.scan import scan
+from robot.description.servo_table import ProfileSpec
+from robot.errors import DescriptionError, RobotError, StartupError
+from robot.faults import ServoAlert
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
-from robot.hardware.feetech.profiles import LEROBOT, ServoProfile
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech, differences, read_differences, write_to_servos
+from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, nearest_profile, profile_of
+from robot.hardware.feetech.registers import GOAL_ADDRESS, SETTINGS, Register, encode, goal_block
 from robot.hardware.interface import run_to_end
-from robot.hardware.servos.family import Limit, ServoFound
+from robot.hardware.servos.family import Limit, ServoFound, ServoMap
 from robot.hardware.servos.hardware import CYCLES_BETWEEN
-from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.feetech import FeetechsInUse
+from tests.helpers.robots import nominal_calibration
 
 FAMILY = Feetech()
 IDS = [joint.servo_id for joint in CALIBRATION.joints]
@@ -44,11 +49,6 @@ def set_all(bus: Bus, profile: ServoProfile) -> None:
     for joint in CALIBRATION.joints:
         for register, value in profile.expected(gripper=joint.servo.gripper).items():
             bus.write(joint.servo_id, register, value)
-
-
-def test_servos_as_lerobot_leaves_them_are_well(bus: Bus) -> None:
-    set_all(bus, LEROBOT)
-    assert {servo: found.warnings for servo, found in surveyed(bus).items()} == dict.fromkeys(IDS, ())
 
 
 def test_a_servo_is_as_strong_as_its_settings_and_without_a_threshold_it_is_not_protected(bus: Bus) -> None:
@@ -91,9 +91,7 @@ def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus)
         (Register.MAX_TORQUE, 300, ServoAlert.REGISTER, "30 % of its torque"),
     ],
 )
-def test_a_deviating_setting_is_a_warning(
-    bus: Bus, register: Register, value: int, alert: ServoAlert, words: str
-) -> None:
+def test_a_deviating_setting_is_told(bus: Bus, register: Register, value: int, alert: ServoAlert, words: str) -> None:
     bus.write(2, register, value)
     (warning,) = surveyed(bus)[2].warnings
     assert warning.alert is alert
@@ -160,9 +158,7 @@ def test_a_servo_that_would_clamp_its_goal_is_not_switched_on(emulator: SteppedE
     assert not run_to_end(FeetechsInUse(emulator).hardware.driven(), emulator.run).any()
 
 
-def test_an_arm_that_holds_is_adopted_and_not_one_register_is_written(
-    start_emulator: Callable[..., SteppedEmulator], tmp_path: Path
-) -> None:
+def test_an_arm_that_holds_is_adopted_unwritten(start_emulator: Callable[..., SteppedEmulator], tmp_path: Path) -> None:
     log = tmp_path / "writes.jsonl"
     emulator = start_emulator("--write-log", str(log), "--start", "0.5,-0.5,0.5,0.2,0.1,0.3")
     with contextlib.closing(emulator.open_bus()) as bus:
@@ -180,3 +176,148 @@ def test_a_latched_overload_that_ignores_torque_off_needs_a_power_cycle(emulator
     emulator.servo_bus.servos[2].write = lambda _address, _data: 0  # type: ignore[method-assign]
     with pytest.raises(StartupError, match=r"the overload of elbow_flex \(id 3\) stays latched"):
         run_to_end(servos.hardware.clear_overloads([2], hold=True), emulator.run)
+
+
+def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
+    elbow = replace(nominal_calibration().joints[2], range_min=950, homing_offset=-12)
+    wanted = Calibration((*nominal_calibration().joints[:2], elbow, *nominal_calibration().joints[3:]))
+    found = run_to_end(read_differences(bus, wanted))
+    assert found == differences(wanted, scan(bus, IDS).registers)
+    assert [each.register for each in found] == [Register.MIN_ANGLE_LIMIT, Register.HOMING_OFFSET]
+
+
+REGISTERS = (Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT)
+
+
+# Two servos, so that one is done or not begun while the other is written.
+CHANGED = (2, 3)
+
+
+def recalibrated():
+    """The calibration with another offset and range of two joints."""
+    return Calibration(
+        tuple(
+            replace(joint, homing_offset=-25, range_min=joint.range_min + 40, range_max=joint.range_max + 30)
+            if joint.servo_id in CHANGED
+            else joint
+            for joint in nominal_calibration().joints
+        )
+    )
+
+
+def calibrated_registers_of(bus, servos=IDS):
+    """Offset and limits of servos, by id."""
+    return {servo: tuple(bus.read(servo, register) for register in REGISTERS) for servo in servos}
+
+
+def lose_port(emulator):
+    emulator.command(plugged=False)
+
+
+def lose_all_replies(emulator):
+    emulator.command(offline=list(IDS))
+
+
+def interrupted(at_step, interrupt):
+    """Servos whose writing was interrupted before a step; None when it had fewer steps."""
+    emulator = SteppedEmulator(wire_time=False)
+    bus = emulator.open_bus()
+    before = calibrated_registers_of(bus)
+    steps = write_to_servos(bus, run_to_end(read_differences(bus, recalibrated()), no_wait))
+    try:
+        for _ in range(at_step):
+            next(steps)
+    except StopIteration:
+        return None
+    interrupt(emulator)
+    with contextlib.suppress(RobotError):
+        if interrupt is not nothing:
+            run_to_end(steps, no_wait)
+    steps.close()
+    emulator.command(online=list(IDS))
+    emulator.command(plugged=True)
+    return emulator.open_bus(), before
+
+
+def nothing(_emulator):
+    """Interrupt nothing: the sequence is given up where it is."""
+
+
+def no_wait(_seconds):
+    """Take the next step at once."""
+
+
+@pytest.mark.parametrize("interrupt", [nothing, lose_all_replies, lose_port])
+def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_limits(interrupt):
+    wanted = {
+        joint.servo_id: (joint.homing_offset, joint.range_min, joint.range_max) for joint in recalibrated().joints
+    }
+    for at_step in itertools.count(1):
+        found = interrupted(at_step, interrupt)
+        if found is None:
+            break
+        bus, before = found
+        for servo, held in calibrated_registers_of(bus, CHANGED).items():
+            assert held[0] == before[servo][0] or held == wanted[servo], (at_step, servo, held)
+            if interrupt is nothing:
+                assert held in (before[servo], wanted[servo]), (at_step, servo, held)
+                assert bus.read(servo, Register.LOCK) == 1, (at_step, servo)
+    assert at_step > len(CHANGED) * len(REGISTERS)
+
+
+def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator, write_log):
+    emulator = start_emulator("--write-log", str(write_log))
+    nominal = nominal_calibration()
+    elbow = replace(nominal.joints[2], range_min=950, homing_offset=-12)
+    wanted = Calibration((*nominal.joints[:2], elbow, *nominal.joints[3:]))
+    bus = emulator.open_bus()
+    run_to_end(write_to_servos(bus, differences(wanted, scan(bus, IDS).registers)), emulator.run)
+    emulator.command(power_cycle=[3])
+    assert differences(wanted, scan(bus, IDS).registers) == []
+    written = [(entry["address"], *entry["data"]) for entry in read_write_log(write_log) if entry["data"]]
+    assert set(written) <= {(Register.LOCK, "3"), (Register.HOMING_OFFSET, "3"), (Register.MIN_ANGLE_LIMIT, "3")} | {
+        (Register.TORQUE_ENABLE, "3")
+    }
+    assert bus.read(3, Register.LOCK) == 1
+    bus.close()
+
+
+def held(values: dict[Register, int]) -> dict[Register, int]:
+    return {**dict.fromkeys(SETTINGS, 0), **values}
+
+
+@pytest.mark.parametrize("profile", [FACTORY, LEROBOT])
+def test_the_nearest_profile_is_found_though_a_setting_differs(profile: ServoProfile) -> None:
+    servos = [(held(profile.expected(gripper=gripper)), gripper) for gripper in (False, False, True)]
+    servos[0] = (held({**profile.expected(gripper=False), Register.D_GAIN: 40}), False)
+    assert nearest_profile(servos) is profile
+
+
+def test_a_profile_by_name_is_the_known_one() -> None:
+    assert profile_of(ProfileSpec("lerobot")) is LEROBOT
+
+
+def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
+    profile = profile_of(ProfileSpec("lerobot", {"P_GAIN": 20, "overload_torque": 60}, {"MAX_TORQUE": 400}))
+    arm, gripper = profile.expected(gripper=False), profile.expected(gripper=True)
+    assert arm[Register.P_GAIN] == gripper[Register.P_GAIN] == 20
+    assert arm[Register.OVERLOAD_TORQUE] == gripper[Register.OVERLOAD_TORQUE] == 60
+    assert (arm[Register.MAX_TORQUE], gripper[Register.MAX_TORQUE]) == (1000, 400)
+    assert gripper[Register.PROTECTION_CURRENT] == 250
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        (
+            ProfileSpec(registers={"P_GAINN": 20}),
+            r"hardware.profile.registers.P_GAINN: there is no such setting; .*P_GAIN",
+        ),
+        (ProfileSpec(registers={"GOAL_POSITION": 20}), "there is no such setting"),
+        (ProfileSpec(gripper={"P_GAIN": 256}), r"hardware.profile.gripper.P_GAIN: must be 0 to 255, not 256"),
+        (ProfileSpec(registers={"HOMING_OFFSET": 2048}), "must be -2047 to 2047, not 2048"),
+    ],
+)
+def test_a_register_that_cannot_be_is_refused_with_its_place(spec: ProfileSpec, words: str) -> None:
+    with pytest.raises(DescriptionError, match=words):
+        profile_of(spec)

@@ -99,11 +99,15 @@ async def test_a_proposal_preempts_no_motion_whatever_the_policy(desk: Desk) -> 
     assert [response.values["code_name"] for response in desk.responses][:1] == ["PREEMPTED"]
 
 
-async def test_a_goal_of_others_is_no_proposal_and_a_plan_needs_no_approval(desk: Desk) -> None:
+@pytest.mark.parametrize("confirm", [True, False])
+async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_a_plan_needs_no_approval(
+    desk: Desk, *, confirm: bool
+) -> None:
+    desk.confirmation.enabled = confirm
     await desk.ask(named="ready")
     (motion,) = desk.asked
     assert isinstance(motion, PlannedMotion)
-    assert (motion.confirm, motion.proposed) == (False, False)
+    assert (motion.confirm, motion.proposed) == (confirm, False)
     desk.client = PROPOSER
     desk.responses.clear()
     await desk.ask(named="ready", plan_only=True)
@@ -181,7 +185,7 @@ async def test_a_suggestion_is_a_request_that_works(desk: Desk) -> None:
 
 async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
     await desk.ask(0.01, named="ready")
-    await until(lambda: not desk.queue.busy)
+    await until(lambda: not desk.queue.busy())
     (response,) = desk.responses
     assert not response.ok
     assert "did not answer in 0.01 s" in response.values
@@ -193,15 +197,7 @@ async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: D
     await desk.ask(named="ready")
     desk.graph.remove(desk.client)
     await settle()
-    assert bool(desk.queue.busy) is not takes_along
-
-
-async def test_confirm_mode_holds_for_calls_as_for_topics(desk: Desk) -> None:
-    desk.confirmation.enabled = True
-    await desk.ask(named="ready")
-    (motion,) = desk.asked
-    assert isinstance(motion, PlannedMotion)
-    assert motion.confirm
+    assert bool(desk.queue.busy()) is not takes_along
 
 
 async def test_a_plan_alone_does_not_move_and_tells_its_duration(desk: Desk) -> None:
@@ -250,5 +246,5 @@ async def test_a_goal_of_another_client_is_not_ended_by_one_that_leaves(desk: De
     desk.graph.services.call(other, NAME, {"named": "home"}, desk.responses.append)
     desk.graph.remove(other)
     await settle()
-    assert desk.queue.busy
+    assert desk.queue.busy()
     assert desk.queue.waiting_count == 0

@@ -14,8 +14,7 @@ from robot.arm import Arm
 from robot.description.model import parse
 from robot.description.urdf import Joint
 from robot.hardware.config import FeetechConfig
-from robot.messages import ArmConfig, MotionEnded, Outcome
-from robot.trajectory import Trajectory
+from robot.messages import ArmConfig, MotionEnded, MotionProgress, Outcome
 from server.errors import RefusedError
 from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress
 from server.execution.time_limits import TimeLimits
@@ -148,20 +147,22 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
 
 
 class SlowArm(StubbornArm):
-    """Moves its gripper for as long as a test lets it, whatever the torque."""
+    """Moves its gripper for as long as a test lets it, whatever the torque, at a share of the planned speed."""
 
-    def execute(self, trajectory: Trajectory, **_: Any) -> asyncio.Future[MotionEnded]:  # type: ignore[override]
-        return super().execute(trajectory)
+    rate = 1.0
+
+    def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
+        progress = super().progress(motion)
+        return None if progress is None else replace(progress, rate=self.rate)
 
 
 ALLOWED_S = 5.0
+LIMITS = TimeLimits(0.0, ALLOWED_S, paused_s=20.0)
 
 
 def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
     clock = asyncio.get_running_loop().time
-    gripper = Gripper(
-        arm, [so101().joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, TimeLimits(0.0, ALLOWED_S)), clock=clock
-    )  # type: ignore[arg-type]
+    gripper = Gripper(arm.as_arm, [so101().joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, LIMITS), clock=clock)
     return asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
 
 
@@ -176,10 +177,12 @@ async def together(arm: SlowArm, seconds: float) -> None:
 class Grippers:
     """The gripper's actions on a graph, for an arm whose motions end when a test says so."""
 
-    def __init__(self) -> None:
+    def __init__(self, limits: TimeLimits | None = None) -> None:
         self.arm, self.graph = SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
-        self.gripper = Gripper(self.arm, [so101().joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, TimeLimits()))  # type: ignore[arg-type]
+        joints, clock = [so101().joints["gripper"]], asyncio.get_running_loop().time
+        limits = limits or TimeLimits()
+        self.gripper = Gripper(self.arm.as_arm, joints, GripperLimits(1.0, 1.0, 0.5, limits), clock=clock)
         self.actions = GripperActions(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
 
@@ -241,6 +244,28 @@ async def test_a_starved_gripper_has_all_its_time_by_the_arms_clock() -> None:
     assert slow.stops == []
     slow.end()
     assert (await moving).outcome is Outcome.REACHED
+
+
+@pytest.mark.stepped_time
+@pytest.mark.parametrize(
+    ("rate", "after_s", "said"),
+    [
+        (1.0, ALLOWED_S, "the arm did not end the motion within 5.0 s; stopped half-way"),
+        (0.5, 2.0 * ALLOWED_S, "the arm did not end the motion within 5.0 s; stopped half-way"),
+        (0.01, LIMITS.paused_s, "the motion was paused or going back for 20 s (limit 20 s); stopped half-way"),
+    ],
+)
+async def test_a_goal_fails_at_its_deadline_with_the_limit(rate: float, after_s: float, said: str) -> None:
+    grippers = Grippers(LIMITS)
+    grippers.arm.rate = rate
+    await grippers.send()
+    await together(grippers.arm, 0.95 * after_s)
+    assert grippers.arm.stops == []
+    await together(grippers.arm, 0.05 * after_s + 0.2)
+    assert len(grippers.arm.stops) == 1
+    grippers.arm.end(Outcome.STOPPED, "stopped half-way")
+    await settle()
+    assert grippers.results == [Result(ok=False, status=ABORTED, values=said)]
 
 
 @pytest.mark.stepped_time

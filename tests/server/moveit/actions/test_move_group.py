@@ -11,24 +11,20 @@ import pytest
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from server.execution.motions import PlannedMotion
 from server.execution.time_limits import TimeLimits
-from server.graph.actions import Goal
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
     EXECUTE_ACTION,
     MAX_ATTEMPTS,
     MOVE_ACTIONS,
-    MOVE_GROUP,
     SEQUENCE_ACTION,
     ExecuteTrajectory,
     PlanningActions,
     PlanningGoal,
-    PlanningOptions,
     move_group_result,
     plan_only,
     planned_motion,
     read_planning_goal,
-    read_planning_options,
     sequence_result,
 )
 from server.moveit.requests.planning_problems import PILZ
@@ -118,13 +114,6 @@ async def test_a_sequence_is_one_motion_of_several_steps(planning_desk: ActionDe
     assert planning_desk.results[0].values["response"]["error_code"]["val"] == 1
 
 
-async def test_a_blend_radius_is_refused_with_a_reason(planning_desk: ActionDesk) -> None:
-    items = [{"req": to(0.3), "blend_radius": 0.05}, {"req": to(0.5)}]
-    await planning_desk.send(SEQUENCE_ACTION, request={"items": items})
-    assert "blend_radius must be 0 m, not 0.05" in planning_desk.results[0].values["response"]["error_code"]["message"]
-    assert planning_desk.asked == []
-
-
 GOAL = {"group_name": "arm", "goal_constraints": [{"joint_constraints": [joint("shoulder_pan", 0.3)]}]}
 
 
@@ -133,17 +122,12 @@ async def rig() -> ServiceRig:
     return ServiceRig()
 
 
-def goal(rig: ServiceRig, request: dict[str, Any], **options: Any) -> Goal:
-    fields = message("moveit_msgs/action/MoveGroup_Goal", request=request, planning_options=options)
-    return Goal("/move_group", "moveit_msgs/action/MoveGroup", fields, rig.graph.message_types, None, rig.client)
-
-
-def asked(rig: ServiceRig, request: dict[str, Any], **options: Any) -> PlanningGoal:
-    return read_planning_goal(goal(rig, request, **options).request, MOVE_GROUP)
+def asked(request: dict[str, Any], **options: Any) -> PlanningGoal:
+    return read_planning_goal([message("MotionPlanRequest", **request)], message("PlanningOptions", **options))
 
 
 async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn_comes(rig: ServiceRig) -> None:
-    motion = planned_motion(asked(rig, GOAL), rig.context)
+    motion = planned_motion(asked(GOAL), rig.context)
     assert isinstance(motion, PlannedMotion)
     later_rad = {**HOME, "elbow_flex": 0.2}
     problem = motion.steps[0](later_rad)
@@ -153,7 +137,7 @@ async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn
 
 async def test_a_start_state_is_ignored_with_a_warning_if_the_arm_is_to_move(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
-    motion = planned_motion(asked(rig, {**GOAL, "start_state": start}), rig.context)
+    motion = planned_motion(asked({**GOAL, "start_state": start}), rig.context)
     assert isinstance(motion, PlannedMotion)
     assert any("start_state is ignored" in warning for warning in motion.warnings)
 
@@ -162,7 +146,7 @@ async def test_a_motion_is_planned_in_the_scene_with_the_diff(rig: ServiceRig) -
     box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.1, 0.1, 0.1]}]}
     box["pose"] = {"position": {"x": 2.0}}
     diff = {"world": {"collision_objects": [box]}}
-    motion = planned_motion(asked(rig, GOAL, planning_scene_diff=diff), rig.context)
+    motion = planned_motion(asked(GOAL, planning_scene_diff=diff), rig.context)
     assert isinstance(motion, PlannedMotion)
     assert motion.scene is not None
     scene = motion.scene(HOME)
@@ -174,7 +158,7 @@ async def test_a_motion_is_planned_in_the_scene_with_the_diff(rig: ServiceRig) -
 async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [0.5]}, "is_diff": True}
     request = {**GOAL, "start_state": start}
-    answer = await plan_only(asked(rig, request), rig.client, rig.context)
+    answer = await plan_only(asked(request), rig.client, rig.context)
     assert answer.code is MoveItErrorCode.SUCCESS
     assert answer.performed is not None
     assert answer.performed.start_rad["elbow_flex"] == 0.5
@@ -183,36 +167,35 @@ async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> No
 
 async def test_a_plan_that_cannot_be_had_has_its_own_code_and_data(rig: ServiceRig) -> None:
     request = {"group_name": "arm", "start_state": {"joint_state": {"name": ["knee"], "position": [0.0]}}}
-    answer = await plan_only(asked(rig, request), rig.client, rig.context)
+    answer = await plan_only(asked(request), rig.client, rig.context)
     assert answer.code is MoveItErrorCode.INVALID_ROBOT_STATE
     assert "knee" in answer.message
 
 
 async def test_a_plan_alone_that_fails_says_what_would_work(rig: ServiceRig) -> None:
     far = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
-    free = await plan_only(asked(rig, {"goal_constraints": [far]}), rig.client, rig.context)
+    free = await plan_only(asked({"goal_constraints": [far]}), rig.client, rig.context)
     assert free.code is MoveItErrorCode.NO_IK_SOLUTION
     assert "what would work: that point" in move_group_result(free, ROBOT)["error_code"]["message"]
     line = {"goal_constraints": [far], "pipeline_id": PILZ, "planner_id": "LIN"}
-    straight = await plan_only(asked(rig, line), rig.client, rig.context)
+    straight = await plan_only(asked(line), rig.client, rig.context)
     for result in (move_group_result(straight, ROBOT), sequence_result(straight, ROBOT)["response"]):
         assert result["error_code"]["message"] == straight.message
         assert "what would work: the same path to (" in straight.message
 
 
-def options(**fields: Any) -> PlanningOptions:
-    return read_planning_options(message("moveit_msgs/msg/PlanningOptions", **fields))
-
-
-@pytest.mark.parametrize(("asked", "attempts"), [(0, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)])
-def test_planning_anew_has_moveits_default_and_a_bound(asked: int, attempts: int) -> None:
-    assert options(replan=True, replan_attempts=asked).attempts == attempts
+@pytest.mark.parametrize(("wanted", "attempts"), [(0, DEFAULT_ATTEMPTS), (3, 3), (100_000, MAX_ATTEMPTS)])
+def test_planning_anew_has_moveits_default_and_a_bound(wanted: int, attempts: int) -> None:
+    assert asked(GOAL, replan=True, replan_attempts=wanted).attempts == attempts
 
 
 @pytest.mark.parametrize("field", ["look_around_attempts", "replan_attempts"])
 def test_a_negative_number_of_attempts_is_rejected_by_name(field: str) -> None:
-    read = outcome(read_planning_options, message("moveit_msgs/msg/PlanningOptions", **{field: -1}))
-    assert_refused(read, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
+    assert_refused(
+        outcome(lambda: asked(GOAL, **{field: -1})),
+        MoveItErrorCode.FAILURE,
+        f"planning_options.{field} must be 0 or more, not -1",
+    )
 
 
 @pytest.fixture

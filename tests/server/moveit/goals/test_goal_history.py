@@ -22,8 +22,8 @@ from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
-from tests.helpers.fake_arm import JOINTS
-from tests.helpers.moveit import REGISTRY, ROBOT
+from tests.helpers.fake_arm import JOINTS, FakeArm
+from tests.helpers.moveit import REGISTRY, planning_of
 
 HISTORY, RECORD = "/armbridge/goal_history", "/armbridge/goal_record"
 STOOD = dict.fromkeys(JOINTS, 0.0)
@@ -37,10 +37,10 @@ class Records:
     """A history on a graph of its own, and a client of its services."""
 
     def __init__(self) -> None:
-        self.scene: Scene = EMPTY_SCENE
         self._graph = Graph(REGISTRY)
-        stamps = itertools.count(1000)
-        self.history = GoalHistory(self._graph, ROBOT, lambda: self.scene, lambda: float(next(stamps)))
+        stamps, planning = itertools.count(1000), planning_of(FakeArm())
+        self.scene_state = planning.scene_state
+        self.history = GoalHistory(self._graph, planning, lambda: float(next(stamps)))
 
     async def call(self, service: str, **request: Any) -> dict[str, Any]:
         answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
@@ -62,10 +62,6 @@ def records() -> Records:
     return Records()
 
 
-def status_of(goal_id: str) -> dict[str, Any]:
-    return {"level": 0, "name": "/moveit_goal_named", "message": "done", "hardware_id": goal_id, "values": []}
-
-
 def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
     """A goal that moves the base joint to one position after the other [rad]."""
     made = [lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to})) for to in steps]
@@ -80,7 +76,7 @@ def answer(
 
 
 def take(records: Records, goal_id: str, *steps: float, ends: Answer | None = None, **options: Any) -> None:
-    records.history.take_answer(goal(goal_id, *steps, **options), ends or answer(MOTION), status_of(goal_id))
+    records.history.on_answer(goal(goal_id, *steps, **options), ends or answer(MOTION))
 
 
 async def test_the_history_tells_the_answered_goals_oldest_first_with_their_times(records: Records) -> None:
@@ -106,9 +102,9 @@ async def test_a_goal_that_is_answered_to_its_client_alone_has_no_record(records
 
 async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None:
     moved = goal("7", 0.4)
-    records.history.take_progress(moved, Progress(GoalState.EXECUTING, "a motion of 2.5 s (rrt; planned in 12 ms)"))
-    records.history.take_progress(moved, Progress(GoalState.EXECUTING, "paused"))
-    records.history.take_answer(moved, answer(MOTION), status_of("7"))
+    records.history.on_progress(moved, Progress(GoalState.EXECUTING, "a motion of 2.5 s (rrt; planned in 12 ms)"))
+    records.history.on_progress(moved, Progress(GoalState.EXECUTING, "paused"))
+    records.history.on_answer(moved, answer(MOTION))
     told = await records.record("7")
     assert told["success"]
     assert json.loads(told["asked"]) == NAMED
@@ -137,12 +133,12 @@ async def test_a_goal_that_was_refused_has_a_record_without_a_problem(records: R
 
 async def test_goals_of_the_last_ten_scenes_alone_have_a_problem_file(records: Records) -> None:
     for number in range(11):
-        records.scene = Scene()
+        records.scene_state.scene = Scene()
         planning = goal(str(number), 0.4)
-        records.history.take_progress(planning, Progress(GoalState.PLANNING, "planning"))
+        records.history.on_progress(planning, Progress(GoalState.PLANNING, "planning"))
         # What a goal was planned in counts, and not what there is when it is answered.
-        records.scene = EMPTY_SCENE
-        records.history.take_answer(planning, answer(MOTION), status_of(str(number)))
+        records.scene_state.scene = EMPTY_SCENE
+        records.history.on_answer(planning, answer(MOTION))
     forgotten, kept = await records.record("0"), await records.record("1")
     assert forgotten["message"] == "no problem file: the scene has changed more than 10 times since"
     assert forgotten["planned"]

@@ -38,7 +38,6 @@ from server.moveit.scene.interface import (
     SceneServices,
     scene_diff,
     scene_message,
-    subscribe_to_scene_topics,
 )
 from server.moveit.scene.scene_state import AT_ONCE_ELEMENTS, AssumedStates, SceneChange, SceneState
 from tests.helpers.clock import FakeClock
@@ -74,13 +73,19 @@ SERVICES = {
 }
 
 
-def test_the_scene_has_moveits_names_and_types():
-    graph = Graph(Registry.load(), call_later=FakeClock().call_later)
-    state, assumed = SceneState(ROBOT), AssumedStates(ROBOT)
-    scene = SceneInterface(graph, state, assumed, current_state(), MoveItParameters())
+REGISTRY = Registry.load()
+
+
+def opened():
+    graph, state = Graph(REGISTRY), SceneState(ROBOT)
+    SceneInterface(graph, state, AssumedStates(ROBOT), current_state(), MoveItParameters())
+    return graph, state
+
+
+async def test_the_scene_has_moveits_names_and_types():
+    graph, _ = opened()
     assert graph.topic_types() == TOPICS
     assert graph.services.types() == SERVICES
-    scene.close()
 
 
 async def test_an_object_blocks_goals_until_it_is_removed(client: ArmClient) -> None:
@@ -100,12 +105,6 @@ async def test_an_object_blocks_goals_until_it_is_removed(client: ArmClient) -> 
     assert scene["world"]["collision_objects"] == []
 
 
-def opened():
-    graph, state = Graph(Registry.load()), SceneState(ROBOT)
-    subscribe_to_scene_topics(graph, Node("scene"), state, current_state())
-    return graph, state
-
-
 CUP = box("cup")
 MESSAGES = {
     "/planning_scene": {"is_diff": True, "world": {"collision_objects": [CUP]}},
@@ -119,14 +118,14 @@ MESSAGES = {
 
 
 @pytest.mark.parametrize(("topic", "message"), MESSAGES.items())
-def test_every_topic_changes_the_scene(topic, message):
+async def test_every_topic_changes_the_scene(topic, message):
     graph, state = opened()
     graph.publish(Node("client"), topic, message)
     assert "cup" in {**state.contents.objects, **state.contents.attached}
 
 
 @pytest.mark.parametrize("topic", MESSAGES)
-def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
+async def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
     graph, _ = opened()
     bad = {"id": "ghost", "operation": 1}
     messages = {
@@ -139,9 +138,6 @@ def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
         graph.publish(Node("client"), topic, messages[topic])
     assert topic in caplog.text
     assert "'ghost'" in caplog.text
-
-
-REGISTRY = Registry.load()
 
 
 class Client:
@@ -242,7 +238,7 @@ async def test_a_scene_whose_client_leaves_before_it_is_made_is_made_all_the_sam
 
 
 @pytest.mark.parametrize("topic", sorted(TOPICS.keys() - {MONITORED_TOPIC}))
-def test_more_objects_or_shapes_than_a_scene_has_are_refused_before_they_are_completed(topic, caplog):
+async def test_more_objects_or_shapes_than_a_scene_has_are_refused_before_they_are_completed(topic, caplog):
     graph, _state = opened()
     objects = [{"primitives": [{}] * 1001}]
     message = {

@@ -12,10 +12,11 @@ from robot import files
 from server.graph.message_types import MessageTypes
 from server.moveit.scene import saved_scene
 from server.moveit.scene.interface import EVERYTHING, NO_STATE, scene_message
-from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, SavedScene, SceneFile, encoded
+from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, SavedScene
 from server.moveit.scene.scene_state import SceneState
+from server.named_files import read_json
 from tests.helpers.clock import FakeClock
-from tests.helpers.moveit import BENT, REGISTRY, ROBOT, box, diff, held, message, pose
+from tests.helpers.moveit import BENT, REGISTRY, ROBOT, box, diff, held, pose
 
 CORNERS = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.1, "z": 0.0}]
 MESH = {"triangles": [{"vertex_indices": [0, 1, 2]}], "vertices": CORNERS}
@@ -33,8 +34,8 @@ class Run:
     def __init__(self, path: Path) -> None:
         self.clock, self.state = FakeClock(), SceneState(ROBOT)
         types = MessageTypes(REGISTRY, self.clock)
-        self.file = SceneFile(path)
-        self.saved = SavedScene(self.file, self.state, types, self.clock, self.clock.call_later)
+        self.path = path
+        self.saved = SavedScene(path, self.state, types, self.clock, self.clock.call_later)
 
     async def __aenter__(self) -> Run:
         await self.saved.start()
@@ -60,8 +61,9 @@ class Run:
 
     def written(self) -> list[str] | None:
         """Names of the objects in the file; None without a file."""
-        content = self.file.read()
-        return None if content is None else [each["id"] for each in content["world"]["collision_objects"]]
+        if not self.path.exists():
+            return None
+        return [each["id"] for each in read_json(self.path, 10_000)["world"]["collision_objects"]]
 
 
 async def test_all_that_clients_added_is_there_at_the_next_start(path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -106,7 +108,7 @@ CUBE = {"type": 1, "dimensions": [0.05, 0.05, 0.05]}
 async def test_a_matrix_that_nobody_changed_is_left_to_the_description(path: Path) -> None:
     async with Run(path) as run:
         run.add("wall")
-    assert run.file.read()["allowed_collision_matrix"]["entry_names"] == []
+    assert read_json(path, 10_000)["allowed_collision_matrix"]["entry_names"] == []
 
 
 async def test_changes_are_written_together_after_a_while_and_the_last_ones_at_the_end(path: Path) -> None:
@@ -124,7 +126,7 @@ async def test_changes_are_written_together_after_a_while_and_the_last_ones_at_t
 
 async def test_what_changes_while_it_is_written_is_written_next(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with Run(path) as run:
-        write = run.file.write
+        write = run.saved._replace
         loop = asyncio.get_running_loop()
 
         def slow(content: Any) -> None:
@@ -132,7 +134,7 @@ async def test_what_changes_while_it_is_written_is_written_next(path: Path, monk
             write(content)
 
         with monkeypatch.context() as patched:
-            patched.setattr(run.file, "write", slow)
+            patched.setattr(run.saved, "_replace", slow)
             run.add("a")
             await run.pass_time(DELAY_S)
         assert run.written() == ["a"]
@@ -142,7 +144,7 @@ async def test_what_changes_while_it_is_written_is_written_next(path: Path, monk
 
 async def test_a_slow_disk_is_written_to_less_often(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with Run(path) as run:
-        monkeypatch.setattr(run.file, "write", lambda _content: run.clock.advance(2.0))
+        monkeypatch.setattr(run.saved, "_replace", lambda _content: run.clock.advance(2.0))
         run.add("a")
         await run.pass_time(DELAY_S)
         monkeypatch.undo()
@@ -166,43 +168,30 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
-def test_a_file_that_cannot_be_restored_is_set_aside_and_the_scene_kept_anew(
+async def test_a_file_that_cannot_be_restored_is_set_aside_and_the_scene_kept_anew(
     path: Path, content: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path.parent.mkdir()
     octets = content.encode("utf-8", "surrogateescape")
-    path.write_bytes(octets)
-
-    async def run() -> Run:
-        async with Run(path) as made:
-            assert made.state.contents == SceneState(ROBOT).contents
-            made.add("wall")
-            return made
-
-    assert asyncio.run(run()).written() == ["wall"]
+    with files.locked(path):
+        files.replace(path, octets)
+    async with Run(path) as run:
+        assert run.state.contents == SceneState(ROBOT).contents
+        run.add("wall")
+    assert run.written() == ["wall"]
     assert path.with_name("scene.json.broken").read_bytes() == octets
     assert "cannot be restored" in caplog.text
 
 
-def test_a_file_that_cannot_be_read_prevents_nothing_and_stays(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path.mkdir(parents=True)
-
-    async def run() -> None:
-        async with Run(path) as made:
-            made.add("wall")
-
-    asyncio.run(run())
-    assert path.is_dir()
-    assert "is not kept" in caplog.text
-
-
-async def test_a_directory_that_cannot_be_written_prevents_nothing(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("fault", ["a folder in its place", "no folder"])
+async def test_a_file_that_cannot_be_read_or_written_prevents_nothing(
+    tmp_path: Path, fault: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "file").touch()
-    async with Run(tmp_path / "file" / "scene.json") as run:
+    (tmp_path / "scene.json").mkdir()
+    async with Run(tmp_path / ("scene.json" if fault == "a folder in its place" else "file/scene.json")) as run:
         run.add("wall")
-    assert "the planning scene is not kept in" in caplog.text
+    assert (tmp_path / "scene.json").is_dir()
+    assert "the planning scene is not kept" in caplog.text
 
 
 async def test_a_scene_that_is_too_large_is_told_once_and_leaves_no_older_one(
@@ -233,12 +222,3 @@ async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(
         assert first.written() == ["wall"]
     async with Run(path) as third:
         assert list(third.state.contents.objects) == ["wall"]
-
-
-def test_a_mesh_is_encoded_in_small_pieces() -> None:
-    mesh = {"vertices": CORNERS * 5_000, "triangles": MESH["triangles"] * 5_000}
-    scene = message("PlanningScene", world={"collision_objects": [box("a", meshes=[mesh]), box("b")]})
-    pieces = list(encoded(scene))
-    assert json.loads(b"".join(pieces)) == scene
-    assert max(map(len, pieces)) < 50_000
-    assert len(pieces) < 1_000

@@ -1,0 +1,335 @@
+"""Services and actions of one client: its offers of them, and its calls and goals to those of others."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any, Literal
+
+from protocol.errors import NothingToDoError, OperationError
+from protocol.operations import (
+    ActionFeedback,
+    ActionResult,
+    AdvertiseAction,
+    AdvertiseService,
+    CallService,
+    CancelActionGoal,
+    Mark,
+    Operation,
+    SendActionGoal,
+    ServiceResponse,
+    UnadvertiseAction,
+    UnadvertiseService,
+    qualify,
+)
+from protocol.session import with_id
+from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, VALUES_LIMIT, ClientContext
+from server.graph.actions import Actions, Goal, GoalStatus, Result
+from server.graph.message_types import PostponedError, ReceivedMessage
+from server.graph.permissions import WORKING, Role
+from server.graph.services import Call, Response, Services
+
+# Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,
+# each for up to seconds.
+MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.PROPOSE: 16, Role.OPERATE: 64, Role.ADMIN: 64}
+
+# rosbridge_library (capabilities/advertise_action.py) takes every other status for an aborted goal.
+_PASSED_STATUSES = (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)
+
+
+class _Offers:
+    """Names of one kind that a client offers."""
+
+    def __init__(self, context: ClientContext, kind: Literal["service", "action"], offers: Services | Actions) -> None:
+        self._client = context
+        self._node = context.node
+        self._limits = context.session.limits
+        self._kind = kind
+        self._offers = offers
+        self._offered: set[str] = set()
+        # No id is ever given twice, so that no late answer is taken for another request's.
+        self._numbers = itertools.count(1)
+        self._values_in_flight = 0
+
+    def _advertise(self, operation: Operation, spelled: str, offer: Callable[[str], None]) -> None:
+        name, limit = qualify(spelled), self._limits.max_offers
+        if name not in self._offered and len(self._offered) >= limit:
+            raise OperationError(operation.op, None, f"this client has {len(self._offered)}, the limit is {limit}")
+        former = self._offers.provider(name)
+        offer(name)
+        self._offered.add(name)
+        if former not in (None, self._node):
+            text = f"{self._kind} {spelled}: takes the place of another client's"
+            self._client.status.tell("warning", operation, text)
+
+    def _withdraw(self, operation: Operation, spelled: str) -> None:
+        name = qualify(spelled)
+        if name not in self._offered:
+            raise NothingToDoError(operation.op, None, f"{self._kind} {spelled}: this client does not offer it")
+        self._offers.withdraw(self._node, name)
+        self._offered.remove(name)
+
+
+class ClientServices(_Offers):
+    """Services that one client offers, and its calls of others' services."""
+
+    def __init__(self, context: ClientContext) -> None:
+        self._services = context.graph.services
+        super().__init__(context, "service", self._services)
+        # Calls that the client is to answer, by the ids that it got.
+        self._requested: dict[Mark, Call] = {}
+        self._calls_in_flight = 0
+        self._planning_calls = 0
+
+    def advertise(self, operation: AdvertiseService) -> None:
+        """Offer a service."""
+        self._client.translator.detect_dialect(operation.type, "srv")
+
+        def start(call: Call) -> None:
+            self._request(operation.service, call)
+
+        timeout_s, services = self._limits.call_timeout_s, self._services
+        self._advertise(
+            operation,
+            operation.service,
+            lambda name: services.offer_calls(self._node, name, operation.type, start, timeout_s, limits=None),
+        )
+
+    def unadvertise(self, operation: UnadvertiseService) -> None:
+        """Withdraw a service."""
+        self._withdraw(operation, operation.service)
+
+    def _request(self, spelled_service: str, call: Call) -> None:
+        id_ = f"service_request:{spelled_service}:{next(self._numbers)}"
+        self._requested[id_] = call
+        call.when_ended(lambda _response: self._requested.pop(id_))
+        fields = {"op": "call_service", "id": id_, "service": spelled_service, "args": call.request}
+        if not self._client.send_request(fields, f"{call.type_name}_Request"):
+            call.fail(f"Service {call.service}: its provider does not read its calls quickly enough")
+
+    def respond(self, operation: ServiceResponse, message: ReceivedMessage) -> None:
+        """Answer a call that the client got."""
+        call = self._requested.get(operation.id)
+        if call is None:
+            raise OperationError(operation.op, "id", "no call of this id waits for a response")
+        # rosbridge_library passes on any values that are an object, whatever `result` says (service_response.py).
+        if operation.result or isinstance(operation.values, dict):
+            call.succeed(self._client.translator.from_client(message))
+        else:
+            call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
+
+    def fail(self, id_: Mark, problem: str) -> None:
+        """End the call of this id, if there is one, whose response cannot be read."""
+        call = self._requested.get(id_)
+        if call is not None:
+            call.fail(f"Service {call.service} gave a response that cannot be read: {problem}")
+
+    def reject(self, operation: CallService, problem: str) -> None:
+        """Answer a call that the client may not make."""
+        _, id_ = _name_and_id(operation)
+        self.reject_call(operation.service, id_, problem)
+
+    def reject_call(self, service: str, id_: Mark, problem: str) -> None:
+        """Answer a call that is not made; ``service`` is as the client spells it."""
+        fields = {"op": "service_response", "service": service, "values": problem, "result": False}
+        self._client.send(with_id(fields, id_))
+
+    def call(self, operation: CallService, message: ReceivedMessage) -> None:
+        """Call a service, or raise PostponedError while its request is to be completed in the background."""
+        name, id_ = _name_and_id(operation)
+        self._client.translator.detect_dialect(operation.type, "srv")
+        type_name, plans = self._services.type_of(name), self._services.rules.get(name, WORKING).plans
+
+        def answer(response: Response) -> None:
+            fields = {
+                "op": "service_response",
+                "service": operation.service,
+                "values": response.values,
+                "result": response.ok,
+            }
+            self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Response" if response.ok else "")
+
+        values, ended = 0, False
+
+        def end(response: Response) -> None:
+            nonlocal ended
+            ended = True
+            self._calls_in_flight -= 1
+            self._planning_calls -= plans
+            self._values_in_flight -= values
+            if response.reason:
+                self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
+            answer(response)
+
+        if self._calls_in_flight >= self._limits.max_calls_in_flight:
+            answer(Response(ok=False, values=f"{self._calls_in_flight} calls of this client wait, which is the limit"))
+            return
+        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
+            problem = f"calls of this client with {self._values_in_flight} values wait, {VALUES_LIMIT}"
+            answer(Response(ok=False, values=problem))
+            return
+        if plans and self._planning_calls >= (limit := self._max_planning_calls()):
+            problem = f"{self._planning_calls} calls of this client that plan wait, the limit of its role is {limit}"
+            answer(Response(ok=False, values=problem))
+            return
+        self._calls_in_flight += 1
+        self._planning_calls += plans
+        arguments, spelling = self._client.translator.from_client(message), self._client.translator.dialect
+        try:
+            self._services.call(self._node, name, arguments, end, operation.timeout, spelling)
+        except PostponedError:
+            self._calls_in_flight -= 1
+            self._planning_calls -= plans
+            raise
+        if not ended:
+            values = message.values
+            self._values_in_flight += values
+
+    def call_unanswered(self, operation: CallService) -> None:
+        """Call a service whose response the client has already."""
+        name, _ = _name_and_id(operation)
+        self._services.call(self._node, name, operation.args, lambda _response: None, operation.timeout)
+
+    def _max_planning_calls(self) -> int:
+        identity = self._node.identity
+        return MAX_PLANNING_CALLS[Role.VIEW if identity is None else identity.role]
+
+
+def _name_and_id(operation: CallService) -> tuple[str, Mark]:
+    # `/svc#7` is how rosbridge's first clients gave the id.
+    service, _, id_in_name = operation.service.partition("#")
+    return qualify(service), operation.id if operation.id is not None else id_in_name or None
+
+
+class ClientActions(_Offers):
+    """Actions that one client offers, and the goals that it sends to others' actions."""
+
+    def __init__(self, context: ClientContext) -> None:
+        self._actions = context.graph.actions
+        super().__init__(context, "action", self._actions)
+        # Goals that the client is to reach, by the ids that it got.
+        self._requested: dict[Mark, Goal] = {}
+        # Goals that the client has sent: action and the client's id.
+        self._sent: dict[Goal, tuple[str, Mark]] = {}
+
+    def advertise(self, operation: AdvertiseAction) -> None:
+        """Offer an action."""
+        self._client.translator.detect_dialect(operation.type, "action")
+
+        def start(goal: Goal) -> None:
+            self._request(operation, goal)
+
+        actions, node = self._actions, self._node
+        self._advertise(operation, operation.action, lambda name: actions.offer(node, name, operation.type, start))
+
+    def unadvertise(self, operation: UnadvertiseAction) -> None:
+        """Withdraw an action."""
+        self._withdraw(operation, operation.action)
+
+    def _request(self, offer: AdvertiseAction, goal: Goal) -> None:
+        id_ = f"action_goal:{offer.action}:{next(self._numbers)}"
+        self._requested[id_] = goal
+        goal.when_ended(lambda _result: self._requested.pop(id_))
+        fields = {
+            "op": "send_action_goal",
+            "id": id_,
+            "action": offer.action,
+            "action_type": offer.type,
+            "args": goal.request,
+            "feedback": True,
+        }
+        if not self._client.send_request(fields, f"{goal.type_name}_Goal"):
+            goal.fail(f"Action {goal.action}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
+            return
+        goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": offer.action}))
+
+    def report_feedback(self, operation: ActionFeedback, message: ReceivedMessage) -> None:
+        """Pass feedback on a goal of the client on to its sender."""
+        self._goal(operation).feedback(self._client.translator.from_client(message))
+
+    def finish(self, operation: ActionResult, message: ReceivedMessage) -> None:
+        """End a goal of the client with its result."""
+        goal = self._goal(operation)
+        if operation.result:
+            status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
+            goal.finish(status, self._client.translator.from_client(message))
+        else:
+            values = f"Action {goal.action} failed" if operation.values is None else operation.values
+            goal.fail(values, operation.status)
+
+    def _goal(self, operation: ActionFeedback | ActionResult) -> Goal:
+        goal = self._requested.get(operation.id)
+        if goal is None:
+            raise OperationError(operation.op, "id", "no goal of this id is on its way")
+        return goal
+
+    def fail(self, id_: Mark, problem: str) -> None:
+        """End the goal of this id, if there is one, whose result cannot be read."""
+        goal = self._requested.get(id_)
+        if goal is not None:
+            goal.fail(f"Action {goal.action} gave a result that cannot be read: {problem}")
+
+    def send_goal(self, operation: SendActionGoal, message: ReceivedMessage) -> None:
+        """Send a goal."""
+        self._client.translator.detect_dialect(operation.action_type, "action")
+        name = qualify(operation.action)
+        type_name = self._actions.type_of(name)
+
+        def on_result(result: Result) -> None:
+            fields = {
+                "op": "action_result",
+                "action": operation.action,
+                "values": result.values,
+                "status": int(result.status),
+                "result": result.ok,
+            }
+            message_type = f"{type_name}_Result" if result.ok else ""
+            self._client.send_message(with_id(fields, operation.id), "values", message_type)
+
+        def on_feedback(feedback: dict[str, Any]) -> None:
+            fields = {"op": "action_feedback", "action": operation.action, "values": feedback}
+            self._client.send_feedback(with_id(fields, operation.id), f"{type_name}_Feedback")
+
+        if len(self._sent) >= self._limits.max_calls_in_flight:
+            problem = f"{len(self._sent)} goals of this client are on their way, which is the limit"
+            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
+            return
+        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
+            problem = f"goals of this client with {self._values_in_flight} values are on their way, {VALUES_LIMIT}"
+            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
+            return
+        arguments = self._client.translator.from_client(message)
+        listener = on_feedback if operation.feedback else None
+        goal = self._actions.send_goal(self._node, name, operation.action_type, arguments, on_result, listener)
+        if goal is not None and not goal.ended:
+            goal.sender_id = operation.id
+            self._sent[goal] = name, operation.id
+            self._values_in_flight += message.values
+            goal.when_ended(lambda _result: self._forget(goal, message.values))
+
+    def _forget(self, goal: Goal, values: int) -> None:
+        del self._sent[goal]
+        self._values_in_flight -= values
+
+    def reject(self, operation: SendActionGoal, problem: str) -> None:
+        """Answer a goal that the client may not send."""
+        self.reject_goal(operation.action, operation.id, problem)
+
+    def reject_goal(self, action: str, id_: Mark, problem: str) -> None:
+        """Answer a goal that is not sent; ``action`` is as the client spells it."""
+        status = int(GoalStatus.UNKNOWN)
+        fields = {"op": "action_result", "action": action, "values": problem, "status": status, "result": False}
+        self._client.send(with_id(fields, id_))
+
+    def cancel(self, operation: CancelActionGoal) -> None:
+        """Cancel the goal of this id; an unknown goal has most likely just ended.
+
+        A client that connects for each request, as ros-mcp does, cancels goals of its former connections. In
+        rosbridge_library (capabilities/send_action_goal.py) all clients share one table of goals.
+        """
+        wanted = name, id_ = qualify(operation.action), operation.id
+        own = [goal for goal, sent in self._sent.items() if sent == wanted]
+        for goal in own:
+            goal.cancel()
+        if not own and id_ is not None:
+            self._actions.cancel_left_behind(name, id_)

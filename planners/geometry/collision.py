@@ -279,10 +279,14 @@ class CollisionModel:
             return set()
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
 
-    def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
-        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient."""
+    def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
+        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient.
+
+        ``moving`` are the joints that may move, from which the motions of other arms are told apart.
+        """
         candidates = self._broadphase.near(q, np.full(len(self._pairs), within_m))
         self._broadphase.turn(q)
+        columns = [self.joint_names.index(name) for name in moving]
         near = []
         for pair in candidates:
             nearest = self._broadphase.nearest(pair)
@@ -294,7 +298,9 @@ class CollisionModel:
                 first, second = (self._bodies[i] for i in self._pairs[pair])
                 by_object = not (first.is_link and second.is_link)
                 gradient = self._broadphase.distance_gradient(pair, nearest)
-                near.append(NearPair(first.name, second.name, by_object, distance_m, gradient))
+                carried = self._carried[self._pairs[pair]]
+                by_another_arm = any(joints.any() and not joints[columns].any() for joints in carried)
+                near.append(NearPair(first.name, second.name, by_object, distance_m, gradient, by_another_arm))
         return near
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:
@@ -327,6 +333,8 @@ class CollisionModel:
         first, second = self._pairs.T
         # Links are padded against objects only.
         self._apart_m = np.where(link[first] != link[second], thick_m[first] + thick_m[second], 0.0)
+        # Whether each joint carries each body.
+        self._carried = self._joints.by_joint(reach_m, bounds=True) > 0.0
         self._approach_m: Vector = self._joints.by_joint(approach(reach_m, self._pairs), bounds=True)
         travel_m = np.vstack((reach_m, self._frames_reach_m))
         self.travel_m_per_rad = self._joints.by_joint(travel_m, bounds=True).max(axis=0)

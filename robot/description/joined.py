@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from robot.description import model
-from robot.description.mesh_files import find_mesh
 from robot.description.model import Gripper, Joint, JointLimits, RobotModel
-from robot.description.urdf import origin_transform
+from robot.description.urdf import find_mesh, origin_transform
 from robot.errors import DescriptionError
 
 COMMON_LINK = "world"  # the link on which all arms stand, which is the planning frame

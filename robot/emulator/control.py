@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from robot.calibration import MAX_TICK
-from robot.emulator.adapter import Adapter, InProcessPort
+from robot.emulator.arm import Adapter, InProcessPort
 from robot.emulator.feetech import FeetechServo
 from robot.emulator.servo_bus import ServoBus
 from robot.hardware.feetech.registers import Register

@@ -1,6 +1,6 @@
 """Process of the emulator: its options, its pseudo terminal, the loop that serves bus and commands, and rehearsals.
 
-A rehearsal has live commands at given times, from a script of JSON lines (docs/rehearsal.md) or ready-made.
+A rehearsal has live commands at given times, from a script of JSON lines (docs/simulation.md) or ready-made.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ from robot.calibration import Calibration, JointCalibration
 from robot.control.pacing import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
-from robot.emulator.adapter import Adapter
-from robot.emulator.arm import weight_of
+from robot.emulator.arm import Adapter, weight_of
 from robot.emulator.control import CommandStream, Emulation, LiveCommand, answer, carry_out, check, json_object
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.plant import HAND_TICKS_S

@@ -30,8 +30,7 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end, status_names
 from robot.hardware.port import resolve_port
 from robot.hardware.servos.bus import ServoBus, read_registers
-from robot.hardware.servos.family import Limit, ServoFamily
-from robot.hardware.servos.servo_map import full_torque
+from robot.hardware.servos.family import Limit, ServoFamily, full_torque
 from robot.hardware.servos.torque import LOWER_S, relax, write_limits
 from robot.messages import GuardLimits
 from server.commands.options import (

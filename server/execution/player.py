@@ -257,7 +257,6 @@ class Player:
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:
-    """Return a sentence that names the joint, of some, that is farthest from its goal."""
     if state.goal_rad is None or state.position_rad is None:
         return "its joint positions are unknown"
     error_rad = np.abs(state.goal_rad - state.position_rad)

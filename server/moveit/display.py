@@ -79,7 +79,6 @@ class DisplayTopics:
 
 
 def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a sphere at a contact; its namespace names the two bodies."""
     position = dict(zip("xyz", pair["point_m"], strict=True))
     return {
         "header": header,

@@ -171,7 +171,6 @@ class NamedStates:
             listener()
 
     def _usable(self, states: Mapping[str, Positions]) -> dict[str, Positions]:
-        """Return the states of this arm: a file may have states of another arm of the same name."""
         usable: dict[str, Positions] = {}
         for name, positions_rad in states.items():
             with contextlib.suppress(ServiceError):

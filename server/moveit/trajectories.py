@@ -81,7 +81,10 @@ def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTimin
     def make(held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
         if timing is None:
             return external_trajectory(message, robot, held_rad)
-        if point is None and not timing.stamped and not (timing.bridged and _is_immediate(message)):
+        last = message["points"][-1]["time_from_start"]
+        # The first point of a trajectory with one point at time 0 is to be reached as fast as the limits allow.
+        immediate = timing.bridged and len(message["points"]) == 1 and not any(last.values())
+        if point is None and not timing.stamped and not immediate:
             try:
                 return external_trajectory(message, robot, held_rad)
             except RefusedError:
@@ -91,12 +94,6 @@ def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTimin
         return _joined_trajectory(message, robot, held_rad, at_s - timing.begins_s, point, timing.speed_limit)
 
     return ExternalTrajectory(make, joints, spliced=timing is not None)
-
-
-def _is_immediate(message: Message) -> bool:
-    """Return True for a trajectory whose one point is to be reached at once, as fast as the limits allow."""
-    duration = message["points"][-1]["time_from_start"]
-    return len(message["points"]) == 1 and not duration["sec"] and not duration["nanosec"]
 
 
 def _joined_trajectory(
@@ -233,8 +230,17 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     if time_s[0] > 0.0:
         time_s = np.insert(time_s, 0, 0.0)
         positions = np.vstack(([start_rad[name] for name in names], positions))
-        velocities, accelerations = (_after_rest(array) for array in (velocities, accelerations))
-    return _to_rest(names, time_s, positions, velocities, accelerations)
+        rest = np.zeros(len(names))
+        velocities, accelerations = (
+            None if array is None else np.vstack((rest, array)) for array in (velocities, accelerations)
+        )
+    if velocities is None:
+        velocities = knot_velocities(time_s, positions)
+    if np.any(velocities[-1] != 0.0):
+        velocities, accelerations = np.vstack((velocities[:-1], np.zeros(len(names)))), None
+    if accelerations is None:
+        accelerations = knot_accelerations(time_s, positions, velocities)
+    return Trajectory(names, time_s, positions, velocities, accelerations)
 
 
 def _read_points(
@@ -259,19 +265,6 @@ def _read_points(
     time_s, positions = time_s[kept], positions[kept]
     velocities, accelerations = (None if array is None else array[kept] for array in (velocities, accelerations))
     return names, time_s, positions, velocities, accelerations
-
-
-def _to_rest(
-    names: tuple[str, ...], time_s: Vector, positions: Vector, velocities: Vector | None, accelerations: Vector | None
-) -> Trajectory:
-    """Make a trajectory that ends at rest, with velocities and accelerations that the message leaves out."""
-    if velocities is None:
-        velocities = knot_velocities(time_s, positions)
-    if np.any(velocities[-1] != 0.0):
-        velocities, accelerations = np.vstack((velocities[:-1], np.zeros(len(names)))), None
-    if accelerations is None:
-        accelerations = knot_accelerations(time_s, positions, velocities)
-    return Trajectory(names, time_s, positions, velocities, accelerations)
 
 
 def _points(trajectory: Trajectory) -> list[dict[str, Any]]:
@@ -305,7 +298,6 @@ def _check_names(names: tuple[str, ...], robot: RobotModel) -> None:
 
 
 def _times_s(points: list[Message]) -> Vector:
-    """Read the times of all points, shape (n,) [s]."""
     durations = [point["time_from_start"] for point in points]
     seconds = np.fromiter((duration["sec"] for duration in durations), np.float64, len(points))
     nanoseconds = np.fromiter((duration["nanosec"] for duration in durations), np.float64, len(points))
@@ -351,10 +343,6 @@ def _array(points: list[Message], field: str, width: int) -> Vector | None:
     if wrong.size:
         raise _invalid(f"points[{wrong[0]}].{field} has a value that is not a finite number", index=int(wrong[0]))
     return array
-
-
-def _after_rest(array: Vector | None) -> Vector | None:
-    return None if array is None else np.vstack((np.zeros(array.shape[1]), array))
 
 
 def _invalid(message: str, **details: Any) -> RefusedError:

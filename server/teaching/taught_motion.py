@@ -241,7 +241,6 @@ def smoothed(
 
 
 def _share_of_way(positions_rad: Vector) -> Vector:
-    """Return the share of its way that a motion has gone at each sample, 0 to 1."""
     way = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(positions_rad, axis=0)).sum(axis=1))))
     share: Vector = way / max(way[-1], 1e-9)
     return share
@@ -336,7 +335,6 @@ class MotionFiles(NamedFiles):
         return self._motion(path, content)
 
     def _motion(self, path: Path, content: _Content) -> TaughtMotion:
-        """Return the motion of a file, which people may have edited."""
         movable = {joint.name for joint in self._robot.movable_joints}
         names = tuple(content.joint_names)
         if not set(names) <= movable or len(set(names)) < len(names):

@@ -162,8 +162,6 @@ class Teleoperation:
                 self._offer_below(f"/{follower.name}", [follower.name])
 
     def _offer_below(self, below: str, names: Sequence[str]) -> None:
-        """Offer the services for some followers, and advertise their state."""
-
         async def start(request: Message) -> dict[str, Any]:
             return await self._start(request, names)
 

@@ -11,7 +11,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from robot.control.pacing import LoopClock
-from robot.emulator.adapter import InProcessPort
+from robot.emulator.arm import InProcessPort
 from robot.emulator.control import Emulation, answer
 from robot.emulator.process import add_options, build_bus, configure
 from robot.hardware.feetech.bus import Bus, checksum

@@ -14,8 +14,7 @@ from robot.hardware.feetech import registers as feetech_registers
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.interface import StatusFlag
 from robot.hardware.servos.bus import StatusFrame
-from robot.hardware.servos.family import ServoFamily
-from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.family import ServoFamily, ServoMap
 from tests.helpers import arm_rig, dynamixel, feetech
 from tests.helpers.arm_rig import ArmRig
 from tests.helpers.dynamixel import DynamixelRig, DynamixelsInUse, SteppedDynamixels

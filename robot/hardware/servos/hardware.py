@@ -24,8 +24,7 @@ from robot.hardware.interface import Condition, Flags, HardwareInterface, Measur
 from robot.hardware.port import resolve_port
 from robot.hardware.servos import torque
 from robot.hardware.servos.bus import Block, ServoBus, StatusFrame, Telemetry
-from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values
-from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMap, Values
 from robot.hardware.servos.survey import calibration_refusal, change_refusal, survey
 from robot.hardware.servos.torque import ServoTorque
 from robot.messages import GuardLimits

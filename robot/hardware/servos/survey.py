@@ -11,8 +11,7 @@ from robot.errors import NoReply, StartupError
 from robot.faults import ServoAlert, ServoWarning
 from robot.hardware.interface import Steps
 from robot.hardware.servos.bus import ServoBus, read, read_registers
-from robot.hardware.servos.family import ServoFamily, ServoFound, Values, label
-from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.family import ServoFamily, ServoFound, ServoMap, Values, label
 
 MISSING_ADVICE = ": check the cable to the first one named and its id"
 

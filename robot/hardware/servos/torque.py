@@ -3,7 +3,7 @@
 Torque on with a stale goal strips gears: the goal is set to the present position and read back before torque comes on,
 with the torque limited and then raised slowly. An arm that is already holding keeps its goals. Every public operation
 is a sequence (:mod:`robot.hardware.interface`) that may be abandoned between any two of its steps. Positions are as the
-calibration counts (:mod:`robot.hardware.servos.servo_map`).
+calibration counts (:mod:`robot.hardware.servos.family`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from enum import IntEnum
 from robot.errors import NoReply, StartupError
 from robot.hardware.interface import Steps
 from robot.hardware.servos.bus import STEP_ATTEMPTS, ServoBus, read, write_verified
-from robot.hardware.servos.family import Limit, ServoFamily, ServoFound
-from robot.hardware.servos.servo_map import ServoMap
+from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMap
 
 # Largest distance from the goal when torque comes on; more means that the arm moved or the goal was not taken.
 TORQUE_ON_WITHIN_TICKS = 30

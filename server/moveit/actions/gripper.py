@@ -406,7 +406,6 @@ class GripperActions:
             goal.fail(f"internal error: {type(error).__name__}: {error}")
 
     def _finish(self, goal: Goal, messages: ActionMessages, ended: MotionEnded) -> None:
-        """Finish the goal as its motion ended; a grip is a success."""
         status = {
             Outcome.REACHED: GoalStatus.SUCCEEDED,
             Outcome.GRIPPED: GoalStatus.SUCCEEDED,

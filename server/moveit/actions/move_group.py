@@ -110,7 +110,6 @@ def sequence_result(answer: Answer, robot: RobotModel) -> Message:
 
 
 def _explained_code(answer: Answer, robot: RobotModel) -> dict[str, Any]:
-    """Write the code of an answer, with what would work in its message if anything was found."""
     return error_code(answer.code, with_suggestion(answer.message, answer.details, robot))
 
 

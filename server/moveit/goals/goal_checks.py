@@ -99,7 +99,6 @@ class GoalChecks:
 def _problem(
     translate: Callable[[Message], PlannedMotion], message: Message, present_rad: Positions
 ) -> PlanningProblem | PlanningFailure:
-    """Return the problem that would be planned for a goal from here, or the reason why there is none."""
     try:
         problem = translate(message).steps[0](present_rad)
     except RefusedError as error:

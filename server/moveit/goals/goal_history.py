@@ -101,7 +101,6 @@ class GoalHistory:
         self._forget_scenes()
 
     def _forget_scenes(self) -> None:
-        """Forget the scenes, with the problems in them, beyond the newest few."""
         newest: set[int] = set()
         for goal_id, record in reversed(self._records.items()):
             if record.scene is None:

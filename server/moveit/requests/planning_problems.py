@@ -322,7 +322,6 @@ def _tip_end(problem: PlanningProblem, context: RequestContext) -> tuple[str, Po
 
 
 def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point:
-    """Read a point of the circle between its ends, in the robot's root link [m]."""
     if not _names_arc(arc) or len(arc["position_constraints"]) != 1:
         raise invalid(
             f"path_constraints must have one position constraint, and the name {INTERIM!r} or {CENTER!r}, for"
@@ -403,7 +402,6 @@ def _pilz_planner(requested: str) -> str:
 
 
 def _ignored_fields(request: Message, planner: str) -> list[str]:
-    """Describe the fields of a moveit_msgs/MotionPlanRequest that are set and not followed."""
     ignored = []
     if request["trajectory_constraints"]["constraints"]:
         ignored.append("trajectory_constraints is ignored")

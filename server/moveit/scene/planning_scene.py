@@ -302,7 +302,6 @@ def _read_attached(draft: SceneDraft, message: Message, where: str) -> AttachedC
 
 
 def _object_to_attach(draft: SceneDraft, message: Message, where: str) -> CollisionObject:
-    """Return the object in the message, the known one of its name if it has no shape, or both for APPEND."""
     name = message["id"]
     known = draft.attached[name].collision_object if name in draft.attached else draft.objects.get(name)
     if known is not None and message["operation"] == APPEND:

@@ -115,7 +115,6 @@ class SavedScene:
             self._lock.release()
 
     def _restore(self) -> None:
-        """Apply the scene in the file; set a file aside that has none."""
         try:
             content = read_json(self._path, MAX_FILE_BYTES)
             self._state.apply_diff(complete_scene(self._message_types, content), None)

@@ -39,9 +39,6 @@ MAX_SAMPLES = 500
 # A waypoint in a frame takes 50 us to read.
 MAX_WAYPOINTS_AT_ONCE = 50
 
-# Between quaternions with a cosine above this the rotation has no axis.
-ALIKE = 1.0 - 1e-9
-
 
 async def compute_cartesian_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
     """Plan a path of the tip through waypoints; returns the response of moveit_msgs/GetCartesianPath.
@@ -88,7 +85,7 @@ async def _without_jumps(
     start = pose_of(context.forward.transforms(problem.start_rad)[problem.link])
     lines = [segment for segment in problem.segments if isinstance(segment, Line)]
     whole_m = length_m(start, lines)
-    part = replace(problem, segments=cut_lines(start, lines, jump.along_m))
+    part = replace(problem, segments=await asyncio.to_thread(cut_lines, start, lines, jump.along_m))
     plan = required(await context.pool.ask(part, scene))
     # The part itself may be followed only partly.
     stopped_by = plan.stopped_by or _stopped_by(jump, problem.max_step_m, whole_m)
@@ -215,19 +212,10 @@ def cut_lines(start: Pose, lines: Sequence[Line], along_m: float) -> tuple[Line,
 
 
 def _between(first: Pose, second: Pose, share: float) -> Pose:
+    # Imported when a path is cut: few servers need it, and it takes a tenth of a second.
+    from scipy.spatial.transform import Rotation, Slerp
+
     a, b = np.array(first.position_m), np.array(second.position_m)
     x, y, z = (a + share * (b - a)).tolist()
-    turned = _slerp(np.array(first.orientation), np.array(second.orientation), share)
-    qx, qy, qz, qw = turned.tolist()
+    qx, qy, qz, qw = Slerp([0.0, 1.0], Rotation.from_quat([first.orientation, second.orientation]))(share).as_quat()
     return Pose((x, y, z), (qx, qy, qz, qw))
-
-
-def _slerp(first: Vector, second: Vector, share: float) -> Vector:
-    cosine = float(first @ second)
-    if cosine < 0.0:
-        second, cosine = -second, -cosine
-    if cosine > ALIKE:
-        return second
-    angle = float(np.arccos(cosine))
-    turned: Vector = (np.sin((1.0 - share) * angle) * first + np.sin(share * angle) * second) / np.sin(angle)
-    return turned

@@ -18,7 +18,6 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from planners.scene import Pose
@@ -141,8 +140,6 @@ MAX_TIMEOUT_S = 60.0
 
 
 class _Subscription:
-    """Frames that a viewer watches, and the transforms that it has."""
-
     def __init__(self, request: Message, send: Callable[[list[dict[str, Any]]], object]) -> None:
         self.send = send
         self.due_s = -math.inf
@@ -153,32 +150,21 @@ class _Subscription:
         self._distance_m = request["trans_thres"]
         # Degrees, though tf2_web_republisher compares radians: roslib's default of 2 would hide nearly every rotation.
         self._angle_rad = math.radians(request["angular_thres"])
-        self._sent: dict[str, Pose] = {}
-
-    def send_all_again(self) -> None:
-        """Send every transform the next time."""
-        self._sent.clear()
+        self.sent: dict[str, Pose] = {}
+        # Of the topic that the service has made for it: its subscribers, and the time of the last look that found any.
+        self.subscribers = 0
+        self.timeout_s = self.watched_s = 0.0
 
     def changed(self, source: str, pose: Pose) -> bool:
         """Return True for a transform that is to be sent, and note it as sent."""
-        sent = self._sent.get(source)
+        sent = self.sent.get(source)
         if sent is not None:
             cosine = abs(sum(map(math.prod, zip(sent.orientation, pose.orientation, strict=True))))
             turned_rad = 2.0 * math.acos(min(cosine, 1.0))
             if math.dist(sent.position_m, pose.position_m) <= self._distance_m and turned_rad <= self._angle_rad:
                 return False
-        self._sent[source] = pose
+        self.sent[source] = pose
         return True
-
-
-@dataclass
-class _Topic:
-    """Topic of a subscription by the service."""
-
-    subscription: _Subscription
-    timeout_s: float
-    watched_s: float  # time of the last look at which it had subscribers
-    subscribers: int = 0
 
 
 class TransformRepublisher:
@@ -190,7 +176,7 @@ class TransformRepublisher:
         self._clock = clock
         self._node = Node("tf2 web republisher")
         self._goals: dict[Goal, _Subscription] = {}
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, _Subscription] = {}
         self._numbers = itertools.count(1)
         graph.actions.offer(self._node, ACTION, ACTION_TYPE, self._start, LIMITS, rule=LOOKING, max_goal_s=MAX_GOAL_S)
         graph.services.offer(self._node, SERVICE, SERVICE_TYPE, self._republish, limits=LIMITS, rule=LOOKING)
@@ -204,7 +190,7 @@ class TransformRepublisher:
         positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
         relative = functools.cache(functools.partial(self._relative, positions_rad))
         stamp = self._graph.message_types.now().as_message()
-        watched = [topic.subscription for topic in self._topics.values() if topic.subscribers]
+        watched = [topic for topic in self._topics.values() if topic.subscribers]
         for subscription in (*self._goals.values(), *watched):
             if now_s < subscription.due_s:
                 continue
@@ -242,8 +228,8 @@ class TransformRepublisher:
             request, lambda transforms: self._graph.publish(self._node, topic, {"transforms": transforms})
         )
         timeout = request["timeout"]
-        timeout_s = min(timeout["sec"] + 1e-9 * timeout["nanosec"], MAX_TIMEOUT_S)
-        self._topics[topic] = _Topic(subscription, timeout_s, self._clock())
+        subscription.timeout_s = min(timeout["sec"] + 1e-9 * timeout["nanosec"], MAX_TIMEOUT_S)
+        subscription.watched_s, self._topics[topic] = self._clock(), subscription
         return {"topic_name": topic}
 
     def _has_room(self) -> bool:
@@ -251,7 +237,6 @@ class TransformRepublisher:
         return len(self._goals) + len(self._topics) < MAX_SUBSCRIPTIONS
 
     def _end_left(self, now_s: float) -> None:
-        """End the subscriptions of viewers that have left."""
         for goal in [goal for goal in self._goals if goal.sender_left]:
             goal.cancel()
         for name, topic in list(self._topics.items()):
@@ -262,4 +247,4 @@ class TransformRepublisher:
                 self._graph.unadvertise(self._node, name)
                 del self._topics[name]
             if topic.subscribers > before:
-                topic.subscription.send_all_again()
+                topic.sent.clear()

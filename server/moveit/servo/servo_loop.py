@@ -149,7 +149,6 @@ def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Posi
 
 
 def _with_clearance(limits: ServoLimits, clearance_m: float) -> ServoLimits:
-    """Return the limits with greater distances, where there are any."""
     own_m, scene_m = limits.self_distance_m, limits.scene_distance_m
     return replace(
         limits,

@@ -7,7 +7,6 @@ import logging
 import math
 import time
 from collections.abc import Callable, Container
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -127,14 +126,6 @@ class StatusPublisher:
             log.warning("servo: %s", message)
 
 
-@dataclass(frozen=True)
-class CommandRejection:
-    """Reason for not following a command; ``from_owner`` is true if it is from the client in control."""
-
-    message: str
-    from_owner: bool = True
-
-
 class CommandGate:
     """Gate for commands: it lets commands of the client in control pass, of the selected type, while the arm is free.
 
@@ -144,6 +135,7 @@ class CommandGate:
         arm: the arm, whose stops release a held stick.
 
     Attributes:
+        owner: the client in control, until it leaves or sends no more commands.
         paused: true while all commands are rejected.
     """
 
@@ -151,8 +143,7 @@ class CommandGate:
         self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: AnyArm
     ) -> None:
         self._present = present
-        # The client in control, until it leaves or sends no more commands.
-        self._owner: object = None
+        self.owner: object = None
         self._timeout_s = timeout_s
         self._busy = busy
         self._arm = arm
@@ -160,6 +151,7 @@ class CommandGate:
         self._heard_epoch = 0
         # Stop epoch of the last press of each client that announces its presses.
         self._presses: dict[object, int] = {}
+        self._timeouts_s: dict[object, float] = {}
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
@@ -169,16 +161,25 @@ class CommandGate:
         """Reject other types of commands, until the client in control gives it up."""
         self._selected = kind
 
-    def press(self, client: object, present: Container[object]) -> None:
+    def press(self, client: object, timeout_s: float, present: Container[object]) -> None:
         """Take the announcement of a press: from now on a release of this client's stick is followed by another press.
 
         Silence alone is no release then. The commands of a client whose process or network stood still have a gap too.
 
         Args:
+            timeout_s: time after which this client's commands expire, at most the timeout of all [s].
             present: every client that announces presses and is still connected.
         """
+        if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:
+            text = f"{TIMEOUT_TOPIC}: data must be at least {LEAST_TIMEOUT_S:g} s, not {timeout_s:g}"
+            raise invalid(text, field="data")
         self._presses = {each: epoch for each, epoch in self._presses.items() if each in present}
-        self._presses[client] = arrival_epoch()
+        self._timeouts_s = {each: chosen_s for each, chosen_s in self._timeouts_s.items() if each in present}
+        self._presses[client], self._timeouts_s[client] = arrival_epoch(), timeout_s
+
+    def timeout_s(self, client: object) -> float:
+        """Return the time after which a client's commands expire [s]."""
+        return min(self._timeouts_s.get(client, self._timeout_s), self._timeout_s)
 
     def interrupt(self, reason: str) -> None:
         """Reject all commands until the stick is released: the arm was stopped from elsewhere."""
@@ -191,15 +192,15 @@ class CommandGate:
         self._heard_epoch = arrival_epoch()
         self._presses = dict.fromkeys(self._presses, self._heard_epoch)
 
-    def rejection(self, client: object, kind: CommandType, now_s: float) -> CommandRejection | None:
-        """Check a command; None if it is to be followed."""
-        left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self._owner)
-        if self._owner is not None and left:
+    def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
+        """Return the reason for not following a command; empty if it is to be followed."""
+        left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
+        if self.owner is not None and left:
             # The selection of a client ends with its control.
-            self._owner, self._selected, self._heard_s = None, None, -float("inf")
-        if self._owner not in (None, client):
-            return CommandRejection(f"{client} cannot steer the arm: {self._owner} does", from_owner=False)
-        self._owner = client
+            self.owner, self._selected, self._heard_s = None, None, -float("inf")
+        if self.owner not in (None, client):
+            return f"{client} cannot steer the arm: {self.owner} does"
+        self.owner = client
         silence_s, self._heard_s = now_s - self._heard_s, now_s
         stopped, last_stop = is_stopped(self._arm.last_stop), self._arm.last_stop
         pressed = not is_stopped(last_stop, self._presses.get(client))
@@ -208,10 +209,6 @@ class CommandGate:
         elif stopped or is_stopped(last_stop, self._heard_epoch):
             self._interrupted = "the arm was stopped"
         self._heard_epoch = arrival_epoch()
-        message = self._reason(client, kind)
-        return CommandRejection(message) if message else None
-
-    def _reason(self, client: object, kind: CommandType) -> str:
         if self.paused:
             return "servo is paused: unpause it by the service /servo_node/pause_servo or start_servo"
         if self._selected is not None and kind is not self._selected:
@@ -220,30 +217,6 @@ class CommandGate:
             then = f", then publish {TIMEOUT_TOPIC} again," if client in self._presses else ""
             return f"{self._interrupted}; let go for {self._timeout_s:g} s{then} to steer again"
         return self._busy()
-
-
-class CommandTimeouts:
-    """Times after which commands expire, chosen by clients for their own commands, until they leave."""
-
-    def __init__(self, longest_s: float) -> None:
-        self._longest_s = longest_s
-        self._chosen_s: dict[object, float] = {}
-
-    def choose(self, client: object, timeout_s: float, present: Container[object]) -> None:
-        """Set the timeout of a client, and forget the timeouts of clients that have left.
-
-        Args:
-            present: every client that has a choice and is still connected.
-        """
-        if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:
-            text = f"{TIMEOUT_TOPIC}: data must be at least {LEAST_TIMEOUT_S:g} s, not {timeout_s:g}"
-            raise invalid(text, field="data")
-        self._chosen_s = {each: chosen_s for each, chosen_s in self._chosen_s.items() if each in present}
-        self._chosen_s[client] = timeout_s
-
-    def timeout_s(self, client: object) -> float:
-        """Return the time after which a client's commands expire [s]."""
-        return min(self._chosen_s.get(client, self._longest_s), self._longest_s)
 
 
 def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
@@ -283,7 +256,6 @@ class ServoNode:
         self._resolve = planning.frames.resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
-        self._timeouts = CommandTimeouts(setup.timeout_s)
         self._gate = CommandGate(self._present, setup.timeout_s, unavailable, arm)
         self._session = ServoSession(
             arm,
@@ -307,18 +279,17 @@ class ServoNode:
         topic, type_name = _TOPICS[kind]
 
         def deliver(published: PublishedMessage) -> None:
-            rejection = self._gate.rejection(published.publisher, kind, time.monotonic())
-            if rejection is None:
-                follow(published.publisher, published.msg)
-            elif rejection.from_owner:
-                self._status.publish(ServoStatus.INVALID, rejection.message)
-            elif rejection.message != self._logged:
-                self._logged = rejection.message
-                log.warning("servo: %s", rejection.message)
-
-        def follow(client: object, message: Message) -> None:
+            client = published.publisher
+            rejection = self._gate.rejection(client, kind, time.monotonic())
+            if rejection and self._gate.owner is not client:
+                if rejection != self._logged:
+                    self._logged = rejection
+                    log.warning("servo: %s", rejection)
+                return
             try:
-                self._session.set_command(self._read(kind, message), self._timeouts.timeout_s(client))
+                if rejection:
+                    raise invalid(rejection)
+                self._session.set_command(self._read(kind, published.msg), self._gate.timeout_s(client))
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 
@@ -331,8 +302,7 @@ class ServoNode:
         def deliver(published: PublishedMessage) -> None:
             try:
                 present = self._graph.publishers(TIMEOUT_TOPIC)
-                self._timeouts.choose(published.publisher, float(published.msg["data"]), present)
-                self._gate.press(published.publisher, present)
+                self._gate.press(published.publisher, float(published.msg["data"]), present)
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 

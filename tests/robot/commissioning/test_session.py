@@ -298,9 +298,7 @@ def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_st
         (MAX_TICK + 800, "no stops within a turn"),
     ],
 )
-def test_a_joint_that_hardly_moved_or_turned_round_is_refused_with_the_reason(
-    width, reason, lower_stop, offset, start_share
-):
+def test_a_joint_that_hardly_moved_or_turned_round_is_refused(width, reason, lower_stop, offset, start_share):
     sweep = swept((lower_stop, lower_stop + width), offset, start_share)
     with pytest.raises(CalibrationError, match=reason):
         place(ELBOW, sweep, offset, recentre=True)

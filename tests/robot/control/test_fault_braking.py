@@ -83,9 +83,7 @@ def moving_into_fault(code: FaultCode, command: dict[str, object]) -> Moving:
         (FaultCode.TORQUE_LOST, {"torque_off": [3]}),
     ],
 )
-def test_a_fault_that_leaves_positions_known_brakes_within_the_limits(
-    code: FaultCode, command: dict[str, object]
-) -> None:
+def test_a_fault_with_known_positions_brakes_within_the_limits(code: FaultCode, command: dict[str, object]) -> None:
     moving = moving_into_fault(code, command)
     moving.run(1.0)
     assert moving.accelerations().max() <= TOLERANCE

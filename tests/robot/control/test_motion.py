@@ -70,9 +70,7 @@ def test_a_stop_stays_on_the_path_and_within_the_acceleration_limits(stop_after_
 @settings(max_examples=50)
 @example([(0.75, 15), (-1.0, 4), (1.0, 3)], 1.5)
 @given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 80)), min_size=1, max_size=8), st.floats(1.3, 4.0))
-def test_at_any_pace_the_arm_stays_on_the_path_and_within_the_acceleration_limits(
-    paces: list[tuple[float, int]], duration_s: float
-) -> None:
+def test_at_any_pace_the_arm_stays_on_the_path_within_limits(paces: list[tuple[float, int]], duration_s: float) -> None:
     playback = Playback(smooth_move(MOVES, duration_s), MAX_ACCELERATION)
     goals = [playback.advance(0.0)]
     for pace, ticks in paces:

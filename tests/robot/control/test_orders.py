@@ -172,9 +172,7 @@ def test_a_gripper_of_lerobot_squeezes_for_long_without_an_overload(emulator: St
     assert abs(rig.state.load[5]) > 0.1
 
 
-def test_a_gripper_of_lerobot_that_is_kept_from_its_goal_is_relieved_before_an_overload(
-    emulator: SteppedEmulator,
-) -> None:
+def test_a_gripper_of_lerobot_kept_from_its_goal_is_relieved_before_an_overload(emulator: SteppedEmulator) -> None:
     # So near to the goal that the gripper counts as being there, and pushes on.
     rig = after_squeezing(emulator, 0.9, 0.81, gripping=False)
     assert rig.ended[-1].outcome is Outcome.REACHED
@@ -217,9 +215,7 @@ def held_by(rig: ArmRig) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(rig.bus.read(servo, register) for register in CALIBRATED) for servo in IDS)
 
 
-def test_an_arm_with_a_new_calibration_in_its_servos_is_not_enabled_before_the_old_one_is_written_back(
-    rig: ArmRig,
-) -> None:
+def test_an_arm_with_a_new_calibration_is_not_enabled_before_the_old_one_is_written_back(rig: ArmRig) -> None:
     assert rig.order(Order.WRITE_CALIBRATION, other_elbow()).done
     assert not rig.order(Order.ENABLE).done
     rig.run(0.5)
@@ -235,9 +231,7 @@ def test_an_arm_with_a_new_calibration_in_its_servos_is_not_enabled_before_the_o
     assert rig.order(Order.ENABLE).done
 
 
-def test_an_arm_that_was_written_to_is_not_enabled_before_every_servo_was_read(
-    emulator: SteppedEmulator, rig: ArmRig
-) -> None:
+def test_an_arm_written_to_is_not_enabled_before_every_servo_was_read(emulator: SteppedEmulator, rig: ArmRig) -> None:
     rig.order(Order.WRITE_CALIBRATION, other_elbow())
     emulator.command(offline=[5])
     rig.run(3.0)

@@ -147,9 +147,7 @@ def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
     ],
     ids=["another scene", "a hurry", "a stop"],
 )
-def test_what_ends_parking_relaxes_the_arm_with_the_reason(
-    rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str
-) -> None:
+def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str) -> None:
     rig.supervisor.handle(Shutdown())
     rig.run(0.5)
     rig.supervisor.handle(message)

@@ -105,9 +105,7 @@ def test_an_arm_is_checked_then_switched_on_or_stays_relaxed_until_it_may_be(sta
     assert rig.mode is Mode.HOLDING
 
 
-def test_an_arm_with_a_missing_servo_reports_it_and_comes_up_when_it_is_there(
-    emulator: SteppedEmulator, start_rig: Start
-) -> None:
+def test_an_arm_reports_a_missing_servo_and_comes_up_with_it(emulator: SteppedEmulator, start_rig: Start) -> None:
     emulator.command(offline=[3])
     rig = start_rig()
     rig.until(lambda: any("elbow_flex (id 3)" in getattr(each, "reason", "") for each in rig.sent))
@@ -252,9 +250,7 @@ def seconds_until_stopped(rig: ArmRig) -> float:
     ],
     ids=["real", "emulated", "ideal", "longer"],
 )
-def test_an_arm_waits_for_its_server_as_long_as_configured_and_a_simulated_one_five_seconds_at_least(
-    start_rig: Start, settings: dict[str, Any], waits_s: float
-) -> None:
+def test_an_arm_waits_for_its_server_as_configured(start_rig: Start, settings: dict[str, Any], waits_s: float) -> None:
     assert seconds_until_stopped(start_rig(**settings)) == pytest.approx(waits_s, abs=0.3)
 
 
@@ -292,9 +288,7 @@ def test_the_log_line_about_a_silence_has_the_arms_reaction(
     assert line.endswith(words)
 
 
-def test_the_log_line_about_a_lost_server_names_the_arms_reaction(
-    moving: ArmRig, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_log_names_the_reaction_to_a_lost_server(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
     moving.supervisor.lose_server()
     assert "the server is gone: stopping" in caplog.text
     moving.until(lambda: moving.supervisor.finished())
@@ -302,9 +296,7 @@ def test_the_log_line_about_a_lost_server_names_the_arms_reaction(
 
 
 @pytest.mark.parametrize("hardware", SIMULATED)
-def test_a_simulated_arm_at_rest_can_spare_a_tick_until_a_motion_or_an_order(
-    start_rig: Start, hardware: HardwareConfig
-) -> None:
+def test_a_simulated_arm_at_rest_can_spare_a_tick(start_rig: Start, hardware: HardwareConfig) -> None:
     rig = start_rig(hardware=hardware)
     assert rig.supervisor.spare_ticks == 0
     rig.until_mode(Mode.HOLDING)
@@ -333,9 +325,7 @@ def at_rest_unseen(start_rig: Start, hardware: HardwareConfig, **config: Any) ->
 
 
 @pytest.mark.parametrize("hardware", SIMULATED)
-def test_a_simulated_arm_at_rest_that_nobody_sees_can_spare_four_ticks_of_five(
-    start_rig: Start, hardware: HardwareConfig
-) -> None:
+def test_a_simulated_arm_that_nobody_sees_can_spare_four_ticks(start_rig: Start, hardware: HardwareConfig) -> None:
     rig = at_rest_unseen(start_rig, hardware)
     assert rig.supervisor.spare_ticks == 4
     rig.execute(PAN)
@@ -430,9 +420,7 @@ def given_up(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> str:
     return line
 
 
-def test_an_arm_that_is_not_in_its_end_state_in_time_reports_where_torque_is_on(
-    start_rig: Start, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_arm_late_in_its_end_state_reports_torque(start_rig: Start, caplog: pytest.LogCaptureFixture) -> None:
     rig = start_rig(on_exit=EndState.RELAX)
     rig.until_mode(Mode.HOLDING)
     rig.bus.write(2, Register.TORQUE_ENABLE, 0)
@@ -519,9 +507,7 @@ def test_health_is_reported_once_a_second_with_the_limits_in_force(rig: ArmRig) 
     assert health.bus.replies > 600
 
 
-def test_an_arm_with_adopted_servos_only_in_part_is_a_fault_after_a_reconnect(
-    emulator: SteppedEmulator, rig: ArmRig
-) -> None:
+def test_an_arm_adopted_only_in_part_is_a_fault_after_a_reconnect(emulator: SteppedEmulator, rig: ArmRig) -> None:
     rig.supervisor.disconnect("serial port was lost")
     emulator.command(power_cycle=[5])
     rig.connect()

@@ -15,7 +15,7 @@ from robot.calibration import Calibration
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import END_STOP_MARGIN_RAD, FASTEST_TICKS_S, within_calibration
-from robot.description.mesh_files import find_mesh, package_path, with_mesh_paths
+from robot.description.urdf import find_mesh, package_path, with_mesh_paths
 from robot.errors import DescriptionError
 from tests.helpers.resources import shared_data
 from tests.helpers.robots import nominal_calibration, so101
@@ -215,9 +215,7 @@ def test_limits_never_exceed_the_urdf_nor_the_calibrated_range_less_the_margin()
     assert joint.upper == pytest.approx(short.upper_rad - END_STOP_MARGIN_RAD)
 
 
-def test_a_velocity_limit_above_what_a_servo_follows_is_narrowed_with_one_line_of_the_log(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_velocity_limit_above_the_servos_is_narrowed_with_one_log_line(caplog: pytest.LogCaptureFixture) -> None:
     robot = so101()
     joints = {**robot.joints, "wrist_flex": replace(robot.joints["wrist_flex"], max_velocity=4.0)}
     narrowed = within_calibration(replace(robot, joints=joints), nominal_calibration())
@@ -275,9 +273,7 @@ def test_a_relative_name_is_sought_beside_the_urdf_and_a_url_or_an_absolute_path
 URL = "package://arm_description/meshes/b.stl"
 
 
-def test_a_package_is_found_around_its_own_urdf_beside_that_of_another_and_in_folders_given(
-    package: Path, tmp_path: Path
-) -> None:
+def test_a_package_is_found_around_its_urdf_beside_another_and_in_folders_given(package: Path, tmp_path: Path) -> None:
     other, elsewhere = package.parent / "cell_description" / "urdf", tmp_path / "elsewhere"
     other.mkdir(parents=True)
     for beside, given in (

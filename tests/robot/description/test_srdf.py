@@ -63,9 +63,7 @@ def refusal(inner: str) -> str:
     ],
     ids=["joints", "links", "the root link brings none", "several chains", "a chain and its own joints"],
 )
-def test_a_group_has_its_joints_from_the_root_on_and_ends_at_the_last_link(
-    inner: str, joints: tuple[str, ...], tip: str
-) -> None:
+def test_a_group_has_its_joints_from_the_root_to_the_last_link(inner: str, joints: tuple[str, ...], tip: str) -> None:
     group = read(f'<group name="g">{inner}</group>').groups["g"]
     assert (group.joints, group.tip_link) == (joints, tip)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.adapter import MAX_WAITING_BYTES
+from robot.emulator.arm import MAX_WAITING_BYTES
 from robot.errors import NoReply
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
 from robot.hardware.port import LOCAL_LATENCY_S

@@ -116,9 +116,7 @@ def lost_replies(source: EmulatedArm[Any], clock: SteppedClock) -> list[int]:
 
 
 @OF_BOTH_FAMILIES
-def test_replies_are_lost_or_damaged_as_often_as_configured_and_the_same_way_for_the_same_seed(
-    arm: Arm, clock: SteppedClock
-) -> None:
+def test_replies_are_lost_or_damaged_as_configured_and_alike_for_a_seed(arm: Arm, clock: SteppedClock) -> None:
     assert sum(lost_replies(arm.start(clock), clock)) == 0
     assert 10 < sum(lost_replies(arm.start(clock, corrupt=0.1), clock)) < 60
     first, again, other = (lost_replies(arm.start(clock, drop=0.1, seed=seed), clock) for seed in (3, 3, 4))

@@ -161,9 +161,7 @@ def test_torque_and_goal_of_a_servo_after_commands(command, servo, commands, tor
 
 
 @pytest.mark.parametrize(("name", "offset", "at", "goal"), [("obstacle", -40, 2100, 2400), ("hand", 40, 1900, 2048)])
-def test_an_obstacle_or_a_hand_is_at_a_tick_of_the_present_position_until_it_ends(
-    command, servo, name, offset, at, goal
-):
+def test_an_obstacle_or_a_hand_is_at_a_present_position_until_it_ends(command, servo, name, offset, at, goal):
     servo.write(Register.HOMING_OFFSET, encode(Register.HOMING_OFFSET, offset))
     command(**{name: {"3": at}})
     servo.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, goal))

@@ -16,7 +16,7 @@ import serial
 
 from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator.__main__ import main
-from robot.emulator.adapter import InProcessPort
+from robot.emulator.arm import InProcessPort
 from robot.emulator.control import Emulation, LiveCommand, answer, check
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.process import (

@@ -77,9 +77,7 @@ def wire(family: Family) -> Wire:
 
 @OF_BOTH_FAMILIES
 @given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=60))
-def test_any_instruction_is_carried_out_without_an_exception(
-    family: Family, servo_id: int, code: int, parameters: bytes
-) -> None:
+def test_any_instruction_raises_no_exception(family: Family, servo_id: int, code: int, parameters: bytes) -> None:
     Wire(family).ask(servo_id, code, parameters)
 
 
@@ -211,9 +209,7 @@ def bytes_of(family: Family, instruction: Instruction) -> bytes:
 
 @OF_BOTH_FAMILIES
 @given(st.lists(INSTRUCTIONS, max_size=4), st.lists(st.integers(1, 40), max_size=20))
-def test_instructions_are_the_same_however_their_bytes_are_cut(
-    family: Family, instructions: list[Instruction], cuts: list[int]
-) -> None:
+def test_instructions_may_come_in_pieces(family: Family, instructions: list[Instruction], cuts: list[int]) -> None:
     stream = b"".join(bytes_of(family, instruction) for instruction in instructions)
     parser, parsed = InstructionParser(family.codec), []
     for count in [*cuts, len(stream)]:

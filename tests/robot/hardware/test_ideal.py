@@ -106,9 +106,7 @@ def test_readings_are_fresh_complain_of_nothing_and_hold_no_number_for_what_the_
 
 
 @pytest.mark.parametrize(("driven", "goal_rad"), [(True, [0.0, 0.3, 0.4]), (False, [math.nan] * 3)])
-def test_a_survey_finds_an_arm_that_holds_at_its_goals_and_a_relaxed_one_without(
-    driven: bool, goal_rad: list[float]
-) -> None:
+def test_a_survey_finds_an_arm_that_holds_with_goals_or_relaxed_without(driven: bool, goal_rad: list[float]) -> None:
     found = run_to_end(IdealRig(start_rad={"shoulder": 0.3}, driven=driven).arm.survey())
     assert found.driven.tolist() == [driven] * 3
     assert found.goal_rad == pytest.approx(goal_rad, nan_ok=True)

@@ -231,9 +231,7 @@ def test_one_known_board_is_found_among_other_devices(plugged_in: list[ListPortI
 
 
 @pytest.mark.parametrize("other", LESS_CERTAIN, ids=usb_id_text)
-def test_a_board_of_servo_arms_comes_before_a_chip_that_other_devices_have(
-    plugged_in: list[ListPortInfo], other: tuple[int, int]
-) -> None:
+def test_a_board_of_servo_arms_comes_before_other_chips(plugged_in: list[ListPortInfo], other: tuple[int, int]) -> None:
     plugged_in += [device("/dev/ttyACM0", other), device("/dev/ttyACM1", CERTAIN[0])]
     assert resolve_port("auto") == "/dev/ttyACM1"
 
@@ -264,9 +262,7 @@ def test_two_boards_are_refused_with_both_names_and_serial_numbers(
     assert f"name one, as in --serial {names}/usb-arm-0" in str(refused.value)
 
 
-def test_two_boards_without_serial_numbers_are_told_apart_by_their_sockets(
-    plugged_in: list[ListPortInfo], tmp_path: Path
-) -> None:
+def test_two_boards_without_serial_numbers_differ_by_sockets(plugged_in: list[ListPortInfo], tmp_path: Path) -> None:
     by_device, by_socket = tmp_path / "NAMES_BY_DEVICE", tmp_path / "NAMES_BY_SOCKET"
     by_device.mkdir()
     by_socket.mkdir()

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from typing import Any
 
 import pytest
@@ -85,23 +85,6 @@ async def desk() -> AsyncIterator[Desk]:
     await made.queue.close(0.1)
 
 
-async def desk_of(policy: GoalPolicy, *requests: str) -> Desk:
-    made = Desk(policy)
-    await made.submit(*requests)
-    return made
-
-
-async def test_goals_run_one_at_a_time_in_order_of_arrival(desk: Desk) -> None:
-    for name in "abc":
-        desk.queue.submit(GoalRequest("/goal", desk.move(name)))
-    for count in (1, 2, 3):
-        await settle()
-        assert len(desk.runner.asked) == count
-        await desk.finish()
-    assert desk.runner.asked == ["a", "b", "c"]
-    assert desk.codes() == [(str(number), MoveItErrorCode.SUCCESS) for number in (1, 2, 3)]
-
-
 async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:
     assert desk.queue.running() is None
     desk.queue.submit(GoalRequest("/goals", desk.move("first"), client="unity"))
@@ -114,50 +97,11 @@ async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_b
     assert desk.queue.running() == RunningGoal("goal 2 from /goals", None, 0)
 
 
-async def test_a_goal_over_the_capacity_is_rejected_with_the_limit(desk: Desk) -> None:
-    await desk.submit(*"xxxxx")
-    assert desk.codes() == [("5", MoveItErrorCode.FAILURE)]
-    assert desk.queue.waiting_count == 3
-    assert "3 goals are waiting" in desk.answers[0][1].message
-
-
 async def test_a_rejected_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
     await desk.submit("a")
     goal = desk.queue.reject(GoalRequest("/goal"), PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
     assert desk.codes() == [(goal.goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
     assert desk.runner.asked == ["a"]
-
-
-async def test_stop_answers_the_active_goal_and_all_that_wait(desk: Desk) -> None:
-    await desk.submit(*"xxx")
-    desk.queue.stop("stopped by a test")
-    await settle()
-    assert sorted(desk.codes()) == [(str(number), MoveItErrorCode.PREEMPTED) for number in (1, 2, 3)]
-    assert all("stopped by a test" in answer.message for _, answer in desk.answers)
-    assert desk.runner.asked == ["x"]
-
-
-async def test_the_queue_works_on_after_a_stop(desk: Desk) -> None:
-    await desk.submit("a")
-    desk.queue.stop("stopped")
-    await desk.submit("b")
-    await desk.finish()
-    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED), ("2", MoveItErrorCode.SUCCESS)]
-
-
-async def test_policy_reject_rejects_goals_while_one_is_active() -> None:
-    desk = await desk_of(GoalPolicy.REJECT, "a", "b")
-    assert desk.codes() == [("2", MoveItErrorCode.FAILURE)]
-    assert "goal 1" in desk.answers[0][1].message
-    await desk.queue.close(0.1)
-
-
-async def test_policy_preempt_ends_the_active_goal_and_runs_the_new_one() -> None:
-    desk = await desk_of(GoalPolicy.PREEMPT, "a", "b")
-    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
-    assert "preempted by goal 2 from /goal" in desk.answers[0][1].message
-    assert desk.runner.asked == ["a", "b"]
-    await desk.queue.close(0.1)
 
 
 async def test_a_bug_in_the_runner_costs_its_goal_only(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
@@ -167,12 +111,6 @@ async def test_a_bug_in_the_runner_costs_its_goal_only(desk: Desk, caplog: pytes
     assert desk.codes() == [("1", MoveItErrorCode.FAILURE), ("2", MoveItErrorCode.SUCCESS)]
     assert "broken" in desk.answers[0][1].message
     assert "goal 1" in caplog.text
-
-
-async def test_closing_answers_every_goal() -> None:
-    desk = await desk_of(GoalPolicy.QUEUE, "a", "b")
-    await desk.queue.close(1.0)
-    assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("2", MoveItErrorCode.PREEMPTED)]
 
 
 class DeafRunner(ScriptedRunner):
@@ -199,20 +137,6 @@ async def test_closing_that_is_cut_short_answers_the_active_goal() -> None:
     await asyncio.wait([closing])
     await settle()
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
-
-
-async def test_a_waiting_goal_reports_how_many_are_ahead(desk: Desk) -> None:
-    await desk.submit("a")
-    desk.queue.submit(GoalRequest("/goal", desk.move("b")))
-    assert desk.states == [("1", GoalState.QUEUED), ("1", GoalState.PLANNING), ("2", GoalState.QUEUED)]
-
-
-@pytest.mark.parametrize("number", ["1", "2"], ids=["in hand", "waiting"])
-async def test_a_cancelled_goal_is_answered_and_the_other_is_not(desk: Desk, number: str) -> None:
-    await desk.submit(*"ab")
-    desk.queue.cancel(number, "cancelled")
-    await settle()
-    assert desk.codes() == [(number, MoveItErrorCode.PREEMPTED)]
 
 
 async def test_a_bug_in_a_listener_costs_no_other_goal(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
@@ -247,11 +171,6 @@ class TwoArms:
     def of(self, name: str) -> ScriptedRunner:
         return self.runners[frozenset(name.split())]
 
-    @property
-    def started(self) -> set[str]:
-        """The goals that were begun."""
-        return {str(motion) for runner in self.runners.values() for motion in runner.asked}
-
 
 class ArmsDesk(Desk):
     """A queue of two arms, and all that it told."""
@@ -265,65 +184,130 @@ class ArmsDesk(Desk):
         self.queue.start()
 
 
-async def test_a_goal_of_both_arms_waits_for_each() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right", "left right")
-    desk.arms.of("left").finish()
-    await settle()
-    assert desk.arms.started == {"left", "right"}
-    desk.arms.of("right").finish()
-    await settle()
-    assert desk.arms.started == {"left", "right", "left right"}
+def submit(*requests: str, policy: GoalPolicy | None = None) -> Callable[[ArmsDesk], Awaitable[None]]:
+    async def act(desk: ArmsDesk) -> None:
+        for request in requests:
+            desk.queue.submit(GoalRequest("/goal", desk.move(request), policy=policy))
+            await settle()
+
+    return act
 
 
-async def test_no_goal_overtakes_one_that_waits_for_the_same_joints() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "left right", "right")
-    assert desk.arms.started == {"left"}
-    desk.arms.of("left").finish()
-    await settle()
-    assert desk.arms.started == {"left", "left right"}
+def finish(*names: str) -> Callable[[ArmsDesk], Awaitable[None]]:
+    async def act(desk: ArmsDesk) -> None:
+        for name in names:
+            desk.arms.of(name).finish()
+            await settle()
+
+    return act
 
 
-async def test_a_goal_preempts_only_goals_of_its_joints() -> None:
-    desk = ArmsDesk(GoalPolicy.PREEMPT)
-    await desk.submit("left", "right", "left")
-    assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
-    assert desk.queue.active_count == 2
+def end(act: Callable[[GoalQueue], object]) -> Callable[[ArmsDesk], Awaitable[None]]:
+    async def ended(desk: ArmsDesk) -> None:
+        act(desk.queue)
+        await settle()
+
+    return ended
 
 
-async def test_a_goal_is_rejected_only_for_a_goal_of_its_joints() -> None:
-    desk = ArmsDesk(GoalPolicy.REJECT)
-    await desk.submit("left", "right", "right")
-    assert desk.codes() == [("3", MoveItErrorCode.FAILURE)]
-    assert "goal 2" in desk.answers[0][1].message
+QUEUE, REJECT, PREEMPT = GoalPolicy
+DONE, FAILED, ENDED = MoveItErrorCode.SUCCESS, MoveItErrorCode.FAILURE, MoveItErrorCode.PREEMPTED
+# Policy, what is done, the codes by number of the goal, the motions that were begun, and words of the first answer.
+COURSES: dict[str, tuple[GoalPolicy, list[Callable[[ArmsDesk], Awaitable[None]]], dict[str, Any], list[str], str]] = {
+    "goals of a joint run one after the other": (QUEUE, [submit("left", "left", "left")], {}, ["left"], ""),
+    "in order of arrival": (
+        QUEUE,
+        [submit("left", "left"), finish("left", "left")],
+        {"1": DONE, "2": DONE},
+        ["left", "left"],
+        "the arm is there",
+    ),
+    "the capacity is a limit": (QUEUE, [submit(*["left"] * 5)], {"5": FAILED}, ["left"], "3 goals are waiting"),
+    "reject": (REJECT, [submit("left", "right", "right")], {"3": FAILED}, ["left", "right"], "goal 2"),
+    "preempt": (
+        PREEMPT,
+        [submit("left", "right", "left")],
+        {"1": ENDED},
+        ["left", "left", "right"],
+        "preempted by goal 3 from /goal",
+    ),
+    "preempt goals that wait": (
+        QUEUE,
+        [submit("left", "right", "left", "right"), submit("left", policy=PREEMPT)],
+        {"1": ENDED, "3": ENDED},
+        ["left", "left", "right"],
+        "preempted by goal 5",
+    ),
+    "cancel one that is active": (
+        QUEUE,
+        [submit("left", "left"), end(lambda queue: queue.cancel("1", "enough"))],
+        {"1": ENDED},
+        ["left", "left"],
+        "enough",
+    ),
+    "cancel one that waits": (
+        QUEUE,
+        [submit("left", "left"), end(lambda queue: queue.cancel("2", "enough"))],
+        {"2": ENDED},
+        ["left"],
+        "enough",
+    ),
+    "cancel those of some joints": (
+        QUEUE,
+        [submit("left", "right", "left"), end(lambda queue: queue.cancel_all("enough", ["left"]))],
+        {"1": ENDED, "3": ENDED},
+        ["left", "right"],
+        "enough",
+    ),
+    "a stop, and what comes after it": (
+        QUEUE,
+        [submit("left", "right", "left right"), end(lambda queue: queue.stop("stopped")), submit("left")],
+        {"1": ENDED, "2": ENDED, "3": ENDED},
+        ["left", "left", "right"],
+        "stopped",
+    ),
+    "a goal of both arms waits for each": (
+        QUEUE,
+        [submit("left", "right", "left right"), finish("left")],
+        {"1": DONE},
+        ["left", "right"],
+        "",
+    ),
+    "and begins after them": (
+        QUEUE,
+        [submit("left", "right", "left right"), finish("left", "right")],
+        {"1": DONE, "2": DONE},
+        ["left", "left right", "right"],
+        "",
+    ),
+    "no goal overtakes one that waits": (QUEUE, [submit("left", "left right", "right")], {}, ["left"], ""),
+    "closing answers all": (
+        QUEUE,
+        [submit("left", "left"), lambda desk: desk.queue.close(1.0)],
+        {"1": ENDED, "2": ENDED},
+        ["left"],
+        "the server is shutting down",
+    ),
+}
 
 
-async def test_a_stop_ends_the_goals_of_all_joints() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right", "left right")
-    desk.queue.stop("stopped by a test")
-    await settle()
-    assert sorted(desk.codes()) == [(str(number), MoveItErrorCode.PREEMPTED) for number in (1, 2, 3)]
-    assert desk.arms.stopped == [None]
-
-
-async def test_the_goals_of_some_joints_are_cancelled_alone() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right", "left")
-    desk.queue.cancel_all("enough", ["left"])
-    await settle()
-    assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
-    assert desk.queue.active_count == 1
-
-
-async def test_a_goal_preempts_waiting_goals_of_its_joints_alone() -> None:
-    desk = ArmsDesk()
-    await desk.submit("left", "right", "left", "right")
-    desk.queue.submit(GoalRequest("/goal", desk.move("left"), policy=GoalPolicy.PREEMPT))
-    await settle()
-    assert sorted(desk.codes()) == [("1", MoveItErrorCode.PREEMPTED), ("3", MoveItErrorCode.PREEMPTED)]
-    assert desk.queue.waiting_count == 1
+@pytest.mark.parametrize(("policy", "acts", "codes", "begun", "words"), COURSES.values(), ids=COURSES.keys())
+async def test_goals_take_their_course(
+    policy: GoalPolicy,
+    acts: list[Callable[[ArmsDesk], Awaitable[None]]],
+    codes: dict[str, MoveItErrorCode],
+    begun: list[str],
+    words: str,
+) -> None:
+    desk = ArmsDesk(policy)
+    for act in acts:
+        await act(desk)
+    assert dict(sorted(desk.codes())) == codes
+    assert len(desk.answers) == len(codes)
+    assert sorted(str(motion) for runner in desk.arms.runners.values() for motion in runner.asked) == begun
+    assert all(words in answer.message for _, answer in desk.answers)
+    assert desk.arms.stopped == [None] * ("stopped" in words or "shutting" in words)
+    assert desk.states[0] == ("1", GoalState.QUEUED)
 
 
 def move(runner: ScriptedRunner, left_s: float = 3.0) -> None:

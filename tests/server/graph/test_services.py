@@ -141,7 +141,7 @@ def test_a_call_that_has_ended_leaves_nothing_behind(services: Services, clock: 
     ask(services)
     provider.calls[0].succeed(ON)
     assert clock.waiting == 0
-    assert not services._offers.get("/switch").calls
+    assert not services._offers["/switch"].requests
 
 
 def test_the_calls_of_a_caller_that_leaves_end_for_their_provider(services: Services, clock: FakeClock) -> None:

@@ -36,9 +36,8 @@ from robot.hardware.dynamixel.registers import (
 )
 from robot.hardware.interface import StatusFlag, run_to_end
 from robot.hardware.servos.bus import write_verified
-from robot.hardware.servos.family import ServoFound
+from robot.hardware.servos.family import ServoFound, ServoMap
 from robot.hardware.servos.hardware import CYCLES_BETWEEN, TELEMETRY_EVERY
-from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
 from robot.hardware.servos.torque import TORQUE_ON_WITHIN_TICKS, ServoTorque
 from robot.messages import Mode, Order
@@ -91,9 +90,7 @@ def test_a_servo_whose_model_nobody_knows_is_refused(dynamixels: SteppedDynamixe
 
 
 @pytest.mark.parametrize(("servo", "mode"), [(1, 1), (1, 5), (3, 0), (3, 16)])
-def test_a_servo_that_does_not_follow_positions_is_refused(
-    dynamixels: SteppedDynamixels, servo: int, mode: int
-) -> None:
+def test_a_servo_not_following_positions_is_refused(dynamixels: SteppedDynamixels, servo: int, mode: int) -> None:
     set_register(dynamixels, servo, Register.OPERATING_MODE, mode)
     with pytest.raises(StartupError, match=rf"operating mode {mode}.*OPERATING_MODE \(11\) to 4"):
         surveyed(dynamixels)
@@ -107,9 +104,7 @@ def test_a_servo_that_ignores_its_homing_offset_is_refused(dynamixels: SteppedDy
 
 
 @pytest.mark.parametrize("drive_mode", [1, 4, 8])
-def test_a_drive_mode_that_changes_direction_profile_or_torque_is_refused(
-    dynamixels: SteppedDynamixels, drive_mode: int
-) -> None:
+def test_a_drive_mode_of_another_meaning_is_refused(dynamixels: SteppedDynamixels, drive_mode: int) -> None:
     set_register(dynamixels, 3, Register.DRIVE_MODE, drive_mode)
     with pytest.raises(StartupError, match=rf"drive mode {drive_mode}.*DRIVE_MODE \(10\) to 0"):
         surveyed(dynamixels)
@@ -155,9 +150,7 @@ def positions(dynamixels: SteppedDynamixels) -> list[float]:
     return [servo.plant.position_ticks for servo in dynamixels.servo_bus.servos]
 
 
-def test_a_servo_that_counts_turns_holds_where_it_is_and_goes_to_goals_in_its_turns(
-    dynamixels: SteppedDynamixels,
-) -> None:
+def test_a_servo_that_counts_turns_holds_and_goes_to_goals_in_its_turns(dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo(3)._turns_ticks += 2 * 4096
     before = positions(dynamixels)
     servos = DynamixelsInUse(dynamixels)
@@ -169,9 +162,7 @@ def test_a_servo_that_counts_turns_holds_where_it_is_and_goes_to_goals_in_its_tu
     assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
 
 
-def test_servos_that_hold_have_watchdog_and_profile_and_limits_of_duty_or_for_the_gripper_of_current(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
+def test_servos_that_hold_have_watchdog_profile_and_limits(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
     enable(torque, dynamixels)
     modes = dynamixels.registers(Register.OPERATING_MODE)
     assert modes == [OperatingMode.EXTENDED_POSITION] * 5 + [OperatingMode.CURRENT_BASED_POSITION]
@@ -200,9 +191,7 @@ def test_a_firmware_without_watchdog_is_driven_without(dynamixels: SteppedDynami
     assert [servos.hardware.check(0.0) for _ in range(12 * CYCLES_BETWEEN)] == [None] * 12 * CYCLES_BETWEEN
 
 
-def test_a_servo_that_its_watchdog_has_stopped_stays_where_it_stopped(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
+def test_a_servo_stopped_by_its_watchdog_stays_there(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
     enable(torque, dynamixels)
     servo = dynamixels.servo(5)
     servo.write(Register.PROFILE_VELOCITY, encode(Register.PROFILE_VELOCITY, 10))
@@ -219,9 +208,7 @@ def test_a_servo_that_its_watchdog_has_stopped_stays_where_it_stopped(
     assert servo.value(Register.BUS_WATCHDOG) == WATCHDOG
 
 
-def test_a_servo_that_does_not_come_back_from_its_reboot_is_named(
-    torque: ServoTorque, dynamixels: SteppedDynamixels
-) -> None:
+def test_a_servo_that_is_not_back_from_its_reboot_is_named(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
     dynamixels.servo_bus.faults.offline = {3}
     with pytest.raises(NoReply):
         run_to_end(torque.clear_error(3, hold=True), dynamixels.run)
@@ -270,9 +257,7 @@ def test_an_assumed_calibration_has_servos_without_homing_offsets(dynamixels: St
 
 
 @pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])
-def test_a_servo_that_has_protected_itself_is_a_fault_that_can_be_reset(
-    dynamixels: SteppedDynamixels, bits: int, code: FaultCode
-) -> None:
+def test_a_servo_that_protected_itself_is_reset(dynamixels: SteppedDynamixels, bits: int, code: FaultCode) -> None:
     rig = DynamixelRig(dynamixels)
     rig.until(lambda: rig.mode is Mode.HOLDING)
     rig.run(1.0)

@@ -20,9 +20,8 @@ from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech, differences
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, nearest_profile, profile_of
 from robot.hardware.feetech.registers import GOAL_ADDRESS, SETTINGS, Register, encode, goal_block
 from robot.hardware.interface import run_to_end
-from robot.hardware.servos.family import Limit, ServoFound
+from robot.hardware.servos.family import Limit, ServoFound, ServoMap
 from robot.hardware.servos.hardware import CYCLES_BETWEEN
-from robot.hardware.servos.servo_map import ServoMap
 from robot.hardware.servos.survey import survey
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
 from tests.helpers.emulator import SteppedEmulator
@@ -92,9 +91,7 @@ def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus)
         (Register.MAX_TORQUE, 300, ServoAlert.REGISTER, "30 % of its torque"),
     ],
 )
-def test_a_deviating_setting_is_a_warning(
-    bus: Bus, register: Register, value: int, alert: ServoAlert, words: str
-) -> None:
+def test_a_deviating_setting_is_told(bus: Bus, register: Register, value: int, alert: ServoAlert, words: str) -> None:
     bus.write(2, register, value)
     (warning,) = surveyed(bus)[2].warnings
     assert warning.alert is alert
@@ -161,9 +158,7 @@ def test_a_servo_that_would_clamp_its_goal_is_not_switched_on(emulator: SteppedE
     assert not run_to_end(FeetechsInUse(emulator).hardware.driven(), emulator.run).any()
 
 
-def test_an_arm_that_holds_is_adopted_and_not_one_register_is_written(
-    start_emulator: Callable[..., SteppedEmulator], tmp_path: Path
-) -> None:
+def test_an_arm_that_holds_is_adopted_unwritten(start_emulator: Callable[..., SteppedEmulator], tmp_path: Path) -> None:
     log = tmp_path / "writes.jsonl"
     emulator = start_emulator("--write-log", str(log), "--start", "0.5,-0.5,0.5,0.2,0.1,0.3")
     with contextlib.closing(emulator.open_bus()) as bus:

@@ -23,7 +23,7 @@ from robot.hardware.dynamixel.family import ALERT
 from robot.hardware.dynamixel.registers import MOTION
 from robot.hardware.interface import StatusFlag, run_to_end
 from robot.hardware.servos.bus import StatusFrame
-from robot.hardware.servos.family import ServoFamily
+from robot.hardware.servos.family import ServoFamily, ServoMap
 from robot.hardware.servos.hardware import (
     ASK_ALL_EVERY,
     ASK_SILENT_EVERY,
@@ -35,7 +35,6 @@ from robot.hardware.servos.hardware import (
     ServoHardware,
     ServoTracker,
 )
-from robot.hardware.servos.servo_map import ServoMap
 from robot.messages import GuardLimits, Mode
 from tests.helpers.servo_families import DYNAMIXEL, IDS, Family
 
@@ -86,9 +85,7 @@ def test_relaxing_begins_with_the_torque_that_is_used(family: Family, servos: An
 
 
 @pytest.mark.parametrize("hold", [True, False])
-def test_an_overload_is_cleared_where_the_joint_is_and_it_holds_on_or_stays_relaxed(
-    family: Family, servos: Any, hold: bool
-) -> None:
+def test_an_overload_is_cleared_where_the_joint_holds_or_is_relaxed(family: Family, servos: Any, hold: bool) -> None:
     goal_rad = servos.enable() if hold else None
     family.fail(servos.emulator.servo_bus.servos[3])
     assert servos.read(0.1).status[3] == StatusFlag.OVERLOAD
@@ -140,9 +137,7 @@ def writes(emulator: Any) -> list[Any]:
         (set(IDS), "no servo answers: is the arm powered"),
     ],
 )
-def test_missing_servos_are_named_by_a_survey_with_the_likely_cause(
-    family: Family, offline: set[int], words: str
-) -> None:
+def test_missing_servos_are_named_with_the_likely_cause(family: Family, offline: set[int], words: str) -> None:
     emulator = family.emulator()
     written = writes(emulator)
     emulator.servo_bus.faults.offline = offline
@@ -287,9 +282,7 @@ def test_a_servo_that_stays_silent_is_asked_last_and_only_now_and_then(family: F
     assert tracker.silent_cycles[3] == MISSES_UNTIL_SILENT + len(rounds)
 
 
-def test_where_none_speaks_all_are_asked_at_once_and_sequences_have_room_in_between(
-    family: Family, tracker: ServoTracker
-) -> None:
+def test_where_none_speaks_all_are_asked_at_once_now_and_then(family: Family, tracker: ServoTracker) -> None:
     for _ in range(EMPTY_READS_PER_SERVO * len(IDS)):
         assert len(answered(family, tracker, *IDS)) == len(IDS)
     every = ASK_ALL_EVERY
@@ -345,9 +338,7 @@ def test_a_joint_that_was_not_heard_for_long_may_have_turned_far(family: Family,
 
 
 @pytest.mark.parametrize("blinded", [False, True], ids=["alone", "with those behind it"])
-def test_a_silent_servo_silences_the_others_for_a_few_cycles_at_most(
-    family: Family, tracker: ServoTracker, blinded: bool
-) -> None:
+def test_a_silent_servo_hardly_silences_the_others(family: Family, tracker: ServoTracker, blinded: bool) -> None:
     answered(family, tracker)
     for cycle in range(1, 4 * ASK_SILENT_EVERY):
         asked = tracker.ids_to_ask()

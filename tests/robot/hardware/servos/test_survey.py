@@ -96,9 +96,7 @@ def test_servos_whose_calibration_has_changed_since_the_start_are_refused(family
         (60, 0, False),
     ],
 )
-def test_shifted_limits_are_refused_and_others_may_be_opened_or_narrowed(
-    low: int | None, high: int | None, refused: bool
-) -> None:
+def test_shifted_limits_are_refused_others_may_differ(low: int | None, high: int | None, refused: bool) -> None:
     emulator, joint = FEETECH.emulator(), FEETECH.calibration.joints[2]
     lowest = 0 if low is None else joint.range_min + low
     highest = 4095 if high is None else joint.range_max + high

@@ -90,9 +90,7 @@ def test_servos_that_hold_keep_their_goals(family: Family, emulator: Any, torque
     assert family.value(emulator, 2, "GOAL_POSITION") == goal
 
 
-def test_an_arm_whose_relaxing_was_cut_short_gets_its_torque_back_slowly(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_an_arm_partly_relaxed_gets_its_torque_back_slowly(family: Family, emulator: Any, torque: ServoTorque) -> None:
     enable(torque, emulator)
     steps = relax(torque._bus, IDS, torque.full_limits(), torque.full_limits())
     for _ in range(46):
@@ -143,9 +141,7 @@ def test_a_servo_that_jumps_when_torque_comes_on_is_relaxed_again(
     assert torques(family, emulator) == [0] * 6
 
 
-def test_a_servo_lost_while_enabling_leaves_the_others_relaxed(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_a_servo_lost_in_enabling_leaves_others_relaxed(family: Family, emulator: Any, torque: ServoTorque) -> None:
     def lose(wait_s: float) -> None:
         emulator.run(wait_s)
         if family.value(emulator, 5, "TORQUE_ENABLE"):
@@ -176,9 +172,7 @@ def test_relaxing_lowers_the_torque_before_it_is_off(family: Family, emulator: A
         assert family.value(emulator, servo, register.name) == value
 
 
-def test_an_emergency_stop_that_no_servo_heard_at_first_is_repeated_and_verified(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_an_emergency_stop_unheard_is_repeated_and_verified(family: Family, emulator: Any, torque: ServoTorque) -> None:
     enable(torque, emulator)
     steps = emergency_stop(torque._bus, IDS)
     emulator.servo_bus.faults.lose_instruction = 1.0
@@ -198,9 +192,7 @@ def test_servos_whose_torque_cannot_be_verified_are_named(emulator: Any, torque:
     assert run_to_end(switch_off(torque._bus, [3]), emulator.run) == [3]
 
 
-def test_a_servo_that_is_deaf_for_a_moment_is_switched_off_all_the_same(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_a_servo_deaf_for_a_moment_is_switched_off(family: Family, emulator: Any, torque: ServoTorque) -> None:
     enable(torque, emulator)
     emulator.servo_bus.faults.offline = {3}
     steps = switch_off(torque._bus, IDS)

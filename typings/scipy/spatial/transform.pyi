@@ -1,0 +1,13 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+class Rotation:
+    @classmethod
+    def from_quat(cls, quat: Sequence[Sequence[float]]) -> Rotation: ...
+    def as_quat(self) -> NDArray[np.float64]: ...
+
+class Slerp:
+    def __init__(self, times: Sequence[float], rotations: Rotation) -> None: ...
+    def __call__(self, times: float) -> Rotation: ...

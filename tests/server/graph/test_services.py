@@ -142,6 +142,7 @@ def test_a_call_that_has_ended_leaves_nothing_behind(services: Services, clock: 
     provider.calls[0].succeed(ON)
     assert clock.waiting == 0
     assert not services._offers["/switch"].requests
+    assert not list(services._made.of(CALLER))
 
 
 def test_the_calls_of_a_caller_that_leaves_end_for_their_provider(services: Services, clock: FakeClock) -> None:

@@ -227,15 +227,6 @@ class NamedArmSettings(ArmSettings):
     emulator: EmulatorSettings = EmulatorSettings()
     """its emulated servos."""
 
-    @field_validator("on_server_lost")
-    @classmethod
-    def _parks_with_others(cls, value: EndState) -> EndState:
-        if value is EndState.PARK:
-            raise ValueError(
-                "without a server several arms could meet on their ways to their rest poses: hold or relax"
-            )
-        return value
-
 
 class GoalSettings(SettingsSection):
     """The queue before the arm."""

@@ -57,6 +57,7 @@ class NearPair:
     by_object: bool  # whether an object is among the two
     distance_m: float  # distance beyond their required clearance [m]
     distance_gradient: Vector  # gradient of the distance by each joint, shape (n,) [m/rad]
+    by_another_arm: bool = False  # whether one of the two is moved by joints that move without the present ones
 
 
 def distance_gradient(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:

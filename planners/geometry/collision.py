@@ -287,9 +287,13 @@ class CollisionModel:
             return set()
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
 
-    def near_pairs(self, q: Vector, within_m: float) -> list[NearPair]:
-        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient."""
+    def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
+        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient.
+
+        ``moving`` are the joints that may move, from which the motions of other arms are told apart.
+        """
         self._broadphase.turn(q)
+        columns = [self.joint_names.index(name) for name in moving]
         near = []
         for pair in self._broadphase.within(within_m).tolist():
             nearest = self._broadphase.nearest(pair)
@@ -301,7 +305,9 @@ class CollisionModel:
                 first, second = (self._bodies[i] for i in self._pairs[pair])
                 by_object = not (first.is_link and second.is_link)
                 gradient = self._broadphase.distance_gradient(pair, nearest)
-                near.append(NearPair(first.name, second.name, by_object, distance_m, gradient))
+                carried = self._carried[self._pairs[pair]]
+                by_another_arm = any(joints.any() and not joints[columns].any() for joints in carried)
+                near.append(NearPair(first.name, second.name, by_object, distance_m, gradient, by_another_arm))
         return near
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:
@@ -330,6 +336,8 @@ class CollisionModel:
         self._pairs = checked_pairs(self._robot, scene.allowed, movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
         self._apart_m = padding(self._bodies, self._pairs)
+        # Whether each joint carries each body.
+        self._carried = self._joints.travel_by_joint(reach_m) > 0.0
         self._approach_m: Vector = self._joints.travel_by_joint(approach(reach_m, self._pairs))
         self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
         shapes = [body.shape for body in self._bodies]

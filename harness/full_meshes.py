@@ -60,7 +60,7 @@ class Judge:
     """
 
     def __init__(self, shared: Path, fields: Fields) -> None:
-        self._model, official = _official_arm(shared / "so101" / "so101_new_calib.urdf")
+        self._model, official = official_arm(shared / "so101" / "so101_new_calib.urdf")
         self._data = self._model.createData()
         self._geometry = official.copy()
         self._limits = {key: np.asarray(values) for key, values in fields["limits"].items()}
@@ -233,7 +233,7 @@ class _Curve:
 
 
 @cache
-def _official_arm(urdf: Path) -> tuple[pin.Model, pin.GeometryModel]:
+def official_arm(urdf: Path) -> tuple[pin.Model, pin.GeometryModel]:
     """Loading takes two seconds and 300 MB, so it is done once."""
     model = pin.buildModelFromUrdf(str(urdf))
     geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parent)])

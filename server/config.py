@@ -227,15 +227,6 @@ class NamedArmSettings(ArmSettings):
     emulator: EmulatorSettings = EmulatorSettings()
     """its emulated servos."""
 
-    @field_validator("on_server_lost")
-    @classmethod
-    def _parks_with_others(cls, value: EndState) -> EndState:
-        if value is EndState.PARK:
-            raise ValueError(
-                "without a server several arms could meet on their ways to their rest poses: hold or relax"
-            )
-        return value
-
 
 class GoalSettings(SettingsSection):
     """The queue before the arm."""
@@ -265,7 +256,7 @@ class GoalSettings(SettingsSection):
 
 
 class SceneSettings(SettingsSection):
-    """Planning scene from one start of the server to the next; see docs/scene.md."""
+    """Planning scene from one start of the server to the next; see docs/moveit.md."""
 
     keep: bool = True
     """keep what clients add to the planning scene, and restore it at the next start."""

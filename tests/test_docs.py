@@ -18,10 +18,11 @@ import yaml
 
 from harness.page import page_digest
 from harness.server import ROOT
+from planners.problem import MoveItErrorCode
 from protocol.registry import Registry
 from robot.description.limits import END_STOP_MARGIN_RAD
 from robot.description.robot_folder import built_in_names
-from robot.faults import REMEDIES, FaultCode
+from robot.faults import ADVICE, REMEDIES, FaultCode
 from server import cli
 from server.config_loader import load
 from tests.helpers.source import ROOMS, paths, sentences
@@ -214,10 +215,17 @@ def rotation(quaternion: list[float]) -> np.ndarray:
     return (w * w - vector @ vector) * np.eye(3) + 2.0 * np.outer(vector, vector) + 2.0 * w * cross
 
 
-@pytest.mark.parametrize(("page", "engine"), [("unreal.md", UNREAL), ("unity.md", UNITY)])
-def test_the_numbers_of_coordinates_agree_with_the_mirrored_axes(page: str, engine: tuple[np.ndarray, float]) -> None:
+def section(page: str, heading: str) -> str:
+    """A section of the second level, with the sections below it."""
+    return (ROOT / "docs" / page).read_text().split(f"\n## {heading}\n")[1].split("\n## ")[0]
+
+
+@pytest.mark.parametrize(("heading", "engine"), [("Unreal", UNREAL), ("Unity", UNITY)])
+def test_the_numbers_of_coordinates_agree_with_the_mirrored_axes(
+    heading: str, engine: tuple[np.ndarray, float]
+) -> None:
     axes, unit_m = engine
-    rows = re.findall(r"^" + r"\| \(([-\d., ]+)\) " * 4, (ROOT / "docs" / page).read_text(), re.MULTILINE)
+    rows = re.findall(r"^" + r"\| \(([-\d., ]+)\) " * 4, section("engines.md", heading), re.MULTILINE)
     assert len(rows) >= 3
     for row in rows:
         position, quaternion, ros_position, ros_quaternion = ([float(n) for n in cell.split(",")] for cell in row)
@@ -233,14 +241,14 @@ def test_no_command_opens_a_server_to_the_network_that_would_refuse_to_start() -
     )
 
 
-@pytest.mark.parametrize("page", ["unreal.md", "unity.md"])
-def test_the_rate_of_joint_angles_is_that_of_the_throttle(page: str) -> None:
+@pytest.mark.parametrize("heading", ["Unreal", "Unity"])
+def test_the_rate_of_joint_angles_is_that_of_the_throttle(heading: str) -> None:
     """Of messages at a fixed rate, a throttle lets every second, third, ... one through."""
-    messages = (ROOT / "docs" / "unreal.md").read_text()
+    messages = section("engines.md", "Unreal")
     (throttle_ms,) = re.findall(r'"/joint_states","type":"sensor_msgs/JointState","throttle_rate":(\d+)', messages)
     rate_hz = load(None, {}).arm.joint_state_rate_hz
     each = math.ceil(float(throttle_ms) * rate_hz / 1000.0)
-    text = (ROOT / "docs" / page).read_text()
+    text = section("engines.md", heading)
     assert re.findall(r"measured .* (\d+) times a second", text) == [f"{rate_hz / each:g}"]
 
 
@@ -257,12 +265,9 @@ def test_no_page_takes_the_default_speed_for_a_limit() -> None:
 
 def test_the_number_and_the_packages_of_message_types_are_those_of_the_registry() -> None:
     names = list(Registry.load().type_names())
-    counts = [
-        re.findall(r"knows (\d+) types of ROS 2", (ROOT / "docs" / page).read_text())
-        for page in ("protocol.md", "types.md")
-    ]
-    assert counts == 2 * [[str(len(names))]]
-    _, packages = (ROOT / "docs" / "types.md").read_text().split("## Packages that need no adding")
+    page = (ROOT / "docs" / "protocol.md").read_text()
+    assert set(re.findall(r"knows (\d+) types of ROS 2", page)) == {str(len(names))}
+    _, packages = page.split("## Packages that need no adding")
     tables = (ROOT / "protocol" / "interfaces").glob("ros*.json")
     known = {name.split("/")[0] for table in tables for name in json.loads(table.read_text()) if "/" in name}
     assert set(re.findall(r"`([a-z0-9_]+)`", packages.split("\n\n")[1])) == known
@@ -289,7 +294,7 @@ def test_no_page_says_that_an_arm_has_moved_on_metal() -> None:
     assert "No real arm has moved with armbridge yet" in (ROOT / "README.md").read_text()
     assert "Nobody has run armbridge on a real arm yet" in (ROOT / "docs" / "hardware.md").read_text()
     robots = (ROOT / "docs" / "robots.md").read_text()
-    assert "None of them has been driven on metal" in robots
+    assert "No built-in arm has been driven on metal" in robots
     rows = re.findall(
         r"^\| `(\w+)` \|.*\| ([^|]+) \|$", robots.split("## Built-in arms")[1].split("##")[0], re.MULTILINE
     )
@@ -326,3 +331,19 @@ def test_the_limits_in_tables_are_those_of_the_settings_and_constants_that_stand
                 checked += 1
                 assert any(each <= numbers for each in defaults), f"{page}: {name} is {defaults}, not {shown}"
     assert checked > 4
+
+
+def errors_table(heading: str) -> list[list[str]]:
+    """The cells of each row of a table of docs/errors.md, without its head."""
+    rows = re.findall(r"^\| (.*) \|$", section("errors.md", heading), re.MULTILINE)
+    return [row.split(" | ") for row in rows[1:]]
+
+
+def test_the_page_of_errors_has_every_code_fault_and_warning_with_the_remedy_of_the_code() -> None:
+    codes = {name: int(value) for value, name, _, _ in errors_table("Codes of goals")}
+    answered = set(re.findall(r"MoveItErrorCode\.([A-Z_]+)", SOURCES))
+    assert codes == {name: MoveItErrorCode[name].value for name in answered}
+    faults = {row[0]: row[-1] for row in errors_table("Faults of the arm")}
+    assert faults == {code.value: REMEDIES[code] for code in FaultCode}
+    warnings = {row[0]: tuple(row[1:]) for row in errors_table("Warnings of a servo")}
+    assert warnings == {alert.value: (advice.means, advice.remedy()) for alert, advice in ADVICE.items()}

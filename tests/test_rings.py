@@ -1,4 +1,4 @@
-"""What a test of the first ring may depend on: no fixed time, no duration, one server a module (docs/testing.md)."""
+"""Limits of a test of the first ring: no fixed time, no duration, one server a module (docs/architecture.md)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent
 OTHER_RINGS = ("processes", "page", "clients", "examples", "lerobot", "fuzz", "helpers", "docker")
 CLOCKS = {"time.monotonic", "time.perf_counter", "time.time", "time.process_time", "time.monotonic_ns"}
-ELSEWHERE = "move the test to the same folder of tests/processes/ (docs/testing.md)"
+ELSEWHERE = "move the test to the same folder of tests/processes/ (docs/architecture.md)"
 SERVERS = {"RunningServer", "server_on_bus"}
 
 

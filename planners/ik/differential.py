@@ -103,7 +103,7 @@ def solve(
         change, active = damped_least_squares(inside, desired, damping), NONE_ACTIVE
     else:
         rows = limit.rows if free is None else limit.rows @ free
-        bounds = limit.bounds if before is None else np.maximum(limit.bounds - limit.rows @ before, 0.0)
+        bounds = np.maximum(limit.bounds if before is None else limit.bounds - limit.rows @ before, 0.0)
         change, active = bounded_least_squares(inside, desired, damping, rows, bounds)
     change = change if free is None else free @ change
     return (change if before is None else before + change), active

@@ -46,13 +46,30 @@ BRAKING_SHARE = 0.5
 
 EXCESS_COST = 30.0  # cost of exceeding an inequality, in changes of the joints' velocities
 
+# Share of the way to another arm that this arm may use to brake, as the other arm may come as far: Wang, Ames and
+# Egerstedt, "Safety barrier certificates for collisions-free multirobot systems", 2017. With the whole way, two
+# followers at a latency of 0.095 s came into contact (test_two_followers.py, seed 18).
+ROOM_SHARE = 0.5
+
+# Speed of the retreat from another arm that is too near, by the room that is missing [1/s]: two arms that only stop
+# creep towards each other under leaders that push them together. In 40 s they came into contact at 0.095 s.
+RETREAT_PER_S = 6.0
+
+# A command that leads towards another arm is slowed over this range of distances, down to a share at its lower end:
+# at a latency of 0.095 s two arms swung by 0.07 rad beside each other, and came 3 mm nearer than with it [m].
+SLOWED_M = (0.006, 0.036)
+LEAST_SHARE = 0.15
+
 # Pairs further apart than this are watched by an arm that is fast only: they limit no speed below 0.3 m/s.
 WATCHED_M = 0.12
 
 
 @dataclass(frozen=True)
 class VelocityBounds(Limit):
-    """Barriers of both limits of each joint, and then of pairs near each other; at rest all of them hold."""
+    """Barriers of both limits of each joint, and then of pairs near each other.
+
+    At rest all of them hold, except where another arm is so near that this arm retreats from it.
+    """
 
     pairs: Sequence[NearPair]  # pairs of the last rows
 
@@ -61,6 +78,12 @@ class VelocityBounds(Limit):
         first = len(self.bounds) - len(self.pairs)
         return [self.pairs[index - first] for index in active if index >= first]
 
+    def share_towards_arms(self, velocity_rad_s: Vector) -> float:
+        """Return the share of a velocity that the nearest other arm ahead leaves, shape (n,) [rad/s]."""
+        ahead = self.rows[len(self.bounds) - len(self.pairs) :] @ velocity_rad_s > 0.0
+        near = (pair for pair, nearer in zip(self.pairs, ahead, strict=True) if pair.by_another_arm and nearer)
+        return float(np.interp(min((pair.distance_m for pair in near), default=np.inf), SLOWED_M, (LEAST_SHARE, 1.0)))
+
     def joints(self, active: NDArray[np.intp]) -> list[int]:
         """Return the joints whose limits are among some inequalities."""
         count = len(self.rows[0])
@@ -68,11 +91,7 @@ class VelocityBounds(Limit):
 
 
 def watched_m(travel_m_per_rad: Vector, velocity_rad_s: Vector, max_change: Vector, period_s: float) -> float:
-    """Return the distance up to which obstacles must be known, so that the joints still brake before them [m].
-
-    All of the joints have the shape (n,): the greatest travel of a point by each, the present velocities, and the
-    greatest change of a velocity in a period.
-    """
+    """Return how far off obstacles must be known for joints, shape (n,) each, to brake before them [m]."""
     fastest = np.abs(velocity_rad_s) + max_change
     braking = BRAKING_SHARE * max_change / period_s
     ahead_rad = fastest * period_s + fastest**2 / (2.0 * braking)
@@ -96,12 +115,16 @@ def velocity_bounds(
     """
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
+    by_another_arm = np.array([pair.by_another_arm for pair, _ in watched], dtype=bool)
     left_m = np.array([pair.distance_m - kept_m - CURVATURE_M for pair, kept_m in watched])
+    left_m = np.where(by_another_arm, ROOM_SHARE * left_m, left_m)
     distance_gradients = np.array([pair.distance_gradient[columns] for pair, _ in watched]).reshape(-1, len(q))
     gradients = np.vstack((-np.eye(len(q)), np.eye(len(q)), distance_gradients))
     distances = np.concatenate((upper - q, q - lower, left_m))
     found = barrier(distances, gradients, BRAKING_SHARE * max_change, period_s, APPROACH_PER_S)
-    return VelocityBounds(found.rows, found.bounds, [pair for pair, _ in watched])
+    retreats = RETREAT_PER_S * np.where(by_another_arm, np.minimum(left_m, 0.0), 0.0)
+    bounds = found.bounds + np.concatenate((np.zeros(2 * len(q)), retreats))
+    return VelocityBounds(found.rows, bounds, [pair for pair, _ in watched])
 
 
 def within_reach(wanted: Vector, reach: Vector, limit: Limit) -> Vector:
@@ -137,14 +160,6 @@ LEAST_PROGRESS = 0.01  # leaving, the tip must get this share of the way it was 
 
 
 @dataclass(frozen=True)
-class PredictedTip:
-    """Prediction: the tip's position, shape (3,) [m], and its Jacobian, shape (3, n) [m/rad]."""
-
-    position_m: Vector
-    jacobian: Vector
-
-
-@dataclass(frozen=True)
 class RegularizedMotion:
     """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it."""
 
@@ -159,12 +174,12 @@ def regularized(
     linear_m_s: Vector,
     limits: ServoLimits,
     max_velocity: Vector,
-    predict: Callable[[Vector], PredictedTip],
+    predict: Callable[[Vector], tuple[Vector, Vector]],
 ) -> RegularizedMotion:
     """Remove the part of a desired velocity of the tip, shape (3,) [m/s], that leads into a singularity.
 
-    The Jacobian of the tip's position has the shape (3, n), n at least 3 [m/rad]; ``predict`` returns the tip after a
-    motion of the joints, shape (n,) [rad].
+    The Jacobian of the tip's position has the shape (3, n), n at least 3 [m/rad]; ``predict`` returns the tip's
+    position and Jacobian after a motion of the joints, shape (n,) [rad].
     """
     left, values, right = np.linalg.svd(jacobian)
     free = np.ascontiguousarray(right[3:].T)
@@ -178,10 +193,10 @@ def regularized(
     velocity = right[:3].T @ ((left.T @ linear_m_s) / floor)
     fastest = float(np.max(np.abs(velocity) / max_velocity))
     velocity = velocity / max(fastest, 1.0)
-    ahead = np.linalg.svd(predict(PREDICTION_S * velocity).jacobian, compute_uv=False)
+    ahead = np.linalg.svd(predict(PREDICTION_S * velocity)[1], compute_uv=False)
     change = float(ahead[2] - values[2])
     share, status = _share(float(values[0] / max(values[2], 1e-12)), change, limits)
-    moved_m = predict(EXIT_PREDICTION_S * velocity).position_m - predict(0.0 * velocity).position_m
+    moved_m = predict(EXIT_PREDICTION_S * velocity)[0] - predict(0.0 * velocity)[0]
     if (
         change > NOTICED_M_PER_RAD
         and float(weak @ moved_m) * np.sign(desired) < LEAST_PROGRESS * abs(desired) * EXIT_PREDICTION_S
@@ -273,7 +288,7 @@ def _servo_state(
     max_change = ACCELERATION_SHARE * question.period_s * np.array([joint.max_acceleration for joint in joints])
     velocity_rad_s = np.array([question.velocity_rad_s.get(name, 0.0) for name in names])
     ahead_m = watched_m(collision.travel_m_per_rad[columns], velocity_rad_s, max_change, question.period_s)
-    pairs = collision.near_pairs(q, ahead_m)
+    pairs = collision.near_pairs(q, ahead_m, names)
     bounds = velocity_bounds(q[columns], lower, upper, columns, pairs, limits, max_change, question.period_s)
     jacobian = forward.jacobian(q, question.link)[:, columns]
     return ServoState(
@@ -292,6 +307,7 @@ def _joint_outcome(command: JointVelocities, names: tuple[str, ...], state: Serv
     """Return the outcome of a joint command: only named joints move, also where others could help past a bound."""
     desired = np.array([command.velocity_rad_s.get(name, 0.0) for name in names])
     desired = desired * _share_of_speed(desired, state.max_velocity)
+    desired = desired * state.velocity_bounds.share_towards_arms(desired)
     named = np.eye(len(names))[:, desired != 0.0]
     velocity, active = solve([Task(np.eye(len(names)), desired)], POSITION_DAMPING, state.velocity_bounds, free=named)
     return Outcome(velocity, active, desired, velocity)
@@ -302,11 +318,11 @@ def _tip_outcome(
 ) -> Outcome:
     linear, angular = state.jacobian[:3], state.jacobian[3:]
 
-    def predict(step: Vector) -> PredictedTip:
+    def predict(step: Vector) -> tuple[Vector, Vector]:
         q = state.q.copy()
         q[state.columns] += step
         jacobian = forward.jacobian(q, question.link)[:3, state.columns]
-        return PredictedTip(forward.placement(question.link).translation.copy(), jacobian)
+        return forward.placement(question.link).translation.copy(), jacobian
 
     sound = regularized(linear, desired.linear_m_s, question.limits, state.max_velocity, predict)
     first, active = _moved(sound, angular, desired.angular_rad_s, state)

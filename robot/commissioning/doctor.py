@@ -52,7 +52,7 @@ def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Cal
     servos = result.servos
     missing = "; ".join(explain_missing(result, joints))
     listed = f"servos {_list(sorted(result.ids))} answer"
-    findings = [_judged("servos", missing, "See docs/hardware.md, By symptom.", listed)]
+    findings = [_judged("servos", missing, "See docs/troubleshooting.md, By symptom.", listed)]
     if servos:
         findings += [
             _kind(servos),

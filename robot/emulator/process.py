@@ -1,6 +1,6 @@
 """Process of the emulator: its options, its pseudo terminal, the loop that serves bus and commands, and rehearsals.
 
-A rehearsal has live commands at given times, from a script of JSON lines (docs/rehearsal.md) or ready-made.
+A rehearsal has live commands at given times, from a script of JSON lines (docs/simulation.md) or ready-made.
 """
 
 from __future__ import annotations

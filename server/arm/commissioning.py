@@ -21,7 +21,7 @@ from robot.messages import ArmHealth, ArmState
 from server.errors import ServiceError
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.permissions import COMMISSIONING, CONFIGURING
+from server.graph.permissions import COMMISSIONING, CONFIGURING, Rule
 
 log = logging.getLogger("armbridge.commissioning")
 
@@ -133,10 +133,7 @@ class Dialogue:
             raise ServiceError(
                 f"answer {answer[:MAX_TOLD]!r} is no answer of step {step!r}: it takes {', '.join(self.step.answers)}"
             )
-        try:
-            self._accept(answer)
-        except RobotError as error:
-            raise ServiceError(str(error)) from error
+        self._accept(answer)
         return f"{step}: {answer}"
 
     def fail(self, reason: str) -> None:
@@ -182,10 +179,9 @@ class Commissioning:
         self._shown_at_s = -math.inf
         self._health: ArmHealth | None = None
         graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
-        offer = graph.offer
-        offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", self._begin, rule=COMMISSIONING)
-        offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer, rule=COMMISSIONING)
-        offer(self._node, CANCEL, "std_srvs/Trigger", self._cancel, rule=CONFIGURING)
+        self._offer(BEGIN, "armbridge_msgs/BeginCommissioning", self._begin, COMMISSIONING)
+        self._offer(ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer, COMMISSIONING)
+        self._offer(CANCEL, "std_srvs/Trigger", self._cancel, CONFIGURING)
         self._show()
 
     @property
@@ -213,36 +209,38 @@ class Commissioning:
             self._task.cancel()
             await asyncio.wait([self._task])
 
-    def _begin(self, request: dict[str, Any]) -> dict[str, Any]:
+    def _offer(self, name: str, type_name: str, work: Callable[[dict[str, Any]], str], rule: Rule) -> None:
+        def serve(request: dict[str, Any]) -> dict[str, Any]:
+            try:
+                return {"success": True, "message": work(request)}
+            except (RobotError, ServiceError) as error:
+                return {"success": False, "message": str(error)}
+
+        self._graph.offer(self._node, name, type_name, serve, rule=rule)
+
+    def _begin(self, request: dict[str, Any]) -> str:
         if self._dialogue is not None:
-            return _refused(
-                f"{self._dialogue.procedure} is in progress: answer it, or call {self._graph.resolve(CANCEL)}"
-            )
-        try:
-            procedure = self._make(request["procedure"], request["name"])
-        except RobotError as error:
-            return _refused(str(error))
+            cancel = self._graph.resolve(CANCEL)
+            raise ServiceError(f"{self._dialogue.procedure} is in progress: answer it, or call {cancel}")
+        procedure = self._make(request["procedure"], request["name"])
         if self._health is not None:
             procedure.take_health(self._health)
         self._procedure, self._dialogue = procedure, Dialogue(request["procedure"], self._show)
         self._ended = Ended()
         name = f"commissioning: {request['procedure']}"
         self._task = asyncio.create_task(self._run(procedure, self._dialogue), name=name)
-        return {"success": True, "message": f"{request['procedure']} begins: see {self._graph.resolve(STATE_TOPIC)}"}
+        return f"{request['procedure']} begins: see {self._graph.resolve(STATE_TOPIC)}"
 
-    def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
+    def _answer(self, request: dict[str, Any]) -> str:
         if self._dialogue is None:
-            return _refused(f"nothing is asked: {self._graph.resolve(BEGIN)} begins a procedure")
-        try:
-            return {"success": True, "message": self._dialogue.answer(request["step"], request["answer"])}
-        except ServiceError as error:
-            return _refused(str(error))
+            raise ServiceError(f"nothing is asked: {self._graph.resolve(BEGIN)} begins a procedure")
+        return self._dialogue.answer(request["step"], request["answer"])
 
-    def _cancel(self, _request: dict[str, Any]) -> dict[str, Any]:
+    def _cancel(self, _request: dict[str, Any]) -> str:
         if self._dialogue is None:
-            return _refused("no procedure is in progress")
+            raise ServiceError("no procedure is in progress")
         self._dialogue.fail("cancelled")
-        return {"success": True, "message": f"{self._dialogue.procedure} is cancelled"}
+        return f"{self._dialogue.procedure} is cancelled"
 
     async def _run(self, procedure: Procedure, dialogue: Dialogue) -> None:
         result = f"{dialogue.procedure} was ended: the server is ending"
@@ -294,7 +292,3 @@ class Commissioning:
             "findings": list(dialogue.findings),
             "result": "",
         }
-
-
-def _refused(message: str) -> dict[str, Any]:
-    return {"success": False, "message": message}

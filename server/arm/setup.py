@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,7 +29,6 @@ from server.moveit.parameters import MoveItParameters
 
 # Longest path of a Unix socket (sun_path in unix(7)), less its final zero.
 MAX_SOCKET_PATH_BYTES = 107
-
 
 # Calibration of servos that need none.
 NOMINAL = "nominal"
@@ -118,7 +118,8 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
 def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     emulator = settings.emulator
     if description.calibration is None:
-        _refuse_bus_options(emulator)
+        no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
+        _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)
         return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled)
     dynamixel = description.hardware.kind == "dynamixel"
     if settings.arm.serial is not None:
@@ -154,16 +155,7 @@ def _profile(description: Description) -> ServoProfile | None:
 
 def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedDynamixelConfig:
     emulator = settings.emulator
-    for name in ("write_log", "control"):
-        if (value := getattr(emulator, name)) is not None:
-            raise ConfigurationError(
-                f"emulator.{name}: emulated Dynamixel servos have none, so that {str(value)!r} cannot be used"
-            )
-    if emulator.population != EmulatorSettings().population:
-        raise ConfigurationError(
-            f"emulator.population: emulated Dynamixel servos have one state only, so that {emulator.population!r} "
-            "cannot be used"
-        )
+    _refuse_options(emulator, ("write_log", "control", "population"), "emulated Dynamixel servos have nothing that")
     return EmulatedDynamixelConfig(
         calibration,
         drop=emulator.drop,
@@ -187,14 +179,12 @@ def _refuse_servo_settings(settings: ArmSettings, title: str) -> None:
             )
 
 
-def _refuse_bus_options(emulator: EmulatorSettings) -> None:
+def _refuse_options(emulator: EmulatorSettings, names: Iterable[str], reason: str) -> None:
     default = EmulatorSettings()
-    for name in type(emulator).model_fields:
+    for name in names:
         if (value := getattr(emulator, name)) != getattr(default, name):
-            raise ConfigurationError(
-                f"emulator.{name}: the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus "
-                f"that {value!r} could apply to"
-            )
+            value = str(value) if isinstance(value, Path) else value
+            raise ConfigurationError(f"emulator.{name}: {reason} {value!r} could apply to")
 
 
 def _check_place(setting: str, path: Path) -> None:

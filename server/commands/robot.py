@@ -95,7 +95,7 @@ def _add_import(subparsers: Subparsers) -> None:
         "import",
         _import,
         "make a robot folder of a URDF",
-        "Make a robot folder of a URDF (docs/bring_your_own_arm.md): convex parts of its meshes, a draft"
+        "Make a robot folder of a URDF (docs/robots.md): convex parts of its meshes, a draft"
         " SRDF with groups, named states and the pairs of links that never touch, and a draft robot.toml. The folder is"
         " checked and a motion is planned in it.",
     )

@@ -279,9 +279,6 @@ class GoalExecutor:
         discarded = await self._confirmed(goal, planned) if request.confirm else None
         return discarded or await self._play(goal, planned, version)
 
-    async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
-        return await self._splice_external(goal, request) or await self._start_external(goal, request)
-
     async def _splice_external(self, goal: Goal, request: ExternalTrajectory) -> Answer | None:
         """Have a trajectory take over from the setpoints of the motion of a preempted goal; None if that is impossible.
 
@@ -308,7 +305,9 @@ class GoalExecutor:
         self._check_s = self._clock() - asked_s
         return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
 
-    async def _start_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
+    async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
+        if (answer := await self._splice_external(goal, request)) is not None:
+            return answer
         await self._until_ready(goal)
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad, self._clock(), None)

@@ -1,4 +1,4 @@
-"""Orders to each arm, its state and its control, by its own names."""
+"""Features of each arm by its names: orders, state and control, commissioning, teaching and teleoperation."""
 
 from __future__ import annotations
 

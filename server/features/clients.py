@@ -1,4 +1,4 @@
-"""Clients of the server: the ports that they connect to, and the tokens for them."""
+"""Clients of the server: the ports that they connect to, the tokens for them, and ``GET /armbridge/interface.json``."""
 
 from __future__ import annotations
 

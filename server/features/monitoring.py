@@ -1,4 +1,4 @@
-"""Monitoring of the server and its arms: health, diagnostics, logs, histories, and files about faults."""
+"""Monitoring and recording: health, diagnostics, logs, histories, files about faults, and the recording of messages."""
 
 from __future__ import annotations
 

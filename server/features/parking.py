@@ -8,22 +8,24 @@ background and kept in the arm process (:meth:`robot.arm.Arm.keep_parking`).
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import time
-from collections.abc import Awaitable, Callable, Collection, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
-from planners.problem import MoveItErrorCode, Plan, PlanningProblem
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from robot.arm import CLOSE_LIMIT_S, Arm
+from robot.arm_group import states_of
 from robot.description.model import RobotModel
-from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
+from robot.messages import PARKING_TIMEOUT_S, ArmState, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arm.services import trigger_response
 from server.arrival import is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError
-from server.execution.goal import GoalPolicy, GoalRequest
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
 from server.execution.queue import GoalQueue
@@ -90,6 +92,7 @@ class Parking:
     Attributes:
         name: of one of several arms; empty for a lone arm.
         leads: True for an arm that is moved by hand.
+        parks_when_lost: True for an arm that is to be parked without the server.
     """
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
@@ -106,6 +109,7 @@ class Parking:
         self._current = CurrentState(arm, context.robot)
         self._all_joints = planning.current
         self._parks_at_end = EndState.PARK in (settings.on_exit, settings.on_server_lost)
+        self.parks_when_lost = settings.on_server_lost is EndState.PARK and self._pose is not None
         self._parks_on_exit = settings.on_exit is EndState.PARK
         self._place: _Place | None = None
         self._keeps = False
@@ -208,10 +212,16 @@ class Parking:
         place = self._here()
         return place is not None and not place.same_as(self._place)
 
+    @property
+    def holds(self) -> bool:
+        """True while the arm holds where it is."""
+        return self._arm.state.mode is Mode.HOLDING
+
     def _here(self) -> _Place | None:
-        if self._arm.state.mode is not Mode.HOLDING or (held_rad := self._current.positions_rad()) is None:
+        if not self.holds or (held_rad := self._current.positions_rad()) is None:
             return None
-        return _Place(held_rad, self._scene.scene.version, self._arm.pid, self._arm.state.pace.speed_limit)
+        state = self._arm.state
+        return _Place(held_rad, self._scene.scene.version, ((self._arm.pid, state.mode),), state.pace.speed_limit)
 
     async def _plan(self) -> None:
         """Plan the way from where the arm holds, and have the arm process keep it if it still holds there."""
@@ -219,19 +229,25 @@ class Parking:
         if place is None:
             return
         # Several arms are obstacles to each other.
-        problem = self._problem({**(self._all_joints.positions_rad() or {}), **place.held_rad})
-        bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
-        plan = await self._pool.ask(bounded, self._scene.scene)
+        plan = await self.plan_way({**(self._all_joints.positions_rad() or {}), **place.held_rad})
         if place.version != self._scene.scene.version:
             return
         # Also after a failure: the way is not planned again before something has changed.
         self._place = place
-        if not isinstance(plan, Plan):
-            log.warning(
-                "no way to the rest pose from here, where the arm would be relaxed at its end: %s", plan.message
-            )
-            self._forget()
+        if isinstance(plan, Plan):
+            self.keep(plan, place.held_rad)
             return
+        log.warning("no way to the rest pose from here, where the arm would be relaxed at its end: %s", plan.message)
+        self.forget()
+
+    async def plan_way(self, start_rad: Positions) -> Plan | PlanningFailure:
+        """Plan the way to the rest pose from positions of all joints [rad]."""
+        problem = self._problem(start_rad)
+        bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
+        return await self._pool.ask(bounded, self._scene.scene)
+
+    def keep(self, plan: Plan, start_rad: Positions) -> None:
+        """Have the arm process keep a way from where it holds [rad]."""
         if plan.trajectory.duration_s > PARKING_TIMEOUT_S:
             log.warning(
                 "the way to the rest pose takes %.1f s from here, above the limit of %g s: the arm would be relaxed at "
@@ -239,39 +255,117 @@ class Parking:
                 plan.trajectory.duration_s,
                 PARKING_TIMEOUT_S,
             )
-        self._arm.keep_parking(ParkingPlan(plan.trajectory, place.held_rad))
+        held_rad = {joint.name: start_rad[joint.name] for joint in self._robot.movable_joints}
+        self._arm.keep_parking(ParkingPlan(plan.trajectory, held_rad))
         self._keeps = True
         log.debug("the way to the rest pose is known: %.2f s", plan.trajectory.duration_s)
 
     def _on_scene_change(self) -> None:
         # Before anything else happens: the server may be lost at any time.
         self._place = None
-        self._forget()
+        self.forget()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        """Have the arm process keep no way."""
         if self._keeps:
             self._arm.keep_parking(None)
             self._keeps = False
 
 
+class CommonParking:
+    """Ways of several arms to their rest poses, which the arm processes keep for the loss of the server: all or none.
+
+    Without the server nobody coordinates the arms. So the ways are kept while all arms rest, and when no two ways meet,
+    wherever each arm is on its way.
+    """
+
+    def __init__(self, parkings: Sequence[Parking], context: ServerContext) -> None:
+        self._parkings = [each for each in parkings if each.parks_when_lost]
+        self._arm, self._planning, self._queue = context.whole.served.arm, context.planning, context.goals.queue
+        self._place: _Place | None = None
+
+    async def run(self) -> None:
+        """Keep the ways up to date, until cancelled; return at once where none is needed."""
+        while self._parkings:
+            await asyncio.sleep(CHECK_S)
+            place = self._here()
+            if self._queue.busy() or not self._planning.pool.idle_count or place is None or place.same_as(self._place):
+                continue
+            await self._plan(place)
+
+    def check_rest(self) -> None:
+        """Forget all ways when an arm is no longer where they were planned, or is moving."""
+        if self._place is not None and ((place := self._here()) is None or not place.same_as(self._place)):
+            self.forget()
+
+    def forget(self) -> None:
+        """Have no arm process keep a way: an arm is about to move."""
+        if self._place is not None:
+            self._place = None
+            for each in self._parkings:
+                each.forget()
+
+    def end(self) -> None:
+        """Leave the ways to the end of the server, which has the arms parked one after the other."""
+        self._place = None
+
+    def _here(self) -> _Place | None:
+        """Return where all arms rest; None while one of them moves or is not read."""
+        states = states_of(self._arm)
+        held_rad = self._planning.current.positions_rad()
+        if held_rad is None or any(state.mode is Mode.MOVING for state in states.values()):
+            return None
+        arms = zip(self._arm.pids, (state.mode for state in states.values()), strict=False)
+        return _Place(held_rad, self._planning.scene_state.scene.version, tuple(arms), self._arm.state.pace.speed_limit)
+
+    async def _plan(self, place: _Place) -> None:
+        scene = self._planning.scene_state.scene
+        plans: dict[Parking, Plan] = {}
+        refusal: PlanningFailure | None = None
+        for each in self._parkings:
+            if each.holds and refusal is None:
+                plan = await each.plan_way(place.held_rad)
+                if isinstance(plan, Plan):
+                    plans[each] = plan
+                else:
+                    refusal = replace(plan, message=f"{each.name}: {plan.message}")
+        for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):
+            moving = {*first.joint_names, *second.joint_names}
+            others_rad = {name: value for name, value in place.held_rad.items() if name not in moving}
+            if refusal is None:
+                met = await self._planning.pool.ask(ConcurrencyQuestion(first, second, others_rad), scene)
+                refusal = met if isinstance(met, PlanningFailure) else met.contact
+        if (now := self._here()) is None or not now.same_as(place):
+            return
+        # Also after a failure: the ways are not planned again before something has changed.
+        self._place = place
+        if refusal is not None:
+            log.warning("without the server the arms would be relaxed here, not parked: %s", refusal.message)
+        for each in self._parkings:
+            if refusal is None and each in plans:
+                each.keep(plans[each], place.held_rad)
+            else:
+                each.forget()
+
+
 @dataclass(frozen=True)
 class _Place:
-    """Place from which a way was planned.
+    """Place from which ways were planned.
 
     Attributes:
-        pid: process id of the arm process, which keeps the way.
-        speed_limit: of the arm, which decides on the duration.
+        arms: process id of each arm process, which keeps the way, and the arm's mode.
+        speed_limit: of the arms, which decides on the duration.
     """
 
     held_rad: Mapping[str, float]
     version: int
-    pid: int | None
+    arms: tuple[tuple[int | None, Mode], ...]
     speed_limit: float
 
     def same_as(self, other: _Place | None) -> bool:
-        if other is None or (self.version, self.pid, self.speed_limit) != (
+        if other is None or (self.version, self.arms, self.speed_limit) != (
             other.version,
-            other.pid,
+            other.arms,
             other.speed_limit,
         ):
             return False
@@ -351,13 +445,15 @@ class Parkings(Feature):
         for each, arm in context.single_arms:
             parking, settings = Parking(arm, each), each.served.settings
             self._parkings.append(parking)
-            # The ways of several arms depend on each other: they are planned at the end alone.
             if not self._several:
                 self._keeping.append(BackgroundTask("parking", parking.run))
             if settings.on_last_client != "nothing":
                 last_client = LastClient(arm, settings, context.access.drivers, context.goals.queue, parking)
                 self.last_clients.append(BackgroundTask("the last client", last_client.run))
-        if self._several:
+        self._common = CommonParking(self._parkings, context) if self._several else None
+        if self._common is not None:
+            self._keeping.append(BackgroundTask("parking", self._common.run))
+            context.goals.listeners.append(self)
             self.deadline_s = len(self._parkings) * (PREPARING_S + CLOSE_LIMIT_S)
             context.whole.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
 
@@ -371,8 +467,22 @@ class Parkings(Feature):
         for each in self._keeping:
             await each.start()
 
+    def on_state(self, arm: str, _state: ArmState) -> None:
+        if self._common is not None and not arm:
+            self._common.check_rest()
+
+    def on_progress(self, _goal: Goal, progress: Progress) -> None:
+        """Have no arm parked by a way that was planned before a motion."""
+        if self._common is not None and progress.state is GoalState.EXECUTING:
+            self._common.forget()
+
+    def on_answer(self, _goal: Goal, _answer: Answer) -> None:
+        """Take the answer to a goal, which changes no way."""
+
     async def stop(self) -> None:
         await asyncio.gather(*(each.stop() for each in self._keeping))
+        if self._common is not None:
+            self._common.end()
         for each in self._parkings:
             await each.prepare_exit()
             if self._several:

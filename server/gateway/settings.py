@@ -22,7 +22,7 @@ class ServerSettings(SettingsSection):
     ros_version: int = Field(default=2, ge=1, le=2)
     """spelling of messages for clients whose URL has no ``?ros=``: ROS 1 has seq, secs and nsecs."""
     tcp_port: int | None = Field(default=None, ge=0, le=65535)
-    """one more port, for rosbridge over raw TCP (docs/raw_tcp.md); 0 takes a free one, None for no such port."""
+    """one more port, for rosbridge over raw TCP (docs/protocol.md); 0 takes a free one, None for no such port."""
     # That of ROSIntegration's default, and of the rosbridge_tcp for which such clients were written.
     tcp_ros_version: int = Field(default=1, ge=1, le=2)
     """spelling of messages for the clients of tcp_port."""
@@ -33,7 +33,7 @@ class ServerSettings(SettingsSection):
     relay_unknown_types: bool = False
     """relay topics and services of unknown types, unchecked."""
     interfaces: list[Path] = Field(default_factory=list)
-    """ROS packages, or folders of packages, with msg, srv and action files of your own (docs/types.md)."""
+    """ROS packages, or folders of packages, with msg, srv and action files of your own (docs/protocol.md)."""
     tls_certificate: Path | None = None
     """PEM file of the certificate and its chain, for wss and https (docs/security.md); None for neither."""
     tls_key: Path | None = None

@@ -10,14 +10,13 @@ import logging
 import uuid
 from base64 import b64encode
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.operations import Mark
 from server.errors import GraphError
-from server.graph.index import Index
-from server.graph.list_limits import CheckLists, ListLimits
+from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
@@ -138,25 +137,12 @@ CANCEL_ACCEPTED, CANCEL_UNKNOWN_GOAL = 0, 2
 ALL_GOALS = b64encode(bytes(16)).decode()
 
 
-@dataclass(eq=False)
-class ActionProvider(Provider):
-    """An action that somebody offers, and its goals in flight by their id in base64, the oldest first."""
-
-    start: Callable[[Goal], None]
-    check_lists: CheckLists | None = None
-    max_goal_s: float = MAX_GOAL_S
-    goals: dict[str, Goal] = field(default_factory=dict)
-
-
-class Actions(Providers[ActionProvider]):
-    """All actions; each has a service ``<action>/_action/cancel_goal``."""
+class Actions(Providers[Goal]):
+    """All actions, with their goals by id in base64; each has a service ``<action>/_action/cancel_goal``."""
 
     def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
-        super().__init__("action", MAX_ACTIONS, message_types)
+        super().__init__("action", MAX_ACTIONS, message_types, call_later)
         self._services = services
-        self._call_later = call_later
-        # Those in flight, by their sender.
-        self._sent: Index[Node, Goal] = Index()
         self._topics: ActionTopics | None = None
 
     def publish_on(self, topics: ActionTopics) -> None:
@@ -178,22 +164,17 @@ class Actions(Providers[ActionProvider]):
 
         Without a rule it has a client's. Raises GraphError for an unknown type or a name of the server's.
         """
-        canonical = self._claim(node, name, type_name)
-        check_lists = None
-        if limits is not None:
-            check_lists = limits.check(self._message_types.registry, f"{canonical}_Goal")
-            self._message_types.compile_later(*(f"{canonical}_{part}" for part in ("Goal", "Feedback", "Result")))
-        offer = ActionProvider(node, name, canonical, start, check_lists, max_goal_s)
+        offer = self._claim(node, name, type_name, start, max_goal_s, limits)
         self._services.offer(
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._add(offer, rule)
         if self._topics is not None:
-            self._topics.open(node, name, canonical)
+            self._topics.open(node, name, offer.type_name)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its actions end; its goals go on, as in ROS, unless it takes them along."""
-        for goal in self._sent.of(node):
+        for goal in self._made.of(node):
             goal.forget_sender()
             if node.takes_goals_along:
                 goal.cancel()
@@ -215,9 +196,7 @@ class Actions(Providers[ActionProvider]):
         """
         try:
             offer = self._offer(name, type_name, goal_id)
-            if offer.check_lists is not None:
-                offer.check_lists(arguments)
-            request = self._message_types.complete_arguments(f"{offer.type_name}_Goal", arguments)
+            request = self._completed(offer, arguments)
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
@@ -228,33 +207,23 @@ class Actions(Providers[ActionProvider]):
     def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
         """Cancel the goals of an action with this mark whose senders have left."""
         offer = self._offers.get(name)
-        for goal in list(offer.goals.values()) if offer is not None else ():
+        for goal in list(offer.requests.values()) if offer is not None else ():
             if goal.sender_left and goal.sender_id == sender_id:
                 goal.cancel()
 
-    def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> ActionProvider:
+    def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> Provider[Goal]:
         offer = self._offers.get(name)
         if offer is None:
             raise GraphError("action", name, "does not exist")
         if self._message_types.canonical(type_name, "action") != offer.type_name:
             raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
-        if goal_id is not None and b64encode(goal_id).decode() in offer.goals:
+        if goal_id is not None and b64encode(goal_id).decode() in offer.requests:
             raise GraphError("action", name, f"has a goal of the id {goal_id.hex()} already")
         return offer
 
-    def _start(self, goal: Goal, offer: ActionProvider, on_result: Callable[[Result], None]) -> None:
-        goal_id = b64encode(goal.goal_id).decode()
-        offer.goals[goal_id] = goal
-        self._sent.add(goal.sender, goal)
-        limit_s = offer.max_goal_s
-        timer = self._call_later(limit_s, lambda: goal.fail(f"Action {goal.action} took more than {limit_s:g} s"))
-
-        def forget(_result: Result) -> None:
-            timer.cancel()
-            del offer.goals[goal_id]
-            self._sent.discard(goal.sender, goal)
-
-        goal.when_ended(forget)
+    def _start(self, goal: Goal, offer: Provider[Goal], on_result: Callable[[Result], None]) -> None:
+        limit_s, key = offer.limit_s, b64encode(goal.goal_id).decode()
+        self._keep(goal, offer, key, goal.sender, limit_s, f"Action {goal.action} took more than {limit_s:g} s")
         if self._topics is not None:
             self._topics.follow(offer.node, goal)
         goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
@@ -264,10 +233,9 @@ class Actions(Providers[ActionProvider]):
             log.exception("action %s failed", goal.action)
             goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
 
-    def _end_requests(self, offer: ActionProvider) -> None:
+    def _end_requests(self, offer: Provider[Goal]) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
-        for goal in list(offer.goals.values()):
-            goal.fail(f"Action {offer.name} was withdrawn by its provider")
+        super()._end_requests(offer)
         if self._topics is not None:
             self._topics.close(offer.node, offer.name)
 
@@ -276,10 +244,13 @@ def _cancel_service(action: str) -> str:
     return f"{action}/_action/cancel_goal"
 
 
-def _cancel(offer: ActionProvider, request: dict[str, Any]) -> dict[str, Any]:
+def _cancel(offer: Provider[Goal], request: dict[str, Any]) -> dict[str, Any]:
     wanted = request["goal_info"]["goal_id"]["uuid"]
-    selected = offer.goals if wanted == ALL_GOALS else {wanted: offer.goals[wanted]} if wanted in offer.goals else {}
-    canceling = {goal_id: goal for goal_id, goal in selected.items() if not goal.cancel_requested}
+    canceling = {
+        goal_id: goal
+        for goal_id, goal in offer.requests.items()
+        if wanted in (goal_id, ALL_GOALS) and not goal.cancel_requested
+    }
     for goal in canceling.values():
         goal.cancel()
     return {

@@ -6,17 +6,19 @@ A request is ended once, by its provider, its deadline or its caller's departure
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, Literal, TypeAlias, TypeVar
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from protocol.errors import InterfaceError
 from protocol.registry import Kind
 from server.errors import GraphError
 from server.graph.index import Index, TypedNames
+from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
+from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
 
@@ -34,6 +36,10 @@ class PendingRequest(Generic[End]):
         """Have this called with the end, in whatever way it comes; in order of asking."""
         self._when_ended.append(callback)
 
+    def fail(self, values: object) -> None:
+        """End the request with a sentence, or with what the provider gave."""
+        raise NotImplementedError
+
     def _end(self, end: End) -> None:
         if self.ended:
             return
@@ -50,29 +56,43 @@ ProvidedKind: TypeAlias = Literal["service", "action"]
 _TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
 
+# Parts of the type of each kind: the request first.
+_PARTS: dict[ProvidedKind, tuple[str, ...]] = {
+    "service": ("Request", "Response"),
+    "action": ("Goal", "Feedback", "Result"),
+}
+
+AnyRequest = TypeVar("AnyRequest", bound=PendingRequest[Any])
+
+
 @dataclass(eq=False)
-class Provider:
-    """A service or an action that a node provides."""
+class Provider(Generic[AnyRequest]):
+    """A service or an action that a node provides, and the requests on their way to it, the oldest first."""
 
     node: Node
     name: str
     type_name: str
+    start: Callable[[AnyRequest], None]
+    limit_s: float
+    check_lists: CheckLists | None = None
+    requests: dict[Hashable, AnyRequest] = field(default_factory=dict)
 
 
-AnyProvider = TypeVar("AnyProvider", bound=Provider)
-
-
-class Providers(Generic[AnyProvider]):
+class Providers(Generic[AnyRequest]):
     """All offers of one kind, one a name; base of :class:`Services` and :class:`Actions`."""
 
-    def __init__(self, kind: ProvidedKind, limit: int, message_types: MessageTypes) -> None:
+    def __init__(self, kind: ProvidedKind, limit: int, message_types: MessageTypes, call_later: CallLater) -> None:
         self.names = TypedNames()
         self.rules: dict[str, Rule] = {}
         self._kind = kind
+        self._parts = _PARTS[kind]
         self._limit = limit
         self._message_types = message_types
-        self._offers: dict[str, AnyProvider] = {}
-        self._by_node: Index[Node, AnyProvider] = Index()
+        self._call_later = call_later
+        self._offers: dict[str, Provider[AnyRequest]] = {}
+        self._by_node: Index[Node, Provider[AnyRequest]] = Index()
+        # Requests on their way, by the node that has made them.
+        self._made: Index[Node, AnyRequest] = Index()
 
     @property
     def revision(self) -> int:
@@ -110,12 +130,21 @@ class Providers(Generic[AnyProvider]):
         if offer is not None and offer.node is node:
             self._remove(offer)
 
-    def _end_requests(self, offer: AnyProvider) -> None:
+    def _end_requests(self, offer: Provider[AnyRequest]) -> None:
         """End the requests on their way to an offer that has just been withdrawn or replaced."""
-        raise NotImplementedError
+        for request in list(offer.requests.values()):
+            request.fail(f"{self._kind.capitalize()} {offer.name} was withdrawn by its provider")
 
-    def _claim(self, node: Node, name: str, type_name: str) -> str:
-        """Check that a node may offer a name, end another client's offer, and return the type's canonical name."""
+    def _claim(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        start: Callable[[AnyRequest], None],
+        limit_s: float,
+        limits: ListLimits | None,
+    ) -> Provider[AnyRequest]:
+        """Check that a node may offer a name, end another client's offer, and return the new one."""
         try:
             canonical = self._message_types.canonical(type_name, _TYPE_KINDS[self._kind])
         except InterfaceError as error:
@@ -127,14 +156,39 @@ class Providers(Generic[AnyProvider]):
             self._remove(present)
         elif len(self._offers) >= self._limit:
             raise GraphError(self._kind, name, f"cannot be added: there are {self._limit} {self._kind}s already")
-        return canonical
+        offer = Provider(node, name, canonical, start, limit_s)
+        if limits is not None:
+            offer.check_lists = limits.check(self._message_types.registry, f"{canonical}_{self._parts[0]}")
+            self._message_types.compile_later(*(f"{canonical}_{part}" for part in self._parts))
+        return offer
 
-    def _add(self, offer: AnyProvider, rule: Rule | None) -> None:
+    def _add(self, offer: Provider[AnyRequest], rule: Rule | None) -> None:
         self._offers[offer.name] = offer
         self.names.add(offer.name, offer.type_name)
         self._by_node.add(offer.node, offer)
         if rule is not None:
             self.rules[offer.name] = rule
+
+    def _completed(self, offer: Provider[AnyRequest], arguments: object) -> dict[str, Any]:
+        """Complete a request; raises MessageError for one that does not fit, or has too long a list."""
+        if offer.check_lists is not None:
+            offer.check_lists(arguments)
+        return self._message_types.complete_arguments(f"{offer.type_name}_{self._parts[0]}", arguments)
+
+    def _keep(
+        self, request: AnyRequest, offer: Provider[AnyRequest], key: Hashable, sender: Node, limit_s: float, late: str
+    ) -> None:
+        """Keep account of a request until it ends, which it does in time: after ``limit_s`` with the sentence."""
+        offer.requests[key] = request
+        self._made.add(sender, request)
+        timer = self._call_later(limit_s, lambda: request.fail(late))
+
+        def forget(_end: object) -> None:
+            timer.cancel()
+            del offer.requests[key]
+            self._made.discard(sender, request)
+
+        request.when_ended(forget)
 
     def _withdraw_all(self, node: Node) -> None:
         for offer in self._by_node.of(node):
@@ -142,7 +196,7 @@ class Providers(Generic[AnyProvider]):
             if self._offers.get(offer.name) is offer:
                 self._remove(offer)
 
-    def _remove(self, offer: AnyProvider) -> None:
+    def _remove(self, offer: Provider[AnyRequest]) -> None:
         del self._offers[offer.name]
         self.names.remove(offer.name)
         self._by_node.discard(offer.node, offer)

@@ -10,18 +10,17 @@ import contextlib
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from server.errors import ServiceError, UnsuccessfulError
-from server.graph.index import Index
-from server.graph.list_limits import CheckLists, ListLimits
+from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.providers import PendingRequest, Provider, Providers
+from server.graph.providers import PendingRequest, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -143,24 +142,11 @@ MAX_SERVICES = 10_000
 DEFAULT_LIMITS = ListLimits()
 
 
-@dataclass(eq=False)
-class ServiceProvider(Provider):
-    """A service that somebody offers."""
-
-    start: Callable[[Call], None]
-    timeout_s: float
-    check_lists: CheckLists | None = None
-    calls: dict[Call, None] = field(default_factory=dict)
-
-
-class Services(Providers[ServiceProvider]):
+class Services(Providers[Call]):
     """All services."""
 
     def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
-        super().__init__("service", MAX_SERVICES, message_types)
-        self._call_later = call_later
-        # Those in flight, by their caller.
-        self._calls: Index[Node, Call] = Index()
+        super().__init__("service", MAX_SERVICES, message_types, call_later)
 
     def offer(
         self,
@@ -194,16 +180,11 @@ class Services(Providers[ServiceProvider]):
 
         A client takes the place of another client. Its requests have no limits: the server only passes them on.
         """
-        canonical = self._claim(node, name, type_name)
-        check_lists = None
-        if limits is not None:
-            check_lists = limits.check(self._message_types.registry, f"{canonical}_Request")
-            self._message_types.compile_later(f"{canonical}_Request", f"{canonical}_Response")
-        self._add(ServiceProvider(node, name, canonical, start, timeout_s, check_lists), rule)
+        self._add(self._claim(node, name, type_name, start, timeout_s, limits), rule)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its services, and what it has called."""
-        for call in self._calls.of(node):
+        for call in self._made.of(node):
             call.caller_left = True
             call.fail("the caller has left")
         self._withdraw_all(node)
@@ -224,31 +205,12 @@ class Services(Providers[ServiceProvider]):
             on_response(Response(ok=False, values=f"Service {name} does not exist"))
             return
         try:
-            if offer.check_lists is not None:
-                offer.check_lists(arguments)
-            request = self._message_types.complete_arguments(f"{offer.type_name}_Request", arguments)
+            request = self._completed(offer, arguments)
         except MessageError as error:
             on_response(Response(ok=False, values=f"Service {name}: {error}"))
             return
         call = Call(name, offer.type_name, request, self._message_types, caller, dialect)
-        self._bound(call, offer, timeout_s)
+        bound_s = offer.limit_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
+        self._keep(call, offer, call, caller, bound_s, f"Service {name} did not answer in {bound_s:g} s")
         call.when_ended(on_response)
         offer.start(call)
-
-    def _bound(self, call: Call, offer: ServiceProvider, timeout_s: float | None) -> None:
-        """Keep account of a call until it ends, which it does in time."""
-        bound_s = offer.timeout_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
-        offer.calls[call] = None
-        self._calls.add(call.caller, call)
-        timer = self._call_later(bound_s, lambda: call.fail(f"Service {call.service} did not answer in {bound_s:g} s"))
-
-        def forget(_response: Response) -> None:
-            timer.cancel()
-            del offer.calls[call]
-            self._calls.discard(call.caller, call)
-
-        call.when_ended(forget)
-
-    def _end_requests(self, offer: ServiceProvider) -> None:
-        for call in list(offer.calls):
-            call.fail(f"Service {offer.name} was withdrawn by its provider")

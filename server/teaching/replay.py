@@ -110,7 +110,7 @@ def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: P
     joints = frozenset(taught.joint_names)
     once = (
         *(_to_start(group, taught.start_rad, problems) for group in groups_of(robot, joints)),
-        _follow(taught, replay),
+        lambda now_rad: taught.problem(now_rad, replay.speed, CHECK_TIME_S),
     )
     return PlannedMotion(once * (1 + replay.repeat), joints)
 
@@ -133,21 +133,13 @@ def _to_start(group: Group, start_rad: Positions, problems: ProblemBuilder) -> S
     return lambda now_rad: problems.goal(group, goal, now_rad)
 
 
-def _follow(taught: TaughtMotion, replay: Replay) -> Step:
-    return lambda now_rad: taught.problem(now_rad, replay.speed, CHECK_TIME_S)
-
-
 def feedback(progress: Progress) -> Message:
     """Write the feedback of some progress."""
     return {"state": progress.state.value, "fraction": progress.fraction, "remaining_s": progress.remaining_s}
 
 
 def result(answer: Answer, note: str = "") -> dict[str, Any]:
-    """Write the result of an answer; a motion of the goal that cannot be planned is called by what it is.
-
-    Args:
-        note: end of the sentence of a success.
-    """
+    """Write the result of an answer; the note ends the sentence of a success."""
     item = answer.details.get("item")
     if isinstance(item, int):
         answer = replace(answer, message=answer.message.removeprefix(f"items[{item}]: "))

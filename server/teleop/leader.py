@@ -1,4 +1,4 @@
-"""Samples of a leader: put in order of time, freed of a network's jitter, and checked for gaps and jumps."""
+"""Samples of a leader, freed of a network's jitter and checked for gaps and jumps, and the map of its joints."""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ def test_coordinates_are_the_mirrored_axes(numbers: Callable[..., list[str]]) ->
 
 
 def test_a_connection_begins_with_messages_of_the_page_on_unreal(numbers: Callable[..., list[str]]) -> None:
-    page = [json.loads(line) for block in blocks(ROOT / "docs" / "unreal.md", "json") for line in block.splitlines()]
+    page = [json.loads(line) for block in blocks(ROOT / "docs" / "engines.md", "json") for line in block.splitlines()]
     frames = [json.loads(line.removeprefix("send ")) for line in numbers("setup")]
     assert len(frames) > 5
     assert [frame for frame in frames if frame not in page] == []

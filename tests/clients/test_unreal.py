@@ -142,7 +142,7 @@ def test_a_goal_that_is_no_number_is_not_made(answers: Callable[..., list[str]])
 
 
 def test_a_connection_begins_with_messages_of_the_page(answers: Callable[..., list[str]]) -> None:
-    page = [json.loads(line) for block in blocks(ROOT / "docs" / "unreal.md", "json") for line in block.splitlines()]
+    page = [json.loads(line) for block in blocks(ROOT / "docs" / "engines.md", "json") for line in block.splitlines()]
     frames = [json.loads(line.removeprefix("send ")) for line in answers("setup")]
     assert len(frames) > 5
     assert [frame for frame in frames if frame not in page] == []

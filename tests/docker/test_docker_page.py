@@ -1,4 +1,4 @@
-"""The commands of docs/docker.md: the engine's own words are not run, ours are held against the program."""
+"""The commands of docs/install.md: the engine's own words are not run, ours are held against the program."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ from harness.server import ROOT
 from server import cli
 from server.config import PREFIX, Settings
 
-PAGE = (ROOT / "docs/docker.md").read_text()
-LINES = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
+PAGE = (ROOT / "docs/install.md").read_text()
+LINES = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for line in block.splitlines()
+    if line[:7] == "docker "
+]
 
 
 def of_armbridge(line: str) -> list[str]:

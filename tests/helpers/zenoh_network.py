@@ -117,7 +117,7 @@ class Site:
     def calls_of(self, service: str) -> list[Call]:
         """Calls of a service that are on their way."""
         offer = self.graph.services._offers.get(service)
-        return [] if offer is None else list(offer.calls)
+        return [] if offer is None else list(offer.requests.values())
 
     def knows_publisher_of(self, topic: str) -> bool:
         """Return true if another machine is known to publish a topic that comes in."""

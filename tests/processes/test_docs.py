@@ -25,14 +25,14 @@ ANSWER_TIMEOUT_S = 60
 
 
 # Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.
-SENT = ("browser.md", "goals.md", "operations.md", "unity.md", "unreal.md")
+SENT = ("engines.md", "goals.md", "operations.md")
 
 
-WITH_CODE = ("browser.md",)
+WITH_CODE = ("engines.md",)
 
 
 # Modules of a server are no programs; tests/server/test_extending.py runs them.
-PROGRAMS = [(page.name, block) for page in PAGES if page.name != "extending.md" for block in blocks(page, "python")]
+PROGRAMS = [(page.name, block) for page in PAGES if page.name != "architecture.md" for block in blocks(page, "python")]
 
 
 def run_python(arguments: list[str]) -> subprocess.CompletedProcess[str]:
@@ -63,7 +63,7 @@ def test_a_command_with_an_example_succeeds(command: str, simulated_server: Runn
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-CURL = [line for line in "".join(blocks(ROOT / "docs" / "http.md", "sh")).splitlines() if line.startswith("curl ")]
+CURL = [line for line in "".join(blocks(ROOT / "docs" / "protocol.md", "sh")).splitlines() if line.startswith("curl ")]
 
 
 @pytest.mark.parametrize("command", CURL)

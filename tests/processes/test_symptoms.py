@@ -1,4 +1,4 @@
-"""Symptoms of real arms, from what happens to the sentence that names it, as docs/hardware.md quotes it.
+"""Symptoms of real arms, from what happens to the sentence that names it, as docs/troubleshooting.md quotes it.
 
 The page is read by these tests: a sentence that the program does not say fails here. ``TRAPS.md`` lists all of them.
 """
@@ -38,7 +38,7 @@ from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101_SERVOS
 from tests.server.commands.conftest import Run, armbridge, emulator  # noqa: F401 - fixtures
 
-PAGE = ROOT / "docs" / "hardware.md"
+PAGE = ROOT / "docs" / "troubleshooting.md"
 TABLE = ROOT / "tests" / "TRAPS.md"
 
 LIFT, ELBOW, ROLL, GRIPPER = 2, 3, 5, 6
@@ -324,7 +324,7 @@ def test_a_weak_supply_is_a_fault(servos: SteppedEmulator) -> None:
 def test_a_servo_that_starts_anew_is_a_fault(servos: SteppedEmulator) -> None:
     rig = holding(servos)
     servos.command(power_cycle=[ELBOW])
-    assert_said("A servo starts anew while the arm moves", fault_of(rig))
+    assert_said("A servo restarts while the arm moves", fault_of(rig))
 
 
 def test_a_servo_that_falls_silent_is_named(servos: SteppedEmulator) -> None:
@@ -441,7 +441,7 @@ def simulation() -> Iterator[ServerOnBus]:
         ("A 7.4 V servo has 12 V", {"supply": 12.0}, {"supply": 5.0}),
         ("The supply is too weak", {"supply": 4.2}, {"supply": 5.0}),
         ("One servo falls silent", {"offline": [ELBOW]}, {"online": [ELBOW]}),
-        ("A servo starts anew while the arm moves", {"power_cycle": [ELBOW]}, {"push": {"3": 0}}),
+        ("A servo restarts while the arm moves", {"power_cycle": [ELBOW]}, {"push": {"3": 0}}),
         ("The gripper stops after two seconds", {"status": {"6": int(StatusFlag.OVERLOAD)}}, {"status": {"6": 0}}),
     ],
 )

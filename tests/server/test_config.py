@@ -105,7 +105,6 @@ REFUSED_ARMS: dict[str, tuple[dict[str, dict[str, object]], str]] = {
     "port found by itself": ({"left": {"serial": "auto"}, "right": {}}, "name each"),
     "names that begin alike": ({"left": {}, "left_2": {}}, "arms.left_2: begins as names of arms.left do"),
     "unknown key": ({"left": {"seriel": "/dev/x"}}, "arms.left.seriel: unknown; did you mean serial?"),
-    "parked without a server": ({"left": {"on_server_lost": "park"}}, "on_server_lost: without a server several arms"),
     "too many": ({f"a{number:02}": {} for number in range(33)}, "there are 33 arms, the limit is 32"),
     "settles too long": (
         {"left": {"guards": {"settle_timeout_s": 5.0}}},

@@ -22,7 +22,7 @@ from armbridge_client.messages import (
     Vector3,
 )
 
-# The server's time after which a command expires (docs/servo.md); a client may choose a shorter one.
+# The server's time after which a command expires (docs/teleoperation.md); a client may choose a shorter one.
 COMMAND_TIMEOUT_S = 0.25
 
 

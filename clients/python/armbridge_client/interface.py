@@ -1,4 +1,4 @@
-"""Description of a server for programs: its arms, and the hashes of its message types (docs/http.md)."""
+"""Description of a server for programs: its arms, and the hashes of its message types (docs/protocol.md)."""
 
 from __future__ import annotations
 

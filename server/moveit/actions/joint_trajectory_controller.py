@@ -128,12 +128,8 @@ class JointTrajectoryController:
         *,
         industrial: bool,
     ) -> None:
-        self._graph = graph
-        self._robot = context.planning.robot
-        self._group = group
-        self._arm = arm
-        self._context = context
-        self._queue = context.queue
+        self._graph, self._group, self._arm, self._context = graph, group, arm, context
+        self._robot, self._queue = context.planning.robot, context.queue
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
@@ -186,12 +182,13 @@ class JointTrajectoryController:
             motion = self._motion(goal.request["trajectory"], streamed=False)
         except RefusedError as error:
             self._queue.reject(GoalRequest(goal.action), error.failure)
-            goal.finish(GoalStatus.ABORTED, result(rejection_code(error), error.failure.message))
+            code = error.code if isinstance(error, TrajectoryRefusedError) else FollowCode.INVALID_GOAL
+            goal.finish(GoalStatus.ABORTED, result(code, error.failure.message))
             return
         trajectory_goal = TrajectoryGoal(goal, self._group.joints, tolerances, self._robot)
 
         def send_feedback(progress: Progress) -> None:
-            trajectory_goal.take_progress(progress)
+            trajectory_goal.executing = progress.state is GoalState.EXECUTING
             feedback = trajectory_goal.feedback(self._arm.state)
             if feedback is not None:
                 goal.feedback(feedback)
@@ -280,27 +277,27 @@ class JointTrajectoryController:
 
 
 class TrajectoryGoal:
-    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result."""
+    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result.
+
+    Attributes:
+        executing: True while its motion is in progress.
+    """
 
     def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
         self._goal = goal
         self._robot = robot
         self._joints = joints
         self._tolerances = tolerances
-        self._executing = False
+        self.executing = False
         self._path_violation = ""
         # Set by the queue's answer when the arm must still come within the goal tolerances: end [rad], latest time [s].
         self._settling: tuple[Answer, Positions, float] | None = None
-
-    def take_progress(self, progress: Progress) -> None:
-        """Note the state of the goal."""
-        self._executing = progress.state is GoalState.EXECUTING
 
     def take_state(self, state: ArmState, cancel: Callable[[str], None]) -> None:
         """Check the tolerances against a state of the arm."""
         if self._settling is not None:
             self._end_when_settled(state, *self._settling)
-        elif self._executing and not self._path_violation and state.goal_rad is not None:
+        elif self.executing and not self._path_violation and state.goal_rad is not None:
             desired_rad = dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
             self._path_violation = violation(self._tolerances.path, state, desired_rad, self._robot)
             if self._path_violation:
@@ -308,7 +305,7 @@ class TrajectoryGoal:
 
     def feedback(self, state: ArmState) -> Message | None:
         """Write the feedback message of a state of the arm; None before it moves."""
-        if not self._executing or state.goal_rad is None or state.position_rad is None:
+        if not self.executing or state.goal_rad is None or state.position_rad is None:
             return None
         columns = [state.joint_names.index(name) for name in self._joints]
         desired, actual = state.goal_rad[columns], state.position_rad[columns]
@@ -321,7 +318,7 @@ class TrajectoryGoal:
 
     def take_answer(self, answer: Answer, state: ArmState) -> None:
         """End the goal by the queue's answer, after a success as soon as the arm is within the goal tolerances."""
-        self._executing = False
+        self.executing = False
         performed = answer.performed
         if answer.code is not MoveItErrorCode.SUCCESS or performed is None or not performed.planned:
             self._finish(answer)
@@ -418,11 +415,6 @@ def check_duration(trajectory: Message, limits: TimeLimits) -> None:
         limits.check_duration(
             read_seconds(points[-1]["time_from_start"], field), field, MoveItErrorCode.INVALID_MOTION_PLAN
         )
-
-
-def rejection_code(error: RefusedError) -> FollowCode:
-    """Return the action's error code for a goal that was rejected."""
-    return error.code if isinstance(error, TrajectoryRefusedError) else FollowCode.INVALID_GOAL
 
 
 def follow_code(answer: Answer) -> FollowCode:

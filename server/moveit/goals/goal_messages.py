@@ -13,7 +13,7 @@ from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.errors import invalid, refused
 from server.execution.motions import PlannedMotion, Positions
-from server.moveit.messages import Message, composed, read_pose
+from server.moveit.messages import Message, composed, read_point, read_pose
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.constraints import checked_tip, chooses_orientation, planning_group, tip_link
@@ -176,7 +176,11 @@ class GoalTranslator:
         frame, group = self._frame(message), options.group or self.group
         tip = checked_tip(tip_link(self._robot, group, self._parameters), group)
         whole = chooses_orientation(group)
-        pose = _whole_pose(message["pose"], group) if whole else Pose(_position_m(message["pose"]))
+        pose = (
+            _whole_pose(message["pose"], group)
+            if whole
+            else Pose(read_point(message["pose"]["position"], "pose.position"))
+        )
         radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
 
         def goal(start_rad: Positions) -> Goal:
@@ -214,14 +218,6 @@ class GoalTranslator:
             return self._problems.goal(group, goal(start_rad), start_rad, *scalings)
 
         return PlannedMotion((step,), frozenset(group.joints), warnings=warnings)
-
-
-def _position_m(message: Message) -> tuple[float, float, float]:
-    point = message["position"]
-    for axis in "xyz":
-        if not math.isfinite(point[axis]):
-            raise invalid(f"pose.position.{axis} must be a finite number, not {point[axis]}")
-    return float(point["x"]), float(point["y"]), float(point["z"])
 
 
 def _whole_pose(message: Message, group: Group) -> Pose:

@@ -159,9 +159,10 @@ def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
         geometry[field].append(read(lines))
         poses[field].append(_read_pose(lines))
         lines.figures(4, "a colour r g b a")
-    subframes = dict(
-        _read_subframe(lines) for _ in range(lines.counts(1, "the number of subframes")[0] if has_pose else 0)
-    )
+    subframes = {}
+    for _ in range(lines.counts(1, "the number of subframes")[0] if has_pose else 0):
+        subframe = lines.next("a subframe's name")
+        subframes[subframe] = _read_pose(lines)
     return {
         "header": {"stamp": NO_STAMP, "frame_id": frame},
         "id": name,
@@ -185,10 +186,6 @@ def _pose_message(position: list[float], quaternion: list[float]) -> dict[str, A
         "position": dict(zip("xyz", position, strict=True)),
         "orientation": dict(zip("xyzw", quaternion, strict=True)),
     }
-
-
-def _read_subframe(lines: _Lines) -> tuple[str, dict[str, Any]]:
-    return lines.next("a subframe's name"), _read_pose(lines)
 
 
 def _read_mesh(lines: _Lines) -> Message:
@@ -225,14 +222,9 @@ class GeometryFiles:
         self._state = state
         self._current = current
         self._directory = directory
-        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", self._save, rule=CONFIGURING)
-        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", self._load, rule=WORKING)
-
-    async def _save(self, request: Message) -> Message:
-        return await _success(SAVE, self._write(request["file_path_and_name"]))
-
-    async def _load(self, request: Message) -> Message:
-        return await _success(LOAD, self._read(request["file_path_and_name"]))
+        save, load = _service(SAVE, self._write), _service(LOAD, self._read)
+        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", save, rule=CONFIGURING)
+        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", load, rule=WORKING)
 
     async def _write(self, name: str) -> None:
         path = file_within(self._directory, name)
@@ -272,14 +264,17 @@ def file_within(directory: Path | None, name: str) -> Path:
     return path
 
 
-async def _success(service: str, work: Awaitable[None]) -> Message:
-    """Wait for the work of a service; a failure is logged, because the response has no field for its reason."""
-    try:
-        await work
-    except RefusedError as error:
-        log.warning("%s: %s", service, error)
-        raise UnsuccessfulError({"success": False}, str(error)) from error
-    return {"success": True}
+def _service(name: str, work: Callable[[str], Awaitable[None]]) -> Callable[[Message], Awaitable[Message]]:
+    async def serve(request: Message) -> Message:
+        try:
+            await work(request["file_path_and_name"])
+        except RefusedError as error:
+            # The response has no field for the reason.
+            log.warning("%s: %s", name, error)
+            raise UnsuccessfulError({"success": False}, str(error)) from error
+        return {"success": True}
+
+    return serve
 
 
 def _write_bounded(path: Path, contents: SceneContents) -> None:

@@ -105,6 +105,7 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     """
     requested = components or EVERYTHING
     settings, links = requested & SCENE_SETTINGS, requested & LINK_PADDING_AND_SCALING
+    colors = contents.colors if requested & OBJECT_COLORS else {}
     return {
         "name": contents.name if settings else "",
         "robot_state": _state(contents, state, requested),
@@ -115,7 +116,7 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
         else NO_MATRIX,
         "link_padding": _padding(contents, robot) if links else [],
         "link_scale": _scale(contents, robot) if links else [],
-        "object_colors": _colors(contents) if requested & OBJECT_COLORS else [],
+        "object_colors": [{"id": name, "color": color} for name, color in colors.items()],
         "world": {"collision_objects": _objects(contents, robot, requested), "octomap": NO_OCTOMAP},
         "is_diff": False,
     }
@@ -124,6 +125,7 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
 def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
     """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours and frames."""
     links = (before.padding_m, before.scale) != (after.padding_m, after.scale)
+    colors = after.colors if before.colors != after.colors else {}
     return {
         "name": after.name,
         "robot_state": {**NO_STATE, "attached_collision_objects": _changed_attached(before, after), "is_diff": True},
@@ -134,7 +136,7 @@ def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -
         else NO_MATRIX,
         "link_padding": _padding(after, robot) if links else [],
         "link_scale": _scale(after, robot) if links else [],
-        "object_colors": _colors(after) if before.colors != after.colors else [],
+        "object_colors": [{"id": name, "color": color} for name, color in colors.items()],
         "world": {"collision_objects": _changed_objects(before, after), "octomap": NO_OCTOMAP},
         "is_diff": True,
     }
@@ -159,9 +161,10 @@ def _objects(contents: SceneContents, robot: RobotModel, requested: int) -> list
 
 def _changed_objects(before: SceneContents, after: SceneContents) -> list[Message]:
     # Attaching an object removes it from the world.
-    removed = _known(before).keys() - _known(after).keys()
+    known = {*after.objects, *after.attached}
+    removed = [name for name in (*before.objects, *before.attached) if name not in known]
     changed = [each.message for name, each in after.objects.items() if before.objects.get(name) is not each]
-    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in _known(before) if name in removed), *changed]
+    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in removed), *changed]
 
 
 def _changed_attached(before: SceneContents, after: SceneContents) -> list[Message]:
@@ -175,20 +178,12 @@ def _changed_attached(before: SceneContents, after: SceneContents) -> list[Messa
     return [*detached, *attached]
 
 
-def _known(contents: SceneContents) -> dict[str, object]:
-    return {**contents.objects, **contents.attached}
-
-
 def _padding(contents: SceneContents, robot: RobotModel) -> list[Message]:
     return [{"link_name": link, "padding": contents.padding_m.get(link, NO_PADDING_M)} for link in robot.links]
 
 
 def _scale(contents: SceneContents, robot: RobotModel) -> list[Message]:
     return [{"link_name": link, "scale": contents.scale.get(link, NO_SCALE)} for link in robot.links]
-
-
-def _colors(contents: SceneContents) -> list[Message]:
-    return [{"id": name, "color": color} for name, color in contents.colors.items()]
 
 
 def _transforms(contents: SceneContents, robot: RobotModel) -> list[Message]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 from planners.goals import Constraints
-from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, StateAnswer, StateQuestion
+from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, StateQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
@@ -116,10 +116,11 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
         request["constraints"], context.problems.context(group, positions_rad), "constraints"
     )
     state = required(await context.pool.ask(StateQuestion(group.name, positions_rad), scene))
-    unmet = [
-        _unmet(required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene)))
-        for single in _single_constraints(constraints)
-    ]
+    unmet = []
+    for single in _single_constraints(constraints):
+        answered = required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene))
+        violated = (each for each in answered.problems if each.code is MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED)
+        unmet.append(next(violated, None))
     pairs = [pair for problem in state.problems for pair in problem.details.get("pairs", ())]
     context.display.contacts(pairs)
     response = {
@@ -141,11 +142,6 @@ def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
     yield from (Constraints(joints=(one,)) for one in constraints.joints)
     yield from (Constraints(positions=(one,)) for one in constraints.positions)
     yield from (Constraints(orientations=(one,)) for one in constraints.orientations)
-
-
-def _unmet(answer: StateAnswer) -> PlanningFailure | None:
-    violated = MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED
-    return next((problem for problem in answer.problems if problem.code is violated), None)
 
 
 def _constraint_result(unmet: PlanningFailure | None) -> dict[str, Any]:

@@ -151,6 +151,7 @@ class CommandGate:
         self._heard_epoch = 0
         # Stop epoch of the last press of each client that announces its presses.
         self._presses: dict[object, int] = {}
+        self._timeouts_s: dict[object, float] = {}
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
@@ -160,16 +161,25 @@ class CommandGate:
         """Reject other types of commands, until the client in control gives it up."""
         self._selected = kind
 
-    def press(self, client: object, present: Container[object]) -> None:
+    def press(self, client: object, timeout_s: float, present: Container[object]) -> None:
         """Take the announcement of a press: from now on a release of this client's stick is followed by another press.
 
         Silence alone is no release then. The commands of a client whose process or network stood still have a gap too.
 
         Args:
+            timeout_s: time after which this client's commands expire, at most the timeout of all [s].
             present: every client that announces presses and is still connected.
         """
+        if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:
+            text = f"{TIMEOUT_TOPIC}: data must be at least {LEAST_TIMEOUT_S:g} s, not {timeout_s:g}"
+            raise invalid(text, field="data")
         self._presses = {each: epoch for each, epoch in self._presses.items() if each in present}
-        self._presses[client] = arrival_epoch()
+        self._timeouts_s = {each: chosen_s for each, chosen_s in self._timeouts_s.items() if each in present}
+        self._presses[client], self._timeouts_s[client] = arrival_epoch(), timeout_s
+
+    def timeout_s(self, client: object) -> float:
+        """Return the time after which a client's commands expire [s]."""
+        return min(self._timeouts_s.get(client, self._timeout_s), self._timeout_s)
 
     def interrupt(self, reason: str) -> None:
         """Reject all commands until the stick is released: the arm was stopped from elsewhere."""
@@ -209,30 +219,6 @@ class CommandGate:
         return self._busy()
 
 
-class CommandTimeouts:
-    """Times after which commands expire, chosen by clients for their own commands, until they leave."""
-
-    def __init__(self, longest_s: float) -> None:
-        self._longest_s = longest_s
-        self._chosen_s: dict[object, float] = {}
-
-    def choose(self, client: object, timeout_s: float, present: Container[object]) -> None:
-        """Set the timeout of a client, and forget the timeouts of clients that have left.
-
-        Args:
-            present: every client that has a choice and is still connected.
-        """
-        if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:
-            text = f"{TIMEOUT_TOPIC}: data must be at least {LEAST_TIMEOUT_S:g} s, not {timeout_s:g}"
-            raise invalid(text, field="data")
-        self._chosen_s = {each: chosen_s for each, chosen_s in self._chosen_s.items() if each in present}
-        self._chosen_s[client] = timeout_s
-
-    def timeout_s(self, client: object) -> float:
-        """Return the time after which a client's commands expire [s]."""
-        return min(self._chosen_s.get(client, self._longest_s), self._longest_s)
-
-
 def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
     """Return the setup of a servo loop of the configured group."""
     group, servo = planning_group(robot, "", parameters), parameters.servo
@@ -270,7 +256,6 @@ class ServoNode:
         self._resolve = planning.frames.resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
-        self._timeouts = CommandTimeouts(setup.timeout_s)
         self._gate = CommandGate(self._present, setup.timeout_s, unavailable, arm)
         self._session = ServoSession(
             arm,
@@ -304,7 +289,7 @@ class ServoNode:
             try:
                 if rejection:
                     raise invalid(rejection)
-                self._session.set_command(self._read(kind, published.msg), self._timeouts.timeout_s(client))
+                self._session.set_command(self._read(kind, published.msg), self._gate.timeout_s(client))
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 
@@ -317,8 +302,7 @@ class ServoNode:
         def deliver(published: PublishedMessage) -> None:
             try:
                 present = self._graph.publishers(TIMEOUT_TOPIC)
-                self._timeouts.choose(published.publisher, float(published.msg["data"]), present)
-                self._gate.press(published.publisher, present)
+                self._gate.press(published.publisher, float(published.msg["data"]), present)
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 

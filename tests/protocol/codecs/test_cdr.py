@@ -11,7 +11,6 @@ from protocol.codecs import cdr
 from protocol.codecs.cbor import packed
 from protocol.codecs.cdr import HEADER
 from protocol.errors import MessageError
-from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from tests.helpers.messages import RosbagsTypes, deserialize, made_up
 from tests.helpers.resources import examples
@@ -44,22 +43,6 @@ def test_the_bytes_of_every_shared_type_are_those_of_another_implementation(seed
         ours = cdr.serialize(REGISTRY, name, message)
         # rosbags pads the whole to four bytes.
         assert theirs == ours.ljust(len(theirs), b"\0"), name
-
-
-def test_a_primitive_is_aligned_from_behind_the_header() -> None:
-    message = complete(REGISTRY, "sensor_msgs/Temperature", {"temperature": 2.0}, Stamp(1, 2))
-    # Stamp 8, length 4, terminator 1, then 3 of padding.
-    temperature = cdr.serialize(REGISTRY, "sensor_msgs/Temperature", message)[4 + 16 : 4 + 24]
-    assert temperature == struct.pack("<d", 2.0)
-
-
-def test_an_empty_message_is_one_octet() -> None:
-    assert cdr.serialize(REGISTRY, "std_msgs/Empty", {}) == bytes.fromhex("00010000 00")
-
-
-def test_members_of_services_can_be_serialized() -> None:
-    octets = cdr.serialize(REGISTRY, "std_srvs/srv/SetBool_Response", {"success": True, "message": "a"})
-    assert octets == bytes.fromhex("00010000 01000000 02000000 6100")
 
 
 def test_a_message_may_be_filled_up_to_four_octets() -> None:

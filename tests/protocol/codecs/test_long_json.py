@@ -50,11 +50,6 @@ def test_a_text_that_is_no_json_is_none_in_pieces_either(value: object, piece_by
 LONG = {"op": "publish", "msg": {"points": [{"x": number, "y": [0.5, None], "z": "},{["} for number in range(20_000)]}}
 
 
-def test_a_long_frame_is_decoded_as_a_short_one() -> None:
-    assert codec.decode(json.dumps(LONG)) == LONG
-    assert codec.decode(json.dumps(LONG).encode()) == LONG
-
-
 def test_no_piece_is_much_longer_than_it_has_to_be() -> None:
     lengths = []
 

@@ -393,14 +393,6 @@ async def test_a_steered_arm_has_to_come_to_rest_first(stage: Stage) -> None:
     assert "being steered" in answer.message
 
 
-async def test_a_goal_is_cancelled_during_planning(stage: Stage) -> None:
-    stage.planners_answer.clear()
-    await stage.begin(to(shoulder_pan=0.4))
-    stage.goal.cancel("ended by a test")
-    assert (await stage.answer()).message == "ended by a test while planning"
-    assert stage.arm.played == []
-
-
 async def test_a_goal_cancelled_before_its_work_begins_moves_nothing_and_the_next_one_moves(stage: Stage) -> None:
     goal = Goal("1", GoalRequest("/goal", to(shoulder_pan=0.4)))
     goal.cancel("ended by a test")

@@ -154,21 +154,6 @@ BRAKING_S = player.BRAKING_TIMEOUT_S
 ALLOWED_S = LIMITS.allowed_s(MOTION.trajectory.duration_s)
 
 
-async def test_a_starved_arm_has_all_its_time_by_its_own_clock(stubborn: Stage) -> None:
-    stubborn.clock.advance(1000.0)
-    stubborn.arm.pass_time(0.9 * ALLOWED_S)
-    await asyncio.sleep(LOOKS_S)
-    assert stubborn.arm.stops == []
-    stubborn.arm.end()
-    assert (await stubborn.answer()).code is MoveItErrorCode.SUCCESS
-
-
-async def test_a_server_that_stood_still_does_not_count_what_passed_before_the_motion(stubborn: Stage) -> None:
-    stubborn.arm.pass_time(1.1 * ALLOWED_S)
-    await asyncio.sleep(LOOKS_S)
-    assert stubborn.arm.stops == []
-
-
 async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock(stubborn: Stage) -> None:
     stubborn.goal.cancel("preempted by a test", replaced=True)
     await stubborn.answer()

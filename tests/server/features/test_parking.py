@@ -3,32 +3,45 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import (
+    Answer,
+    ConcurrencyQuestion,
+    MoveItErrorCode,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckAnswer,
+    Request,
+)
 from planners.scene import EMPTY_SCENE, Scene
 from protocol.registry import Registry
 from robot.arm import Arm
+from robot.arm_group import ArmGroup
+from robot.description.joined import prefixed
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
 from server.config import ArmSettings
 from server.errors import ConfigurationError
+from server.execution.goal import Goal, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
 from server.execution.queue import GoalQueue
-from server.features.context import ArmContext
-from server.features.parking import CHECK_S, LastClient, Parking, rest_pose
+from server.features.context import ArmContext, ServerContext
+from server.features.parking import CHECK_S, LastClient, Parking, Parkings, rest_pose
 from server.graph.local_graph import LocalGraph
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
-from tests.helpers.fake_arm import ROBOT, FakeArm
+from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.motions import smooth_move
+from tests.server.teleop.test_two_followers import ROBOT_PAIR, SIDES, both
 
 pytestmark = pytest.mark.stepped_time
 
@@ -198,6 +211,132 @@ def test_a_rest_pose_that_does_not_exist_is_refused_with_those_that_do() -> None
 
 def test_an_arm_whose_description_has_no_such_state_has_no_rest_pose() -> None:
     assert rest_pose(replace(ROBOT, park_state="bed"), ArmSettings()) is None
+
+
+class KeepingOneOfTwo(KeepingArm):
+    """One of two arms."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name, self.pids = name, (self.pid,)
+        self.state = replace(self.state, joint_names=tuple(f"{name}_{joint}" for joint in JOINTS))
+
+    @property
+    def keeps(self) -> bool:
+        return bool(self.kept) and self.kept[-1] is not None
+
+
+class TwoArms:
+    """Two arms that are to be parked without the server, and their planner, the real one.
+
+    Attributes:
+        meets: True where the planner finds that two ways meet.
+    """
+
+    def __init__(self) -> None:
+        self.meets, self.idle_count, self.busy = False, 1, lambda: ""
+        self.arms = [KeepingOneOfTwo(side) for side in SIDES]
+        group = ArmGroup({arm.name: (arm.as_arm, arm.state.joint_names) for arm in self.arms})
+        self.scene_state = SceneState(ROBOT_PAIR)
+        current = CurrentState(group, ROBOT_PAIR)
+        frames = Frames(ROBOT_PAIR, self.scene_state)
+        self.planning = SimpleNamespace(
+            problems=ProblemBuilder(ROBOT_PAIR, frames, PlannerParameters(MoveItParameters())),
+            pool=self,
+            scene_state=self.scene_state,
+            current=current,
+        )
+        self.goals = SimpleNamespace(queue=self, listeners=[])
+        self.access = SimpleNamespace(drivers=set())
+        graph = Graph(Registry.load())
+        self.whole = SimpleNamespace(served=SimpleNamespace(arm=group), graph=LocalGraph(graph))
+        self.single_arms = [(self._context(arm, graph), arm.as_arm) for arm in self.arms]
+        self.parkings = Parkings(cast("ServerContext", self))
+
+    def _context(self, arm: KeepingArm, graph: Graph) -> ArmContext:
+        settings = ArmSettings.model_validate({"on_server_lost": "park"})
+        context = SimpleNamespace(
+            robot=prefixed(ROBOT, arm.name),
+            served=SimpleNamespace(name=arm.name, leads=False, settings=settings),
+            parameters=MoveItParameters(),
+            planning=self.planning,
+            goals=self.goals,
+            graph=LocalGraph(graph, arm.name),
+        )
+        return cast("ArmContext", context)
+
+    async def ask(self, request: Request, scene: Scene) -> Answer:
+        if isinstance(request, ConcurrencyQuestion) and self.meets:
+            return RecheckAnswer(PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, "the ways meet"), 1.0)
+        return both().set_scene(scene) or both().answer(request)
+
+    async def run(self) -> list[bool]:
+        """Return for each arm True if its process keeps a way after a while."""
+        await self.parkings.start()
+        await asyncio.sleep(LOOKS_S)
+        return [arm.keeps for arm in self.arms]
+
+
+@pytest.fixture
+async def two_arms() -> AsyncIterator[TwoArms]:
+    made = TwoArms()
+    assert await made.run() == [True, True]
+    yield made
+    await made.parkings._keeping[0].stop()
+
+
+async def test_each_of_several_arms_keeps_its_own_way(two_arms: TwoArms) -> None:
+    for arm in two_arms.arms:
+        plan = arm.kept[-1]
+        assert plan is not None
+        assert set(plan.held_rad) == set(arm.state.joint_names)
+        assert plan.trajectory.positions_rad[-1] == pytest.approx(list(REST.values()))
+
+
+def left_moves(two_arms: TwoArms) -> None:
+    two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.MOVING)
+    two_arms.parkings.on_state("", two_arms.arms[0].state)
+
+
+def left_is_elsewhere(two_arms: TwoArms) -> None:
+    two_arms.arms[0].put(shoulder_pan=0.3)
+    two_arms.parkings.on_state("", two_arms.arms[0].state)
+
+
+def a_goal_begins(two_arms: TwoArms) -> None:
+    two_arms.parkings.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
+
+
+@pytest.mark.parametrize("happens", [left_moves, left_is_elsewhere, a_goal_begins])
+async def test_no_arm_keeps_a_way_beside_an_arm_that_moves(
+    two_arms: TwoArms, happens: Callable[[TwoArms], None]
+) -> None:
+    happens(two_arms)
+    assert [arm.keeps for arm in two_arms.arms] == [False, False]
+    two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.HOLDING)
+    await asyncio.sleep(LOOKS_S)
+    assert [arm.keeps for arm in two_arms.arms] == [True, True]
+
+
+async def test_no_arm_keeps_a_way_where_two_ways_meet(two_arms: TwoArms, caplog: pytest.LogCaptureFixture) -> None:
+    two_arms.meets = True
+    left_is_elsewhere(two_arms)
+    await asyncio.sleep(LOOKS_S)
+    assert [arm.keeps for arm in two_arms.arms] == [False, False]
+    assert caplog.text.count("without the server the arms would be relaxed here, not parked: the ways meet") == 1
+
+
+async def test_a_relaxed_arm_keeps_no_way_and_the_other_arm_keeps_its_own(two_arms: TwoArms) -> None:
+    two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.RELAXED)
+    two_arms.parkings.on_state("", two_arms.arms[0].state)
+    await asyncio.sleep(LOOKS_S)
+    assert [arm.keeps for arm in two_arms.arms] == [False, True]
+
+
+async def test_the_end_of_the_server_takes_no_way_from_an_arm_that_is_parked(two_arms: TwoArms) -> None:
+    await two_arms.parkings.stop()
+    left_moves(two_arms)
+    assert [arm.keeps for arm in two_arms.arms] == [True, True]
 
 
 class Leaving:

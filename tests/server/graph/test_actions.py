@@ -120,7 +120,7 @@ def test_a_goal_that_has_ended_leaves_nothing_behind(world: World) -> None:
     world.send()
     goals[0].finish(GoalStatus.SUCCEEDED, {})
     assert world.clock.waiting == 0
-    assert not world.actions._offers.get("/grip").goals
+    assert not world.actions._offers["/grip"].requests
 
 
 def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:

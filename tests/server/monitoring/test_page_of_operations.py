@@ -9,16 +9,11 @@ from dataclasses import replace
 import pytest
 
 from harness.server import ROOT
-from robot.faults import FaultCode
-from server.commands.config import unit
 from server.monitoring.monitor import Metrics
 from tests.server.monitoring.watched_parts import arm_health, watched_sources
 from tests.test_readme import blocks
 
 PAGE = ROOT / "docs" / "operations.md"
-
-# Nothing latches it: without its process the arm is not connected.
-NEVER_LATCHED = {FaultCode.PROCESS_LOST.value}
 
 SUFFIXES = {"counter": "_total", "info": "_info"}
 
@@ -43,18 +38,6 @@ def test_every_metric_is_on_the_page_with_its_kind_and_labels() -> None:
         kind = "gauge" if family.type == "info" else family.type
         found[family.name + SUFFIXES.get(family.type, "")] = (kind, labels)
     assert told == found
-
-
-def test_every_fault_is_on_the_page() -> None:
-    told = {cells[0] for cells in rows()}
-    assert {code.value for code in FaultCode} - told == NEVER_LATCHED
-
-
-def test_the_page_and_the_unit_agree() -> None:
-    text = unit(["/a"], None, None, "dialout")
-    (table,) = re.findall(r"\| in the unit .*?\n\n", PAGE.read_text(), re.DOTALL)
-    for setting in re.findall(r"`([A-Z]\w+)(=[\w-]+)?`", table):
-        assert "".join(setting) in text
 
 
 def test_prometheus_can_read_what_it_is_to_scrape() -> None:

@@ -12,7 +12,8 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -20,15 +21,19 @@ import pytest
 
 from harness.full_meshes import Judge
 from planners.geometry.collision import CollisionModel
+from planners.pipeline import Planner
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import MAX_PERIOD_S, ServoAnswer, ServoLimits, ServoQuestion
 from planners.servo.steering import WATCHED_M
 from robot.arm import ArmStream
 from robot.control.motion import Streaming
+from robot.description.joined import prefixed
 from robot.description.limits import JointBounds
+from robot.description.model import RobotModel
 from robot.messages import MotionEnded, Setpoint, Stream
 from server.execution.executor import GoalExecutors
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest
+from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
@@ -52,12 +57,16 @@ BOUNDS = JointBounds.of(ROBOT, JOINTS)
 class TickingArm(FakeArm):
     """An arm whose streams are carried out as the arm process does, tick by tick.
 
+    Args:
+        prefix: with which names of its joints begin.
+
     Attributes:
         goals_rad: goals of the steered joints at every tick, each of shape (joints,) [rad].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, prefix: str = "") -> None:
         super().__init__()
+        self.state = replace(self.state, joint_names=tuple(prefix + name for name in JOINTS))
         self.goals_rad: list[np.ndarray] = []
         self._streaming: Streaming | None = None
 
@@ -67,7 +76,7 @@ class TickingArm(FakeArm):
         self.streams[-1] = stream
         command = Stream(len(self.streams), joint_names)
         assert self.state.goal_rad is not None
-        self._streaming = Streaming(command, JOINTS, BOUNDS, self.state.goal_rad)
+        self._streaming = Streaming(command, self.state.joint_names, BOUNDS, self.state.goal_rad)
         return stream
 
     def _steer(self, setpoint: Setpoint) -> None:
@@ -93,50 +102,72 @@ class TickingArm(FakeArm):
 
 
 class Trial:
-    """A follower whose planners take a given time for each answer.
+    """Followers whose planners take a given time for each answer.
 
     Args:
         latency_s: time from a question to its answer [s], by a call.
+        several: description of several arms by the names of these, and their planner; None for one arm.
     """
 
-    def __init__(self, latency_s: Callable[[], float]) -> None:
-        loop = asyncio.get_running_loop()
-        self.clock = loop.time
+    def __init__(
+        self, latency_s: Callable[[], float], several: tuple[Sequence[str], RobotModel, Planner] | None = None
+    ) -> None:
+        names, robot, self._planner = several or ([""], ROBOT, planner())
+        self.clock = asyncio.get_running_loop().time
         self.latency_s = latency_s
-        self.samples = JitterBuffer({}, 0.0)
-        self.arm = arm = TickingArm()
         self.told: list[FollowingState] = []
-        setup = ServoSetup("arm", STEERED, "gripper_frame_link", ServoLimits(), 0.02, 1000.0)
-        self.session = FollowingSession(
-            Follower("right", "", ROBOT, arm.as_arm, setup, None),
-            joint_map(ROBOT, "", JOINTS),
-            self.samples,
-            FollowingContext(
-                planning_of(arm, pool=self),
-                GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None),
-                self._go_to,
-                self.clock,
-            ),
-            self.told.append,
-            lambda _targets: None,
-        )
+        self.arms = [TickingArm(name and f"{name}_") for name in names]
+        self.samples = [JitterBuffer({}, 0.0) for _ in names]
+        planning = replace(planning_of(self.arms[0], robot, pool=self), current=cast("CurrentState", self))
+        queue: GoalQueue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+        context = FollowingContext(planning, queue, self._go_to, self.clock)
+        self.sessions = [
+            FollowingSession(
+                self._follower(name, robot, arm),
+                joint_map(robot, name and f"{name}_", JOINTS),
+                samples,
+                context,
+                self.told.append,
+                lambda _targets: None,
+            )
+            for name, arm, samples in zip(names, self.arms, self.samples, strict=True)
+        ]
 
-    async def follow(self, leader: Callable[[float], dict[str, float]], seconds: float) -> np.ndarray:
-        """Follow a leader for a while; returns the goals of the steered joints, shape (ticks, joints) [rad]."""
-        ticking = asyncio.create_task(self.arm.tick())
+    @staticmethod
+    def _follower(name: str, robot: RobotModel, arm: TickingArm) -> Follower:
+        prefix = name and f"{name}_"
+        group = robot.groups[f"{prefix}arm"]
+        setup = ServoSetup(group.name, group.joints, f"{prefix}gripper_frame_link", ServoLimits(), 0.02, 1000.0)
+        return Follower(name, prefix, ROBOT if not name else prefixed(ROBOT, name), arm.as_arm, setup, None)
+
+    def positions_rad(self) -> dict[str, float]:
+        """Return the goals of all arms, as the current state has them [rad]."""
+        return {
+            name: float(goal)
+            for arm in self.arms
+            for name, goal in zip(arm.state.joint_names, arm.state.goal_rad, strict=True)
+        }
+
+    async def follow(self, *leaders: Callable[[float], dict[str, float]], seconds: float) -> np.ndarray:
+        """Follow leaders for a while; returns the goals of the steered joints, shape (ticks, arms * joints) [rad]."""
+        ticking = [asyncio.create_task(arm.tick()) for arm in self.arms]
         began_s = self.clock()
-        self._read(leader(0.0))
-        self.session.start()
+        self._read(leaders, 0.0)
+        for session in self.sessions:
+            session.start()
         while (now_s := self.clock() - began_s) < seconds:
-            self._read(leader(now_s))
+            self._read(leaders, now_s)
             await asyncio.sleep(TICK_S)
-        await self.session.close()
-        ticking.cancel()
-        return np.array(self.arm.goals_rad)
+        for session in self.sessions:
+            await session.close()
+        for task in ticking:
+            task.cancel()
+        return np.hstack([arm.goals_rad for arm in self.arms])
 
-    def _read(self, positions_rad: dict[str, float]) -> None:
-        self.samples.add(LeaderSample(self.clock(), dict.fromkeys(JOINTS, 0.0) | positions_rad), self.clock())
-        self.session.take_sample()
+    def _read(self, leaders: Sequence[Callable[[float], dict[str, float]]], at_s: float) -> None:
+        for leader, samples, session in zip(leaders, self.samples, self.sessions, strict=True):
+            samples.add(LeaderSample(self.clock(), dict.fromkeys(JOINTS, 0.0) | leader(at_s)), self.clock())
+            session.take_sample()
 
     def _go_to(self, _positions: Positions, _scaling: float) -> Goal:
         goal = Goal("1", GoalRequest("/goal"))
@@ -144,7 +175,7 @@ class Trial:
         return goal
 
     async def ask(self, question: ServoQuestion, _scene: object) -> ServoAnswer | PlanningFailure:
-        answer = cast("ServoAnswer | PlanningFailure", planner().answer(question))
+        answer = cast("ServoAnswer | PlanningFailure", self._planner.answer(question))
         await asyncio.sleep(self.latency_s())
         return answer
 
@@ -180,13 +211,13 @@ def least_distance_m(goals_rad: np.ndarray) -> float:
 
 @pytest.mark.parametrize("latency_s", [0.005, 0.047, 0.08, 0.095])
 async def test_a_follower_swings_no_further_than_its_leader(latency_s: float) -> None:
-    goals_rad = await Trial(lambda: latency_s).follow(swinging, 4.0)
+    goals_rad = await Trial(lambda: latency_s).follow(swinging, seconds=4.0)
     assert SWING_RAD * 0.9 < np.abs(goals_rad).max() < SWING_RAD * 1.05
 
 
 @pytest.mark.parametrize("latency_s", [0.005, 0.047, 0.095])
 async def test_a_follower_that_is_led_into_itself_keeps_its_distance(latency_s: float) -> None:
-    goals_rad = await Trial(lambda: latency_s).follow(folding, 2.5)
+    goals_rad = await Trial(lambda: latency_s).follow(folding, seconds=2.5)
     assert least_distance_m(goals_rad) > DISTANCE_M
     assert goals_rad[-1][1] < -1.5
 
@@ -234,7 +265,7 @@ async def test_a_follower_of_any_leader_touches_nothing_and_comes_to_rest(seed: 
     choice, jitter = np.random.default_rng(seed + 7), np.random.default_rng(seed + 1000)
     latency_s, fastest_rad_s = float(choice.choice(LATENCIES_S)), float(choice.uniform(0.5, FASTEST_RAD_S))
     trial = Trial(lambda: latency_s * jitter.uniform(0.5, 1.0))
-    goals_rad = await trial.follow(wandering(seed, fastest_rad_s), LED_S + RESTS_S)
+    goals_rad = await trial.follow(wandering(seed, fastest_rad_s), seconds=LED_S + RESTS_S)
     passed = np.unique(goals_rad[::2], axis=0)
     assert not any(meshes().collides(goals) for goals in passed), (latency_s, fastest_rad_s)
     assert least_distance_m(passed) > DISTANCE_M, (latency_s, fastest_rad_s)
@@ -248,14 +279,14 @@ async def test_a_follower_of_any_leader_touches_nothing_and_comes_to_rest(seed: 
 @pytest.mark.parametrize("late", [80, 120])
 async def test_one_late_answer_costs_no_distance(late: int) -> None:
     answers = itertools.count()
-    goals_rad = await Trial(lambda: 0.3 if next(answers) == late else 0.005).follow(folding, 2.5)
+    goals_rad = await Trial(lambda: 0.3 if next(answers) == late else 0.005).follow(folding, seconds=2.5)
     assert least_distance_m(goals_rad) > DISTANCE_M
 
 
 async def test_answers_that_come_too_late_are_not_carried_out() -> None:
     answers = itertools.count()
     trial = Trial(lambda: 0.005 if next(answers) < 50 else 0.12)
-    goals_rad = await trial.follow(swinging, 3.0)
+    goals_rad = await trial.follow(swinging, seconds=3.0)
     assert np.ptp(goals_rad[: len(goals_rad) // 2]) > 0.1
     assert not np.ptp(goals_rad[-100:], axis=0).any()
     assert any("the planners took 0.12 s for an answer" in told.message for told in trial.told)

@@ -253,3 +253,28 @@ async def test_a_stop_keeps_the_arm_from_being_relaxed(parking: Parked) -> None:
         answer = await call
         assert not answer["success"]
         await client.until_mode("holding")
+
+
+def test_several_arms_go_to_rest_without_the_server(tmp_path: Path) -> None:
+    """Each by its own way, once the ways of all are known to keep clear of each other."""
+    logs = {arm: tmp_path / f"{arm}.jsonl" for arm in ("left", "right")}
+    feet = {"left": 0.25, "right": -0.25}
+    config = tmp_path / "arms.toml"
+    config.write_text(
+        '[server]\nlog_level = "debug"\n'
+        + "".join(
+            f'[arms.{arm}]\non_server_lost = "park"\nbase_xyz_m = [0.0, {feet[arm]}, 0.0]\n'
+            f'emulator.write_log = "{log}"\n'
+            for arm, log in logs.items()
+        )
+    )
+    with RunningServer(f"--port 0 --config {config}", FAST) as server:
+        both = [Parked(ServerOnBus(server, None), log) for log in logs.values()]  # type: ignore[arg-type]
+        both[0].until_known(2)
+        pids = [int(pid) for pid in re.findall(r"process (\d+), 100 Hz", both[0].text)]
+        assert len(pids) == 2
+        server.process.kill()
+        server.process.wait(SOON_S)
+        for pid in pids:
+            both[0].until_gone(pid)
+        assert [each.parked for each in both] == [True, True], both[0].text

@@ -1,4 +1,4 @@
-"""The walk of docs/rehearsal.md on a pseudo terminal: a hand sweeps the emulated arm, and calibrate records it."""
+"""The walk of docs/simulation.md on a pseudo terminal: a hand sweeps the emulated arm, and calibrate records it."""
 
 from __future__ import annotations
 

@@ -6,12 +6,12 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
-from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
+from server.moveit.actions.goal_bridge import submit_goal
 from server.moveit.actions.move_group import MoveGroupFeedback, move_group_result
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
@@ -97,22 +97,6 @@ async def test_a_goal_that_ended_with_its_motion_leaves_the_next_alone(desk: Des
     await settle()
     assert [result.status for result in desk.results] == [GoalStatus.SUCCEEDED]
     assert desk.cancelled == []
-
-
-async def test_a_rejected_goal_is_answered_and_the_motion_continues(desk: Desk) -> None:
-    await desk.send(ACTION)
-    failure = PlanningFailure(MoveItErrorCode.INVALID_GROUP_NAME, "no such group")
-    desk.graph.actions.offer(Node("server"), "/other", TYPE, lambda goal: reject_goal(goal, desk.queue, failure, code))
-    await desk.send("/other")
-    assert [result.values["error_code"]["val"] for result in desk.results] == [-15]
-    assert desk.refused == ["no such group"]
-    assert len(desk.asked) == 1
-
-
-def test_every_end_has_a_status() -> None:
-    assert goal_status(MoveItErrorCode.SUCCESS) is GoalStatus.SUCCEEDED
-    assert goal_status(MoveItErrorCode.PREEMPTED) is GoalStatus.CANCELED
-    assert goal_status(MoveItErrorCode.NO_IK_SOLUTION) is GoalStatus.ABORTED
 
 
 ROBOT = so101()

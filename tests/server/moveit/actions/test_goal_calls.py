@@ -99,11 +99,15 @@ async def test_a_proposal_preempts_no_motion_whatever_the_policy(desk: Desk) -> 
     assert [response.values["code_name"] for response in desk.responses][:1] == ["PREEMPTED"]
 
 
-async def test_a_goal_of_others_is_no_proposal_and_a_plan_needs_no_approval(desk: Desk) -> None:
+@pytest.mark.parametrize("confirm", [True, False])
+async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_a_plan_needs_no_approval(
+    desk: Desk, *, confirm: bool
+) -> None:
+    desk.confirmation.enabled = confirm
     await desk.ask(named="ready")
     (motion,) = desk.asked
     assert isinstance(motion, PlannedMotion)
-    assert (motion.confirm, motion.proposed) == (False, False)
+    assert (motion.confirm, motion.proposed) == (confirm, False)
     desk.client = PROPOSER
     desk.responses.clear()
     await desk.ask(named="ready", plan_only=True)
@@ -194,14 +198,6 @@ async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: D
     desk.graph.remove(desk.client)
     await settle()
     assert bool(desk.queue.busy()) is not takes_along
-
-
-async def test_confirm_mode_holds_for_calls_as_for_topics(desk: Desk) -> None:
-    desk.confirmation.enabled = True
-    await desk.ask(named="ready")
-    (motion,) = desk.asked
-    assert isinstance(motion, PlannedMotion)
-    assert motion.confirm
 
 
 async def test_a_plan_alone_does_not_move_and_tells_its_duration(desk: Desk) -> None:

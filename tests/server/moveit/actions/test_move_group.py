@@ -114,13 +114,6 @@ async def test_a_sequence_is_one_motion_of_several_steps(planning_desk: ActionDe
     assert planning_desk.results[0].values["response"]["error_code"]["val"] == 1
 
 
-async def test_a_blend_radius_is_refused_with_a_reason(planning_desk: ActionDesk) -> None:
-    items = [{"req": to(0.3), "blend_radius": 0.05}, {"req": to(0.5)}]
-    await planning_desk.send(SEQUENCE_ACTION, request={"items": items})
-    assert "blend_radius must be 0 m, not 0.05" in planning_desk.results[0].values["response"]["error_code"]["message"]
-    assert planning_desk.asked == []
-
-
 GOAL = {"group_name": "arm", "goal_constraints": [{"joint_constraints": [joint("shoulder_pan", 0.3)]}]}
 
 

@@ -78,6 +78,11 @@ BAD = {
         primitive(PRISM, 1.0, points=[(0, 0), (2, 2), (2, 0), (0, 2)]),
         "crosses itself",
     ),
+    "a prism without area": (
+        read_primitive,
+        primitive(PRISM, 1.0, points=[(0, 0), (1, 1), (2, 2)]),
+        "crosses itself or has no area",
+    ),
     "no triangles": (read_mesh, mesh(TRIANGLE), "mesh of 0 triangles"),
     "nothing at all": (read_mesh, mesh([]), "mesh of 0 triangles"),
     "absent vertices": (read_mesh, mesh(TRIANGLE, (0, 1, 3)), "name the vertex 3; there are 3"),
@@ -133,10 +138,3 @@ def test_a_star_of_any_radii_is_closed_and_keeps_its_area(radii_m, clockwise):
     edges = [tuple(t[[i, (i + 1) % 3]]) for t in surface.triangles for i in range(3)]
     assert len(set(edges)) == len(edges)
     assert all((b, a) in edges for a, b in edges)
-
-
-@pytest.mark.parametrize(
-    "polygon", [[(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)], [(0.0, 0.0), (2.0, 2.0), (2.0, 0.0), (0.0, 2.0)]]
-)
-def test_a_polygon_without_area_or_that_crosses_itself_has_no_surface(polygon):
-    assert prism_mesh(polygon, 1.0) is None

@@ -188,6 +188,7 @@ async def test_the_end_of_the_stream_ends_a_loop_whose_next_step_is_far_away() -
     await rig.until_asked(1)
     rig.arm.stop()
     await rig.until_let_go()
+    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: stopped")
     assert rig.interruptions == ["steering was ended: stopped"]
 
 
@@ -214,15 +215,6 @@ async def test_every_question_has_velocity_and_anchor_of_the_last_answer(rig: Ri
     assert (rig.questions[0].velocity_rad_s, rig.questions[0].anchor) == ({}, None)
     assert (rig.questions[1].velocity_rad_s, rig.questions[1].anchor) == (MOVING, KEPT)
     await rig.session.close()
-
-
-async def test_a_stop_by_somebody_else_is_an_interruption(rig: Rig) -> None:
-    rig.session.set_command(NORTH)
-    await rig.until_asked(2)
-    rig.arm.stop()
-    await rig.until_let_go()
-    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: stopped")
-    assert rig.interruptions == ["steering was ended: stopped"]
 
 
 async def test_a_failure_of_the_planners_halts_the_arm_with_its_message(rig: Rig) -> None:

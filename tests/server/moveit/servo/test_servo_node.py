@@ -33,7 +33,6 @@ from server.moveit.servo.servo_node import (
     TIMEOUT_TOPIC,
     TWIST_TOPIC,
     CommandGate,
-    CommandTimeouts,
     CommandType,
     ServoNode,
     StatusPublisher,
@@ -254,7 +253,7 @@ def test_after_a_stop_or_an_interruption_a_held_stick_steers_again_when_the_stat
 @pytest.mark.parametrize("end", ["a stop", "another end of the steering"])
 def test_a_client_that_announces_its_presses_steers_again_only_after_another_press(gate_rig: GateRig, end: str) -> None:
     gate = gate_rig.gate
-    gate.press(ONE, {ONE})
+    gate.press(ONE, TIMEOUT_S, {ONE})
     assert gate_rig.said(0.0) == ""
     # A gap alone, as of a page that stood still, ends nothing.
     assert gate_rig.said(1.0) == ""
@@ -264,20 +263,18 @@ def test_a_client_that_announces_its_presses_steers_again_only_after_another_pre
         gate.interrupt("a goal came")
     assert f"then publish {TIMEOUT_TOPIC} again" in gate_rig.said(2.0)
     assert gate_rig.said(3.0) != ""
-    gate.press(ONE, {ONE})
+    gate.press(ONE, TIMEOUT_S, {ONE})
     assert gate_rig.said(3.1) != ""
     assert gate_rig.said(4.0) == ""
 
 
-def test_a_client_shortens_the_timeout_of_its_own_commands_alone() -> None:
-    timeouts = CommandTimeouts(0.25)
-    timeouts.choose("page", 0.08, {"page"})
-    assert timeouts.timeout_s("page") == 0.08
-    assert timeouts.timeout_s("other") == 0.25
-    timeouts.choose("other", 3.0, {"other"})
-    assert timeouts.timeout_s("other") == 0.25
-    # The page has left meanwhile.
-    assert timeouts.timeout_s("page") == 0.25
+def test_a_client_shortens_the_timeout_of_its_own_commands_alone(gate_rig: GateRig) -> None:
+    gate = gate_rig.gate
+    gate.press(ONE, 0.08, {ONE})
+    assert (gate.timeout_s(ONE), gate.timeout_s(OTHER)) == (0.08, TIMEOUT_S)
+    # The first client has left meanwhile.
+    gate.press(OTHER, 3.0, {OTHER})
+    assert (gate.timeout_s(ONE), gate.timeout_s(OTHER)) == (TIMEOUT_S, TIMEOUT_S)
 
 
 @pytest.mark.stepped_time

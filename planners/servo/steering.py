@@ -108,7 +108,7 @@ def velocity_bounds(
     max_change: Vector,
     period_s: float,
 ) -> VelocityBounds:
-    """Return bounds for the joints in ``columns`` at positions, (n,) [rad]; ``max_change`` is of a velocity a period."""
+    """Return bounds for joints in ``columns`` at positions, (n,) [rad]; ``max_change`` is of a velocity a period."""
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
     by_another_arm = np.array([pair.by_another_arm for pair, _ in watched], dtype=bool)

@@ -182,7 +182,6 @@ class IkQuestion:
     avoid_collisions: bool = True  # whether solutions in contact count as none
     constraints: Constraints | None = None  # what must hold as well
     allowed_time_s: float = 0.05  # time after which the answer is TIMED_OUT [s]
-    seed: int = 0  # same question and seed, same answer
 
 
 @dataclass(frozen=True)

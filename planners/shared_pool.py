@@ -185,11 +185,6 @@ class SharedPlanners(Planners):
         return self._pids
 
     @property
-    def loaded_count(self) -> int:
-        """Number of shared processes that have loaded the robot."""
-        return len(self._pids)
-
-    @property
     def idle_count(self) -> int:
         """Number of shared processes while none works for this server."""
         return len(self._pids) if not self._answers else 0

@@ -55,11 +55,7 @@ def parse_urdf(urdf_path: Path) -> ET.Element:
 
 
 def copy_meshes(root: ET.Element, urdf_path: Path, packages: Sequence[Path], folder: Path) -> int:
-    """Copy the meshes of a URDF into a folder, name the copies in ``root``, and return the number of meshes.
-
-    DescriptionError: a mesh of a <collision> is missing; the text has the paths that were tried. AssistantError: the
-    meshes are too large.
-    """
+    """Copy a URDF's meshes to a folder, name the copies in ``root``, and return their number."""
     names: dict[Path, str] = {}
     total_bytes = 0
     for link in root.iterfind("link"):

@@ -11,6 +11,9 @@ import server
 # Built by `make page` from the sources beside it; in a wheel it is there without them.
 PAGE_DIRECTORY = Path(server.__file__).parent / "page" / "dist"
 
+# Built by `make docs`; a wheel has it where it was built.
+DOCS_DIRECTORY = Path(server.__file__).parent / "docs_site"
+
 _PAGE_VERSION = re.compile(r'<meta name="version" content="([^"]+)">')
 
 

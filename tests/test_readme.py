@@ -45,6 +45,12 @@ def test_every_page_is_linked_in_the_list_of_all_pages() -> None:
     assert pages - linked == set(), "link them in docs/index.md"
 
 
+def test_every_page_has_one_place_in_the_site() -> None:
+    placed = re.findall(r"[\w-]+\.md", (ROOT / "mkdocs.yml").read_text().split("\nnav:")[1])
+    assert sorted(placed) == sorted(page.name for page in (ROOT / "docs").glob("*.md"))
+    assert len(placed) <= 25
+
+
 def test_the_configuration_page_shows_every_setting() -> None:
     assert blocks(ROOT / "docs" / "configuration.md", "toml")[0] == template(Settings), (
         "put the output of `armbridge config --template` into docs/configuration.md"

@@ -248,10 +248,6 @@ class ArmController:
         if self.pace.direction is not PlaybackDirection.FORWARD and all(motion.gripping for motion in self.motions):
             self.pace = replace(self.pace, direction=PlaybackDirection.FORWARD)
 
-    @property
-    def _rate(self) -> float:
-        return self.pace.speed_factor * _DIRECTION[self.pace.direction]
-
     def _advance(self, measured: Measured, elapsed_s: float) -> None:
         motions = self.motions + self._braking
         if not motions and self._hold_rad.tolist() == self.goal_rad.tolist():
@@ -260,8 +256,9 @@ class ArmController:
         wanted = self._hold_rad.copy()
         fastest = SLOW_RATE if hot else 1.0
         led = np.zeros(len(self._names), dtype=bool)
+        rate = self.pace.speed_factor * _DIRECTION[self.pace.direction]
         for motion in motions:
-            wanted[motion.columns] = motion.step(elapsed_s, 1.0 if motion.gripping else self._rate, fastest)
+            wanted[motion.columns] = motion.step(elapsed_s, 1.0 if motion.gripping else rate, fastest)
             led[motion.columns] = True
         if self._braking:
             led &= ~self._yielded

@@ -18,7 +18,8 @@ class ForwardPlacements:
 
     def __init__(self, robot: RobotModel) -> None:
         self._root = robot.root_link
-        elements = {joint.get("name"): joint for joint in _joints(robot.urdf)}
+        tree = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
+        elements = {joint.get("name"): joint for joint in tree.findall("joint")}
         by_child = {joint.child: joint for joint in robot.joints.values()}
         # Links come parents before children.
         self._steps = [
@@ -81,7 +82,3 @@ def _moved(step: _Step, positions_rad: Mapping[str, float]) -> Vector:
     else:
         transform[:3, 3] = position * step.axis
     return transform
-
-
-def _joints(urdf: str) -> list[ET.Element]:
-    return ET.fromstring(urdf).findall("joint")  # noqa: S314 - the user's own file, already parsed by robot.description.model

@@ -9,7 +9,7 @@ from typing import Generic
 
 from robot.emulator.plant import Drive, Motor, Plant
 from robot.hardware.interface import StatusFlag
-from robot.hardware.servos.bus import RegisterT, RegisterTable
+from robot.hardware.servos.registers import RegisterT, RegisterTable
 
 FULL_DUTY_PERMILLE = 1000.0
 

@@ -40,25 +40,10 @@ _NAMES: Mapping[int, str] = MappingProxyType(
 class WriteLog:
     """Log file with one JSON line for each write instruction or live command, flushed at once.
 
-    ============== ===========================================================================
-    ``t``           time of the bus: of the control loop it runs in, or the machine's monotonic clock [s]
-    ``machine_t``   the machine's monotonic clock, the same in every process [s]
-    ``instruction`` "write", "sync_write", "action" (of kept writes), or "command"
-    ``address``     first register written; null for a command
-    ``data``        servo id to the bytes written; empty for a command
-    ``registers``   servo id to the registers wholly written by these bytes, name to value
-    ``command``     the live command; for a command only
-    ``present``     servo id to PRESENT_POSITION [ticks]
-    ``torque``      servo id to TORQUE_ENABLE
-    ``goal``        servo id to GOAL_POSITION [ticks]
-    ``limit``       servo id to its torque limit [0.1 %]
-    ``status``      servo id to its error bits, register STATUS
-    ============== ===========================================================================
-
-    The last five are of all servos, after the write.
-
-    Raises:
-        OSError: the file cannot be written.
+    A line has the times of the bus and of the machine's monotonic clock [s]; the instruction with the first address and
+    the bytes by servo id, and the registers wholly written, or the live command; and of every servo, after the write,
+    positions [ticks], torque limits [0.1 %] and error bits (register STATUS). Raises OSError for a file that cannot be
+    written.
     """
 
     def __init__(self, path: Path, *, append: bool = False) -> None:

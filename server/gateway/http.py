@@ -29,7 +29,7 @@ from robot.description.model import RobotModel
 from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.permissions import Identity
-from server.installation import PAGE_DIRECTORY
+from server.installation import DOCS_DIRECTORY, PAGE_DIRECTORY
 from server.robot_files import RobotFiles, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
@@ -97,6 +97,8 @@ INDEX = "index.html"
 
 # The page's largest file, its libraries, has one.
 MAX_PAGE_FILE_BYTES = 8 << 20
+
+DOCS = "docs"
 
 HOW_TO_BUILD_PAGE = "the page is not built: install Node.js 20.19 or later with npm, and call make page"
 
@@ -355,11 +357,13 @@ class HttpHandler:
         page_directory: Path = PAGE_DIRECTORY,
         routes: Mapping[str, Route] | None = None,
         post_routes: Mapping[str, PostRoute] | None = None,
+        docs_directory: Path = DOCS_DIRECTORY,
     ) -> None:
         self._files = None if robot is None else RobotFiles(robot)
         self._routes = {} if routes is None else routes
         self._post_routes = {} if post_routes is None else post_routes
         self._page_directory = page_directory
+        self._docs_directory = docs_directory
         # Large meshes do not put the page out, nor does their disk hold it up.
         self._page_files = FileCache()
         self._robot_files = FileCache()
@@ -435,6 +439,8 @@ class HttpHandler:
         try:
             if area == ROBOT:
                 return await self._robot_file(inner, gzipped)
+            if area == DOCS:
+                return await self._docs_file(inner, gzipped)
             return await self._page_file(name, gzipped)
         except FileTooLargeError as error:
             self._tell(_sentence(error))
@@ -451,6 +457,15 @@ class HttpHandler:
         file = await self._page_files.read(lambda: find_page_file(self._page_directory, name), gzipped=gzipped)
         keeping = _FOR_EVER if _HASHED.fullmatch(name) else _ASK_AGAIN
         return HttpResponse.of_file(file, media_type(name or INDEX), keeping)
+
+    async def _docs_file(self, name: str, gzipped: bool) -> HttpResponse:
+        if not page_is_built(self._docs_directory):
+            raise ServiceError("the docs are not built: call make docs")
+        if not name:
+            # The links of the index begin at its folder.
+            return HttpResponse.of_text(HTTPStatus.PERMANENT_REDIRECT, "docs/", {"Location": f"{DOCS}/"})
+        file = await self._page_files.read(lambda: find_page_file(self._docs_directory, name), gzipped=gzipped)
+        return HttpResponse.of_file(file, media_type(name), _ASK_AGAIN)
 
     async def _robot_file(self, name: str, gzipped: bool) -> HttpResponse:
         text = self._descriptions.get(name)
@@ -479,6 +494,8 @@ def _name(path: str) -> str | None:
         return None
     if not name.startswith("/"):
         return None
+    if name == f"/{DOCS}/":
+        name += INDEX
     parts = name[1:].split("/")
     if parts != [""] and any(part in ("", ".", "..") for part in parts):
         return None

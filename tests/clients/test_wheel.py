@@ -38,12 +38,16 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for part in PARTS:
         if (ROOT / part).is_dir():
             shutil.copytree(
-                ROOT / part, made / part, ignore=shutil.ignore_patterns("node_modules", "dist", "__pycache__")
+                ROOT / part,
+                made / part,
+                ignore=shutil.ignore_patterns("node_modules", "dist", "docs_site", "__pycache__"),
             )
         else:
             shutil.copy(ROOT / part, made / part)
     # Where git's folder is, hatch looks for what git ignores.
     (made / ".git").mkdir()
+    (made / "server" / "docs_site").mkdir()
+    (made / "server" / "docs_site" / "index.html").write_text("built")
     for name in ("dist/index.html", "dist/licenses.md", "dist/assets/vendor.js", "node_modules/three/three.js"):
         file = made / "server" / "page" / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -86,7 +90,7 @@ def test_it_has_the_types_the_arms_the_docs_and_the_licences(wheel: Path) -> Non
         files = {f"{folder}/{file.name}" for file in (ROOT / folder).iterdir() if file.is_file()}
         assert files <= names
     pages = {f"{data}/data/share/doc/armbridge/docs/{page.name}" for page in (ROOT / "docs").glob("*.md")}
-    assert pages <= names
+    assert {*pages, "server/docs_site/index.html"} <= names
     assert {f"{info}/licenses/LICENSE", f"{info}/licenses/robot/arms/so101/NOTICE", "armbridge.py"} <= names
 
 

@@ -10,20 +10,9 @@ from robot.calibration import JointCalibration
 from robot.errors import StartupError
 from robot.hardware.interface import Steps
 from robot.hardware.port import BusPort
-from robot.hardware.servos.bus import (
-    BROADCAST_ID,
-    TWOS_COMPLEMENT,
-    Area,
-    Block,
-    RegisterEnum,
-    RegisterTable,
-    Sdk,
-    ServoBus,
-    StatusFrame,
-    Telemetry,
-    write_verified,
-)
+from robot.hardware.servos.bus import BROADCAST_ID, Sdk, ServoBus, StatusFrame, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, label
+from robot.hardware.servos.registers import TWOS_COMPLEMENT, Area, Block, RegisterEnum, RegisterTable, Telemetry
 
 
 class Register(RegisterEnum):

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from protocol import send_queue
-from protocol.limits import Limits
+from protocol.limits import MAX_SERVER_QUEUED_BYTES, Limits
 from protocol.publication import FRAME_OVERHEAD_BYTES, EncodedMessage, Frame
 from protocol.send_queue import SendBudget, SendQueue
 from protocol.subscriptions import Subscription
@@ -296,3 +296,12 @@ def test_all_that_is_put_leaves_or_is_dropped_when_time_is_up(sizes_bytes: list[
     queue.drop_late(Limits().max_topic_delay_s + 0.1)
     assert budget.used_bytes == 0
     assert queue.dropped == len(sizes_bytes)
+
+
+def test_a_client_that_stops_reading_has_a_quarter_of_the_servers_memory_for_what_waits_at_most() -> None:
+    assert Limits().max_queued_bytes <= MAX_SERVER_QUEUED_BYTES / 4
+
+
+def test_replies_and_requests_leave_room_for_topic_data() -> None:
+    limits = Limits()
+    assert limits.max_queued_request_bytes + limits.max_queued_reply_bytes < limits.max_queued_bytes

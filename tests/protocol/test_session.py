@@ -11,7 +11,7 @@ from protocol.operations import MAX_NAME_CHARACTERS, OPERATIONS, Operation, Publ
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.send_queue import BEHIND_S, BULKY_BYTES
-from protocol.session import DROPS_TOLD_EVERY_S, Packed, Refusal, Session
+from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Packed, Refusal, Session
 
 REGISTRY = Registry.load()
 
@@ -291,6 +291,15 @@ def test_a_result_does_not_overtake_feedback_however_large():
     for encoded in session.send_queue.take_unready():
         encoded.encode()
     assert [json.loads(frame)["op"] for frame in sent(session, BEHIND_S + 1.0)] == ["action_feedback", "action_result"]
+
+
+def test_the_data_fetched_at_a_time_is_bounded():
+    session = subscribed()
+    for step in range(500):
+        session.deliver(message("x" * 1000 + str(step)), 1.0)
+    fetched = session.data_to_send(1.0)
+    assert sum(encoded.size_bytes for encoded in fetched) <= SEND_BUDGET_BYTES + 2000
+    assert session.send_queue.next_due(1.0) == 1.0
 
 
 @pytest.mark.parametrize(("wanted", "told"), [("none", 0), ("error", 1), ("warning", 2), ("info", 3)])

@@ -339,6 +339,15 @@ def kept() -> Kept:
     return Kept()
 
 
+def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
+    assert kept.ask("set_param", name="/speed", value="0.5") == DONE
+    assert kept.ask("get_param", name="/speed", default_value="") == {**DONE, "value": "0.5"}
+    assert kept.ask("search_param", name="/speed") == {"global_name": "/speed"}
+    assert kept.ask("delete_param", name="/speed") == DONE
+    assert kept.ask("has_param", name="/speed") == {"exists": False}
+    assert kept.ask("search_param", name="/speed") == {"global_name": ""}
+
+
 @pytest.mark.parametrize(
     ("default", "value"),
     [("0.1", 0.1), ('"text"', "text"), ("text", "text"), ("null", None), ("{", "{"), ("[" * 200_000, "[" * 200_000)],

@@ -43,8 +43,9 @@ from robot.hardware.dynamixel.registers import (
     status_of,
 )
 from robot.hardware.interface import StatusFlag, Steps
-from robot.hardware.servos.bus import Block, ServoBus, StatusFrame, Telemetry, read, write_verified
+from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
+from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
 
 HEADER = b"\xff\xff\xfd\x00"

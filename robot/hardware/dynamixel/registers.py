@@ -14,8 +14,8 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from robot.hardware.interface import StatusFlag
-from robot.hardware.servos.bus import TWOS_COMPLEMENT, RegisterEnum, RegisterTable
-from robot.hardware.servos.bus import Area as Area
+from robot.hardware.servos.registers import TWOS_COMPLEMENT, RegisterEnum, RegisterTable
+from robot.hardware.servos.registers import Area as Area
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 

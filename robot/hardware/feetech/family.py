@@ -37,8 +37,9 @@ from robot.hardware.feetech.registers import (
     parse_telemetry,
 )
 from robot.hardware.interface import Actuation, Result, Steps, run_to_end
-from robot.hardware.servos.bus import ATTEMPTS, Block, ServoBus, StatusFrame, Telemetry, read, write_verified
+from robot.hardware.servos.bus import ATTEMPTS, ServoBus, StatusFrame, read, write_verified
 from robot.hardware.servos.family import Difference, Limit, ServoFamily, ServoFound, Values, label
+from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
 from robot.trajectory import Vector
 

@@ -10,9 +10,9 @@ import struct
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from robot.hardware.servos.bus import Area as Area
-from robot.hardware.servos.bus import Block, RegisterEnum, RegisterTable
-from robot.hardware.servos.bus import Telemetry as Telemetry
+from robot.hardware.servos.registers import Area as Area
+from robot.hardware.servos.registers import Block, RegisterEnum, RegisterTable
+from robot.hardware.servos.registers import Telemetry as Telemetry
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 

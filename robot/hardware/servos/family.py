@@ -24,7 +24,8 @@ from robot.description.limits import FASTEST_TICKS_S, JointBounds
 from robot.errors import OrderRefused
 from robot.faults import ServoWarning
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
-from robot.hardware.servos.bus import Block, RegisterTable, ServoBus, StatusFrame, Telemetry
+from robot.hardware.servos.bus import ServoBus, StatusFrame
+from robot.hardware.servos.registers import Block, RegisterTable, Telemetry
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 

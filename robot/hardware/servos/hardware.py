@@ -23,8 +23,9 @@ from robot.hardware.config import DynamixelConfig, FeetechConfig
 from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Steps, Survey
 from robot.hardware.port import resolve_port
 from robot.hardware.servos import torque
-from robot.hardware.servos.bus import Block, ServoBus, StatusFrame, Telemetry
+from robot.hardware.servos.bus import ServoBus, StatusFrame
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMap, Values
+from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import calibration_refusal, change_refusal, survey
 from robot.hardware.servos.torque import ServoTorque
 from robot.messages import GuardLimits

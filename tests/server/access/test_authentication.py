@@ -54,18 +54,10 @@ def test_every_token_is_compared_in_constant_time_with_all(monkeypatch: pytest.M
     assert len(compared) == 3
 
 
-def test_without_tokens_everybody_may_do_everything() -> None:
-    assert tokens().anonymous == ANYONE
-    assert not tokens().any
-
-
-def test_with_tokens_nobody_comes_without() -> None:
+def test_without_a_token_everybody_drives_where_there_are_none_and_may_look_where_the_settings_say_so() -> None:
+    assert (tokens().anonymous, tokens().any) == (ANYONE, False)
     assert tokens(token=ONE).anonymous is None
-
-
-def test_the_settings_may_let_those_without_a_token_look() -> None:
-    anonymous = tokens(token=ONE, without_token="view").anonymous
-    assert anonymous == Identity("", Role.VIEW)
+    assert tokens(token=ONE, without_token="view").anonymous == Identity("", Role.VIEW)
 
 
 def test_a_server_that_lets_nobody_in_is_refused() -> None:

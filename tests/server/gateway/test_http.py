@@ -254,6 +254,22 @@ async def test_without_a_page_it_says_how_to_get_it_and_finds_it_once_it_is_ther
     assert (await site.ask("/"))[0].status == 200
 
 
+async def test_the_docs_are_served_below_their_folder_once_they_are_built(tmp_path: Path) -> None:
+    (tmp_path / "secret.js").write_text("key")
+    handler = HttpHandler(page_directory=tmp_path / "page", docs_directory=tmp_path / "docs")
+    async with listening(http=handler) as listener:
+        site = Site(listener.port)
+        missing, sentence = await site.ask("/docs/")
+        assert (missing.status, b"call make docs" in sentence) == (404, True)
+        (tmp_path / "docs").mkdir()
+        (tmp_path / "docs" / "index.html").write_text("<!doctype html><title>docs</title>")
+        moved, _ = await site.ask("/docs")
+        assert (moved.status, moved.headers["Location"]) == (308, "docs/")
+        assert (await site.ask("/docs/"))[1] == (await site.ask("/docs/index.html"))[1]
+        for outside in ("/docs/other.html", "/docs//", "/docs/../secret.js", "/docs/%2e%2e/secret.js"):
+            assert (await site.ask(outside))[0].status == 404
+
+
 async def test_a_robot_without_files_has_its_description_and_no_robot_nothing() -> None:
     answer = await HttpHandler(so101())._robot_file("description.urdf", gzipped=False)
     assert answer.body == so101().urdf.encode()

@@ -142,6 +142,7 @@ def test_a_call_that_has_ended_leaves_nothing_behind(services: Services, clock: 
     provider.calls[0].succeed(ON)
     assert clock.waiting == 0
     assert not services._offers["/switch"].requests
+    assert not list(services._made.of(CALLER))
 
 
 def test_the_calls_of_a_caller_that_leaves_end_for_their_provider(services: Services, clock: FakeClock) -> None:
@@ -172,6 +173,15 @@ def test_nobody_takes_the_place_of_a_part_of_the_server_but_itself(services: Ser
         Provider(services)
     services.offer(SERVER, "/switch", SET_BOOL, lambda _: {"success": False})
     assert ask(services)[0].values["success"] is False
+
+
+def test_an_offer_is_withdrawn_by_its_own_node_only(services: Services) -> None:
+    provider = Provider(services)
+    services.withdraw(CALLER, "/switch")
+    services.withdraw(provider.node, "/nothing")
+    assert services.types() == {"/switch": "std_srvs/srv/SetBool"}
+    services.withdraw(provider.node, "/switch")
+    assert (services.types(), services.provided_by(provider.node)) == ({}, [])
 
 
 @pytest.mark.parametrize("type_name", ["std_srvs/Nothing", "std_msgs/String", "control_msgs/action/PointHead"])

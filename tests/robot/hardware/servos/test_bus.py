@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from robot.errors import NoReply, PortLost, StartupError
 from robot.hardware.interface import run_to_end
-from robot.hardware.servos.bus import STEP_ATTEMPTS, RegisterTable, read, read_registers, write_verified
+from robot.hardware.servos.bus import STEP_ATTEMPTS, read, read_registers, write_verified
+from robot.hardware.servos.registers import RegisterTable
 from tests.helpers.servo_families import IDS, Family
 
 

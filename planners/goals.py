@@ -1,7 +1,4 @@
-"""Goals of a motion and constraints on its path: plain data in the robot's root link, SI units.
-
-Orientations are unit quaternions x, y, z, w. This module imports no planning library.
-"""
+"""Goals and constraints: plain data in the root link, in SI units, with unit quaternions x, y, z, w."""
 
 from __future__ import annotations
 

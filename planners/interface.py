@@ -1,8 +1,4 @@
-"""Planners as the server sees them: every request gets one answer, in turns of motions and of questions.
-
-:class:`planners.pool.PlannerPool` has processes of its own; :class:`planners.shared_pool.SharedPlanners` connects to a
-host whose processes other servers use as well.
-"""
+"""Planners as the server sees them: every request gets one answer, in turns of motions and of questions."""
 
 from __future__ import annotations
 
@@ -42,11 +38,7 @@ LOAD_TIMEOUT_S = 30.0
 
 
 class Planners(ABC):
-    """Planners of one robot, with turns for a number of ``active`` motions and of ``questions`` at the same time.
-
-    ``load_failure`` is the reason for which there is no planner and probably never will be; None as long as one may
-    come. ``waiting_count`` requests wait for their turn.
-    """
+    """Planners of one robot, with turns for ``active`` motions and ``questions`` at a time, which others wait for."""
 
     def __init__(
         self, active: int = 1, questions: int = 1, max_waiting: int = MAX_WAITING, *, in_background: bool = True
@@ -57,8 +49,9 @@ class Planners(ABC):
         self._plans_in_background = in_background
         # Motions that are planned as long as nothing else is to be planned.
         self._background: set[asyncio.Task[Plan | PlanningFailure]] = set()
+        # Reason for which there is no planner and probably never will be; None as long as one may come.
         self.load_failure: str | None = None
-        self.waiting_count = 0
+        self.waiting_count = 0  # requests that wait for their turn
 
     @abstractmethod
     async def start(self) -> None:
@@ -78,9 +71,9 @@ class Planners(ABC):
         """Process ids of the planners."""
 
     @property
-    @abstractmethod
     def loaded_count(self) -> int:
         """Number of processes that have loaded the robot."""
+        return len(self.pids)
 
     @property
     @abstractmethod
@@ -113,10 +106,7 @@ class Planners(ABC):
     async def ask(self, request: ServoQuestion, scene: Scene = ...) -> ServoAnswer | PlanningFailure: ...
 
     async def ask(self, request: Request, scene: Scene = EMPTY_SCENE) -> Answer:
-        """Have a planner answer, in a scene.
-
-        Cancelling this call stops the work on it. A planner that dies answers CRASH, a planner that overruns TIMED_OUT.
-        """
+        """Have a planner answer, CRASH if it dies, TIMED_OUT if it overruns; cancelling this stops the work."""
         if self.waiting_count >= self._max_waiting:
             message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
             return PlanningFailure(MoveItErrorCode.FAILURE, message)

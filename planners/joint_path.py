@@ -1,8 +1,4 @@
-"""Timing of a given path of the joints, such as a path taught by hand, and its check as it will be executed.
-
-The path's parameter is time: the path is followed no faster than a share of that time says, and slower wherever the
-limits of the joints demand it.
-"""
+"""Timing of a given path of the joints, no faster than a share of its own time, and its check as it is executed."""
 
 from __future__ import annotations
 

@@ -93,11 +93,7 @@ PART_BYTES = 1 << 20
 
 
 class SceneSender:
-    """Scenes on their way to one receiver; ``complete`` is true once all of the last scene was sent.
-
-    ``send`` sends a message, with a ValueError for a message that is too large; ``pause`` is awaited before each part,
-    so that the event loop has its turns.
-    """
+    """Scenes on their way to one receiver, with a ``pause`` before each part; ``complete`` once all is sent."""
 
     def __init__(self, send: Callable[[object], None], pause: Callable[[], Awaitable[None]]) -> None:
         self._send_message, self._pause = send, pause

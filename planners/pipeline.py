@@ -1,8 +1,4 @@
-"""Planner of one robot: problem in, plan out. Checks, goal configurations, then a certified motion to one of them.
-
-It also answers questions about single configurations (inverse kinematics, state validity) and rechecks the rest of a
-motion that is being executed when the scene has changed.
-"""
+"""Planner of one robot: problem in, plan out; it also answers questions about states and rechecks motions."""
 
 from __future__ import annotations
 
@@ -279,9 +275,9 @@ def check_concurrency(question: ConcurrencyQuestion, robot: RobotModel, collisio
         return RecheckAnswer(None)
     touching = checks.describe_pairs(found.pairs) or "they come too near to tell them apart"
     text = f"the motions of {first.joint_names[0]} and of {second.joint_names[0]} may touch: {touching}"
-    details = {"pairs": checks.pairs_as_data(found.pairs), "contact_s": found.first_s}
+    details = {"pairs": checks.pairs_as_data(found.pairs), "contact_s": found.time_s}
     failure = PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, text, details)
-    return RecheckAnswer(failure, found.first_s)
+    return RecheckAnswer(failure, found.time_s)
 
 
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> None:

@@ -58,11 +58,7 @@ CANCEL_TIMEOUT_S = 1.0
 ENDING_TIMEOUT_S = 0.1  # a process whose socket is closed is about to end; its exit code comes a moment later
 
 # Called with the allowed time that a problem has taken [s] when this is longer than most take.
-OnHard: TypeAlias = Callable[[float], None]
-
-
-def ignore(_spent_s: float) -> None:
-    """Do nothing about a hard problem."""
+OnHard: TypeAlias = Callable[[float], None] | None
 
 
 class WorkerProcess:
@@ -93,7 +89,7 @@ class WorkerProcess:
         self.loaded = False
         # None stands for the process's end.
         self._answer: asyncio.Future[Any] | None = None
-        self._on_hard: OnHard = ignore
+        self._on_hard: OnHard = None
         self._scenes = SceneSender(self._child.send, functools.partial(asyncio.sleep, 0))
 
     async def start(self) -> None:
@@ -120,7 +116,7 @@ class WorkerProcess:
         """Return true if the process has this scene."""
         return self._scenes.has_sent(scene)
 
-    async def ask(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
+    async def ask(self, request: Request, scene: Scene, on_hard: OnHard = None) -> Answer:
         """Send a request, after the scene unless the process has it, and wait for the answer.
 
         The wait has no end of its own; the caller that gives it up must :meth:`cancel` or :meth:`kill`. A process that
@@ -171,7 +167,7 @@ class WorkerProcess:
                 self._on_loaded(self, None)
             case LoadFailed(reason):
                 self._on_loaded(self, reason)
-            case StillSearching(number, spent_s) if number == self._number:
+            case StillSearching(number, spent_s) if number == self._number and self._on_hard is not None:
                 self._on_hard(spent_s)
             case Answered(number, answer, ending) if number == self._number:
                 self._ending = self._ending or ending
@@ -220,8 +216,7 @@ class PlannerPool(Planners):
     """Planner processes for one robot: some for motions, and as many warm spares as there may be questions.
 
     Spares answer questions, which so never wait for motions. One spare has normal priority, and answers while an arm
-    moves. Each process has a limit of its data [bytes]. With
-    ``racing`` idle workers join long searches, as many as there are cores for.
+    moves. Each process has a limit of its data [bytes]. With ``racing`` idle workers join long searches, one a core.
     """
 
     def __init__(
@@ -301,7 +296,7 @@ class PlannerPool(Planners):
         finally:
             self._races.remove(race)
 
-    async def _have_answered(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
+    async def _have_answered(self, request: Request, scene: Scene, on_hard: OnHard = None) -> Answer:
         """Have the next idle worker answer."""
         worker = await self._take_worker(scene, urgent=isinstance(request, MovingRequest))
         if worker is not None:
@@ -347,7 +342,7 @@ class PlannerPool(Planners):
             return PlanningFailure(MoveItErrorCode.PREEMPTED, "another request has taken the worker")
         return await self._work(worker, problem, scene)
 
-    async def _work(self, worker: WorkerProcess, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
+    async def _work(self, worker: WorkerProcess, request: Request, scene: Scene, on_hard: OnHard = None) -> Answer:
         allowed_s = allowed_time_s(request)
         try:
             async with asyncio.timeout(allowed_s + OVERTIME_S):

@@ -1,8 +1,4 @@
-"""Requests to a planner and its answers: plain data that crosses process boundaries.
-
-Goals are defined in :mod:`planners.goals`, scenes in :mod:`planners.scene`. This module imports no planning
-library, so the server can describe problems without loading them.
-"""
+"""Requests to a planner and its answers: plain data that crosses process boundaries, without planning libraries."""
 
 from __future__ import annotations
 
@@ -182,7 +178,6 @@ class IkQuestion:
     avoid_collisions: bool = True  # whether solutions in contact count as none
     constraints: Constraints | None = None  # what must hold as well
     allowed_time_s: float = 0.05  # time after which the answer is TIMED_OUT [s]
-    seed: int = 0  # same question and seed, same answer
 
 
 @dataclass(frozen=True)

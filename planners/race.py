@@ -22,8 +22,7 @@ SEEDS = 1 << 31  # OMPL takes seeds of 32 bits
 # Failures that another racer need not have. All others are of the problem itself.
 INCONCLUSIVE = (MoveItErrorCode.TIMED_OUT, MoveItErrorCode.CRASH, MoveItErrorCode.PREEMPTED)
 
-# Has a racer search.
-Search: TypeAlias = Callable[[PlanningProblem], Coroutine[Any, Any, Answer]]
+Search: TypeAlias = Callable[[PlanningProblem], Coroutine[Any, Any, Answer]]  # has a racer search
 
 
 class Race:

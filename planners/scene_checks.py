@@ -53,19 +53,22 @@ def pose_fault(pose: Pose) -> str | None:
 
 def shape_fault(shape: Shape) -> str | None:
     """Return the fault of a shape, as the end of a sentence about its owner; None for a sound one."""
+    sizes_m: tuple[float, ...]
     match shape:
-        case Box():
-            return _size_fault("box", shape.size_m)
-        case Sphere():
-            return _size_fault("sphere", (shape.radius_m,))
-        case Cylinder():
-            return _size_fault("cylinder", (shape.radius_m, shape.height_m))
-        case Cone():
-            return _size_fault("cone", (shape.radius_m, shape.height_m))
         case Plane():
             return _plane_fault(shape)
         case Mesh():
             return _mesh_fault(shape)
+        case Box():
+            sizes_m = shape.size_m
+        case Sphere():
+            sizes_m = (shape.radius_m,)
+        case Cylinder() | Cone():
+            sizes_m = (shape.radius_m, shape.height_m)
+    if _within(sizes_m, 0.0) and all(size_m > 0.0 for size_m in sizes_m):
+        return None
+    kind = type(shape).__name__.lower()
+    return f"is a {kind} whose sizes are not all above 0 and at most {MAX_LENGTH_M:g} m: {sizes_m}"
 
 
 def _check_names(names: list[str], links: Collection[str]) -> PlanningFailure | None:
@@ -138,12 +141,6 @@ def _object_refusals(scene_object: SceneObject) -> Iterator[PlanningFailure]:
     for fault in faults:
         if fault is not None:
             yield _refusal(f"{subject} {fault}", object=scene_object.name)
-
-
-def _size_fault(kind: str, sizes_m: tuple[float, ...]) -> str | None:
-    if _within(sizes_m, 0.0) and all(size_m > 0.0 for size_m in sizes_m):
-        return None
-    return f"is a {kind} whose sizes are not all above 0 and at most {MAX_LENGTH_M:g} m: {sizes_m}"
 
 
 def _plane_fault(plane: Plane) -> str | None:

@@ -74,10 +74,11 @@ class PlannerHost:
         self._address.unlink(missing_ok=True)
         server = await asyncio.start_unix_server(self._serve, self._address)
         try:
-            async with server:
-                await self._pool.start()
-                await server.serve_forever()
+            await self._pool.start()
+            await asyncio.Event().wait()
         finally:
+            # From Python 3.12.1 on, `Server.serve_forever` ends only when every client has left.
+            server.close()
             for writer in self._writers:
                 writer.close()
             await self._pool.close()
@@ -183,11 +184,6 @@ class SharedPlanners(Planners):
     def pids(self) -> tuple[int, ...]:
         """Ids of the shared processes; none while there is no connection."""
         return self._pids
-
-    @property
-    def loaded_count(self) -> int:
-        """Number of shared processes that have loaded the robot."""
-        return len(self._pids)
 
     @property
     def idle_count(self) -> int:

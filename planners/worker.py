@@ -1,7 +1,4 @@
-"""The planner process: takes requests, gives answers, one at a time.
-
-Started by :mod:`planners.pool`, with which it exchanges the messages of :mod:`planners.messages`.
-"""
+"""The planner process: exchanges the messages of :mod:`planners.messages` with a pool, one request at a time."""
 
 from __future__ import annotations
 
@@ -115,7 +112,10 @@ class Worker:
         except MemoryError:
             # The state of the native libraries is not known after that.
             self._ending = True
-            return self._out_of_memory(request)
+            limit_mb = self._memory_limit_bytes / 1e6
+            log.error("a planner ran out of its %.0f MB on a %s", limit_mb, type(request).__name__)  # noqa: TRY400
+            text = f"the planner needed more than the {limit_mb:.0f} MB of memory that it may use, and was restarted"
+            return PlanningFailure(MoveItErrorCode.CRASH, text, {"memory_limit_mb": limit_mb})
         except Exception as error:  # a bug in one request must not take the worker and its warm libraries with it
             log.exception("planning failed on %r", request)
             return PlanningFailure(MoveItErrorCode.CRASH, f"the planner failed: {type(error).__name__}: {error}")
@@ -141,15 +141,6 @@ class Worker:
             return self._mailbox.withdrawn(number)
 
         return poll
-
-    def _out_of_memory(self, request: Request) -> PlanningFailure:
-        limit_mb = self._memory_limit_bytes / 1e6
-        log.error("a planner ran out of its %.0f MB on a %s", limit_mb, type(request).__name__)
-        return PlanningFailure(
-            MoveItErrorCode.CRASH,
-            f"the planner needed more than the {limit_mb:.0f} MB of memory that it may use, and was restarted",
-            {"memory_limit_mb": limit_mb},
-        )
 
 
 def limit_memory(limit_bytes: int) -> None:

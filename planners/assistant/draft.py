@@ -84,10 +84,7 @@ class Tree:
 
 
 def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: str | None) -> Structure:
-    """Find arm and gripper, from ``base`` or else the root to ``tip`` or else the frame of goals that is found.
-
-    Links in ``shaped`` have a collision shape. AssistantError: a link is unknown, or there is no arm.
-    """
+    """Find arm and gripper from ``base`` or the root to ``tip`` or the frame of goals; AssistantError: none."""
     known = list(tree.links_below(tree.root))
     for option, link in (("--base", base), ("--tip", tip)):
         if link is not None and link not in known:
@@ -193,11 +190,7 @@ class GripperDraft:
 def draft_gripper(
     joints: Sequence[Joint], hand: str, tree: Tree, points_m: Mapping[str, Vector], contacts: SelfContacts, home: Vector
 ) -> GripperDraft:
-    """Find the open and the closed end of each finger's range.
-
-    ``joints`` are the gripper's joints with a position of their own, ``points_m`` points on the surface of each link,
-    shape (n, 3) in its frame [m], and ``home`` has the position of every joint, shape (n,) [rad or m].
-    """
+    """Find the open and closed end of each finger's range, from points of each link in its frame, (n, 3) [m]."""
     opened, closed, certain = [], [], True
     for joint in joints:
         finger = [link for link in tree.links_below(joint.child) if link in points_m]

@@ -111,11 +111,7 @@ def unchecked_pairs(
 def free_state(
     contacts: SelfContacts, unchecked: Sequence[UncheckedPair], states: Sequence[Vector], tries: int, seed: int
 ) -> tuple[Vector, bool]:
-    """Return the first of some states in which nothing touches, else the free state nearest to the first of some draws.
-
-    Without states the first free one of ``tries`` drawn states is returned. Where no state is free, the first of all is
-    returned with false.
-    """
+    """Return the first free state, else a drawn one near the first; false with the first if none is free."""
     excused = {frozenset((pair.first, pair.second)) for pair in unchecked}
     checked = [pair for pair in contacts.pairs if frozenset(pair) not in excused]
     for state in states:

@@ -26,7 +26,7 @@ from planners.geometry.certificate import certify
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
-from planners.ik.constraints import ConditionSet, Joints, conditions, norm
+from planners.ik.constraints import ConditionSet, conditions, norm
 from planners.ik.differential import Task, free_directions, solve
 from planners.ik.goal_states import check_start_place
 from planners.motions.path_timing import MAX_DURATION_S, standing, time_along
@@ -287,17 +287,10 @@ MEASURED_AROUND = 2  # measured places by which the curve runs ahead of the path
 REFINEMENTS = 5  # each round of new points halves the spans where the curve is off, and its deviation by more than that
 
 
-@dataclass(frozen=True)
-class TipCurve:
-    """A curve of the joints for a path of the tip."""
-
-    followed: FollowedPath  # the points it goes through, more where they are needed
-    curve: NaturalSpline  # the spline through them, by the length of the path
-    deviation: Deviation  # greatest deviation of the tip from the path on it
-
-
-def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> TipCurve:
-    """Return the curve through two or more followed points, with further ones where it would leave path or limits."""
+def tip_curve(
+    followed: FollowedPath, path: TipPath, tracker: TipTracker
+) -> tuple[FollowedPath, NaturalSpline, Deviation]:
+    """Return followed points, more where a curve left path or limits, the curve, and the tip's deviation on it."""
     for _ in range(REFINEMENTS):
         curve, off_m, turned_rad = _measured(followed, path, tracker)
         off = np.flatnonzero(off_m.reshape(-1, MEASURED_PER_SPAN).max(axis=1) > CHORD_M)
@@ -309,7 +302,7 @@ def tip_curve(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> Tip
         followed = _halved(followed, spans, path, tracker)
     else:
         curve, off_m, turned_rad = _measured(followed, path, tracker)
-    return TipCurve(followed, curve, Deviation(float(off_m.max()), turned_rad))
+    return followed, curve, Deviation(float(off_m.max()), turned_rad)
 
 
 def _measured(followed: FollowedPath, path: TipPath, tracker: TipTracker) -> tuple[NaturalSpline, Vector, float]:
@@ -382,8 +375,7 @@ def plan_cartesian(
     checks.check_start(robot, problem.start_rad)
     names = robot.groups[problem.group].joints
     start_q = collision.start(problem.start_rad, names)
-    joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
-    constraints = ConditionSet(forward, conditions(problem.path_constraints, joints))
+    constraints = ConditionSet(forward, conditions(problem.path_constraints, collision))
     contacts = collision.colliding_pairs(start_q) if problem.avoid_collisions else []
     check_start_place(contacts, constraints.violations(start_q))
     allowed = collision.overlaps_m(start_q) if problem.avoid_collisions else {}
@@ -414,15 +406,15 @@ class _Task:
         followed = PathFollower(self.problem, self.tracker, self.path, self._flaw, budget.used_up).from_point(start)
         names = self.tracker.joint_names
         while not budget.used_up() and len(followed.points) > 1:
-            drawn = tip_curve(followed, self.path, self.tracker)
-            motion = time_along(drawn.curve, names, self.limits, self._top_rate(drawn.curve))
+            followed, curve, deviation = tip_curve(followed, self.path, self.tracker)
+            motion = time_along(curve, names, self.limits, self._top_rate(curve))
             if motion is None:
                 text = f"the path bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
                 return PlanningFailure(MoveItErrorCode.PLANNING_FAILED, text)
             end = self._end(motion)
             if end is None:
-                return self._answer(drawn.followed, motion, drawn.deviation, budget)
-            followed = _shortened(drawn.followed, *end)
+                return self._answer(followed, motion, deviation, budget)
+            followed = _shortened(followed, *end)
         if budget.used_up():
             return budget.failure()
         return self._answer(followed, standing(names, start), Deviation(), budget)

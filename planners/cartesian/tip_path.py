@@ -9,15 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from planners.checks import (
-    check_constraints,
-    check_group,
-    check_length,
-    check_link,
-    check_point,
-    check_rates,
-    invalid_goal,
-)
+from planners import checks
 from planners.geometry.shapes import as_point, as_pose, placement
 from planners.ik.constraints import ROTATION_ARM_M
 from planners.problem import Arc, CartesianProblem, Line
@@ -185,10 +177,10 @@ def _is_corner(first: _Piece, second: _Piece) -> bool:
 
 def check_path(robot: RobotModel, problem: CartesianProblem) -> None:
     """Check names and numbers of a problem."""
-    check_group(robot, problem.group)
-    check_constraints(robot, problem.path_constraints)
-    check_link(robot, problem.link)
-    check_rates(problem)
+    checks.check_group(robot, problem.group)
+    checks.check_constraints(robot, problem.path_constraints)
+    checks.check_link(robot, problem.link)
+    checks.check_rates(problem)
     positive = [("greatest step [m]", problem.max_step_m)]
     if problem.tip_speed_m_s is not None:
         positive.append(("tip speed [m/s]", problem.tip_speed_m_s))
@@ -196,17 +188,17 @@ def check_path(robot: RobotModel, problem: CartesianProblem) -> None:
         positive.append(("orientation tolerance [rad]", problem.orientation_tolerance_rad))
     for name, value in positive:
         if not (math.isfinite(value) and value > 0.0):
-            raise invalid_goal(f"the {name} must be a finite number above 0, not {value:g}")
+            raise checks.invalid_goal(f"the {name} must be a finite number above 0, not {value:g}")
     step_rad = problem.max_joint_step_rad
     if not (math.isfinite(step_rad) and step_rad >= 0.0):
-        raise invalid_goal(f"the greatest joint step must be a finite number of 0 rad or more, not {step_rad:g}")
+        raise checks.invalid_goal(f"the greatest joint step must be a finite number of 0 rad or more, not {step_rad:g}")
     if not problem.segments:
-        raise invalid_goal("the path has no segment")
+        raise checks.invalid_goal("the path has no segment")
     for index, segment in enumerate(problem.segments):
-        check_point(segment.end.position_m, f"end of segment {index}")
-        check_length(segment.end.orientation, f"quaternion of segment {index}")
+        checks.check_point(segment.end.position_m, f"end of segment {index}")
+        checks.check_length(segment.end.orientation, f"quaternion of segment {index}")
         if isinstance(segment, Arc):
-            check_point(segment.via_m, f"point on the way of segment {index}")
+            checks.check_point(segment.via_m, f"point on the way of segment {index}")
 
 
 def check_shape(start_m: Vector, problem: CartesianProblem) -> None:
@@ -215,9 +207,9 @@ def check_shape(start_m: Vector, problem: CartesianProblem) -> None:
     for index, segment in enumerate(problem.segments):
         flaw = arc_flaw(start_m, segment) if isinstance(segment, Arc) else None
         if flaw is not None:
-            raise invalid_goal(f"segment {index} is no arc: {flaw}")
+            raise checks.invalid_goal(f"segment {index} is no arc: {flaw}")
         length_m += float(np.linalg.norm(np.asarray(segment.end.position_m) - start_m))
         start_m = np.asarray(segment.end.position_m)
     if length_m > MOST_POINTS * problem.max_step_m:
         text = f"a path of {length_m:.4g} m in steps of {problem.max_step_m:g} m has more than {MOST_POINTS} points"
-        raise invalid_goal(text)
+        raise checks.invalid_goal(text)

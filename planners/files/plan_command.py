@@ -285,11 +285,7 @@ class Setup:
 def plan_on(
     address: str, problems: Sequence[tuple[ProblemFile, PlanningProblem]]
 ) -> Iterator[tuple[int, Plan | PlanningFailure, float]]:
-    """Plan problems on the Dask cluster of a scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``.
-
-    Yields number, answer and CPU time [s] of each problem, in the order in which they are answered. BatchError: there
-    is no cluster that can plan them.
-    """
+    """Plan problems on a Dask cluster; yield number, answer and CPU time [s] of each. BatchError: it cannot."""
     with _connected(address) as client:
         from distributed import CancelledError, as_completed
 

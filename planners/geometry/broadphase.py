@@ -61,11 +61,7 @@ class NearPair:
 
 
 def distance_gradient(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:
-    """Return the gradient of the distance between two shapes by joint, shape (n,) [m/rad].
-
-    ``data`` has the Jacobians at the present configuration; ``first`` and ``second`` are the joints that carry the
-    shapes, 0 for the root link and the world.
-    """
+    """Return the gradient of the distance of shapes of two joints, 0 for the root link, by joint, (nv,) [m/rad]."""
     gradient = np.zeros(model.nv)
     second_m = nearest.point_m + nearest.distance_m * nearest.normal
     for joint, point_m, sign in ((first, nearest.point_m, -1.0), (second, second_m, 1.0)):
@@ -74,28 +70,6 @@ def distance_gradient(model: pin.Model, data: pin.Data, nearest: Nearest, first:
             arm_m = point_m - data.oMi[joint].translation
             gradient += sign * (nearest.normal @ rows[:3] + np.cross(arm_m, nearest.normal) @ rows[3:])
     return gradient
-
-
-class BoundingSpheres:
-    """A sphere around each shape, to leave out distant pairs, shape (pairs, 2), quickly."""
-
-    def __init__(self, shapes: Sequence[pin.GeometryObject], pairs: NDArray[np.int64]) -> None:
-        for shape in shapes:
-            shape.geometry.computeLocalAABB()
-        self._pairs = pairs
-        self._carriers = np.array([shape.parentJoint for shape in shapes], dtype=np.intp)
-        self._middles_m = np.array([shape.placement.act(shape.geometry.aabb_center) for shape in shapes]).reshape(-1, 3)
-        radii_m = np.array([shape.geometry.aabb_radius for shape in shapes])
-        self._reach_m = radii_m[pairs].sum(axis=1)
-
-    def within(self, data: pin.Data, margin_m: Vector) -> NDArray[np.intp]:
-        """Indices of the pairs whose spheres are nearer than a margin for each, shape (pairs,) [m]."""
-        middles_m = self._middles_m.copy()
-        for joint in np.unique(self._carriers):
-            carried, place = self._carriers == joint, data.oMi[int(joint)]
-            middles_m[carried] = self._middles_m[carried] @ place.rotation.T + place.translation
-        apart_m = np.linalg.norm(middles_m[self._pairs[:, 0]] - middles_m[self._pairs[:, 1]], axis=1)
-        return np.flatnonzero(apart_m < self._reach_m + margin_m)
 
 
 class Broadphase:
@@ -125,8 +99,6 @@ class Broadphase:
         self._pairs, self._apart_m = pairs, apart_m
         self._carriers = [shape.parentJoint for shape in shapes]
         self._shapes = shapes
-        # Made at the first use: only servoing needs them, and a large scene has many.
-        self._bounding_spheres: BoundingSpheres | None = None
         self._margins_m = np.zeros((len(shapes), len(shapes)))
         # Managers keep references to the models. They take margins over on update only, so there is one for near
         # pairs. A check that ends with the first contact leaves a result behind, so it has one of its own as well.
@@ -183,12 +155,6 @@ class Broadphase:
     def distance_m(self, pair: int) -> float:
         """Return a pair's clearance beyond the required one, its depth of overlap if negative [m]."""
         return float(self._distance(pair).min_distance) - float(self._apart_m[pair])
-
-    def within(self, margin_m: float) -> NDArray[np.intp]:
-        """Indices of the pairs that may be nearer than a margin beyond what they must be apart [m]."""
-        if self._bounding_spheres is None:
-            self._bounding_spheres = BoundingSpheres(self._shapes, self._pairs)
-        return self._bounding_spheres.within(self._data, self._apart_m + margin_m)
 
     def nearest(self, pair: int) -> Nearest:
         """Return the nearest points of a pair's shapes, in the root link's frame."""

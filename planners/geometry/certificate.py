@@ -71,11 +71,7 @@ class Cubics:
 
 
 class _Ranges:
-    """Ranges of a curve, each of a power of two of its pieces, by the pieces' bounds for each power.
-
-    Ranges begin at ``start`` and have their ``points``, shape (m, n) [rad], ``at`` places in pieces of the curve.
-    Joints may be ``joint_travel`` away from the points within the range, shape (m, n) [rad].
-    """
+    """Ranges of a curve, of a power of two of its pieces each; ``joint_travel`` bounds them around ``points``."""
 
     def __init__(self, coefficients: Vector, bounds: list[tuple[Vector, Vector]], index: Indices) -> None:
         self._coefficients, self._bounds, self._index = coefficients, bounds, index
@@ -148,16 +144,12 @@ class Contact:
     """Something touches on a motion."""
 
     time_s: float  # time of the first contact [s]
-    # Pairs in contact, deepest first; empty where a condition of the space does not hold.
+    # Pairs in contact, deepest first; empty where a condition of the space does not hold, or motions only come near.
     pairs: tuple[CollidingPair, ...]
 
 
 def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
-    """Return the first contact on a motion, also between its samples, as :meth:`Trajectory.sample` joins them.
-
-    None certifies the motion: no point of it is in contact, or by at most half of :data:`FINEST_STEP_M`. The motion has
-    the joints of the space, in the same order.
-    """
+    """Return the first contact on a motion of the space's joints; None if none is deeper than half the finest step."""
     time_s = _first_contact_s(space, trajectory)
     # Hulls are wider than links: overlaps of hulls only are checked again by parts. Each turn adds a pair.
     while time_s is not None and space.refine_at(trajectory.sample(time_s)[0]):
@@ -197,15 +189,6 @@ NEAREST_M = 0.005
 MAX_PARTS = 4000
 
 
-@dataclass(frozen=True)
-class Encounter:
-    """Two motions that may touch each other."""
-
-    first_s: float  # time on the first one [s]
-    second_s: float  # time on the second one [s]
-    pairs: tuple[CollidingPair, ...]  # shapes in contact there, deepest first; empty where they only come near
-
-
 class _Way:
     """Motion as a curve with bounds of its travel; its joints are in ``columns`` of a configuration."""
 
@@ -235,16 +218,17 @@ class _Way:
 
 def encounter(
     collision: CollisionModel, first: Trajectory, second: Trajectory, others_rad: Mapping[str, float]
-) -> Encounter | None:
-    """Find where two motions of different joints touch or come as near as `NEAREST_M`.
-
-    Contacts of one motion alone are left out. Returns None if they cannot, at whatever speed each is played.
-    ``others_rad`` has every joint that is in neither.
-    """
+) -> Contact | None:
+    """Find where motions of different joints touch or nearly do, wherever each is on its way; None if nowhere."""
     names = collision.joint_names
     ways = [_Way(motion, [names.index(name) for name in motion.joint_names]) for motion in (first, second)]
     q = np.array([others_rad.get(name, 0.0) for name in names])
-    parts = [((0.0, first.duration_s), (0.0, second.duration_s), _pairs_between(collision, ways))]
+    steps = np.zeros((len(ways), len(names)))
+    for row, way in enumerate(ways):
+        steps[row, way.columns] = 1.0
+    # Pairs whose distance depends on one motion only were checked with it.
+    between = tuple(np.flatnonzero((collision.margins_m(steps) > 0.0).all(axis=0)).tolist())
+    parts = [((0.0, first.duration_s), (0.0, second.duration_s), between)]
     checked = 0
     while parts:
         first_s, second_s, candidates = parts.pop()
@@ -260,18 +244,9 @@ def encounter(
         by_way_m = [float(travel[way.columns] @ collision.travel_m_per_rad[way.columns]) for way in ways]
         longer = int(np.argmax(by_way_m))
         if collision.touch_among(q, near) or sum(by_way_m) <= NEAREST_M or checked >= MAX_PARTS:
-            return Encounter(0.5 * sum(first_s), 0.5 * sum(second_s), tuple(collision.colliding_pairs(q)))
+            return Contact(0.5 * sum(first_s), tuple(collision.colliding_pairs(q)))
         begin_s, end_s = times_s[longer]
         middle_s = 0.5 * (begin_s + end_s)
         halves = (begin_s, middle_s), (middle_s, end_s)
         parts += [(half, second_s, near) if longer == 0 else (first_s, half, near) for half in halves]
     return None
-
-
-def _pairs_between(collision: CollisionModel, ways: list[_Way]) -> tuple[int, ...]:
-    """Return the pairs of shapes whose distance depends on both motions; others were checked with each motion."""
-    steps = np.zeros((len(ways), len(collision.joint_names)))
-    for row, way in enumerate(ways):
-        steps[row, way.columns] = 1.0
-    moved = collision.margins_m(steps) > 0.0
-    return tuple(np.flatnonzero(moved.all(axis=0)).tolist())

@@ -126,14 +126,6 @@ def checked_pairs(
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def padding(bodies: Sequence[Body], pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the clearance that each pair must keep, shape (pairs,) [m]: links are padded against objects only."""
-    thick_m = np.array([body.padding_m for body in bodies])
-    link = np.array([body.is_link for body in bodies])
-    first, second = pairs.T
-    return np.where(link[first] != link[second], thick_m[first] + thick_m[second], 0.0)
-
-
 @dataclass(frozen=True)
 class CollidingPair:
     """Two links, or a link and an object, that overlap."""
@@ -288,14 +280,12 @@ class CollisionModel:
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
 
     def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
-        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient.
-
-        ``moving`` are the joints that may move, from which the motions of other arms are told apart.
-        """
+        """Return the pairs nearer than a distance beyond their clearance [m], with gradients, for ``moving`` joints."""
+        candidates = self._broadphase.near(q, np.full(len(self._pairs), within_m))
         self._broadphase.turn(q)
         columns = [self.joint_names.index(name) for name in moving]
         near = []
-        for pair in self._broadphase.within(within_m).tolist():
+        for pair in candidates:
             nearest = self._broadphase.nearest(pair)
             # Only the hulls may be in the way.
             if nearest.distance_m <= HULL_EXCESS_M and self._has_convex_parts(pair):
@@ -335,11 +325,16 @@ class CollisionModel:
         self._unchanged = frozenset()
         self._pairs = checked_pairs(self._robot, scene.allowed, movers, around)
         self._names = [frozenset(self._bodies[i].name for i in pair) for pair in self._pairs.tolist()]
-        self._apart_m = padding(self._bodies, self._pairs)
+        thick_m = np.array([body.padding_m for body in self._bodies])
+        link = np.array([body.is_link for body in self._bodies])
+        first, second = self._pairs.T
+        # Links are padded against objects only.
+        self._apart_m = np.where(link[first] != link[second], thick_m[first] + thick_m[second], 0.0)
         # Whether each joint carries each body.
-        self._carried = self._joints.travel_by_joint(reach_m) > 0.0
-        self._approach_m: Vector = self._joints.travel_by_joint(approach(reach_m, self._pairs))
-        self.travel_m_per_rad = self._joints.travel_by_joint(np.vstack((reach_m, self._frames_reach_m))).max(axis=0)
+        self._carried = self._joints.by_joint(reach_m, bounds=True) > 0.0
+        self._approach_m: Vector = self._joints.by_joint(approach(reach_m, self._pairs), bounds=True)
+        travel_m = np.vstack((reach_m, self._frames_reach_m))
+        self.travel_m_per_rad = self._joints.by_joint(travel_m, bounds=True).max(axis=0)
         shapes = [body.shape for body in self._bodies]
         self._broadphase = Broadphase(self._model, shapes, self._pairs, self._apart_m, self._joints)
         self._version = scene.version

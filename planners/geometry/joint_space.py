@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.budget import never
 from planners.errors import StoppedError
@@ -54,7 +53,10 @@ class JointSpace:
         should_stop: Callable[[], bool] = never,
     ) -> None:
         self._collision = collision
-        self._columns = _columns(collision, joint_names)
+        columns = np.array([collision.joint_names.index(name) for name in joint_names])
+        # A slice is quicker.
+        adjacent = bool(np.all(np.diff(columns) == 1))
+        self._columns = slice(int(columns[0]), int(columns[-1]) + 1) if adjacent else columns
         self._q = start_q.copy()
         self._allowed = allowed
         # What overlaps at the start is left in the parts long before it is in the hulls.
@@ -191,11 +193,3 @@ class JointSpace:
 def _pairs(candidate_pairs: tuple[int, ...]) -> tuple[int, ...]:
     """Return the candidate pairs of a range without the condition."""
     return candidate_pairs[:-1] if candidate_pairs[-1:] == (CONDITION,) else candidate_pairs
-
-
-def _columns(collision: CollisionModel, joint_names: Sequence[str]) -> slice | NDArray[np.int64]:
-    """Return the joints' columns in a configuration; a slice, which is quicker, where they are adjacent."""
-    columns = np.array([collision.joint_names.index(name) for name in joint_names])
-    if np.all(np.diff(columns) == 1):
-        return slice(int(columns[0]), int(columns[-1]) + 1)
-    return columns

@@ -1,8 +1,4 @@
-"""Kinematics of the robot by pinocchio, without its shapes: link poses, Jacobians, and the reach of its points.
-
-The reach bounds how far points of the robot can move when its joints move; every collision check between samples is
-measured by it.
-"""
+"""Kinematics of the robot by pinocchio, without its shapes: link poses, Jacobians, and the reach of its points."""
 
 from __future__ import annotations
 
@@ -20,11 +16,7 @@ from robot.trajectory import Vector
 
 
 class JointMap:
-    """Map from positions of independent joints to positions of pinocchio's joints, which are all joints that move.
-
-    The model is made from :func:`planners.geometry.shapes.plain_urdf`. Joints of a configuration ``q``, shape (n,)
-    [rad], are ``joint_names``, or else in pinocchio's order.
-    """
+    """Map from the joints of a configuration, ``joint_names`` or all of their own, to pinocchio's, which all move."""
 
     def __init__(self, robot: RobotModel, model: pin.Model, joint_names: Sequence[str] | None = None) -> None:
         names = [str(name) for name in list(model.names)[1:]]
@@ -44,17 +36,11 @@ class JointMap:
             return q
         return np.asarray(q[self._leaders] * self._multipliers)
 
-    def by_joint(self, rows: Vector) -> Vector:
-        """Return derivatives by the joints of a configuration, shape (..., n), of those by pinocchio's joints."""
+    def by_joint(self, rows: Vector, *, bounds: bool = False) -> Vector:
+        """Return derivatives, or ``bounds`` of them, by a configuration's joints, (..., n), of those by pinocchio's."""
         if self._same:
             return rows
-        return np.asarray(rows @ self._matrix)
-
-    def travel_by_joint(self, rows: Vector) -> Vector:
-        """As :meth:`by_joint`, of bounds, which the motions of all joints that move together add to."""
-        if self._same:
-            return rows
-        return np.asarray(rows @ np.abs(self._matrix))
+        return np.asarray(rows @ (np.abs(self._matrix) if bounds else self._matrix))
 
 
 @dataclass(frozen=True)
@@ -150,11 +136,7 @@ class Reach:
 
 
 def approach(reach_m: Vector, pairs: NDArray[np.int64]) -> Vector:
-    """Return an upper bound of how much nearer the shapes of each pair come by each joint, shape (pairs, nv) [m/rad].
-
-    Joints that carry both shapes of a pair change nothing between them. ``reach_m`` is the travel of each shape's
-    points, shape (shapes, nv) [m/rad].
-    """
+    """Bound how much nearer each pair comes by each joint, (pairs, nv), by the shapes' reach, (shapes, nv) [m/rad]."""
     first, second = reach_m[pairs[:, 0]], reach_m[pairs[:, 1]]
     return np.where((first > 0.0) & (second > 0.0), 0.0, first + second)
 

@@ -1,7 +1,4 @@
-"""Robot and scene as the planning libraries take them: a plain URDF, shapes of the robot's links and of a scene.
-
-A link has one convex shape, or the URDF's own shapes with meshes replaced by hulls.
-"""
+"""Robot and scene as the planning libraries take them: a plain URDF, and shapes of the robot's links and of a scene."""
 
 from __future__ import annotations
 
@@ -49,10 +46,7 @@ def plain_urdf(robot: RobotModel) -> str:
 
 
 def kinematic_urdf(robot: RobotModel) -> str:
-    """As :func:`plain_urdf`, with links and joints only.
-
-    Meshes are left out because placo loads them whatever its flags say (seconds and half a gigabyte).
-    """
+    """As :func:`plain_urdf`, without shapes, whose meshes placo loads anyway (seconds and half a gigabyte)."""
     root = ET.fromstring(plain_urdf(robot))  # noqa: S314 - made above
     for link in root.iterfind("link"):
         for shape in link.findall("collision"):
@@ -146,11 +140,7 @@ def evenly_spread(count: int) -> Vector:
 def robot_shapes(
     robot: RobotModel, model: pin.Model, urdf: Sequence[pin.GeometryObject] | None = None
 ) -> list[pin.GeometryObject]:
-    """Return the solid shapes that are checked: the robot's hulls, or else its URDF's shapes, with hulls for meshes.
-
-    ``urdf`` are the shapes of the URDF where these are loaded already. ShapeError: a shape cannot be loaded, or there
-    is none.
-    """
+    """Return the solid shapes that are checked: hulls, else the URDF's with hulls for meshes. ShapeError: none."""
     shapes = [on_link(model, link, convex(hull.vertices)) for link, hull in robot.hulls.items()]
     shapes = shapes or [_solid(shape) for shape in (urdf_shapes(robot, model) if urdf is None else urdf)]
     if not shapes:
@@ -235,10 +225,7 @@ def as_point(vector: Vector) -> Point:
 
 
 def solid(shape: Shape, reach_m: float) -> tuple[coal.CollisionGeometry, pin.SE3]:
-    """Return a sound shape as coal has it, and its place in the frame of the scene's shape.
-
-    Points further than ``reach_m`` from the frame's origin can be left out of a plane [m].
-    """
+    """Return a sound shape as coal has it, and its place; a plane only as far as ``reach_m`` from its origin."""
     match shape:
         case Box():
             return coal.Box(*shape.size_m), pin.SE3.Identity()

@@ -39,10 +39,7 @@ PlacedMesh = tuple[coal.BVHModelBase, pin.SE3]
 
 
 class TriangleSurface:
-    """Surface of one or several bodies, in the frame of a joint.
-
-    Vertices have the shape (n, 3) [m], triangles (m, 3), indices of vertices, neighbours mostly next to each other.
-    """
+    """Surface of bodies in a joint's frame: vertices, (n, 3) [m], and triangles, (m, 3), mostly next to neighbours."""
 
     def __init__(self, vertices_m: Vector, triangles: Triangles) -> None:
         self._vertices_m, self._triangles = vertices_m, triangles
@@ -155,10 +152,7 @@ def solid_angles(corners_m: Vector) -> Vector:
 
 
 def packed(vertices_m: Vector, triangles: NDArray[np.int64]) -> tuple[NDArray[np.int16], Triangles]:
-    """Return a surface as files have it: on the grid, each triangle once, neighbours next to each other.
-
-    Vertices, shape (n, 3), are within 0.32 m of the origin [m], and returned in units of :data:`UNIT_M`.
-    """
+    """Return a surface within 0.32 m as files have it: in :data:`UNIT_M`, each triangle once, next to neighbours."""
     vertices, numbers = np.unique(np.rint(vertices_m / UNIT_M).astype(np.int16), axis=0, return_inverse=True)
     found = numbers.ravel()[triangles].astype(np.int32)
     a, b, c = found.T

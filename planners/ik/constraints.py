@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
+from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics, Placements
 from planners.goals import (
     AxisGoal,
@@ -56,7 +57,11 @@ class _LinkCondition(ABC):
 
     def violation(self, error: Vector, share: float = 1.0) -> Vector:
         """Return the part of an error outside a share of the tolerance, shape (3,); zeros once the condition holds."""
-        return outside(error, self.tolerance, share)
+        if isinstance(self.tolerance, float):
+            length, inside = norm(error), share * self.tolerance + ROUNDING
+            return error * (1.0 - inside / length) if length > inside else np.zeros_like(error)
+        half = share * self.tolerance + ROUNDING
+        return np.asarray(error - np.minimum(np.maximum(error, -half), half))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,18 +167,9 @@ class JointCondition:
         return self.violation_rad(q[self.column]) == 0.0
 
 
+TaskGoal = PositionGoal | AxisGoal | PoseGoal | ConstraintGoal
 LinkCondition = PointCondition | TurnCondition | AxisCondition
 Condition = LinkCondition | JointCondition
-
-
-def outside(vector: Vector, tolerance: float | Vector, share: float) -> Vector:
-    """Return the part of a vector outside a share of a ball, by its radius, or of a box, by half its edges."""
-    if isinstance(tolerance, float):
-        length = norm(vector)
-        inside = share * tolerance + ROUNDING
-        return vector * (1.0 - inside / length) if length > inside else np.zeros_like(vector)
-    half = share * tolerance + ROUNDING
-    return np.asarray(vector - np.minimum(np.maximum(vector, -half), half))
 
 
 def norm(vector: Vector) -> float:
@@ -197,15 +193,6 @@ class Violation:
 
 
 @dataclass(frozen=True)
-class Joints:
-    """The joints of a configuration, and their position limits, shape (n,) [rad]."""
-
-    names: tuple[str, ...]
-    lower_rad: Vector
-    upper_rad: Vector
-
-
-@dataclass(frozen=True)
 class GoalConditions:
     """Conditions of a goal: some must hold, and others are to hold as nearly as possible."""
 
@@ -217,7 +204,7 @@ class GoalConditions:
         return GoalConditions((*self.required, *conditions), self.preferred)
 
 
-def goal_conditions(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, joints: Joints) -> GoalConditions:
+def goal_conditions(goal: TaskGoal, collision: CollisionModel) -> GoalConditions:
     """Return the conditions of a goal; it must have passed the checks."""
     match goal:
         case PositionGoal():
@@ -231,14 +218,14 @@ def goal_conditions(goal: PositionGoal | AxisGoal | PoseGoal | ConstraintGoal, j
             turned = tuple(_turned(goal.link, goal.pose.orientation, goal.orientation_tolerance_rad, DEFAULT_WEIGHT))
             return GoalConditions((at, *turned)) if goal.strict else GoalConditions((at,), turned)
         case ConstraintGoal():
-            return GoalConditions(conditions(goal.constraints, joints))
+            return GoalConditions(conditions(goal.constraints, collision))
 
 
-def conditions(constraints: Constraints | None, joints: Joints) -> tuple[Condition, ...]:
+def conditions(constraints: Constraints | None, collision: CollisionModel) -> tuple[Condition, ...]:
     """Return the conditions of constraints; they must have passed the checks."""
     if constraints is None:
         return ()
-    found: list[Condition] = [_in_range(constraint, joints) for constraint in constraints.joints]
+    found: list[Condition] = [_in_range(constraint, collision) for constraint in constraints.joints]
     found += [_in_region(constraint) for constraint in constraints.positions]
     for constraint in constraints.orientations:
         found += _turned(constraint.link, constraint.orientation, constraint.tolerance_rad, constraint.weight)
@@ -333,9 +320,9 @@ def _turned(
         yield TurnCondition(link, wanted, tolerance, _weight(weight))
 
 
-def _in_range(constraint: JointConstraint, joints: Joints) -> JointCondition:
-    column = joints.names.index(constraint.joint)
-    limits = float(joints.lower_rad[column]), float(joints.upper_rad[column])
+def _in_range(constraint: JointConstraint, collision: CollisionModel) -> JointCondition:
+    column = collision.joint_names.index(constraint.joint)
+    limits = float(collision.lower_rad[column]), float(collision.upper_rad[column])
     lower = max(constraint.position_rad - constraint.below_rad, limits[0])
     upper = min(constraint.position_rad + constraint.above_rad, limits[1])
     wanted = min(max(constraint.position_rad, lower), upper)

@@ -1,7 +1,4 @@
-"""Goal configurations: from a goal to configurations in which it holds, or to the failure that is true of it.
-
-They are found by many IK descents from sampled starts.
-"""
+"""Goal configurations, found by IK descents from sampled starts, or the failure that is true of a goal."""
 
 from __future__ import annotations
 
@@ -35,7 +32,7 @@ from planners.ik.constraints import (
     ConditionSet,
     GoalConditions,
     JointCondition,
-    Joints,
+    TaskGoal,
     Violation,
     conditions,
     goal_conditions,
@@ -44,8 +41,6 @@ from planners.ik.kinematics import Descent, Kinematics
 from planners.problem import Deviation, MoveItErrorCode, PlanningError, PlanningFailure
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Vector
-
-TaskGoal = PositionGoal | AxisGoal | PoseGoal | ConstraintGoal
 
 
 def goal_in_collision(pairs: Sequence[CollidingPair]) -> PlanningFailure:
@@ -289,7 +284,6 @@ class GoalStates:
     def __init__(self, robot: RobotModel, collision: CollisionModel) -> None:
         self.forward = ForwardKinematics(robot, collision.joint_names)
         self._collision = collision
-        self._joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
         self._kinematics = Kinematics(robot, self.forward, collision.joint_names)
         self._max_velocity = np.array([robot.joints[name].max_velocity for name in collision.joint_names])
         limits = collision.lower_rad, collision.upper_rad
@@ -309,12 +303,12 @@ class GoalStates:
 
     def condition_set(self, constraints: Constraints | None) -> ConditionSet:
         """Return the conditions of constraints."""
-        return ConditionSet(self.forward, conditions(constraints, self._joints))
+        return ConditionSet(self.forward, conditions(constraints, self._collision))
 
     def projection(self, group: Group, constraints: Constraints, start_q: Vector) -> Callable[[Vector], Vector | None]:
         """Return a projection of points of a group's joints, (n,) [rad], to where constraints hold; None on failure."""
-        descent = Descent(self._kinematics, group, GoalConditions(conditions(constraints, self._joints)))
-        columns = [self._joints.names.index(name) for name in group.joints]
+        descent = Descent(self._kinematics, group, GoalConditions(conditions(constraints, self._collision)))
+        columns = [self._collision.joint_names.index(name) for name in group.joints]
 
         def project(point: Vector) -> Vector | None:
             q = start_q.copy()
@@ -349,8 +343,8 @@ class GoalStates:
     def _single(self, goal: SingleGoal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
         if isinstance(goal, JointGoal):
             return self._joint_goal(goal, query)
-        also = conditions(query.constraints, self._joints)
-        wanted = goal_conditions(goal, self._joints)
+        also = conditions(query.constraints, self._collision)
+        wanted = goal_conditions(goal, self._collision)
         whole = ConditionSet(self.forward, (*wanted.required, *wanted.preferred, *also))
         if query.accept_start and whole.holds(query.start_q):
             return [GoalState(query.start_q, whole.deviation(query.start_q))]
@@ -363,8 +357,8 @@ class GoalStates:
     def _joint_goal(self, goal: JointGoal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
         goal_q = query.start_q.copy()
         for name, value in goal.positions_rad.items():
-            goal_q[self._joints.names.index(name)] = value
-        goal_q = np.clip(goal_q, self._joints.lower_rad, self._joints.upper_rad)
+            goal_q[self._collision.joint_names.index(name)] = value
+        goal_q = np.clip(goal_q, self._collision.lower_rad, self._collision.upper_rad)
         violations = self.condition_set(query.constraints).violations(goal_q)
         if violations:
             return goal_violates(violations)
@@ -407,7 +401,7 @@ class GoalStates:
     def _with_configuration(self, failure: PlanningFailure, q: Vector, group: Group) -> PlanningFailure:
         if "nearest_m" not in failure.details:
             return failure
-        nearest_rad = {name: float(q[self._joints.names.index(name)]) for name in group.joints}
+        nearest_rad = {name: float(q[self._collision.joint_names.index(name)]) for name in group.joints}
         return replace(failure, details={**failure.details, "nearest_rad": nearest_rad})
 
     def search(self, goal_conditions: GoalConditions, query: GoalQuery) -> SearchResult:
@@ -429,7 +423,7 @@ class GoalStates:
 
     def _with_turns(self, solutions: list[Vector], required: GoalConditions, query: GoalQuery) -> tuple[Vector, ...]:
         """Return solutions and their whole turns within the limits, least time from the start first."""
-        columns = [self._joints.names.index(name) for name in query.group.joints]
+        columns = [self._collision.joint_names.index(name) for name in query.group.joints]
         columns = [column for column in columns if self._turning[column]]
         in_range = [condition for condition in required.required if isinstance(condition, JointCondition)]
         found: list[Vector] = []
@@ -443,7 +437,9 @@ class GoalStates:
         choices = []
         for column in columns:
             turned = solution[column] + TURN_RAD * np.arange(-2, 3)
-            turned = turned[(turned >= self._joints.lower_rad[column]) & (turned <= self._joints.upper_rad[column])]
+            turned = turned[
+                (turned >= self._collision.lower_rad[column]) & (turned <= self._collision.upper_rad[column])
+            ]
             choices.append(turned[np.argsort(np.abs(turned - start_q[column]), kind="stable")][:2])
         found = np.tile(solution, (math.prod(map(len, choices)), 1))
         found[:, columns] = list(product(*choices))

@@ -1,7 +1,4 @@
-"""Inverse kinematics by placo: from a configuration to one nearby in which conditions hold.
-
-Each condition becomes a task of placo's solver, which gets a new target at every step.
-"""
+"""Inverse kinematics by placo: from a configuration to one nearby where conditions hold, as tasks of its solver."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import math
 import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -65,17 +61,6 @@ MIDDLE = 0.0
 INNER_SHARE = 0.9
 
 
-@dataclass(frozen=True)
-class _MimicJoint:
-    """Joint that mimics another one, by names and places in placo's model."""
-
-    name: str
-    leader: str
-    multiplier: float
-    column: int
-    leader_column: int
-
-
 class Kinematics:
     """placo's model of one robot; ``joint_names`` are the joints of a configuration ``q``, shape (n,) [rad]."""
 
@@ -84,17 +69,7 @@ class Kinematics:
         self.wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, with_point_frames(robot))
         self.forward = forward
         self.joint_names = joint_names
-        self.mimics = [
-            _MimicJoint(
-                joint_in_placo(name),
-                joint_in_placo(joint.mimic.joint),
-                joint.mimic.multiplier,
-                self.wrapper.get_joint_offset(joint_in_placo(name)),
-                joint_names.index(joint.mimic.joint),
-            )
-            for name, joint in robot.joints.items()
-            if joint.mimic
-        ]
+        self.mimics = [(joint_in_placo(name), joint.mimic) for name, joint in robot.joints.items() if joint.mimic]
         self._columns = np.array([self.wrapper.get_joint_offset(joint_in_placo(name)) for name in joint_names])
         self._lower_rad = np.array([robot.joints[name].lower for name in joint_names])
         self._upper_rad = np.array([robot.joints[name].upper for name in joint_names])
@@ -102,8 +77,9 @@ class Kinematics:
     def place(self, q: Vector) -> None:
         """Move the joints, and those that mimic them."""
         self.wrapper.state.q[self._columns] = q
-        for joint in self.mimics:
-            self.wrapper.state.q[joint.column] = joint.multiplier * q[joint.leader_column]
+        for name, mimic in self.mimics:
+            position = mimic.multiplier * q[self.joint_names.index(mimic.joint)]
+            self.wrapper.state.q[self.wrapper.get_joint_offset(name)] = position
         self.forward.place(q)
 
     def advance(self, solver: placo.KinematicsSolver) -> Vector:
@@ -117,8 +93,9 @@ class Kinematics:
 class _Task(ABC):
     """Task of placo's solver that moves the arm until a condition holds."""
 
-    def __init__(self, condition: Condition, weight: float, task: placo.Task, name: str) -> None:
+    def __init__(self, solver: _Solver, condition: Condition, weight: float, task: placo.Task, name: str) -> None:
         self.condition = condition
+        self._forward = solver.kinematics.forward
         self._scale = condition.arm_m * math.sqrt(weight)
         self._task, self._name = task, name
         self._relaxed: bool | None = None
@@ -141,10 +118,6 @@ class _LinkTask(_Task):
 
     condition: LinkCondition
     max_step = MAX_STEP_RAD
-
-    def __init__(self, solver: _Solver, condition: LinkCondition, weight: float, task: placo.Task, name: str) -> None:
-        super().__init__(condition, weight, task, name)
-        self._forward = solver.kinematics.forward
 
     def aim(self, q: Vector, share: float) -> float:  # noqa: ARG002 - the links have been placed there
         placement = self._forward.placement(self.condition.link)
@@ -205,7 +178,7 @@ class _JointTask(_Task):
 
     def __init__(self, solver: _Solver, condition: JointCondition, weight: float, index: int) -> None:
         self._joints_task = solver.placo.add_joints_task()
-        super().__init__(condition, weight, self._joints_task, f"joint {index}")
+        super().__init__(solver, condition, weight, self._joints_task, f"joint {index}")
 
     def aim(self, q: Vector, share: float) -> float:
         position_rad = float(q[self.condition.column])
@@ -280,7 +253,7 @@ class _Solver:
         for name in kinematics.joint_names:
             if name not in group.joints:
                 self.placo.mask_dof(joint_in_placo(name))
-        self._couple_mimics([joint_in_placo(name) for name in group.joints])
+        self._couple_mimics(group.joints)
         self.placo.enable_joint_limits(True)
         self._regularization = self.placo.add_regularization_task(MOST_REGULARIZATION)
         # Conditions on points come first: there are frames for the first few tasks only.
@@ -289,15 +262,15 @@ class _Solver:
 
     def _couple_mimics(self, moving: Sequence[str]) -> None:
         """Have joints that mimic a moving one follow it, and the others stay."""
-        coupled = [joint for joint in self.kinematics.mimics if joint.leader in moving]
-        for joint in self.kinematics.mimics:
-            if joint not in coupled:
-                self.placo.mask_dof(joint.name)
+        coupled = [(name, mimic) for name, mimic in self.kinematics.mimics if mimic.joint in moving]
+        for name, mimic in self.kinematics.mimics:
+            if mimic.joint not in moving:
+                self.placo.mask_dof(name)
         if coupled:
             gears = self.placo.add_gear_task()
             gears.configure("mimic", "hard")
-            for joint in coupled:
-                gears.set_gear(joint.name, joint.leader, joint.multiplier)
+            for name, mimic in coupled:
+                gears.set_gear(name, joint_in_placo(mimic.joint), mimic.multiplier)
 
     def descend(self, q: Vector, share: float) -> Vector:
         for task in self._tasks:

@@ -279,11 +279,7 @@ def reduced(limits: RateLimits) -> RateLimits:
 
 
 def connect(p0: Vector, v0: Vector, p1: Vector, v1: Vector, ticks: int, limits: RateLimits) -> Curve | None:
-    """Return the motion from positions p0 to p1, with velocities v0 and v1 there, in a time of :func:`whole_ticks`.
-
-    Every joint has its gentlest cruise velocity. None when some joint cannot take just that time: it would have to be
-    faster, or, since it cannot stop before its end, could only be sooner or much later.
-    """
+    """Move from p0, v0 to p1, v1 in a time of :func:`whole_ticks`, cruising gently; None if a joint cannot."""
     cruise = _cruise_velocity(p1 - p0, v0, v1, TICK_S * ticks, SHARE_OF_LIMITS * limits.acceleration_rad_s2)
     speed_up = SHARE_OF_LIMITS * TICK_S * limits.acceleration_rad_s2
     first = np.maximum(np.ceil(np.abs(cruise - v0) / speed_up), 1.0)

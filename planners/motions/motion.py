@@ -265,17 +265,15 @@ class _Searching:
         """Let one of the searches go on for its turn."""
         if query.step_m != self._step_m:
             self._searches, self._step_m = {}, query.step_m
-        running = self._searches.pop(number % SEARCHES, None) or self._search(query, self._task.seed + number)
+        running = self._searches.pop(number % SEARCHES, None)
+        if running is None:
+            project, seed = self._task.project, self._task.seed + number
+            running = TreeSearch(query, self._name, seed) if project is None else ProjectedSearch(query, project, seed)
         most = self._space.checks + CHECKS_A_TURN
         path = running.run(lambda: self._space.checks >= most or self._enough())
         if path is None and (number // SEARCHES + 1) % TURNS_A_SEARCH:
             self._searches[number % SEARCHES] = running
         return path
-
-    def _search(self, query: Query, seed: int) -> TreeSearch | ProjectedSearch:
-        if self._task.project is None:
-            return TreeSearch(query, self._name, seed)
-        return ProjectedSearch(query, self._task.project, seed)
 
     def _without_detours(self, path: Vector | None) -> Vector | None:
         if path is None:

@@ -33,18 +33,6 @@ TREE_EDGE_M = 1.3
 
 RRT_CONNECT = "RRTConnect"
 
-# OMPL's searches with edges of a length to choose, by their names; see planners.problem.PLANNER_IDS.
-TREES = {
-    RRT_CONNECT: og.RRTConnect,
-    "RRT": og.RRT,
-    "RRTstar": og.RRTstar,
-    "InformedRRTstar": og.InformedRRTstar,
-    "SORRTstar": og.SORRTstar,
-    "LBKPIECE1": og.LBKPIECE1,
-    "BKPIECE1": og.BKPIECE1,
-    "KPIECE1": og.KPIECE1,
-}
-
 # Brings a point to one nearby where the space's condition holds, or returns None.
 Project = Callable[[Vector], Vector | None]
 
@@ -82,10 +70,7 @@ def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: fl
 
 
 def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Callable[[], bool] = never) -> bool:
-    """Return true if joints stay in range and nothing touches along a curve; its ends are taken to be free.
-
-    The fastest point travels about a step between two checked points. A check that is stopped finds no curve free.
-    """
+    """Return true if joints stay in range and nothing touches at steps along a curve; its ends are taken to be free."""
     if not curve.stays_within(space.lower_rad, space.upper_rad):
         return False
     points = _evenly(space, curve, step_m)
@@ -148,12 +133,11 @@ class TreeSearch:
         setup.setGoal(goal_states)
         if name == RRT_CONNECT:
             information.setMotionValidator(_Edges(information, query))
-        if name in TREES:
-            tree = TREES[name](information)
-            tree.setRange(TREE_EDGE_M / _travel_m_per_rad(query))
-            setup.setPlanner(tree)
-        else:
-            setup.setPlanner(og.BITstar(information))
+        search = getattr(og, name)(information)
+        # BIT* has no edges of a length to choose.
+        if hasattr(search, "setRange"):
+            search.setRange(TREE_EDGE_M / _travel_m_per_rad(query))
+        setup.setPlanner(search)
 
     def run(self, should_stop: Callable[[], bool]) -> Vector | None:
         """Go on until there is a polyline of shape (m, n) from the start to a goal; None once it is to stop."""
@@ -244,11 +228,7 @@ class ProjectedSearch:
 
 
 def reachable(query: Query, project: Project, seed: int, should_stop: Callable[[], bool]) -> Vector:
-    """Grow a tree from the start, some branches towards the goals, until it is to stop; return its points, (m, n).
-
-    Free polylines lead to the points from the start, which is the first. The goals need not be free, and there may be
-    none. The same query and seed give the same tree.
-    """
+    """Grow a tree from the start, some branches towards the goals, until it is to stop; return its points, (m, n)."""
     rng = np.random.default_rng(seed)
     grower, tree = _Grower(query, project, should_stop), _Tree([query.start])
     for goal in query.goals:

@@ -170,11 +170,7 @@ def toppra_profile(path: NaturalSpline, limits: RateLimits, top_rate: Vector | N
 
 @dataclass(frozen=True)
 class _ScaledPath:
-    """A path for toppra, with numbers of about 1, which its tolerances are made for.
-
-    Its parameter goes from 0 to 1, and its acceleration limits are 1 in units of ``joint_units_rad``. Its last column
-    is progress itself, so that its rate is limited as a joint is.
-    """
+    """A path from 0 to 1 for toppra, whose tolerances are for numbers of about 1; its last column is progress."""
 
     path: NaturalSpline
     length: float

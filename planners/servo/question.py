@@ -1,7 +1,4 @@
-"""Requests of MoveIt Servo for joint velocities, many times a second, and their answers: plain data.
-
-All of it is in the robot's root link and in SI units. This module imports no planning library.
-"""
+"""Requests of MoveIt Servo and their answers: plain data in the root link, in SI units, without planning libraries."""
 
 from __future__ import annotations
 

@@ -91,11 +91,7 @@ class VelocityBounds(Limit):
 
 
 def watched_m(travel_m_per_rad: Vector, velocity_rad_s: Vector, max_change: Vector, period_s: float) -> float:
-    """Return the distance up to which obstacles must be known, so that the joints still brake before them [m].
-
-    All of the joints have the shape (n,): the greatest travel of a point by each, the present velocities, and the
-    greatest change of a velocity in a period.
-    """
+    """Return how far off obstacles must be known for joints, shape (n,) each, to brake before them [m]."""
     fastest = np.abs(velocity_rad_s) + max_change
     braking = BRAKING_SHARE * max_change / period_s
     ahead_rad = fastest * period_s + fastest**2 / (2.0 * braking)
@@ -112,11 +108,7 @@ def velocity_bounds(
     max_change: Vector,
     period_s: float,
 ) -> VelocityBounds:
-    """Return the velocity bounds of the joints that may move, at positions within limits, shape (n,) each [rad].
-
-    ``columns`` are the places of these joints in the gradients of pairs, and ``max_change`` is the greatest change of a
-    velocity in a period, shape (n,) [rad/s], after which an answer has its effect.
-    """
+    """Return bounds for joints in ``columns`` at positions, (n,) [rad]; ``max_change`` is of a velocity a period."""
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
     by_another_arm = np.array([pair.by_another_arm for pair, _ in watched], dtype=bool)
@@ -164,14 +156,6 @@ LEAST_PROGRESS = 0.01  # leaving, the tip must get this share of the way it was 
 
 
 @dataclass(frozen=True)
-class PredictedTip:
-    """Prediction: the tip's position, shape (3,) [m], and its Jacobian, shape (3, n) [m/rad]."""
-
-    position_m: Vector
-    jacobian: Vector
-
-
-@dataclass(frozen=True)
 class RegularizedMotion:
     """Desired velocity without its part into a singularity, and the regular Jacobian to achieve it."""
 
@@ -186,13 +170,9 @@ def regularized(
     linear_m_s: Vector,
     limits: ServoLimits,
     max_velocity: Vector,
-    predict: Callable[[Vector], PredictedTip],
+    predict: Callable[[Vector], tuple[Vector, Vector]],
 ) -> RegularizedMotion:
-    """Remove the part of a desired velocity of the tip, shape (3,) [m/s], that leads into a singularity.
-
-    The Jacobian of the tip's position has the shape (3, n), n at least 3 [m/rad]; ``predict`` returns the tip after a
-    motion of the joints, shape (n,) [rad].
-    """
+    """Remove the part into a singularity of a desired velocity, (3,) [m/s]; ``predict`` gives place and Jacobian."""
     left, values, right = np.linalg.svd(jacobian)
     free = np.ascontiguousarray(right[3:].T)
     least = values[0] / limits.singularity_stop
@@ -205,10 +185,10 @@ def regularized(
     velocity = right[:3].T @ ((left.T @ linear_m_s) / floor)
     fastest = float(np.max(np.abs(velocity) / max_velocity))
     velocity = velocity / max(fastest, 1.0)
-    ahead = np.linalg.svd(predict(PREDICTION_S * velocity).jacobian, compute_uv=False)
+    ahead = np.linalg.svd(predict(PREDICTION_S * velocity)[1], compute_uv=False)
     change = float(ahead[2] - values[2])
     share, status = _share(float(values[0] / max(values[2], 1e-12)), change, limits)
-    moved_m = predict(EXIT_PREDICTION_S * velocity).position_m - predict(0.0 * velocity).position_m
+    moved_m = predict(EXIT_PREDICTION_S * velocity)[0] - predict(0.0 * velocity)[0]
     if (
         change > NOTICED_M_PER_RAD
         and float(weak @ moved_m) * np.sign(desired) < LEAST_PROGRESS * abs(desired) * EXIT_PREDICTION_S
@@ -330,11 +310,11 @@ def _tip_outcome(
 ) -> Outcome:
     linear, angular = state.jacobian[:3], state.jacobian[3:]
 
-    def predict(step: Vector) -> PredictedTip:
+    def predict(step: Vector) -> tuple[Vector, Vector]:
         q = state.q.copy()
         q[state.columns] += step
         jacobian = forward.jacobian(q, question.link)[:3, state.columns]
-        return PredictedTip(forward.placement(question.link).translation.copy(), jacobian)
+        return forward.placement(question.link).translation.copy(), jacobian
 
     sound = regularized(linear, desired.linear_m_s, question.limits, state.max_velocity, predict)
     first, active = _moved(sound, angular, desired.angular_rad_s, state)

@@ -6,7 +6,7 @@ import asyncio
 import itertools
 from collections.abc import Callable
 
-from planners.pool import OnHard, ignore
+from planners.pool import OnHard
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer
 from planners.scene import EMPTY_SCENE, Scene
 from planners.worker import HARD_AFTER_S
@@ -66,7 +66,7 @@ class FakeWorker:
     def has(self, scene: Scene) -> bool:
         return self._scene.version == scene.version
 
-    async def ask(self, request: Request, scene: Scene, on_hard: OnHard = ignore) -> Answer:
+    async def ask(self, request: Request, scene: Scene, on_hard: OnHard = None) -> Answer:
         assert self.usable
         if not self.has(scene):
             self._scene = scene
@@ -85,7 +85,8 @@ class FakeWorker:
         while report_s < lasts_s:
             await asyncio.sleep(report_s - spent_s)
             spent_s, report_s = report_s, 2.0 * report_s
-            on_hard(spent_s)
+            if on_hard is not None:
+                on_hard(spent_s)
         await asyncio.sleep(lasts_s - spent_s)
         if end == CRASHES:
             self.end()

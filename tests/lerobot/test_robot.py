@@ -216,12 +216,16 @@ def ask(process: subprocess.Popen[str], line: str) -> dict[str, float | str]:
     return answer
 
 
-def test_after_a_stop_the_next_action_is_refused_and_nothing_moves(server: RunningServer, arm: Arm) -> None:
+@pytest.mark.parametrize("moves_first", [True, False])
+def test_after_a_stop_the_next_action_is_refused_and_nothing_moves(
+    server: RunningServer, arm: Arm, moves_first: bool
+) -> None:
     arm.release_control()
     with scenario(server.port) as process:
-        here = ask(process, "observe")
+        here = float(ask(process, "observe")["shoulder_pan.pos"])
         ask(process, "act shoulder_pan.pos 30")
-        wait_until(lambda: ask(process, "act shoulder_pan.pos 30")["shoulder_pan.pos"] != here["shoulder_pan.pos"], 60)
+        if moves_first:
+            wait_until(lambda: abs(float(ask(process, "act shoulder_pan.pos 30")["shoulder_pan.pos"]) - here) > 5.0, 60)
         arm.stop()
         wait_until(lambda: "error" in ask(process, "act shoulder_pan.pos -30"), 60)
         stopped = arm.state().position_rad

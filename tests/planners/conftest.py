@@ -8,7 +8,6 @@ import pytest
 from planners import pool as pool_module
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
-from planners.ik.constraints import Joints
 from planners.ik.goal_states import GoalStates
 from planners.pipeline import Planner
 from planners.problem import RateLimits
@@ -42,11 +41,6 @@ def collision(robot):
 @pytest.fixture(scope="session")
 def goal_states(robot, collision):
     return GoalStates(robot, collision)
-
-
-@pytest.fixture(scope="session")
-def joints(collision):
-    return Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
 
 
 @pytest.fixture(scope="session")

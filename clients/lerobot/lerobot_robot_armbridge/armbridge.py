@@ -219,9 +219,11 @@ class Following:
         while not self._stopped:
             await asyncio.sleep(TARGET_PERIOD_S)
             state = self._state.latched()
-            started = started or state.phase != "idle"
-            if started and state.phase == "idle":
-                self._stopped = state.message or "it was ended"
+            # A following may begin and end between two looks, and another client's may begin after it.
+            mine = state.leader == self._topic
+            started = started or mine
+            if started and not (mine and state.phase != "idle"):
+                self._stopped = (mine and state.message) or "it was ended"
             elif time.monotonic() - self._asked_at_s > SILENCE_S:
                 self._stopped = f"no action came for {SILENCE_S:g} s"
             else:

@@ -3,12 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planners.assistant.link_shapes import link_surfaces
 from planners.assistant.surface import (
     ConvexPart,
     Surface,
     measure,
     merged,
 )
+from robot.description import model
+from tests.helpers import robots
 from tests.helpers.stl_arm import boxes_union
 
 
@@ -38,3 +41,12 @@ def test_a_part_within_planes_encloses_it():
     directions = RANDOM.normal(size=(60, 3))
     wider = ConvexPart(points).within(directions / np.linalg.norm(directions, axis=1)[:, np.newaxis])
     assert wider.depth_m(points).max() < 1e-9
+
+
+def test_surfaces_of_the_builtin_arm_are_the_official_meshes(robot, shared_data) -> None:
+    official = model.load(shared_data / "so101" / "so101_new_calib.urdf", robots.SO101.folder / "so101.srdf")
+    expected = link_surfaces(official)
+    with np.load(robot.surfaces["base_link"].path) as file:
+        assert set(file.files) == expected.keys()
+        for name, array in expected.items():
+            assert np.array_equal(file[name], array)

@@ -36,7 +36,7 @@ def test_a_scene_that_cannot_be_built_leaves_none_and_the_next_is_built_whole(ro
     for each in (free, blocked):
         model.set_scene(free)
         with monkeypatch.context() as patch:
-            patch.setattr(collision_module, "padding", lambda *_: 1 / 0)
+            patch.setattr(collision_module, "approach", lambda *_: 1 / 0)
             with pytest.raises(ZeroDivisionError):
                 model.set_scene(scene(CUBE))
         assert model.set_scene(each) is None

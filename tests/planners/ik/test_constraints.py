@@ -68,9 +68,9 @@ def forward(goal_states):
 
 
 @pytest.fixture
-def condition_set(forward, joints):
+def condition_set(forward, collision):
     def make(**parts):
-        return ConditionSet(forward, conditions(Constraints(**parts), joints))
+        return ConditionSet(forward, conditions(Constraints(**parts), collision))
 
     return make
 
@@ -82,10 +82,10 @@ def pose_of(forward, q, link=TIP):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, joints, collision, seed):
+def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, collision, seed):
     q = np.random.default_rng(seed).uniform(collision.lower_rad, collision.upper_rad)
     goal = PoseGoal(TIP, pose_of(forward, q), 0.01, (0.05, 0.05, 0.05), strict=True)
-    wanted = ConditionSet(forward, goal_conditions(goal, joints).required)
+    wanted = ConditionSet(forward, goal_conditions(goal, collision).required)
     assert wanted.holds(q)
     assert wanted.deviation(q).position_m == pytest.approx(0.0, abs=1e-9)
     turned = q + 0.1 * np.eye(6)[collision.joint_names.index("wrist_roll")]
@@ -93,11 +93,11 @@ def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, joints
     assert wanted.deviation(turned).orientation_rad == pytest.approx(0.1, abs=1e-6)
 
 
-def test_directions_are_taken_as_unit_vectors(forward, joints):
+def test_directions_are_taken_as_unit_vectors(forward, collision):
     pose = pose_of(forward, HOME)
     axis = rotation(pose.orientation)[:, 2]
     goal = AxisGoal(TIP, pose.position_m, 0.001, (0.0, 0.0, 1.0005), tuple(0.9995 * axis), 0.01)
-    assert ConditionSet(forward, goal_conditions(goal, joints).required).holds(HOME)
+    assert ConditionSet(forward, goal_conditions(goal, collision).required).holds(HOME)
 
 
 @pytest.mark.parametrize(
@@ -109,15 +109,15 @@ def test_directions_are_taken_as_unit_vectors(forward, joints):
         ((4.0, 4.0, 4.0), []),
     ],
 )
-def test_free_axes_of_an_orientation_are_not_aimed_at(joints, tolerance_rad, kinds):
+def test_free_axes_of_an_orientation_are_not_aimed_at(collision, tolerance_rad, kinds):
     orientation = OrientationConstraint(TIP, (0.0, 0.0, 0.0, 1.0), tolerance_rad)
-    found = conditions(Constraints(orientations=(orientation,)), joints)
+    found = conditions(Constraints(orientations=(orientation,)), collision)
     assert [type(condition) for condition in found] == kinds
 
 
-def test_joint_range_ends_at_the_joints_limits(condition_set, joints):
-    column = joints.names.index("elbow_flex")
-    upper = joints.upper_rad[column]
+def test_joint_range_ends_at_the_joints_limits(condition_set, collision):
+    column = collision.joint_names.index("elbow_flex")
+    upper = collision.upper_rad[column]
     wanted = condition_set(joints=(JointConstraint("elbow_flex", upper, 0.5, 0.1),))
     assert wanted.holds(upper * np.eye(6)[column])
     assert not wanted.holds((upper + 0.01) * np.eye(6)[column])
@@ -135,6 +135,6 @@ def test_violations_name_what_and_by_how_much(condition_set):
     assert position.details["beyond_m"] == pytest.approx(0.02, abs=1e-3)
 
 
-def test_weight_that_nobody_set_counts_as_one(joints):
+def test_weight_that_nobody_set_counts_as_one(collision):
     constraint = JointConstraint("elbow_flex", 0.0, 0.1, 0.1, weight=0.0)
-    assert conditions(Constraints(joints=(constraint,)), joints)[0].weight == 1.0
+    assert conditions(Constraints(joints=(constraint,)), collision)[0].weight == 1.0

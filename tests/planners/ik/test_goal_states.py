@@ -66,11 +66,9 @@ def axis_goal(search, q):
     ],
     ids=["position", "pose", "axis"],
 )
-def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
-    search, collision, arm, joints, free_states, goal_at
-):
+def test_the_pose_of_a_free_state_is_reached_free_and_within_limits(search, collision, arm, free_states, goal_at):
     for state in free_states:
-        wanted = goal_conditions(goal_at(search, state), joints)
+        wanted = goal_conditions(goal_at(search, state), collision)
         found = search.search(wanted, query(arm))
         assert found.solutions, state
         for q in found.solutions:
@@ -79,10 +77,10 @@ def test_the_pose_of_a_free_configuration_is_reached_free_and_within_limits(
             assert np.all((q >= collision.lower_rad) & (q <= collision.upper_rad))
 
 
-def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_states):
+def test_solutions_differ_and_the_soonest_comes_first(search, arm, collision, free_states):
     for state in free_states[:20]:
         goal = PositionGoal(TIP, pose_of(search.forward, state).position_m, 0.001)
-        solutions = search.search(goal_conditions(goal, joints), query(arm)).solutions
+        solutions = search.search(goal_conditions(goal, collision), query(arm)).solutions
         times_s = [search._move_time_s(HOME, q) for q in solutions]
         assert times_s == sorted(times_s)
         assert len(solutions) <= MAX_SOLUTIONS
@@ -90,11 +88,11 @@ def test_solutions_differ_and_the_soonest_comes_first(search, arm, joints, free_
             assert all(np.max(np.abs(q - other)) >= DISTINCT_RAD for other in solutions[:i])
 
 
-def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, joints, collision, free_states):
+def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, collision, free_states):
     rng = np.random.default_rng(7)
     target_m = np.array([0.25, 0.1, 0.15])
     wanted = goal_conditions(
-        PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), joints
+        PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), collision
     )
     found = search.search(wanted, query(arm))
     preferred = ConditionSet(search.forward, wanted.preferred)
@@ -104,12 +102,12 @@ def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, joints
     assert preferred.deviation(found.solutions[0]).orientation_rad <= sampled + 0.1
 
 
-def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_best(search, arm, joints, collision):
+def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_best(search, arm, collision):
     rng = np.random.default_rng(8)
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (20_000, 6))
     positions_m = search.forward.placements(states, TIP).positions_m
     for target_m in ((0.1, 0.0, 0.15), (0.6, 0.2, 0.3), (0.0, 0.7, 0.1)):
-        found = search.search(goal_conditions(PositionGoal(TIP, target_m, 0.001), joints), query(arm))
+        found = search.search(goal_conditions(PositionGoal(TIP, target_m, 0.001), collision), query(arm))
         order = np.argsort(np.linalg.norm(positions_m - target_m, axis=1))
         best = next(i for i in order if not collision.in_collision(states[i]))
         assert not found.solutions
@@ -117,8 +115,8 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
         assert found.nearest.position_m <= np.linalg.norm(positions_m[best] - target_m) + 0.002
 
 
-def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, joints):
-    wanted = goal_conditions(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), joints)
+def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, collision):
+    wanted = goal_conditions(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), collision)
     assert search.search(wanted, query(arm)).colliding
     assert search.search(wanted, query(arm, avoid_collisions=False)).solutions
 
@@ -134,15 +132,15 @@ def find(goal_states, arm):
     return ask
 
 
-def test_joint_goal_is_met_exactly_and_other_joints_stay(find, joints):
+def test_joint_goal_is_met_exactly_and_other_joints_stay(find, collision):
     (state,) = find(JointGoal({"elbow_flex": 0.7}))
-    np.testing.assert_array_equal(state.q, 0.7 * np.eye(6)[joints.names.index("elbow_flex")])
+    np.testing.assert_array_equal(state.q, 0.7 * np.eye(6)[collision.joint_names.index("elbow_flex")])
 
 
-def test_joint_goal_within_its_tolerance_beyond_a_limit_is_at_the_limit(find, joints):
-    column = joints.names.index("wrist_roll")
-    (state,) = find(JointGoal({"wrist_roll": joints.upper_rad[column] + 5e-5}))
-    assert state.q[column] == joints.upper_rad[column]
+def test_joint_goal_within_its_tolerance_beyond_a_limit_is_at_the_limit(find, collision):
+    column = collision.joint_names.index("wrist_roll")
+    (state,) = find(JointGoal({"wrist_roll": collision.upper_rad[column] + 5e-5}))
+    assert state.q[column] == collision.upper_rad[column]
 
 
 def test_strict_pose_on_five_joints_is_refused_with_its_error_in_degrees(find):
@@ -154,11 +152,11 @@ def test_strict_pose_on_five_joints_is_refused_with_its_error_in_degrees(find):
     assert f"{math.degrees(failure.details['orientation_rad']):.1f}°" in failure.message
 
 
-def test_a_point_out_of_reach_comes_with_the_configuration_that_has_the_nearest_one(find, arm, collision, joints):
+def test_a_point_out_of_reach_comes_with_the_configuration_that_has_the_nearest_one(find, arm, collision):
     failure = find(PositionGoal(TIP, (0.6, 0.0, 0.3), 0.001))
     nearest_rad = failure.details["nearest_rad"]
     assert list(nearest_rad) == list(arm.joints)
-    q = np.array([nearest_rad.get(name, 0.0) for name in joints.names])
+    q = np.array([nearest_rad.get(name, 0.0) for name in collision.joint_names])
     np.testing.assert_allclose(collision.tip_positions([q], TIP)[0], failure.details["nearest_m"], atol=1e-3)
 
 
@@ -181,13 +179,13 @@ def test_alternatives_of_which_none_can_be_had_are_refused_together(find):
     assert [other["code"] for other in failure.details["alternatives"]] == [-31, -12]
 
 
-def test_states_found_for_a_constraint_goal_meet_it(find, joints, collision):
+def test_states_found_for_a_constraint_goal_meet_it(find, collision):
     constraints = Constraints(
         joints=(JointConstraint("wrist_roll", 0.5, 0.05, 0.05),),
         positions=(PositionConstraint(TIP, Pose((0.25, 0.1, 0.2)), half_size_m=(0.05, 0.05, 0.01)),),
     )
     for state in find(ConstraintGoal(constraints)):
-        assert abs(state.q[joints.names.index("wrist_roll")] - 0.5) <= 0.051
+        assert abs(state.q[collision.joint_names.index("wrist_roll")] - 0.5) <= 0.051
         assert np.all(np.abs(collision.tip_positions([state.q], TIP)[0] - (0.25, 0.1, 0.2)) <= (0.0501, 0.0501, 0.0101))
 
 

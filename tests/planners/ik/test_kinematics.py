@@ -16,7 +16,6 @@ from planners.goals import (
 )
 from planners.ik.constraints import (
     ConditionSet,
-    Joints,
     conditions,
     goal_conditions,
 )
@@ -31,7 +30,7 @@ TIP = "gripper_frame_link"
 
 def test_points_of_two_links_that_use_the_same_frame_are_told_apart(so101):
     goals = [PositionGoal(link, (0.2, 0.1, 0.15), 0.001, (0.01, 0.0, 0.02)) for link in (TIP, "wrist_link")]
-    descents = [Descent(so101.kinematics, so101.arm, goal_conditions(goal, so101.joints)) for goal in goals]
+    descents = [Descent(so101.kinematics, so101.arm, goal_conditions(goal, so101.collision)) for goal in goals]
     assert all(so101.holds(goal, descent(HOME)) for goal, descent in zip(goals, descents, strict=True))
 
 
@@ -45,20 +44,20 @@ class Bench:
         self.tip = tip
         self.arm = robot.groups["arm"]
         collision = CollisionModel(robot)
-        self.joints = Joints(collision.joint_names, collision.lower_rad, collision.upper_rad)
+        self.collision = collision
         self.forward = ForwardKinematics(robot, collision.joint_names)
         self.kinematics = Kinematics(robot, self.forward, collision.joint_names)
 
     def states(self, count, seed=1):
         return np.random.default_rng(seed).uniform(
-            self.joints.lower_rad, self.joints.upper_rad, (count, len(self.joints.names))
+            self.collision.lower_rad, self.collision.upper_rad, (count, len(self.collision.joint_names))
         )
 
     def descend(self, goal, q):
-        return Descent(self.kinematics, self.arm, goal_conditions(goal, self.joints))(q)
+        return Descent(self.kinematics, self.arm, goal_conditions(goal, self.collision))(q)
 
     def holds(self, goal, q):
-        return ConditionSet(self.forward, goal_conditions(goal, self.joints).required).holds(q)
+        return ConditionSet(self.forward, goal_conditions(goal, self.collision).required).holds(q)
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +96,7 @@ def test_the_goal_of_a_nearby_configuration_is_reached(arm_name, kind, request):
         goal = goals_at(bench, q)[kind]
         end = bench.descend(goal, q + np.random.default_rng(3).uniform(-0.2, 0.2, len(q)))
         reached += bench.holds(goal, end)
-        assert np.all((end >= bench.joints.lower_rad) & (end <= bench.joints.upper_rad))
+        assert np.all((end >= bench.collision.lower_rad) & (end <= bench.collision.upper_rad))
     assert reached >= 23
 
 
@@ -105,7 +104,7 @@ def test_tolerances_are_used_where_the_middle_cannot_be_had(so101):
     # To the middle of the region the arm would have to turn the other way than its joint may.
     region = PositionConstraint(TIP, Pose((0.3, -0.4, 0.2)), half_size_m=(0.5, 0.7, 0.5))
     joint = JointConstraint("shoulder_pan", -0.8, 0.3, 0.3)
-    wanted = GoalConditions(conditions(Constraints(joints=(joint,), positions=(region,)), so101.joints))
+    wanted = GoalConditions(conditions(Constraints(joints=(joint,), positions=(region,)), so101.collision))
     end = Descent(so101.kinematics, so101.arm, wanted)(HOME)
     assert ConditionSet(so101.forward, wanted.required).holds(end)
 
@@ -114,7 +113,7 @@ def test_weights_decide_between_what_cannot_both_hold(so101):
     def heights(weight):
         high = PositionConstraint(TIP, Pose((0.3, 0.0, 0.3)), radius_m=0.01, weight=weight)
         low = PositionConstraint(TIP, Pose((0.3, 0.0, 0.2)), radius_m=0.01)
-        wanted = GoalConditions(conditions(Constraints(positions=(high, low)), so101.joints))
+        wanted = GoalConditions(conditions(Constraints(positions=(high, low)), so101.collision))
         so101.forward.place(Descent(so101.kinematics, so101.arm, wanted)(HOME))
         return so101.forward.placement(TIP).translation[2]
 
@@ -123,12 +122,12 @@ def test_weights_decide_between_what_cannot_both_hold(so101):
 
 def test_inside_is_near_and_none_where_there_is_none(so101):
     down = OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 3.2))
-    wanted = GoalConditions(conditions(Constraints(orientations=(down,)), so101.joints))
+    wanted = GoalConditions(conditions(Constraints(orientations=(down,)), so101.collision))
     descent = Descent(so101.kinematics, so101.arm, wanted)
     near = np.array([0.0, -0.2, 0.3, 1.3, 0.2, 0.0])
     inside = descent.inside(near)
     assert ConditionSet(so101.forward, wanted.required).holds(inside)
     assert np.max(np.abs(inside - near)) < 0.5
     far = PositionConstraint(TIP, Pose((2.0, 0.0, 0.0)), radius_m=0.1)
-    impossible = GoalConditions(conditions(Constraints(positions=(far,)), so101.joints))
+    impossible = GoalConditions(conditions(Constraints(positions=(far,)), so101.collision))
     assert Descent(so101.kinematics, so101.arm, impossible).inside(near) is None

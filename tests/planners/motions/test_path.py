@@ -135,8 +135,8 @@ LEFT, RIGHT = np.array([0.8, 0.0, 0.0, 1.57, 0.0, 0.0]), np.array([-0.8, 0.3, 0.
 
 
 @pytest.fixture
-def holds(goal_states, joints):
-    return ConditionSet(goal_states.forward, conditions(DOWN, joints)).holds
+def holds(goal_states, collision):
+    return ConditionSet(goal_states.forward, conditions(DOWN, collision)).holds
 
 
 @pytest.fixture

@@ -1,5 +1,10 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import toppra
@@ -7,7 +12,9 @@ import toppra.algorithm
 import toppra.constraint
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 
+from harness.server import ROOT
 from planners.motions.path_timing import (
     time_along,
     toppra_profile,
@@ -132,3 +139,29 @@ ENDS = np.array([[0.0] * 3, [1.0] * 3])
 )
 def test_a_path_without_any_timing_has_none(path, limits):
     assert toppra_profile(path, limits) is None
+
+
+def test_no_warning_is_shown_where_toppra_is_compiled(tmp_path: Path) -> None:
+    """As at the first start after an installation that compiles nothing, and at each where nothing can be kept."""
+    done = subprocess.run(
+        [sys.executable, "-W", "always", "-c", "import planners.motions.path_timing"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPYCACHEPREFIX": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert "toppra" not in done.stderr
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 8, 37, 400])
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_the_curve_is_the_natural_cubic_spline(count, order):
+    rng = np.random.default_rng(count)
+    knots = np.cumsum(rng.uniform(0.01, 1.0, count))
+    points = rng.normal(size=(count, 6))
+    at = np.concatenate((knots, rng.uniform(knots[0] - 0.1, knots[-1] + 0.1, 200)))
+    expected = CubicSpline(knots, points, bc_type="natural")(at, order)
+    scale = max(1.0, np.abs(expected).max())
+    np.testing.assert_allclose(NaturalSpline(knots, points)(at, order), expected, atol=1e-9 * scale)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planners.servo.question import ServoLimits, ServoStatus
-from planners.servo.steering import PredictedTip, regularized
+from planners.servo.steering import regularized
 
 LIMITS = ServoLimits(singularity_slow=10.0, singularity_stop=20.0)
 FASTEST = np.array([2.0, 2.0, 2.0])
@@ -20,12 +20,12 @@ def leg(q):
     up = np.array([0.0, 0.0, 1.0])
     by_lift = -height * out + reach * up
     by_bend = LOWER_M * (-np.sin(lift + bend) * out + np.cos(lift + bend) * up)
-    return PredictedTip(reach * out + height * up, np.column_stack((reach * side, by_lift, by_bend)))
+    return reach * out + height * up, np.column_stack((reach * side, by_lift, by_bend))
 
 
 def ask(bend, desired):
     q = np.array([0.0, 0.0, bend])
-    return regularized(leg(q).jacobian, np.array(desired), LIMITS, FASTEST, lambda step: leg(q + step))
+    return regularized(leg(q)[1], np.array(desired), LIMITS, FASTEST, lambda step: leg(q + step))
 
 
 def test_motion_towards_a_singularity_slows_down_until_it_ends():

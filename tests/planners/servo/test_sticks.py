@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,12 +13,12 @@ import pytest
 from planners.geometry.collision import CollisionModel
 from planners.pipeline import Planner
 from planners.scene import Box
-from planners.servo.question import ServoLimits, TipTwist
+from planners.servo.question import JointVelocities, ServoLimits, TipTwist
 from robot.description import model, robot_folder
 from robot.description.model import RobotModel
 from tests.helpers.resources import in_proportion
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
-from tests.planners.scenes import thing
+from tests.planners.scenes import scene, thing
 from tests.planners.servo.steering import SteeredArm, least_distance_m
 
 LIMITS = ServoLimits()
@@ -102,3 +103,28 @@ def test_random_sticks_keep_the_distance_on_other_arms(name: str, put) -> None:
         arm = SteeredArm(planner, other.robot, other.start_rad, tip=other.tip)
         arm.steer(random_stick(seed), TRIAL_S)
         assert least_distance_m(arm, collision) > LIMITS.scene_distance_m, seed
+
+
+BESIDE = scene(thing(Box((1.0, 0.02, 1.0)), 0.0, 0.26, 0.3))
+START = {"shoulder_pan": 1.5, "shoulder_lift": 0.6, "elbow_flex": -0.6}
+
+
+def with_brakes(robot: RobotModel, acceleration_rad_s2: float) -> RobotModel:
+    """The robot with another acceleration limit of all joints, at least as fast as the SO-101's servos."""
+    joints = {
+        name: replace(joint, max_velocity=2.5, max_acceleration=acceleration_rad_s2) if joint.max_velocity else joint
+        for name, joint in robot.joints.items()
+    }
+    return replace(robot, joints=joints)
+
+
+@pytest.mark.parametrize(("acceleration_rad_s2", "period_s"), [(1.0, 0.06), (6.0, 0.02)])
+def test_a_fast_joint_stops_before_a_wall(robot: RobotModel, acceleration_rad_s2: float, period_s: float) -> None:
+    robot = with_brakes(robot, acceleration_rad_s2)
+    planner, collision = Planner(robot), CollisionModel(robot)
+    assert planner.set_scene(BESIDE) is None
+    collision.set_scene(BESIDE)
+    arm = SteeredArm(planner, robot, START, period_s=period_s)
+    answer = arm.steer(JointVelocities({"shoulder_pan": -2.5}), 4.0)
+    assert ServoLimits().scene_distance_m < least_distance_m(arm, collision) < 0.05
+    assert "near each other" in answer.message

@@ -14,7 +14,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners lock release clean
+.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -97,10 +97,10 @@ test-pythons:
 test-processes: install-dev
 	$(PYTEST) tests/processes -n 6 --dist loadfile $(ARGS)
 
-# The page from its lock: types and build, then its logic, then in the browser.
+# The page from its lock: types and build, then its logic, then in the browser, which each worker starts once.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page $(ARGS)
+	$(PYTEST) tests/page -n 3 --dist loadfile $(ARGS)
 
 # The pictures of README.md and docs/page.md, and the digest of the page that they show.
 pictures: install-dev page
@@ -108,8 +108,10 @@ pictures: install-dev page
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev page build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
-	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
+test-clients: install-dev page client-environments
+	$(PYTEST) tests/clients tests/examples -n 4 --dist loadfile $(ARGS)
+
+client-environments: build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
 
 build/compas_fab/.installed:
 	$(PYTHON) -m venv build/compas_fab

@@ -159,6 +159,17 @@ class ArmClient:
         """The state, once the arm is in a mode."""
         return (await self.until("/arm/state", lambda states: values_of(states[-1])["mode"] == mode))[-1]
 
+    async def positions(self) -> dict[str, float]:
+        """Return the position of every joint [rad or m], by a state that comes from now on."""
+        self.topics.pop("/joint_states", None)
+        state = (await self.until("/joint_states", bool))[-1]
+        return dict(zip(state["name"], state["position"], strict=True))
+
+    async def change_scene(self, *objects: dict[str, Any]) -> None:
+        """Add or remove objects of the planning scene."""
+        scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": objects}}
+        assert (await self.call("/apply_planning_scene", scene=scene))["success"]
+
     def _expect(self, request_id: str) -> asyncio.Future[dict[str, Any]]:
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._answers[request_id] = answer

@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import shlex
 import shutil
 import time
@@ -14,13 +15,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from PIL import Image
+from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, sync_playwright
 
 from harness.clients import call, goal
 from harness.server import ROOT
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Locator, Page
 
 BUILT = ROOT / "server" / "page" / "dist" / "index.html"
 SHOTS = ROOT / "build" / "page"
@@ -51,7 +52,6 @@ PATIENCE_MS = 60_000
 # How often the page is asked whether something is so.
 LOOK_MS = 20
 
-
 # Page and tests drive in turns, without waiting for each other.
 SHARED = {"ARMBRIDGE_ACCESS__CONTROL": "shared"}
 
@@ -81,13 +81,7 @@ def page_digest() -> str:
 
 def browser_is_missing() -> str:
     """Return the reason for having no browser here; empty when one can be started."""
-    if shutil.which("chromium") is None:
-        return "chromium is not installed (apt-get install chromium)"
-    try:
-        import playwright  # noqa: F401
-    except ImportError:
-        return "playwright is not installed (make install-dev)"
-    return ""
+    return "" if shutil.which("chromium") else "chromium is not installed (apt-get install chromium)"
 
 
 def what_is_missing() -> str:
@@ -102,8 +96,6 @@ def what_is_missing() -> str:
 @contextmanager
 def chromium() -> Iterator[Browser]:
     """A browser that ends with the block."""
-    from playwright.sync_api import sync_playwright
-
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=_modest(Path(folder)), args=list(FLAGS))
         try:
@@ -284,18 +276,34 @@ class OpenPage:
 
     def colours(self) -> int:
         """Number of colours of the drawing: a blank canvas has one."""
-        from PIL import Image
-
         image = Image.open(io.BytesIO(self.page.locator("canvas").first.screenshot())).convert("RGB").resize((64, 64))
         return len(image.getcolors(64 * 64) or [])
+
+    def violations(self) -> list[str]:
+        """Return what axe-core finds wrong in what is shown."""
+        if not self.page.evaluate("'axe' in window"):
+            self.page.evaluate(AXE.read_text())
+        found: list[str] = self.page.evaluate(FIND_VIOLATIONS, RULES)
+        return found
+
+    def change_operations(self, change: Callable[[dict[str, Any]], dict[str, Any] | None]) -> None:
+        """Have every operation of the server changed, or swallowed, on its way to the page."""
+
+        def pass_on(route: WebSocketRoute, frame: str | bytes) -> None:
+            changed = change(json.loads(frame))
+            if changed is not None:
+                route.send(json.dumps(changed))
+
+        def connected(route: WebSocketRoute) -> None:
+            route.connect_to_server().on_message(lambda frame: pass_on(route, frame))
+
+        self.page.route_web_socket(re.compile("^ws://"), connected)
 
     def until_colour(self, position_m: tuple[float, float, float], wanted: Callable[[int, int, int], bool]) -> None:
         """Wait until what is drawn over a point of the root link's frame has a colour (0 to 255)."""
         self.wait(lambda: wanted(*self._colour_at(position_m)))
 
     def _colour_at(self, position_m: tuple[float, float, float]) -> tuple[int, int, int]:
-        from PIL import Image
-
         x, y = self.screen_of(position_m)
         picture = self.page.screenshot(clip={"x": x, "y": y, "width": 1, "height": 1})
         red, green, blue = Image.open(io.BytesIO(picture)).convert("RGB").tobytes()[:3]

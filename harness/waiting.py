@@ -15,7 +15,7 @@ from typing import Any
 TIMEOUT_S = 30.0
 
 # Longest run of a program that a test starts.
-PROGRAM_TIMEOUT_S = 180.0
+PROGRAM_TIMEOUT_S = 300.0
 
 
 async def until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) -> None:

@@ -106,10 +106,7 @@ class Planners(ABC):
     async def ask(self, request: ServoQuestion, scene: Scene = ...) -> ServoAnswer | PlanningFailure: ...
 
     async def ask(self, request: Request, scene: Scene = EMPTY_SCENE) -> Answer:
-        """Have a planner answer, in a scene.
-
-        Cancelling this call stops the work on it. A planner that dies answers CRASH, a planner that overruns TIMED_OUT.
-        """
+        """Have a planner answer, CRASH if it dies, TIMED_OUT if it overruns; cancelling this stops the work."""
         if self.waiting_count >= self._max_waiting:
             message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
             return PlanningFailure(MoveItErrorCode.FAILURE, message)

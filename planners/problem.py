@@ -1,8 +1,4 @@
-"""Requests to a planner and its answers: plain data that crosses process boundaries.
-
-Goals are defined in :mod:`planners.goals`, scenes in :mod:`planners.scene`. This module imports no planning
-library, so the server can describe problems without loading them.
-"""
+"""Requests to a planner and its answers: plain data that crosses process boundaries, without planning libraries."""
 
 from __future__ import annotations
 

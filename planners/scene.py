@@ -1,8 +1,4 @@
-"""Planning scene: objects around the robot and attached to it, as plain data that crosses process boundaries.
-
-Poses are in the robot's root link unless stated otherwise, in metres, orientations as unit quaternions x, y, z, w.
-This module imports no planning library.
-"""
+"""Planning scene: plain data in metres, in the robot's root link unless stated, with unit quaternions x, y, z, w."""
 
 from __future__ import annotations
 

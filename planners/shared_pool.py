@@ -74,10 +74,11 @@ class PlannerHost:
         self._address.unlink(missing_ok=True)
         server = await asyncio.start_unix_server(self._serve, self._address)
         try:
-            async with server:
-                await self._pool.start()
-                await server.serve_forever()
+            await self._pool.start()
+            await asyncio.Event().wait()
         finally:
+            # From Python 3.12.1 on, `Server.serve_forever` ends only when every client has left.
+            server.close()
             for writer in self._writers:
                 writer.close()
             await self._pool.close()

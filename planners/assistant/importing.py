@@ -139,12 +139,7 @@ def default_folder(urdf: Path) -> Path:
 
 
 def import_robot(options: ImportOptions, say: Callable[[str], None]) -> list[str]:
-    """Make a robot folder of a URDF; nothing is left of an import that fails or is interrupted.
-
-    Returns lines about the folder: its files, and all that should be checked. ``say`` takes a line of progress. An
-    import fails with an AssistantError, or with a DescriptionError or a ShapeError of a URDF or mesh that cannot be
-    used.
-    """
+    """Make a robot folder of a URDF, or none if it fails; ``say`` takes progress. Returns lines on what to check."""
     if not 1 <= options.samples <= MAX_SAMPLES:
         raise AssistantError(f"--samples {options.samples}: must be from 1 to {MAX_SAMPLES}")
     out = options.out.absolute()

@@ -149,11 +149,7 @@ class Contact:
 
 
 def certify(space: JointSpace, trajectory: Trajectory) -> Contact | None:
-    """Return the first contact on a motion, also between its samples, as :meth:`Trajectory.sample` joins them.
-
-    None certifies the motion: no point of it is in contact, or by at most half of :data:`FINEST_STEP_M`. The motion has
-    the joints of the space, in the same order.
-    """
+    """Return the first contact on a motion of the space's joints; None if none is deeper than half the finest step."""
     time_s = _first_contact_s(space, trajectory)
     # Hulls are wider than links: overlaps of hulls only are checked again by parts. Each turn adds a pair.
     while time_s is not None and space.refine_at(trajectory.sample(time_s)[0]):

@@ -280,10 +280,7 @@ class CollisionModel:
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
 
     def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
-        """Return the pairs that are nearer than a distance beyond their required clearance [m], and its gradient.
-
-        ``moving`` are the joints that may move, from which the motions of other arms are told apart.
-        """
+        """Return the pairs nearer than a distance beyond their clearance [m], with gradients, for ``moving`` joints."""
         candidates = self._broadphase.near(q, np.full(len(self._pairs), within_m))
         self._broadphase.turn(q)
         columns = [self.joint_names.index(name) for name in moving]

@@ -1,7 +1,4 @@
-"""Natural cubic spline: a curve through points with a continuous second derivative, which is 0 at its ends.
-
-scipy has one, whose import takes half a second in every planner process.
-"""
+"""Natural cubic spline through points; scipy's would take half a second to import in every planner process."""
 
 from __future__ import annotations
 

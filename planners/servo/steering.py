@@ -108,11 +108,7 @@ def velocity_bounds(
     max_change: Vector,
     period_s: float,
 ) -> VelocityBounds:
-    """Return the velocity bounds of the joints that may move, at positions within limits, shape (n,) each [rad].
-
-    ``columns`` are the places of these joints in the gradients of pairs, and ``max_change`` is the greatest change of a
-    velocity in a period, shape (n,) [rad/s], after which an answer has its effect.
-    """
+    """Return bounds for joints in ``columns`` at positions, (n,) [rad]; ``max_change`` is of a velocity a period."""
     kept = [limits.scene_distance_m if pair.by_object else limits.self_distance_m for pair in pairs]
     watched = [(pair, kept_m) for pair, kept_m in zip(pairs, kept, strict=True) if kept_m is not None]
     by_another_arm = np.array([pair.by_another_arm for pair, _ in watched], dtype=bool)
@@ -176,11 +172,7 @@ def regularized(
     max_velocity: Vector,
     predict: Callable[[Vector], tuple[Vector, Vector]],
 ) -> RegularizedMotion:
-    """Remove the part of a desired velocity of the tip, shape (3,) [m/s], that leads into a singularity.
-
-    The Jacobian of the tip's position has the shape (3, n), n at least 3 [m/rad]; ``predict`` returns the tip's
-    position and Jacobian after a motion of the joints, shape (n,) [rad].
-    """
+    """Remove the part into a singularity of a desired velocity, (3,) [m/s]; ``predict`` gives place and Jacobian."""
     left, values, right = np.linalg.svd(jacobian)
     free = np.ascontiguousarray(right[3:].T)
     least = values[0] / limits.singularity_stop

@@ -62,7 +62,7 @@ async def call(websocket: ClientConnection, service: str) -> dict[str, Any]:
 
 async def listen(url: str, topics: set[str]) -> Heard:
     """Subscribe as Foxglove does, have the arm move, and wait for a message on each topic."""
-    async with connect(url, max_size=None) as websocket:
+    async with asyncio.timeout(60.0), connect(url, max_size=None) as websocket:
         known = await call(websocket, "/rosapi/topics_and_raw_types")
         services = (await call(websocket, "/rosapi/services"))["services"]
         types = dict(zip(known["topics"], known["types"], strict=True))
@@ -71,11 +71,10 @@ async def listen(url: str, topics: set[str]) -> Heard:
             await websocket.send(json.dumps({"op": "subscribe", "topic": topic, "compression": "cbor-raw"}))
         await websocket.send(json.dumps({"op": "publish", "topic": "/moveit_goal_named", "msg": {"data": "ready"}}))
         messages: dict[str, dict[str, str]] = {}
-        async with asyncio.timeout(20.0):
-            while topics - messages.keys():
-                told = cbor2.loads(await websocket.recv())
-                data = base64.b64encode(told["msg"]["bytes"]).decode()
-                messages[told["topic"]] = {"definition": texts[told["topic"]], "base64": data}
+        while topics - messages.keys():
+            told = cbor2.loads(await websocket.recv())
+            data = base64.b64encode(told["msg"]["bytes"]).decode()
+            messages[told["topic"]] = {"definition": texts[told["topic"]], "base64": data}
     return Heard(types, services, messages)
 
 

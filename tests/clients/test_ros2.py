@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from harness.server import ROOT, RunningServer
+from harness.waiting import running
 
 PYTHON = ROOT / "build" / "ros2" / "bin" / "python"
 SCENARIO_TIMEOUT_S = 300
@@ -34,15 +35,12 @@ ENVIRONMENT = {
 
 
 @pytest.fixture
-def bridge(server: RunningServer) -> Iterator[subprocess.Popen[bytes]]:
+def bridge(server: RunningServer) -> Iterator[subprocess.Popen[str]]:
     command = [str(PYTHON), "-m", "armbridge_ros2.bridge", "--ros-args", "-p", f"url:=ws://127.0.0.1:{server.port}"]
-    with subprocess.Popen(command, env=ENVIRONMENT) as process:
+    with running(command, env=ENVIRONMENT) as process:
         yield process
         process.terminate()
-        try:
-            assert process.wait(END_TIMEOUT_S) == 0
-        finally:
-            process.kill()
+        assert process.wait(END_TIMEOUT_S) == 0
 
 
 def heard_by(scenario: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Reference data, certificates, numbers of random examples, and a process without file descriptors."""
+"""Reference data, certificates, numbers of random examples, running processes, and one without descriptors."""
 
 from __future__ import annotations
 
@@ -59,6 +59,14 @@ def make_signed_pair(folder: Path, authority: Pair) -> Pair:
         *("-CA", str(authority.certificate), "-CAkey", str(authority.key), "-CAcreateserial"),
     )
     return pair
+
+
+def runs(pid: int) -> bool:
+    """Return True for a process that has not ended; a zombie has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def openssl(*arguments: str) -> None:

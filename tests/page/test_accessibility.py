@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
-from harness.page import AXE, DESKTOP, FIND_VIOLATIONS, PHONE, RULES, OpenPage, opened
+from harness.page import DESKTOP, PHONE, OpenPage, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 # Apple's guidelines and WCAG 2.2's level AAA (2.5.5) want as much; a finger covers it.
 FINGER_PX = 44
@@ -58,8 +56,6 @@ FOCUSED = """() => {
 def page(browser: Browser, server: RunningServer, request: pytest.FixtureRequest) -> Iterator[OpenPage]:
     """A page of each language, with a pose chosen and a plan shown, so that nothing is grey for want of one."""
     with opened(browser, locale=request.param) as open_page:
-        if AXE.exists():
-            open_page.page.add_init_script(path=AXE)
         open_page.open(server.port)
         assert open_page.page.evaluate("document.documentElement.lang") == request.param
         open_page.part("named-home").click()
@@ -68,15 +64,13 @@ def page(browser: Browser, server: RunningServer, request: pytest.FixtureRequest
         yield open_page
 
 
-@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not installed (make page)")
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_in_any_panel(page: OpenPage, scheme: Any, size: tuple[int, int]) -> None:
     page.page.set_viewport_size({"width": size[0], "height": size[1]})
     page.page.emulate_media(color_scheme=scheme)
-    found = {panel: page.page.evaluate(FIND_VIOLATIONS, RULES) for panel in page.open_panels()}
     # What stands above all panels is found in each.
-    violations = sorted({each for violations in found.values() for each in violations})
+    violations = sorted({each for _ in page.open_panels() for each in page.violations()})
     assert not violations, "\n".join(violations)
     assert page.errors == []
 

@@ -1,48 +1,35 @@
-"""What the page makes of messages that no good server sends, put into the connection on their way."""
+"""Behaviour of the page on messages that no good server sends, put into the connection on their way."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.page import OpenPage, opened
 from harness.server import RunningServer
 from tests.helpers.robots import meshed_arm
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, WebSocketRoute
 
 # How long a person waits before pressing STOP again.
 STOP_ANSWER_MS = 10_000
 
 HUGE_BYTES = 100_000_000
 
-ChangeMessage = Callable[[str, dict[str, Any]], dict[str, Any] | None]
 
+def change_topic(page: OpenPage, topic: str, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    """Have every message of a topic changed on its way to the page."""
 
-def change_all(page: OpenPage, change: ChangeMessage) -> None:
-    """Have every message of a topic changed, or swallowed, on its way to the page."""
+    def changed(operation: dict[str, Any]) -> dict[str, Any]:
+        if operation.get("op") == "publish" and operation["topic"] == topic:
+            operation["msg"] = change(operation["msg"])
+        return operation
 
-    def pass_on(route: WebSocketRoute, frame: str | bytes) -> None:
-        operation = json.loads(frame)
-        if operation.get("op") == "publish":
-            changed = change(operation["topic"], operation["msg"])
-            if changed is None:
-                return
-            operation["msg"] = changed
-        route.send(json.dumps(operation))
-
-    def connected(route: WebSocketRoute) -> None:
-        to_server = route.connect_to_server()
-        to_server.on_message(lambda frame: pass_on(route, frame))
-
-    page.page.route_web_socket(re.compile("^ws://"), connected)
+    page.change_operations(changed)
 
 
 @pytest.fixture
@@ -51,17 +38,13 @@ def page(browser: Browser) -> Iterator[OpenPage]:
         yield open_page
 
 
-def on(wanted: str, change: Callable[[dict[str, Any]], dict[str, Any]]) -> ChangeMessage:
-    return lambda topic, msg: change(msg) if topic == wanted else msg
-
-
 def notices(page: OpenPage) -> str:
     return " ".join(notice["text"] for notice in page.state("notices"))
 
 
 @pytest.mark.parametrize("text", ["<robot", "", "<robot name='x'/>", "no XML at all"])
 def test_a_urdf_that_does_not_parse_is_told(page: OpenPage, server: RunningServer, text: str) -> None:
-    change_all(page, on("/robot_description", lambda msg: {"data": text}))
+    change_topic(page, "/robot_description", lambda msg: {"data": text})
     page.goto(server.port)
     page.until_state("s.notices.length > 0")
     assert re.search(r"URDF|description", notices(page))
@@ -77,7 +60,7 @@ def test_a_mesh_that_is_missing_leaves_a_placeholder_and_a_message(page: OpenPag
         mesh = '<geometry><mesh filename="package://nowhere/gone.stl"/></geometry>'
         return {"data": re.sub(r"<geometry>.*?</geometry>", mesh, msg["data"], count=1, flags=re.DOTALL)}
 
-    change_all(page, on("/robot_description", with_a_mesh))
+    change_topic(page, "/robot_description", with_a_mesh)
     page.open(server.port)
     page.until_state("s.notices.some(notice => notice.text.includes('gone.stl'))")
     page.shot("missing_mesh")
@@ -98,7 +81,7 @@ def test_a_mesh_of_100_mb_is_a_placeholder_and_a_message_on_a_page_that_works(
 
 
 def test_numbers_that_are_none_are_not_drawn(page: OpenPage, server: RunningServer) -> None:
-    change_all(page, on("/joint_states", lambda msg: {**msg, "position": [None] * len(msg["position"])}))
+    change_topic(page, "/joint_states", lambda msg: {**msg, "position": [None] * len(msg["position"])})
     page.open(server.port)
     page.until_state("s.notices.length > 0")
     assert "number" in notices(page)
@@ -108,7 +91,7 @@ def test_numbers_that_are_none_are_not_drawn(page: OpenPage, server: RunningServ
 
 
 def test_joint_names_that_do_not_match_are_told_once(page: OpenPage, server: RunningServer) -> None:
-    change_all(page, on("/joint_states", lambda msg: {**msg, "name": [f"other_{name}" for name in msg["name"]]}))
+    change_topic(page, "/joint_states", lambda msg: {**msg, "name": [f"other_{name}" for name in msg["name"]]})
     page.open(server.port)
     page.until_state("s.notices.some(notice => notice.text.includes('other_'))")
     assert len([notice for notice in page.state("notices") if "other_" in notice["text"]]) == 1
@@ -119,12 +102,7 @@ def test_joint_names_that_do_not_match_are_told_once(page: OpenPage, server: Run
 def test_stop_does_not_hang_when_the_server_says_nothing(page: OpenPage, server: RunningServer) -> None:
     """As on a phone that slept: the connection is open, and nobody is at the other end."""
     silent = False
-
-    def connected(route: WebSocketRoute) -> None:
-        to_server = route.connect_to_server()
-        to_server.on_message(lambda frame: None if silent else route.send(frame))
-
-    page.page.route_web_socket(re.compile("^ws://"), connected)
+    page.change_operations(lambda operation: None if silent else operation)
     page.open(server.port)
     page.until_state("s.link.connected && s.joints.names.length > 0")
     silent = True
@@ -152,7 +130,7 @@ def test_objects_of_a_scene_that_make_no_sense_do_not_stop_the_page(page: OpenPa
     def with_odd(msg: dict[str, Any]) -> dict[str, Any]:
         return {**msg, "world": {**msg.get("world", {}), "collision_objects": [odd]}}
 
-    change_all(page, on("/monitored_planning_scene", with_odd))
+    change_topic(page, "/monitored_planning_scene", with_odd)
     page.open(server.port)
     page.until_state("s.joints.names.length > 0")
     page.until("window.armbridge.drawn.frames > 3")

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.page import OpenPage, opened
 from harness.server import EmulatorControl, ServerOnBus, server_on_bus
 from robot.commissioning.directions import asked_motions
 from server.arm.setup import Description
 from server.config import ArmSettings
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 NAME = "bench"
 

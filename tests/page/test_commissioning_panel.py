@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import WebSocketRoute
 
 from harness.page import DESKTOP, OpenPage
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import WebSocketRoute
 
 TOPIC = "/arm/commissioning/state"
 SERVICES = "/arm/commissioning/"

@@ -5,15 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 # A servo's reading jitters by less; a jogged joint goes this way in a tenth of a second.
 MOVED_RAD = 0.05

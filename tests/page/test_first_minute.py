@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.page import DESKTOP, PHONE, OpenPage, opened
 from harness.server import RunningServer
 
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
+SCHEMES: tuple[Any, ...] = ("light", "dark")
 SIZES = [DESKTOP, PHONE, (844, 390), (820, 1180)]
 
 # A row of the bar with the button to stop, and two rows of a thumb's size on a phone.
@@ -103,23 +102,24 @@ def test_a_double_click_takes_one_step_and_the_button_stays_where_it_is(page: Op
     assert page.page.title() == "STOPPED · armbridge"
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", SIZES)
 def test_the_bar_is_compact_and_stops_the_arm_on_every_screen(
-    browser: Browser, server: RunningServer, size: tuple[int, int], scheme: Any
+    browser: Browser, server: RunningServer, size: tuple[int, int]
 ) -> None:
     touch = size == PHONE
-    with opened(browser, size, has_touch=touch, is_mobile=touch, color_scheme=scheme) as page:
+    with opened(browser, size, has_touch=touch, is_mobile=touch) as page:
         page.open(server.port)
         page.until_text("state-pill", "IDLE")
-        page.shot(f"screen_{size[0]}_{scheme}")
-        height_px = page.page.evaluate("document.querySelector('#bar').offsetHeight")
-        assert height_px <= MAX_BAR_PX[size]
-        assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
-        for test_id in ("stop", "state-pill", "link-pill"):
-            box = page.box(test_id)
-            assert 0 <= box["x"] <= box["x"] + box["width"] <= size[0]
-            assert 0 <= box["y"] <= box["y"] + box["height"] <= size[1]
+        for scheme in SCHEMES:
+            page.page.emulate_media(color_scheme=scheme)
+            page.shot(f"screen_{size[0]}_{scheme}")
+            height_px = page.page.evaluate("document.querySelector('#bar').offsetHeight")
+            assert height_px <= MAX_BAR_PX[size]
+            assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+            for test_id in ("stop", "state-pill", "link-pill"):
+                box = page.box(test_id)
+                assert 0 <= box["x"] <= box["x"] + box["width"] <= size[0]
+                assert 0 <= box["y"] <= box["y"] + box["height"] <= size[1]
         page.page.mouse.wheel(0, 2000)
         (page.part("stop").tap if touch else page.part("stop").click)()
         page.until_text("stop", "acknowledged")
@@ -127,21 +127,13 @@ def test_the_bar_is_compact_and_stops_the_arm_on_every_screen(
 
 
 def test_a_server_of_another_version_says_so(browser: Browser, server: RunningServer) -> None:
+    def with_other_version(operation: dict[str, Any]) -> dict[str, Any]:
+        if operation.get("service") == "/arm/who_am_i":
+            told = json.loads(operation["values"]["message"])
+            operation["values"]["message"] = json.dumps({**told, "version": "99.0"})
+        return operation
+
     with opened(browser) as page:
-
-        def other_version(socket: object) -> None:
-            upstream = socket.connect_to_server()  # type: ignore[attr-defined]
-
-            def answer(text: str | bytes) -> None:
-                if isinstance(text, str) and "/arm/who_am_i" in text and "service_response" in text:
-                    message = json.loads(text)
-                    told = json.loads(message["values"]["message"])
-                    message["values"]["message"] = json.dumps({**told, "version": "99.0"})
-                    text = json.dumps(message)
-                socket.send(text)  # type: ignore[attr-defined]
-
-            upstream.on_message(answer)
-
-        page.page.route_web_socket("**/*", other_version)
+        page.change_operations(with_other_version)
         page.open(server.port)
         page.until_text("notices", "The server is version 99.0")

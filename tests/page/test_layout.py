@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.page import PHONE, SHARED, OpenPage, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 SETTINGS = SHARED
 

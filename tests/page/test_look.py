@@ -5,17 +5,14 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import pytest
 from PIL import Image
+from playwright.sync_api import Browser
 
 from harness.clients import tip
 from harness.page import DESKTOP, PHONE, SHARED, OpenPage, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 Point = tuple[float, float, float]
 
@@ -25,7 +22,6 @@ ARRIVED_M = 0.02
 # On the ground in the shadow of the stretched arm, and where no shadow falls; both within its reach.
 SHADED_M: Point = (0.2, 0.09, 0.0)
 LIT_M: Point = (0.12, -0.22, 0.0)
-
 
 SETTINGS = SHARED
 

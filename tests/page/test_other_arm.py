@@ -7,18 +7,15 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.clients import tip
 from harness.page import SHARED, OpenPage, opened
 from harness.server import ROOT, RunningServer
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.page.test_drive import hold, press_until
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 JOINTS = ["lift", "a2", "a3", "a4", "a5", "a6", "a7"]
 # Panels in which every joint of the group is named.

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.clients import call, goal, tip
 from harness.page import SHARED, OpenPage, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
-
 
 # The server's own tolerance for a point (0.01 m), and the servos' droop.
 ARRIVED_M = 0.02
 
 # What an arm that was told to stand still may move between two looks.
 STILL_RAD = 0.02
-
 
 SETTINGS = SHARED
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 from websockets.sync import client as blocking
 
 from harness.clients import call_on, tip
 from harness.page import PHONE, SHARED, OpenPage, at_ready, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 # The emulated servos' reading jitters by less.
 MOVED_M = 0.01

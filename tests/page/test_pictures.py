@@ -8,16 +8,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.clients import call, goal
 from harness.page import DESKTOP, PHONE, SHOTS, OpenPage, opened, page_digest
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 TABLET = (820, 1180)
 SIZES = {"desktop": DESKTOP, "tablet": TABLET, "phone": PHONE}

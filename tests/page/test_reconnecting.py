@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING
+
+from playwright.sync_api import Browser
 
 from harness.page import opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 # How long a person waits before pressing STOP again.
 STOP_ANSWER_MS = 5_000

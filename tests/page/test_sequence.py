@@ -10,17 +10,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from websockets.sync.client import connect
 
 from harness.clients import call
-from harness.page import AXE, FIND_VIOLATIONS, PATIENCE_MS, RULES, SHARED, OpenPage
+from harness.page import PATIENCE_MS, SHARED, OpenPage
 from harness.server import FAST, ROOT, RunningServer
-
-if TYPE_CHECKING:
-    pass
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 
@@ -38,7 +35,6 @@ COLLIDING = dict(zip(JOINTS, (0.0, 1.7, 1.6, 0.0, 0.0), strict=True))
 NEAR_RAD = 0.06
 
 PATIENCE_S = PATIENCE_MS / 1e3
-
 
 SETTINGS = {**FAST, **SHARED}
 
@@ -303,12 +299,10 @@ def test_a_file_that_is_no_sequence_says_so_and_changes_nothing(page: OpenPage) 
     assert len(page.state("sequence.waypoints")) == 1
 
 
-@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not installed (make page)")
 def test_axe_finds_nothing_among_waypoints(page: OpenPage) -> None:
     load(page, waypoint(PLACES[0]), waypoint(COLLIDING), waypoint(PLACES[1]))
     until_checked(page, "possible", "refused", "unknown")
-    page.page.evaluate(AXE.read_text())
-    assert page.page.evaluate(FIND_VIOLATIONS, RULES) == []
+    assert page.violations() == []
 
 
 def exported(page: OpenPage, language: str, folder: Path) -> Path:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.clients import call
 from harness.page import OpenPage, opened
 from harness.server import ServerOnBus, server_on_bus
 from harness.waiting import wait_until
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 # Above arm.warn_temperature_c, below arm.slow_temperature_c.
 WARM_C = 57

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from playwright.sync_api import Browser
 
 from harness.clients import goal
 from harness.page import PHONE, SHARED, OpenPage, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 SETTINGS = SHARED
 

@@ -6,9 +6,9 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 import pytest
+from playwright.sync_api import Browser
 from websockets.sync import client as blocking
 
 from harness.clients import call, publish, values_of
@@ -16,9 +16,6 @@ from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from harness.server import RunningServer
 from harness.waiting import join
 from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 SETTINGS = SHARED
 

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import pytest
 
 from harness.clients import call
-from harness.page import AXE, FIND_VIOLATIONS, RULES, SHARED, OpenPage
+from harness.page import SHARED, OpenPage
 from harness.server import FAST, ServerOnBus, server_on_bus
 from tests.helpers.robots import nominal_calibration
-
-if TYPE_CHECKING:
-    pass
 
 ELBOW = next(joint for joint in nominal_calibration().joints if joint.joint == "elbow_flex")
 
@@ -145,11 +141,9 @@ def test_a_name_that_cannot_be_used_is_said_with_the_reason(page: OpenPage) -> N
     assert page.state("teaching.recording") is None
 
 
-@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not installed (make page)")
 def test_axe_finds_nothing_among_motions(page: OpenPage, arm: ServerOnBus) -> None:
     if "lift" not in page.state("teaching.motions"):
         show(page, arm, "lift")
     page.part("edit-motion-lift").click()
     page.part("motion-editor").wait_for()
-    page.page.evaluate(AXE.read_text())
-    assert page.page.evaluate(FIND_VIOLATIONS, RULES) == []
+    assert page.violations() == []

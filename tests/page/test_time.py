@@ -7,16 +7,13 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.clients import call, goal
 from harness.page import DESKTOP, OpenPage, opened
 from harness.server import ROOT, RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 JOINTS, NAMED = "/moveit_goal_joints", "/moveit_goal_named"
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 from websockets.sync import client as blocking
 
 from harness.clients import call, goal
 from harness.page import SHARED, OpenPage, opened
 from harness.server import RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 SETTINGS = SHARED
 

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import pytest
+from playwright.sync_api import Browser, WebSocket
 from websockets.sync.client import connect
 
 from harness.clients import call_on
 from harness.page import OpenPage, opened
 from harness.server import RunningServer
 from tests.helpers.robots import meshed_arm, small_stl
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser, WebSocket
 
 ADMIN, OPERATOR, OTHER, VIEWER = (f"{name}+secret/0123=" for name in ("admin", "operator", "other", "viewer"))
 

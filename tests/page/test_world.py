@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.clients import call
 from harness.page import PHONE, SHARED, OpenPage, opened
 from harness.server import FAST, RunningServer
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
 
 # In front of the arm, within its reach.
 PLACE_M = (0.25, 0.1, 0.0)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from robot.emulator.populations import POPULATIONS
+from tests.processes.campaign.__main__ import run_seed
 from tests.processes.campaign.scenario import Happening, scenario_of
-from tests.processes.campaign.seed_run import run_seed
 
 SEEDS = {
     Happening.UNPLUG: 2,

@@ -17,19 +17,14 @@ from tests.test_readme import blocks
 
 SERVER_PORT = "9090"
 
-
 RUN_TIMEOUT_S = 60
 
-
 ANSWER_TIMEOUT_S = 60
-
 
 # Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.
 SENT = ("engines.md", "goals.md", "operations.md")
 
-
 WITH_CODE = ("engines.md",)
-
 
 # Modules of a server are no programs; tests/server/test_extending.py runs them.
 PROGRAMS = [(page.name, block) for page in PAGES if page.name != "architecture.md" for block in blocks(page, "python")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import struct
 from collections.abc import AsyncIterator, Iterator
@@ -32,21 +33,12 @@ async def client(server: RunningServer) -> AsyncIterator[ArmClient]:
         yield connected
 
 
-async def pan_rad(client: ArmClient) -> float:
-    """Return the position of the first joint, by a state that is told from now on [rad]."""
-    seen = len(client.topics.get("/joint_states", []))
-    states = await client.until("/joint_states", lambda all_: len(all_) > seen + 1)
-    state = states[-1]
-    position: float = dict(zip(state["name"], state["position"], strict=True))["shoulder_pan"]
-    return position
-
-
 async def test_one_call_moves_the_arm_and_is_answered_when_it_is_there(client: ArmClient) -> None:
     await client.call(NAME, named="home")
     answer = await client.call(NAME, **TURNED)
     assert (answer["success"], answer["code_name"]) == (True, "SUCCESS")
     assert answer["duration_s"] > 0.0
-    assert await pan_rad(client) == pytest.approx(PAN_RAD, abs=0.06)
+    assert (await client.positions())["shoulder_pan"] == pytest.approx(PAN_RAD, abs=0.06)
 
 
 async def test_a_plan_alone_leaves_the_arm_where_it_is(client: ArmClient) -> None:
@@ -54,7 +46,7 @@ async def test_a_plan_alone_leaves_the_arm_where_it_is(client: ArmClient) -> Non
     answer = await client.call(NAME, named="rest", plan_only=True)
     assert answer["success"]
     assert answer["duration_s"] > 0.0
-    assert await pan_rad(client) == pytest.approx(PAN_RAD, abs=0.06)
+    assert (await client.positions())["shoulder_pan"] == pytest.approx(PAN_RAD, abs=0.06)
 
 
 async def test_a_goal_out_of_reach_is_answered_with_one_that_works(client: ArmClient) -> None:
@@ -97,7 +89,7 @@ def feedback(client: ArmClient) -> list[dict[str, Any]]:
 
 async def test_a_ros1_client_gets_its_log_and_its_serialization(server: RunningServer, client: ArmClient) -> None:
     url = server.url.replace("?x=1", "?ros=1")
-    async with connect(url, max_size=None) as old, connect(url, max_size=None) as raw:
+    async with asyncio.timeout(60.0), connect(url, max_size=None) as old, connect(url, max_size=None) as raw:
         await old.send(json.dumps({"op": "subscribe", "topic": "/rosout", "type": "rosgraph_msgs/Log"}))
         subscription = {"op": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/JointState"}
         await raw.send(json.dumps({**subscription, "compression": "cbor-raw"}))

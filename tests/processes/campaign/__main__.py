@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import multiprocessing
 import sys
 import tempfile
@@ -12,9 +13,9 @@ from pathlib import Path
 
 from harness.figures import print_table
 from robot.emulator.populations import POPULATIONS
-from tests.processes.campaign.result import Result
-from tests.processes.campaign.scenario import Happening
-from tests.processes.campaign.seed_run import run_seed
+from tests.processes.campaign.arm_run import run_arm
+from tests.processes.campaign.scenario import OF_SERVER, REFUSED, Happening, Result, scenario_of
+from tests.processes.campaign.server_run import run_server
 
 SEEDS = 200
 
@@ -41,6 +42,23 @@ def main() -> int:
         results = _run_all(seeds, folder, options.jobs, options.population)
     _report(results)
     return 1 if any(result.violations for result in results) else 0
+
+
+def run_seed(seed: int, folder: Path, population: str | None = None) -> Result:
+    """Run one seed; an error of the run itself counts as a violation.
+
+    Args:
+        seed: number of the run.
+        folder: takes the log of the servos.
+        population: state in which the servos are found; None for the one that the seed draws.
+    """
+    scenario = scenario_of(seed, population)
+    run = run_server if scenario.happening in OF_SERVER and scenario.population not in REFUSED else run_arm
+    try:
+        return asyncio.run(run(scenario, folder))
+    except Exception as error:  # noqa: BLE001 - whatever it was, the other seeds go on and this one is named
+        violations = [f"the run broke off: {error!r}"]
+        return Result(seed, scenario.happening.value, scenario.population, violations=violations)
 
 
 def _run_all(seeds: Iterable[int], folder: Path, jobs: int, population: str | None) -> list[Result]:

@@ -21,8 +21,7 @@ from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, Mot
 from tests.helpers.motions import smooth_move
 from tests.processes.campaign import checks
 from tests.processes.campaign.emulator import CampaignBus, campaign_bus
-from tests.processes.campaign.result import Result
-from tests.processes.campaign.scenario import CALIBRATION, MOVING_S, Event, Scenario, random_goal
+from tests.processes.campaign.scenario import CALIBRATION, MOVING_S, REFUSED, Event, Result, Scenario, random_goal
 
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)
 
@@ -73,32 +72,31 @@ class ArmRun:
     licensed: list[checks.Span] = field(default_factory=list)
     resets: int = 0
 
-    async def play(self) -> list[Entry]:
-        """Move, inject the faults, recover, end; returns the log of writes to the servos."""
+    async def play(self) -> None:
+        """Move, inject the faults, recover, end."""
         await self.arm.start(START_TIMEOUT_S)
         await self._until(Mode.HOLDING)
-        self.bus.strike(self.scenario)
-        befalling = asyncio.create_task(self._befall(self.scenario.events))
-        until_s = time.monotonic() + MOVING_S
-        while time.monotonic() < until_s:
-            await self._go_on()
-        await befalling
+        await self._operate()
         if self.scenario.calmed:
             await self._recover()
-        return await self._end()
+        await self._end()
 
     async def insist(self) -> None:
         """Ask for torque again and again while the faults happen, and after them."""
         await self.arm.start(START_TIMEOUT_S)
+        await self._operate()
+        self.bus.calm(self.scenario)
+        for order in (Order.RESET_FAULT, Order.ENABLE):
+            await self._order(order)
+
+    async def _operate(self) -> None:
+        """Inject the faults, and act as an operator meanwhile."""
         self.bus.strike(self.scenario)
         befalling = asyncio.create_task(self._befall(self.scenario.events))
         until_s = time.monotonic() + MOVING_S
         while time.monotonic() < until_s:
             await self._go_on()
         await befalling
-        self.bus.calm(self.scenario)
-        for order in (Order.RESET_FAULT, Order.ENABLE):
-            await self._order(order)
 
     async def _befall(self, events: tuple[Event, ...]) -> None:
         started_s = time.monotonic()
@@ -169,7 +167,7 @@ class ArmRun:
             f"the arm did not recover: {state.mode.value}, {state.fault or state.reason or 'no reason'}"
         )
 
-    async def _end(self) -> list[Entry]:
+    async def _end(self) -> None:
         """End the arm process, during a motion if it moves, and check the state of the arm."""
         mode = self.arm.state.mode
         started_s = time.monotonic()
@@ -180,9 +178,7 @@ class ArmRun:
         self._license(started_s)
         if moving is not None:
             await moving
-        entries = self.bus.entries()
-        self.result.violations += _end_state(entries, mode, self.scenario)
-        return entries
+        self.result.violations += _end_state(self.bus.entries(), mode, self.scenario)
 
     def _license(self, started_s: float) -> None:
         self.licensed.append(checks.Span(started_s, time.monotonic() + checks.HEARD_LATE_S))
@@ -208,35 +204,25 @@ def _end_state(entries: list[Entry], mode: Mode, scenario: Scenario) -> list[str
 
 
 async def run_arm(scenario: Scenario, folder: Path) -> Result:
-    """Run a scenario of the arm process."""
+    """Run a scenario of the arm process; some servos must not be given torque, whatever happens and is asked for."""
     result = Result(scenario.seed, scenario.happening.value, scenario.population)
+    refused = scenario.population in REFUSED
     with campaign_bus(scenario, folder) as bus:
         arm = ListeningArm(_config(scenario, bus))
         run = ArmRun(scenario, bus, arm, result, random.Random(scenario.seed))
         try:
-            entries = await run.play()
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                await arm.close()
-    _check(run, entries)
-    return result
-
-
-async def run_refused(scenario: Scenario, folder: Path) -> Result:
-    """Run a scenario on servos that must not be given torque, whatever happens and is asked for."""
-    result = Result(scenario.seed, scenario.happening.value, scenario.population)
-    with campaign_bus(scenario, folder) as bus:
-        arm = ListeningArm(_config(scenario, bus))
-        run = ArmRun(scenario, bus, arm, result, random.Random(scenario.seed))
-        try:
-            await run.insist()
+            await (run.insist() if refused else run.play())
         finally:
             with contextlib.suppress(ProcessLookupError):
                 await arm.close()
         entries = bus.entries()
     result.writes, result.states = len(entries), len(arm.states)
     result.faults = {state.fault.code.value for state in arm.states if state.fault is not None}
-    result.violations += [*checks.never_driven(entries), *_answered_once(arm)]
+    result.violations += _answered_once(arm)
+    if not refused:
+        _check(run, entries)
+        return result
+    result.violations += checks.never_driven(entries)
     if not any(state.mode is not Mode.DISCONNECTED or state.reason for state in arm.states):
         result.violations.append("no state said why the arm has no torque")
     return result
@@ -255,8 +241,6 @@ def _config(scenario: Scenario, bus: CampaignBus) -> ArmConfig:
 def _check(run: ArmRun, entries: list[Entry]) -> None:
     arm, result = run.arm, run.result
     wall_minus_monotonic_s = time.time() - time.monotonic()
-    result.writes, result.states = len(entries), len(arm.states)
-    result.faults = {state.fault.code.value for state in arm.states if state.fault is not None}
     licensed = [*run.licensed, *_minding(arm.states, wall_minus_monotonic_s)]
     result.violations += [
         *checks.goal_steps(entries),
@@ -265,7 +249,6 @@ def _check(run: ArmRun, entries: list[Entry]) -> None:
         *checks.unasked_motion(entries, licensed),
         *checks.readings(entries, arm.states, wall_minus_monotonic_s),
         *checks.latched_faults(arm.states, run.resets),
-        *_answered_once(arm),
     ]
 
 

@@ -15,8 +15,7 @@ from harness.write_log import Entry
 from robot.messages import EndState
 from tests.processes.campaign import checks
 from tests.processes.campaign.emulator import CampaignBus, campaign_bus
-from tests.processes.campaign.result import Result
-from tests.processes.campaign.scenario import Happening, Scenario, random_goal
+from tests.processes.campaign.scenario import Happening, Result, Scenario, random_goal
 
 RESULT_TOPIC = "/moveit_goal_result"
 SUCCESS = 1

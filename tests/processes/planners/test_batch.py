@@ -6,8 +6,10 @@ import json
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,9 +19,8 @@ from harness.server import free_port
 from planners.errors import BatchError
 from planners.files import plan_command, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
-from tests.helpers.resources import make_pair
+from tests.helpers.resources import Pair, make_pair
 from tests.helpers.robots import so101
-from tests.processes.planners.dask_cluster import DaskCluster
 
 distributed = pytest.importorskip("distributed", reason="the extra [dask] is not installed")
 
@@ -29,6 +30,60 @@ TIMEOUT_S = 120.0
 
 # Long enough that the first of them is answered while most are not.
 SLOWLY = ("--optimize", "1")
+
+HOST = "127.0.0.1"
+START_TIMEOUT_S = 60.0
+
+
+class DaskCluster:
+    """A scheduler and its workers, by the commands of docs/planning.md; each takes one problem at a time."""
+
+    def __init__(self, workers: int, certificate: Pair | None = None) -> None:
+        self._port = free_port()
+        self.address = f"{'tls' if certificate else 'tcp'}://{HOST}:{self._port}"
+        self._certificate = certificate
+        self.scheduler = self._start("scheduler", "--port", str(self._port), "--dashboard-address", f"{HOST}:0")
+        self.workers = [self._start("worker", self.address, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
+        self._wait_until_started()
+
+    def close(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            self.kill(process)
+
+    def kill(self, process: subprocess.Popen[bytes]) -> None:
+        process.send_signal(signal.SIGKILL)
+        process.wait(10.0)
+
+    def _wait_until_started(self) -> None:
+        # Dask's own attempts come further and further apart.
+        deadline_s = time.monotonic() + START_TIMEOUT_S
+        while not self._answers() and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        security = None
+        if self._certificate:
+            file, key = map(str, self._certificate)
+            security = distributed.Security(
+                tls_ca_file=file, tls_client_cert=file, tls_client_key=key, require_encryption=True
+            )
+        with distributed.Client(self.address, timeout=START_TIMEOUT_S, security=security) as client:
+            if self.workers:
+                client.wait_for_workers(len(self.workers), timeout=START_TIMEOUT_S)
+
+    def _answers(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex((HOST, self._port)) == 0
+
+    def _start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
+        options = ["--host", HOST, "--no-dashboard"]
+        if self._certificate:
+            file, key = map(str, self._certificate)
+            options += ["--tls-ca-file", file, "--tls-cert", file, "--tls-key", key]
+        return subprocess.Popen(
+            [sys.executable, "-m", "dask", command, *arguments, *options],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "critical"},
+            stdin=subprocess.DEVNULL,
+        )
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,9 @@ import asyncio
 import dataclasses
 import os
 import signal
-from collections.abc import AsyncIterator, Callable
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import psutil
@@ -23,7 +25,7 @@ from robot.description import model
 from tests.helpers import broken_planner
 from tests.helpers.broken_planner import NONE, PLAN, racers
 from tests.helpers.motions import EASY, LONG, REQUESTS, STATE, broken
-from tests.helpers.resources import no_descriptors_left
+from tests.helpers.resources import no_descriptors_left, runs
 from tests.helpers.robots import so101
 
 # Workers load for half a second: one pool serves the tests of this file, and so shows that it survives each.
@@ -171,6 +173,23 @@ async def test_processes_that_end_at_once_are_told_and_tried_again(monkeypatch: 
 # Waits for a core.
 
 
+@pytest.fixture
+def start_on_one_core() -> Iterator[Callable[[], int]]:
+    """Start processes that want one core all the time, always the same; each returns its id."""
+    program = f"import os; os.sched_setaffinity(0, {{{max(os.sched_getaffinity(0))}}})\nwhile True: pass"
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start() -> int:
+        # Each in a session of its own: a kernel that shares cores out by session would give all one worker's share.
+        started.append(subprocess.Popen([sys.executable, "-c", program], start_new_session=True))
+        return started[-1].pid
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
 @pytest_asyncio.fixture(loop_scope="module")
 async def on_a_busy_core(both_idle: PlannerPool, start_on_one_core: Callable[[], int]) -> AsyncIterator[PlannerPool]:
     """The pool with its workers on a core that eight processes want."""
@@ -199,3 +218,34 @@ async def test_a_worker_that_hangs_is_given_up_on_a_busy_machine(on_a_busy_core:
     answer = await on_a_busy_core.ask(broken(broken_planner.DEAF, allowed_time_s=0.1))
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
+
+
+# End with the server.
+
+
+async def test_a_worker_that_hangs_ends_with_its_server() -> None:
+    program = f"""
+import asyncio, os
+from planners import pool as planner_pool
+from planners.pool import PlannerPool
+from tests.helpers.motions import broken
+from tests.helpers.robots import so101
+from harness.waiting import until
+async def serve():
+    planner_pool.WORKER_MODULE = "tests.helpers.broken_planner"
+    pool = PlannerPool(so101())
+    await pool.start()
+    asking = asyncio.create_task(pool.ask(broken({broken_planner.NATIVE_LOOP!r})))
+    await until(lambda: pool.idle_count == 1 and len(pool.pids) == 2)
+    await asyncio.sleep(0.1)
+    print(*pool.pids, flush=True)
+    os._exit(0)
+asyncio.run(serve())
+"""
+    command = [sys.executable, "-c", program]
+    done = await asyncio.to_thread(
+        subprocess.run, command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
+    )
+    pids = [int(pid) for pid in done.stdout.split()]
+    assert len(pids) == 2
+    await until(lambda: not any(map(runs, pids)))

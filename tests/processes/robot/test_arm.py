@@ -23,7 +23,7 @@ from robot.messages import ArmState, ChangePace, EndState, Mode, Order, Outcome,
 from robot.processes import RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS
 from tests.helpers.arm_on_servos import CALIBRATION, CONFIG, SOON_S, ArmOnServos, to
-from tests.helpers.resources import no_descriptors_left
+from tests.helpers.resources import no_descriptors_left, runs
 
 
 @pytest.fixture
@@ -347,13 +347,6 @@ def is_relaxed(made: ArmOnServos) -> bool:
     return set(read_write_log(made.log)[-1]["torque"].values()) == {0}
 
 
-def process_runs(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
 async def test_an_arm_process_that_gets_no_time_is_waited_for_by_its_own_clock(tmp_path: Path) -> None:
     made = await relaxing_arm(tmp_path)
     closing = asyncio.create_task(made.arm.close())
@@ -375,7 +368,7 @@ async def test_an_arm_process_that_hangs_at_its_end_is_told_of_and_killed(
     assert made.arm.pid is not None
     os.kill(made.arm.pid, signal.SIGSTOP)
     await asyncio.wait_for(made.arm.close(), SOON_S)
-    assert not process_runs(made.arm.pid)
+    assert not runs(made.arm.pid)
     assert "the arm process has said nothing" in caplog.text or "does not end and is killed" in caplog.text
 
 
@@ -386,7 +379,7 @@ async def test_an_arm_process_that_is_not_waited_for_ends_by_itself_in_its_end_s
     await asyncio.sleep(0.1)
     closing.cancel()
     await asyncio.wait([closing])
-    assert process_runs(made.arm.pid)
-    await until(lambda: not process_runs(made.arm.pid or 0))
+    assert runs(made.arm.pid)
+    await until(lambda: not runs(made.arm.pid or 0))
     assert is_relaxed(made)
     await made.arm.close()

@@ -214,6 +214,11 @@ class TurnsOfTheLoop:
         self.turns += [self._turn for _ in frames]
         self._real.writelines(frames)
 
+    def write(self, frame: bytes) -> None:
+        """On the Pythons of `WRITELINES_NEVER_PAUSES`."""
+        self.turns.append(self._turn)
+        self._real.write(frame)
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._real, name)
 

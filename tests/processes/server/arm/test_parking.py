@@ -6,7 +6,6 @@ import asyncio
 import os
 import re
 import signal
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,9 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import RunningServer, ServerOnBus, read_write_log, server_on_bus
+from harness.waiting import wait_until
 from robot.description.robot_folder import built_in
+from tests.helpers.resources import runs
 from tests.server.conftest import FAST, JOINTS
 
 REST = built_in("so101").model.named_states["arm"]["rest"]
@@ -39,40 +40,26 @@ class Parked:
 
     @property
     def arm_pid(self) -> int:
-        return next(int(found[1]) for line in self.lines if (found := re.search(r"\(process (\d+), 100 Hz", line)))
+        return int(re.findall(r"\(process (\d+), 100 Hz", self.text)[0])
 
     @property
     def planner_pids(self) -> list[int]:
-        found = next(match for line in self.lines if (match := re.search(r"planners in processes ([\d, ]+)", line)))
-        return [int(pid) for pid in found[1].split(",")]
-
-    @property
-    def lines(self) -> list[str]:
-        return list(self.server.lines)
+        return [int(pid) for pid in re.findall(r"planners in processes ([\d, ]+)", self.text)[0].split(",")]
 
     @property
     def text(self) -> str:
-        return "\n".join(self.lines)
+        return "\n".join(list(self.server.lines))
 
     def kill(self) -> None:
         """Kill the server, and wait for the end of its arm process."""
         pid = self.arm_pid
         self.server.process.kill()
         self.server.process.wait(SOON_S)
-        self.until_gone(pid)
-
-    def until_gone(self, pid: int) -> None:
-        until_s = time.monotonic() + SOON_S
-        while runs(pid):
-            assert time.monotonic() < until_s, f"the arm process still runs:\n{self.text}"
-            time.sleep(0.05)
+        wait_until(lambda: not runs(pid), SOON_S)
 
     def until_known(self, count: int = 1) -> None:
         """Wait until the arm process knows so many ways to the rest pose, one after the other."""
-        until_s = time.monotonic() + SOON_S
-        while self.text.count("the way to the rest pose is known") < count:
-            assert time.monotonic() < until_s, self.text
-            time.sleep(0.02)
+        wait_until(lambda: self.text.count("the way to the rest pose is known") >= count, SOON_S)
 
     @property
     def relaxed(self) -> bool:
@@ -95,14 +82,6 @@ class Parked:
     def sunk(self) -> bool:
         """The arm was relaxed elsewhere."""
         return self.relaxed and self.distance_to_rest > 0.3
-
-
-def runs(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state != "Z"
 
 
 @contextmanager
@@ -138,11 +117,6 @@ def box(z_m: float, **fields: Any) -> dict[str, Any]:
     }
 
 
-async def add(client: ArmClient, z_m: float) -> None:
-    scene = {"is_diff": True, "world": {"collision_objects": [box(z_m)]}}
-    assert (await client.call("/apply_planning_scene", scene=scene))["success"]
-
-
 def test_a_server_that_is_killed_at_rest_leaves_a_parked_arm(parking: Parked) -> None:
     parking.until_known()
     parking.kill()
@@ -171,7 +145,7 @@ async def test_the_way_is_planned_anew_where_the_arm_has_come_to_rest(parking: P
 async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(parking: Parked) -> None:
     parking.until_known()
     async with arm_client(parking.server.url) as client:
-        await add(client, 0.06)
+        await client.change_scene(box(0.06))
         assert parking.server.has_logged("no way to the rest pose", SOON_S)
     parking.kill()
     assert parking.sunk
@@ -199,7 +173,7 @@ def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     assert parking.server.has_logged("the arm moves to its rest pose", SOON_S)
     parking.server.process.send_signal(signal.SIGINT)
     assert parking.server.process.wait(SOON_S) == 0
-    parking.until_gone(pid)
+    wait_until(lambda: not runs(pid), SOON_S)
     assert "must not wait" in parking.text
     assert parking.relaxed
 
@@ -237,7 +211,7 @@ async def test_the_service_parks_and_relaxes(parking: Parked) -> None:
 
 async def test_the_service_answers_why_it_cannot_and_the_arm_goes_on_holding(parking: Parked) -> None:
     async with arm_client(parking.server.url) as client:
-        await add(client, 0.06)
+        await client.change_scene(box(0.06))
         answer = await client.call("/arm/park")
         assert not answer["success"]
         assert answer["message"].startswith("the arm is not parked: ")

@@ -13,6 +13,7 @@ from websockets.asyncio.client import connect
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import ServerOnBus, read_write_log, server_on_bus
+from harness.waiting import until
 from tests.server.arm.test_services import begin_to_move
 from tests.server.conftest import FAST
 
@@ -36,7 +37,7 @@ async def test_an_emergency_stop_gets_through_a_flood(client: ArmClient, served:
             websocket.transport.abort()
 
     floods = [asyncio.create_task(flood()) for _ in range(3)]
-    await flooding.wait()
+    await until(flooding.is_set)
     try:
         stopped = await client.call("/arm/emergency_stop")
     finally:

@@ -69,9 +69,8 @@ def run(tmp_path: Path) -> Iterator[Callable[[str], psutil.Process]]:
 
     yield start
     for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+        process.kill()
+        process.communicate(timeout=SOON_S)
 
 
 def until_ready(folder: Path) -> None:

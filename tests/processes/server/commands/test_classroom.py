@@ -10,6 +10,7 @@ import socket
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,9 +44,12 @@ class Room:
         )
         assert self.process.stderr is not None
         self.lines = []
+        overdue = threading.Timer(START_TIMEOUT_S, self.process.kill)
+        overdue.start()
         while not self.lines or "the classroom is ready" not in self.lines[-1]:
             self.lines.append(self.process.stderr.readline())
             assert self.lines[-1], "the classroom did not start:\n" + "".join(self.lines)
+        overdue.cancel()
 
     @property
     def places(self) -> dict[str, tuple[str, str]]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from harness.server import RunningServer
+from harness.waiting import wait_until
 from tests.helpers.systemd import Systemd
 
 # On a busy machine [s].
@@ -49,14 +49,6 @@ def test_children_do_not_speak_for_the_server(service: RunningServer) -> None:
         assert b"NOTIFY_SOCKET" not in Path(f"/proc/{child}/environ").read_bytes()
 
 
-def until_it_ignores(pid: int, number: signal.Signals) -> None:
-    """Wait until a process ignores a signal, which planners do once they have loaded their libraries."""
-    until_s = time.monotonic() + LOADING_S
-    while not ignored_by(pid) >> number - 1 & 1:
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-
-
 def ignored_by(pid: int) -> int:
     """The signals that a process ignores, the first in the lowest bit (SigIgn in proc_pid_status(5))."""
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
@@ -66,7 +58,8 @@ def ignored_by(pid: int) -> int:
 def test_a_signal_to_all_processes_changes_the_level_and_ends_none(service: RunningServer) -> None:
     children = children_of(service)
     for child in children:
-        until_it_ignores(child, signal.SIGUSR1)
+        # Planners ignore the signal once they have loaded their libraries.
+        wait_until(lambda child=child: ignored_by(child) >> signal.SIGUSR1 - 1 & 1, LOADING_S)
     for words in ("is debug now", "again what the settings say"):
         for pid in (service.process.pid, *children):
             os.kill(pid, signal.SIGUSR1)

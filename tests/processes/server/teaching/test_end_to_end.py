@@ -127,16 +127,11 @@ async def put_crate(client: ArmClient, name: str) -> None:
     state = {"joint_state": {"name": trajectory["joint_names"], "position": points[len(points) // 2]["positions"]}}
     tip = await client.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
     place = tip["pose_stamped"][0]["pose"]["position"]
-    await change_scene(client, box("crate", at=pose(place["x"], place["y"], place["z"]), frame="base_link"))
-
-
-async def change_scene(client: ArmClient, collision_object: dict[str, Any]) -> None:
-    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [collision_object]}}
-    assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+    await client.change_scene(box("crate", at=pose(place["x"], place["y"], place["z"]), frame="base_link"))
 
 
 async def remove_crate(client: ArmClient) -> None:
-    await change_scene(client, {"id": "crate", "operation": 1})
+    await client.change_scene({"id": "crate", "operation": 1})
 
 
 async def test_a_replay_that_a_box_has_come_into_the_way_of_is_refused_with_where(arm: ServerOnBus) -> None:

@@ -67,12 +67,6 @@ async def recovers(client: ArmClient) -> None:
             await asyncio.sleep(0.1)
 
 
-async def positions(client: ArmClient) -> dict[str, float]:
-    client.topics.pop("/joint_states", None)
-    latest = (await client.until("/joint_states", bool))[-1]
-    return dict(zip(latest["name"], latest["position"], strict=True))
-
-
 async def phase_is(client: ArmClient, phase: str) -> dict[str, Any]:
     return (await client.until(STATE, lambda states: states[-1]["phase"] == phase, TIMEOUT_S))[-1]
 
@@ -81,7 +75,7 @@ async def follows(client: ArmClient, joint: str, least_rad: float) -> None:
     """Wait until a joint of the follower is where the leader's is, that far from the middle."""
     async with asyncio.timeout(TIMEOUT_S):
         while True:
-            now = await positions(client)
+            now = await client.positions()
             if abs(now[f"leader_{joint}"]) >= least_rad and (
                 abs(now[f"follower_{joint}"] - now[f"leader_{joint}"]) < 0.06
             ):
@@ -146,12 +140,12 @@ async def test_an_open_clutch_holds_the_follower_and_a_closed_one_brings_it_back
     await start(client, leader="leader")
     assert (await client.call("/teleop/clutch", data=False))["success"]
     await phase_is(client, "holding")
-    held = (await positions(client))["follower_wrist_roll"]
+    held = (await client.positions())["follower_wrist_roll"]
     hand.command(hand={"5": MIDDLE_TICK + 400})
     async with asyncio.timeout(TIMEOUT_S):
-        while abs((await positions(client))["leader_wrist_roll"]) < 0.5:
+        while abs((await client.positions())["leader_wrist_roll"]) < 0.5:
             pass
-    assert (await positions(client))["follower_wrist_roll"] == pytest.approx(held, abs=0.03)
+    assert (await client.positions())["follower_wrist_roll"] == pytest.approx(held, abs=0.03)
     assert (await client.call("/teleop/clutch", data=True))["success"]
     await follows(client, "wrist_roll", 0.5)
 
@@ -161,13 +155,13 @@ async def test_a_leader_by_topic_is_followed_and_its_silence_ends_it(client: Arm
     async with glove(client, places):
         await start(client, leader=TOPIC)
         async with asyncio.timeout(TIMEOUT_S):
-            while (await positions(client))["follower_wrist_roll"] < 0.4:
+            while (await client.positions())["follower_wrist_roll"] < 0.4:
                 places["wrist_roll"] = min(places["wrist_roll"] + 0.01, 0.5)
     ended = await phase_is(client, "idle")
     assert ended["message"] == "the leader has sent nothing for 2 s"
     assert "braking" in [state["phase"] for state in client.topics[STATE]]
-    resting = (await positions(client))["follower_wrist_roll"]
-    assert (await positions(client))["follower_wrist_roll"] == pytest.approx(resting, abs=0.02)
+    resting = (await client.positions())["follower_wrist_roll"]
+    assert (await client.positions())["follower_wrist_roll"] == pytest.approx(resting, abs=0.02)
 
 
 async def test_a_leader_that_jumps_is_not_followed_there(client: ArmClient) -> None:
@@ -177,7 +171,7 @@ async def test_a_leader_that_jumps_is_not_followed_there(client: ArmClient) -> N
         places["wrist_roll"] = 1.5
         held = await phase_is(client, "holding")
         assert "wrist_roll of the leader jumped by 1.50 rad" in held["message"]
-        assert abs((await positions(client))["follower_wrist_roll"]) < 0.3
+        assert abs((await client.positions())["follower_wrist_roll"]) < 0.3
 
 
 @pytest.mark.parametrize("service", ["/arm/stop", "/follower/arm/stop", "/teleop/stop"])
@@ -235,25 +229,20 @@ async def test_the_follower_stops_before_what_stands_in_the_way_of_its_joints(
     # A wall beside the follower's gripper, which reaches 0.39 m forward from its foot at y = 0.4 m.
     wall = box("wall", at=pose(0.3, 0.55, 0.15), frame="world")
     wall["primitives"][0]["dimensions"] = [0.3, 0.02, 0.3]
-    await change_scene(client, wall)
+    await client.change_scene(wall)
     try:
         hand.command(hand={"1": MIDDLE_TICK - 700})
         await client.until(
             STATE, lambda told: told[-1]["phase"] == "following" and told[-1]["speed_scale"] < 0.5, TIMEOUT_S
         )
         async with asyncio.timeout(TIMEOUT_S):
-            while abs((now := await positions(client))["leader_shoulder_pan"]) < 0.9:
+            while abs((now := await client.positions())["leader_shoulder_pan"]) < 0.9:
                 pass
         assert abs(now["follower_shoulder_pan"]) < 0.5
         hand.command(hand={"1": MIDDLE_TICK + 400})
         await follows(client, "shoulder_pan", 0.5)
     finally:
-        await change_scene(client, {"id": "wall", "operation": 1})
-
-
-async def change_scene(client: ArmClient, collision_object: dict[str, Any]) -> None:
-    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [collision_object]}}
-    assert (await client.call("/apply_planning_scene", scene=scene))["success"]
+        await client.change_scene({"id": "wall", "operation": 1})
 
 
 async def test_the_gripper_follows_in_motions_of_its_own(client: ArmClient, hand: EmulatorControl) -> None:
@@ -262,7 +251,7 @@ async def test_the_gripper_follows_in_motions_of_its_own(client: ArmClient, hand
         hand.command(hand={"6": ticks})
         async with asyncio.timeout(TIMEOUT_S):
             while True:
-                now = await positions(client)
+                now = await client.positions()
                 moved = abs(now["leader_gripper"] - now["follower_gripper"])
                 if moved < 0.08 and now["leader_gripper"] != pytest.approx(0.0, abs=0.05):
                     break

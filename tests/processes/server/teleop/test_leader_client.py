@@ -21,9 +21,7 @@ from tests.helpers.robots import nominal_calibration
 
 JOINTS = {joint.joint: joint for joint in nominal_calibration().joints}
 
-
 TIMEOUT_S = 60.0
-
 
 TOPIC = "/leader/joint_states"
 

@@ -69,9 +69,7 @@ async def rolled(client: ArmClient, *arms: str, least_rad: float) -> None:
     """Wait until the wrists of some arms are turned so far."""
     async with asyncio.timeout(TIMEOUT_S):
         while True:
-            client.topics.pop("/joint_states", None)
-            latest = (await client.until("/joint_states", bool))[-1]
-            now = dict(zip(latest["name"], latest["position"], strict=True))
+            now = await client.positions()
             if all(now[f"{arm}_wrist_roll"] >= least_rad for arm in arms):
                 return
 

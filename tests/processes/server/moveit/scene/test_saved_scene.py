@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from harness.clients import arm_client
 from harness.server import RunningServer
+from harness.waiting import until
 from tests.helpers.moveit import box, pose
 
 
@@ -26,19 +25,13 @@ async def test_a_server_that_was_ended_or_killed_starts_with_its_scene_though_it
         async with arm_client(first.url) as client:
             assert (await client.call("/apply_planning_scene", scene=scene))["success"]
         if end is signal.SIGKILL:
-            await until_there(lambda: (tmp_path / "scene.json").exists())
+            await until((tmp_path / "scene.json").exists)
         first.end(end)
     with RunningServer(settings=settings) as second:
         assert second.has_logged("the planning scene is restored from")
         async with arm_client(second.url) as client:
             shown = (await client.call("/get_planning_scene"))["scene"]
         assert [each["id"] for each in shown["world"]["collision_objects"]] == ["around the arm"]
-
-
-async def until_there(there: Callable[[], bool]) -> None:
-    async with asyncio.timeout(30.0):
-        while not there():
-            await asyncio.sleep(0.02)
 
 
 async def test_a_server_that_keeps_no_scene_writes_none(tmp_path: Path) -> None:

@@ -44,10 +44,10 @@ run: install page-if-npm
 # A wheel made after this has the page in it.
 page: $(PAGE)/dist/index.html
 
-# The site that the server serves at /docs/, links checked; a wheel made after this has it.
+# The site that the server serves at /docs/; a wheel made after this has it. A broken link ends it, but not with --quiet.
 docs: build/docs/.installed
 	rm -rf server/docs_site
-	NO_MKDOCS_2_WARNING=1 build/docs/bin/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 build/docs/bin/mkdocs build
 
 build/docs/.installed: requirements-docs.lock
 	$(PYTHON) -m venv build/docs

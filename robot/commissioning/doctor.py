@@ -137,7 +137,13 @@ def _temperature(servos: Sequence[ServoRegisters]) -> Finding:
     says = f"the hottest is servo {hottest.servo_id} with {degrees} degrees"
     verdict = Verdict.PROBLEM if degrees >= ArmConfig.stop_temperature_c else Verdict.NOTE
     warm = says if degrees >= ArmConfig.warn_temperature_c else ""
-    return _judged("temperature", warm, "Relax the arm and let it cool; do not hold it stretched out.", says, verdict)
+    return _judged(
+        "temperature",
+        warm,
+        "Let the arm cool without torque (armbridge relax); do not hold it stretched out.",
+        says,
+        verdict,
+    )
 
 
 def _status(servos: Sequence[ServoRegisters]) -> Finding:

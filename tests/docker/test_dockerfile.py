@@ -47,7 +47,7 @@ def test_make_installs_exactly_what_a_lock_names() -> None:
     installs = [
         line for line in (ROOT / "Makefile").read_text().splitlines() if ".lock" in line and " install " in line
     ]
-    assert len(installs) == 2
+    assert len(installs) == 3
     assert all("--no-deps --require-hashes" in line for line in installs)
 
 

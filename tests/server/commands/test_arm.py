@@ -97,7 +97,7 @@ def test_problems_are_listed_with_what_to_do_and_exit_3(emulator, armbridge, tmp
     answer = armbridge("doctor", "--calibration", str(file), "--read-only", *QUICK)
     assert answer.returncode == ExitCode.PROBLEMS
     assert "problem  temperature" in answer.stdout
-    assert "* temperature: Relax the arm" in answer.stdout
+    assert "* temperature: Let the arm cool without torque" in answer.stdout
     assert "the servos hold what the file says" in answer.stdout
 
 

@@ -29,6 +29,9 @@ def test_the_number_of_offers_of_a_client_is_bounded(world: InProcess, caplog: p
     for service in ("/a", "/b"):
         world.say("p", op="advertise_service", service=service, type=TYPE)
     assert set(world.graph.services.types()) == {"/s", "/a"}
+    world.say("p", op="unadvertise_service", service="/a")
+    world.say("p", op="advertise_service", service="/b", type=TYPE)
+    assert set(world.graph.services.types()) == {"/s", "/b"}
     assert "advertise_service: this client has 2, the limit is 2" in caplog.text
 
 

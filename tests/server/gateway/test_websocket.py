@@ -495,22 +495,22 @@ async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected(monkeypa
 
 
 @pytest.mark.parametrize(
-    ("lines", "path", "answer"),
+    ("lines", "path", "answer", "reason"),
     [
-        (("Origin: http://elsewhere.example",), "/", 403),
-        (("Host: elsewhere.example",), "/", 421),
-        ((), "/?token=wrong", 401),
+        (("Origin: http://elsewhere.example",), "/", 403, "origin"),
+        (("Host: elsewhere.example",), "/", 421, "host"),
+        ((), "/?token=wrong", 401, "token"),
     ],
 )
 async def test_a_plain_request_that_is_refused_is_answered_and_counted_once(
-    lines: tuple[str, ...], path: str, answer: int
+    lines: tuple[str, ...], path: str, answer: int, reason: str
 ) -> None:
     tokens = AccessSettings(token=SecretStr("right-" * 6))
     async with listening(access=Access(tokens)) as listener:
         host = None if lines and lines[0].startswith("Host") else "localhost"
         refused = await exchange(listener.port, request(*UPGRADE, *lines, path=path, host=host))
         assert status(refused) == answer
-        assert sum(listener.refused_connections().values()) == 1
+        assert listener.refused_connections() == {"limit": 0, reason: 1}
 
 
 async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -> None:

@@ -17,7 +17,7 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from harness.clients import FrameClient, frame_client, goal_is
 from harness.server import ROOT, RunningServer, ServerOnBus, free_port, run_command, server_on_bus
-from harness.waiting import until
+from harness.waiting import running, until
 
 RESULT = "/moveit_goal_result"
 STATE = "/arm/state"
@@ -180,15 +180,15 @@ async def deaf_client(url: str) -> ClientConnection:
 async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it() -> None:
     port = free_port()
     command = run_command(f"--port {port}")
-    process = await asyncio.create_subprocess_exec(*command, cwd=ROOT, stderr=subprocess.DEVNULL)
-    async with frame_client(await until_open(port)) as client:
-        await client.open_goals()
-        await client.subscribe(STATE, "diagnostic_msgs/DiagnosticStatus")
-        first = (await client.wait_for(STATE, bool))[0]
-        assert first["message"] == "the arm is not connected: the arm process is starting"
-        await reaches(client)
-    process.terminate()
-    assert await asyncio.wait_for(process.wait(), 30.0) == 0
+    with running(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
+        async with frame_client(await until_open(port)) as client:
+            await client.open_goals()
+            await client.subscribe(STATE, "diagnostic_msgs/DiagnosticStatus")
+            first = (await client.wait_for(STATE, bool))[0]
+            assert first["message"] == "the arm is not connected: the arm process is starting"
+            await reaches(client)
+        process.terminate()
+        assert await asyncio.to_thread(process.wait, 30.0) == 0
 
 
 async def test_a_server_that_was_killed_can_be_started_again_at_once(server: RunningServer) -> None:

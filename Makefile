@@ -100,7 +100,7 @@ test-processes: install-dev
 # The page from its lock: types and build, then its logic, then in the browser, which each worker starts once.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page -n 2 --dist loadfile $(ARGS)
+	$(PYTEST) tests/page $(ARGS)
 
 # The pictures of README.md and docs/page.md, and the digest of the page that they show.
 pictures: install-dev page
@@ -109,7 +109,7 @@ pictures: install-dev page
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev page client-environments
-	$(PYTEST) tests/clients tests/examples -n 4 --dist loadfile $(ARGS)
+	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
 client-environments: build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
 

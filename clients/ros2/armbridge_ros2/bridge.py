@@ -27,13 +27,12 @@ from armbridge_ros2.interfaces import (
     ros_class,
     to_json,
 )
-from armbridge_ros2.server import Server
+from armbridge_ros2.server import STOPS, Server
 
 ANSWER_TIMEOUT_S = 60.0
 # Calls and goals that wait for the server hold a thread each; topics and services that stop have threads of their own.
 MAX_WAITING = 16
 OTHER_THREADS = 4
-STOPS = ("/arm/stop", "/arm/emergency_stop")
 # action_msgs/GoalStatus
 SUCCEEDED, CANCELED = 4, 5
 CANCEL_PERIOD_S = 0.05
@@ -115,14 +114,14 @@ class Bridge(Node):
         self.create_service(service_class, service.name, ask, callback_group=self._side_by_side)
 
     def _answer(self, service: str, request: Any) -> dict[str, Any]:
-        if service in STOPS:
-            return self._connection.call(service, to_json(request)).result(ANSWER_TIMEOUT_S)
-        if not self._waiting.acquire(blocking=False):
+        takes_turn = service not in STOPS
+        if takes_turn and not self._waiting.acquire(blocking=False):
             raise RuntimeError(f"{MAX_WAITING} calls and goals wait for the server: call again later")
         try:
             return self._connection.call(service, to_json(request)).result(ANSWER_TIMEOUT_S)
         finally:
-            self._waiting.release()
+            if takes_turn:
+                self._waiting.release()
 
     def _offer_action(self, action: Joined, action_class: Any) -> None:
         def take(_goal: Any) -> GoalResponse:
@@ -131,31 +130,37 @@ class Bridge(Node):
             self.get_logger().error(f"{action.name}: {MAX_WAITING} calls and goals wait for the server")
             return GoalResponse.REJECT
 
-        def execute(goal: Any) -> Any:
+        def execute(goal: Any, stops: int) -> Any:
             try:
-                return self._execute(action, action_class, goal)
+                return self._execute(action, action_class, goal, stops)
             finally:
                 self._waiting.release()
+
+        def accepted(goal: Any) -> None:
+            # The goal is carried out later, on another thread.
+            stops = self._connection.stops
+            goal.execute(lambda goal: execute(goal, stops))
 
         server = ActionServer(
             self,
             action_class,
             action.name,
-            execute_callback=execute,
+            execute_callback=accepted,  # rclpy wants one; that of `accepted` is taken
             goal_callback=take,
+            handle_accepted_callback=accepted,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT,
             callback_group=self._side_by_side,
         )
         self._action_servers.append(server)
 
-    def _execute(self, action: Joined, action_class: Any, goal: Any) -> Any:
+    def _execute(self, action: Joined, action_class: Any, goal: Any, stops: int) -> Any:
         """Carry a goal out on the server, however long it takes: the server limits a goal's time."""
 
         def on_feedback(values: dict[str, Any]) -> None:
             if goal.is_active:
                 goal.publish_feedback(fill(action_class.Feedback(), values))
 
-        number, answer = self._connection.send_goal(action.name, action.type, to_json(goal.request), on_feedback)
+        number, answer = self._connection.send_goal(action, to_json(goal.request), stops, on_feedback)
         result = action_class.Result()
         cancelled = False
         try:

@@ -12,9 +12,13 @@ import cbor2
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
+from armbridge_ros2.interfaces import Joined
+
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 10.0
 MAX_FRAME_BYTES = 64 * 1024 * 1024
+# Topic and services that stop the arm.
+STOPS = frozenset({"/stop", "/arm/stop", "/arm/emergency_stop"})
 
 
 class Server:
@@ -39,6 +43,9 @@ class Server:
         self._on_feedback: dict[str, Callable[[dict[str, Any]], None]] = {}
         self._number = 0
         self._lock = threading.Lock()
+        # Goals are sent from threads of their own: none goes out behind a stop that came after it.
+        self._stops = 0
+        self._in_order = threading.Lock()
         self._socket: ClientConnection | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="armbridge", daemon=True)
@@ -71,21 +78,26 @@ class Server:
 
     def publish(self, topic: str, message: Any) -> bool:
         """Publish a message; return False if there is no connection."""
-        return self._send({"op": "publish", "topic": topic, "msg": message})
+        return self._send_in_order(topic, {"op": "publish", "topic": topic, "msg": message})
 
     def call(self, service: str, request: Any) -> Future[dict[str, Any]]:
         """Call a service; the future has the values of the response, or a ConnectionError or RuntimeError."""
         return self._ask(service, {"op": "call_service", "service": service, "args": request})[1]
 
+    @property
+    def stops(self) -> int:
+        """Number of stops that were passed on."""
+        return self._stops
+
     def send_goal(
-        self, action: str, type_name: str, goal: Any, on_feedback: Callable[[dict[str, Any]], None]
+        self, action: Joined, goal: Any, stops: int, on_feedback: Callable[[dict[str, Any]], None]
     ) -> tuple[str, Future[dict[str, Any]]]:
         """Send a goal; the future has its operation ``action_result``, or what :meth:`call` fails with.
 
         Args:
-            action: the action's name.
-            type_name: its type, as ROS 2 spells it.
+            action: the action.
             goal: its fields as JSON.
+            stops: :attr:`stops` when the goal came; a stop since then refuses the goal.
             on_feedback: called with the values of each feedback, on the connection's thread.
 
         Returns:
@@ -93,19 +105,23 @@ class Server:
         """
         operation = {
             "op": "send_action_goal",
-            "action": action,
-            "action_type": type_name,
+            "action": action.name,
+            "action_type": action.type,
             "args": goal,
             "feedback": True,
         }
-        return self._ask(action, operation, on_feedback)
+        return self._ask(action.name, operation, on_feedback, stops)
 
     def cancel_goal(self, action: str, number: str) -> None:
         """Ask for the end of a goal; its result comes as ever."""
         self._send({"op": "cancel_action_goal", "action": action, "id": number})
 
     def _ask(
-        self, name: str, operation: dict[str, Any], on_feedback: Callable[[dict[str, Any]], None] | None = None
+        self,
+        name: str,
+        operation: dict[str, Any],
+        on_feedback: Callable[[dict[str, Any]], None] | None = None,
+        stops: int | None = None,
     ) -> tuple[str, Future[dict[str, Any]]]:
         answer: Future[dict[str, Any]] = Future()
         with self._lock:
@@ -115,11 +131,24 @@ class Server:
             if on_feedback is not None:
                 self._on_feedback[number] = on_feedback
         answer.add_done_callback(lambda _: self._on_feedback.pop(number, None))
-        sent = self._send({**operation, "id": number})
+        failure: Exception | None = None
+        try:
+            if not self._send_in_order(name, {**operation, "id": number}, stops):
+                failure = ConnectionError(f"{name}: there is no connection to {self._url}")
+        except RuntimeError as error:
+            failure = error
         # The connection's thread may have given the call up already.
-        if not sent and self._calls.pop(number, None) is not None:
-            answer.set_exception(ConnectionError(f"{name}: there is no connection to {self._url}"))
+        if failure is not None and self._calls.pop(number, None) is not None:
+            answer.set_exception(failure)
         return number, answer
+
+    def _send_in_order(self, name: str, operation: dict[str, Any], stops: int | None = None) -> bool:
+        with self._in_order:
+            if name in STOPS:
+                self._stops += 1
+            elif stops is not None and stops != self._stops:
+                raise RuntimeError(f"{name}: the goal was not sent: a stop came after it")
+            return self._send(operation)
 
     def _register(self, operation: dict[str, Any]) -> None:
         with self._lock:

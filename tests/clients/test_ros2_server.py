@@ -1,0 +1,53 @@
+"""The connection of clients/ros2, without ROS: what the node sends to a real server, and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from armbridge_ros2.interfaces import Joined
+from armbridge_ros2.server import Server
+from harness.server import RunningServer
+from harness.waiting import wait_until
+
+GRIPPER = Joined("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand")
+STOPS = [Joined("/stop", "std_msgs/msg/Empty"), Joined("/arm/stop", ""), Joined("/arm/emergency_stop", "")]
+
+
+@pytest.fixture
+def connection(server: RunningServer) -> Iterator[Server]:
+    reports: list[str] = []
+    made = Server(f"ws://127.0.0.1:{server.port}", "", lambda topic, message: None, reports.append)
+    made.start()
+    wait_until(lambda: reports)
+    yield made
+    made.close()
+
+
+def grip(connection: Server, stops: int, feedback: list[Any]) -> dict[str, Any]:
+    goal = {"command": {"position": 0.5, "max_effort": 0.0}}
+    return connection.send_goal(GRIPPER, goal, stops, feedback.append)[1].result(60.0)
+
+
+def test_a_goal_gets_feedback_and_its_result(connection: Server) -> None:
+    feedback: list[Any] = []
+    end = grip(connection, connection.stops, feedback)
+    assert (end["status"], end["values"]["reached_goal"]) == (4, True)
+    assert feedback
+
+
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
+def test_a_goal_is_not_sent_behind_a_stop_that_came_after_it(connection: Server, stop: Joined) -> None:
+    came = connection.stops
+    if stop.type:
+        connection.advertise(stop.name, stop.type)
+        assert connection.publish(stop.name, {})
+    else:
+        connection.call(stop.name, {}).result(60.0)
+    with pytest.raises(RuntimeError, match="gripper_cmd: the goal was not sent: a stop came after it"):
+        grip(connection, came, [])
+    connection.call("/arm/reset_fault", {}).result(60.0)
+    connection.call("/arm/enable", {}).result(60.0)
+    assert grip(connection, connection.stops, [])["values"]["reached_goal"]

@@ -250,5 +250,5 @@ def test_several_arms_go_to_rest_without_the_server(tmp_path: Path) -> None:
         server.process.kill()
         server.process.wait(SOON_S)
         for pid in pids:
-            both[0].until_gone(pid)
+            wait_until(lambda pid=pid: not runs(pid), SOON_S)
         assert [each.parked for each in both] == [True, True], both[0].text

@@ -5,6 +5,7 @@ Other distributions have packages of these names as well; the command then ends 
 
 from __future__ import annotations
 
+import os
 import sys
 from importlib import metadata
 from importlib.util import find_spec
@@ -20,6 +21,9 @@ def main() -> NoReturn:
     """Run the command and end the process with its exit code."""
     if shadowed := find_shadowed(Path(__file__).parent):
         sys.exit(f"armbridge: {shadowed}; {REMEDY}")
+    # Before numpy is loaded: a thread of the linear algebra library would be in no fork, and costs more than it saves
+    # for matrices as small as ours (the import of a UR5 takes 34 s, with two threads 50 s on two cores).
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     try:
         from server.cli import run_process
     except ImportError as error:

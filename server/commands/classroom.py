@@ -47,8 +47,6 @@ def add_classroom_parser(subparsers: Subparsers) -> None:
 
 
 def _run(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
-    # A thread of the linear algebra library would be in no fork, and its matrices here are tiny.
-    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
     settings, _ = read_settings(options)
     configure_logs(settings)
     # Imported when it is needed: --help answers without the server's libraries.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
+import signal
 import tempfile
 from collections.abc import Callable, Iterator
 
@@ -29,8 +30,10 @@ _DATA = tempfile.TemporaryDirectory(prefix="armbridge")
 
 
 def pytest_configure() -> None:
-    """Keep the user's data directory out of the tests."""
+    """Keep the user's data directory out of the tests, and have Ctrl-C mean the same however the tests were started."""
     os.environ["XDG_DATA_HOME"] = _DATA.name
+    # A shell has what it starts in the background ignore SIGINT, and programs that a test starts inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_unconfigure() -> None:

@@ -10,7 +10,7 @@ from mcp.server.mcpserver.exceptions import ToolError
 from mcp.types import ToolAnnotations
 from pydantic import BaseModel, Field
 
-from armbridge_client import ArmError, DeadlineExceeded, GoalRefused, Target, pose
+from armbridge_client import ArmError, AsyncArm, DeadlineExceeded, GoalRefused, Target, pose
 from armbridge_client.messages import GetPlanningSceneRequest, PlanningSceneComponents, PoseStamped
 from armbridge_mcp.limits import LimitError, limited_speed
 from armbridge_mcp.session import (
@@ -37,6 +37,7 @@ CANNOT_ASK = (
 )
 
 MAX_ANSWER_CHARACTERS = 600
+RATE_HZ = 30  # of the states that are looked at for the arm's rest
 MAX_NAME_CHARACTERS = 60
 MAX_OBJECTS = 50
 
@@ -169,6 +170,7 @@ def make_server(options: Options) -> MCPServer[None]:
                     await (await session.arm()).move(target, speed=share, timeout_s=PROPOSAL_S)
                 else:
                     await planned.execute(timeout_s=60.0 + 2.0 * planned.duration_s)
+            await until_rest(await session.arm())
             return short(f"Done. {await state_text(session)}")
 
     @server.tool()
@@ -289,6 +291,17 @@ def spoken(target: Target, named: str) -> str:
     if isinstance(target, Mapping):
         return ", ".join(f"{quoted(name)} {math.degrees(value):.0f}°" for name, value in target.items())
     return quoted(str(target))
+
+
+async def until_rest(arm: AsyncArm) -> None:
+    """Wait a second at most until the arm rests: a motion's end comes before the state that shows it."""
+    states = arm.states(RATE_HZ)
+    try:
+        for _ in range(RATE_HZ):
+            if (await states.__anext__()).mode != "moving":
+                return
+    finally:
+        await states.aclose()  # type: ignore[attr-defined]
 
 
 async def state_text(session: Session, *, details: bool = False) -> str:

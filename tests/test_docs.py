@@ -1,7 +1,5 @@
 """Commands, settings, sentences and links of README and docs; programs are run by tests/processes/test_docs.py."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

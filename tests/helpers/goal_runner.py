@@ -1,7 +1,5 @@
 """Executor of goals whose ends a test chooses."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Iterable
 from typing import Any, Self

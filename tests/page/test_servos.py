@@ -1,7 +1,5 @@
 """The list of servos, and the details of one."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 

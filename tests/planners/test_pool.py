@@ -1,7 +1,5 @@
 """Pools of planner processes in stepped time: turns, deadlines, races, and processes that end."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import math

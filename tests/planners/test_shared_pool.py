@@ -1,7 +1,5 @@
 """Planners that several servers share: fair turns, scenes kept apart, and an end of the host."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 from collections.abc import AsyncIterator

@@ -3,7 +3,8 @@
 The rule for topic data is to drop the oldest: when more waits than one client may have, when a subscription is further
 behind than it may be, when the client stands still, and when the budget of the whole server is used up and this client
 has read least recently. So a slow client costs a bounded amount of memory, and what it reads at last is recent; a
-client that keeps up loses nothing, however large its messages are. A message is already encoded, or a thread encodes it: one frame, or several fragments that are sent or dropped together.
+client that keeps up loses nothing, however large its messages are. A message is already
+encoded, or a thread encodes it: one frame, or several fragments that are sent or dropped together.
 """
 
 from __future__ import annotations

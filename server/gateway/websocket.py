@@ -276,7 +276,7 @@ class WebSocket(Transport):
 
     def eof_received(self) -> bool:
         if self._post is not None and self._task is not None:
-            # The kernel tells a program that has ended from one that only sends no more by nothing.
+            # A program that has ended and a program that sends no more look the same.
             self._at_eof = True
             self._leave_post()
             return False

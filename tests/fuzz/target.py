@@ -1,7 +1,5 @@
 """What a fuzzer feeds with any bytes: a session, four clients on one graph, a stream, the reader of interface files."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 from collections.abc import Iterable, Iterator

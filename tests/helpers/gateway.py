@@ -1,7 +1,5 @@
 """The gateway without the rest of the server: clients on one graph, without sockets, and a listener on a free port."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

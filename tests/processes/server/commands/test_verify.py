@@ -1,7 +1,5 @@
 """``armbridge verify`` against a running server."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -219,7 +219,7 @@ class ClientContext:
         self.status = ClientStatus(self)
 
     def wake(self) -> None:
-        """Have the connection send what is queued."""
+        """Have the connection send the queued messages."""
         if not self.left:
             self.connection.wake()
 

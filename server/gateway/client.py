@@ -30,7 +30,7 @@ from protocol.operations import (
     Unsubscribe,
 )
 from protocol.session import Packed, Refusal
-from server.access.authorization import Authorizer
+from server.access.authorization import Authorizer, is_cancel, is_stop
 from server.errors import GraphError
 from server.gateway.client_context import ClientContext
 from server.gateway.client_requests import ClientActions, ClientServices
@@ -125,7 +125,7 @@ class Client:
         self.received_messages = 0
         self._context = context
         self._graph = context.graph
-        self._authorizer = context.gateway.access.authorizer(context.node, context.graph)
+        self._authorizer = Authorizer(context.node, context.gateway.access, context.graph)
         self.topics = ClientTopics(context, self._authorizer)
         self.services = ClientServices(context)
         self.actions = ClientActions(context)
@@ -182,11 +182,11 @@ class Client:
 
     def is_urgent(self, operation: Operation) -> bool:
         """Return True for an operation that stops the arm or cancels a goal."""
-        return self._authorizer.is_urgent(operation)
+        return is_stop(operation, self._graph) or is_cancel(operation, self._graph)
 
     def is_repeated(self, operation: Operation) -> bool:
         """Return True for a cancel: its goal may wait behind other operations of this client."""
-        return self._authorizer.is_cancel(operation)
+        return is_cancel(operation, self._graph)
 
     def repeat(self, operation: Operation) -> None:
         """Cancel again, without an answer."""

@@ -1,7 +1,5 @@
 """Rosbridge clients of a running server, with and without an event loop."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json

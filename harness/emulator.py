@@ -1,7 +1,5 @@
 """Emulated servos on a pseudo terminal, in real time, in a process of their own."""
 
-from __future__ import annotations
-
 import json
 import socket
 import subprocess

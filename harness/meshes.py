@@ -1,7 +1,5 @@
 """Meshes of simple bodies."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

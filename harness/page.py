@@ -1,7 +1,5 @@
 """The page in Debian's Chromium: started, looked at and steered by Playwright."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

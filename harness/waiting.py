@@ -1,7 +1,5 @@
 """Waits for events, each with a timeout that only a broken program meets."""
 
-from __future__ import annotations
-
 import asyncio
 import subprocess
 import threading

@@ -1,7 +1,5 @@
 """Log of every write of the emulator: the servos' registers over time."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Iterator

@@ -155,7 +155,7 @@ ADVICE: Mapping[ServoAlert, Advice] = {
     ServoAlert.CURRENT: Advice("the motor drew more than register PROTECTION_CURRENT allows", FaultCode.OVERCURRENT),
     ServoAlert.ANGLE: Advice(
         "the joint stands outside the servo's angle limits",
-        "Relax the arm, bring the joint inside its range by hand, and compare the limits with the calibration.",
+        "With the arm relaxed, bring the joint inside its range by hand, and compare the limits with the calibration.",
     ),
     ServoAlert.OVERLOAD: Advice(
         "the load was too high for too long, and the servo has cut its own torque", FaultCode.OVERLOAD
@@ -169,11 +169,11 @@ ADVICE: Mapping[ServoAlert, Advice] = {
     ServoAlert.NO_ANSWER: Advice("the servo does not answer", FaultCode.SERVO_SILENT),
     ServoAlert.WARM: Advice(
         "the motor is warmer than arm.warn_temperature_c",
-        "Relax the arm when it is idle, do not hold it stretched out, and grip with less force.",
+        "Keep the arm relaxed while it is idle, do not hold it stretched out, and grip with less force.",
     ),
     ServoAlert.SLOWED: Advice(
         "the motor is hotter than arm.slow_temperature_c, so motions run at half speed",
-        "Let the servo cool below 55 degrees: relax the arm, and grip or carry less.",
+        "Let the servo cool below 55 degrees, with the arm relaxed; then grip or carry less.",
     ),
     ServoAlert.ANGLE_LIMITS: Advice(
         "the limits in the servo are of another calibration",
@@ -181,7 +181,7 @@ ADVICE: Mapping[ServoAlert, Advice] = {
     ),
     ServoAlert.SEVERAL_TURNS: Advice(
         "the position goes on beyond one turn, and overflows",
-        "Clear bit 4 (value 16) of register 18 (PHASE) with Feetech's FD program, or connect lerobot once: it does.",
+        "Clear bit 4 of register PHASE: armbridge setup --registers does, and so does lerobot when it connects.",
     ),
     ServoAlert.MODEL: Advice(
         "the servo is another one than robot.toml names",

@@ -4,8 +4,6 @@ The changes are drawn by seed from all that cosmic-ray knows, and made in copies
 Printed are the share that is noticed in each room, with its standard error, and every change that no test notices.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

@@ -3,8 +3,6 @@
 ``make test ARGS="--cov --cov-report=json:build/coverage.json"``, then ``python -m tests.room_coverage``.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections import Counter

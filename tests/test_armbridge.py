@@ -1,7 +1,5 @@
 """Packages of other distributions that have the names of armbridge's own are named at the start."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

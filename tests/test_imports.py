@@ -1,7 +1,5 @@
 """The arrows between the rooms: server -> planners -> robot, server -> protocol, and no other."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections import defaultdict

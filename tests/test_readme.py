@@ -1,7 +1,5 @@
 """README: its program is run as it stands, and its length and links are bounded; settings on their page."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Limits of a test of the first ring: no fixed time, no duration, one server a module (docs/architecture.md)."""
 
-from __future__ import annotations
-
 import ast
 import functools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tests follow the folders of the source: each module is reached by the tests of its own folder."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

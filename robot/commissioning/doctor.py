@@ -10,7 +10,7 @@ from robot.calibration import Calibration
 from robot.commissioning.scan import CycleTimes, ScanResult, ServoRegisters, explain_missing
 from robot.description.servo_table import ServoSpec
 from robot.faults import ADVICE, ServoAlert, advise
-from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE, differences
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE, Feetech, differences
 from robot.hardware.feetech.registers import MODELS, Register
 from robot.hardware.interface import status_names
 from robot.messages import GuardLimits
@@ -25,6 +25,7 @@ USUAL_ROUND_TRIP_S = 0.0035
 
 USUAL_LOST_SHARE = 0.01  # single packets get lost on a good arm; one in a hundred is a bad cable
 USUAL_LATENESS_S = 0.004  # a loop that starts later than this in one of a hundred cycles makes motions rough
+LOCKED = 1  # value of register LOCK
 RETURN_DELAY_US = 2  # unit of register RETURN_DELAY [us]
 
 
@@ -62,6 +63,7 @@ def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Cal
             _status(servos),
             _phase(servos),
             _return_delay(servos),
+            _lock(servos),
             _calibration(servos, calibration),
         ]
     return findings
@@ -162,8 +164,15 @@ def _phase(servos: Sequence[ServoRegisters]) -> Finding:
 def _return_delay(servos: Sequence[ServoRegisters]) -> Finding:
     delayed = {servo.servo_id: delay * RETURN_DELAY_US for servo in servos if (delay := servo[Register.RETURN_DELAY])}
     says = ", ".join(f"servo {servo_id}: {delay_us} us" for servo_id, delay_us in delayed.items())
-    remedy = "If the round trip is long, set register 7 (Return_Delay) to 0; lerobot does when it connects."
+    remedy = "armbridge setup --registers sets register RETURN_DELAY to 0; lerobot does so when it connects."
     return _judged("return delay", says, remedy, "0", Verdict.NOTE)
+
+
+def _lock(servos: Sequence[ServoRegisters]) -> Finding:
+    unlocked = [servo.servo_id for servo in servos if servo[Register.LOCK] != LOCKED]
+    says = f"servos {_list(unlocked)} are unlocked, as lerobot leaves them: a value written by mistake stays"
+    remedy = "It does no harm by itself; armbridge setup --registers locks the EPROM."
+    return _judged("EPROM lock", says if unlocked else "", remedy, "the EPROM is locked", Verdict.NOTE)
 
 
 def _calibration(servos: Sequence[ServoRegisters], calibration: Calibration | None) -> Finding:
@@ -173,7 +182,7 @@ def _calibration(servos: Sequence[ServoRegisters], calibration: Calibration | No
         listed = ", ".join(
             f"{each.joint} {each.register.name} {each.in_servo} instead of {each.calibrated}" for each in found
         )
-        remedy = "Was another arm's file named? Else calibrate again: armbridge calibrate --write-servos."
+        remedy = f"Was another arm's file named? {Feetech.recalibrate_advice}."
         return Finding("calibration", Verdict.PROBLEM, f"the servos hold {listed}", remedy)
     warnings = "; ".join(calibration.warnings())
     return _judged("calibration", warnings, "Calibrate again.", "the servos hold what the file says", Verdict.NOTE)
@@ -185,7 +194,7 @@ def _round_trip(times: CycleTimes) -> Finding:
         remedy = "Connect the adapter to the machine itself, without hub or network; see docs/hardware.md."
         return Finding("round trip", Verdict.PROBLEM, says, remedy)
     slow = says if times.round_trip_p50_s > USUAL_ROUND_TRIP_S else ""
-    remedy = "Set the adapter's latency timer to 1 ms; set the servos' return delay (register 7) to 0."
+    remedy = "Set the adapter's latency timer to 1 ms; see return delay."
     return _judged("round trip", slow, remedy, says, Verdict.NOTE)
 
 

@@ -3,8 +3,6 @@
 Usage: python compas_fab_meshes_scenario.py HOST PORT
 """
 
-from __future__ import annotations
-
 import json
 import sys
 

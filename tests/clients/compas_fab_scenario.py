@@ -3,8 +3,6 @@
 Usage: python compas_fab_scenario.py URL, as ws://127.0.0.1:9090/ or, for a robot that runs ROS 1, with ?ros=1
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

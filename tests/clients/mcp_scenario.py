@@ -5,8 +5,6 @@ armbridge-mcp is started as its users' programs start it: a child process that s
 Usage: python mcp_scenario.py ws://HOST:PORT CASE, with the token in ARMBRIDGE_TOKEN
 """
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import json

@@ -1,7 +1,5 @@
 """ROS 2 packages that PyPI lacks, written from the packaged type tables and compiled by rosidl (``make test-ros2``)."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

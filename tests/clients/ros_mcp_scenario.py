@@ -5,8 +5,6 @@ ros-mcp is started as its users' programs start it: a child process that speaks 
 Usage: python ros_mcp_scenario.py PORT FOLDER, with a folder for the pictures that ros-mcp saves
 """
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import io

@@ -3,8 +3,6 @@
 Usage: python roslibpy_scenario.py PORT
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

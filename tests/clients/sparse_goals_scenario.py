@@ -6,8 +6,6 @@ along a line. Goals come without tolerances, headers or options, and answers are
 Usage: python sparse_goals_scenario.py PORT
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

@@ -3,8 +3,6 @@
 It is large and wants an environment of its own: ``make test-clients`` makes it and runs this.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

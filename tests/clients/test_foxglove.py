@@ -1,7 +1,5 @@
 """Foxglove's own readers on the bytes that it subscribes to, and the layout in ``examples/``."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import json

@@ -1,7 +1,5 @@
 """clients/js: the declarations are those of the type tables, and roslib's users can write with them."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """armbridge-mcp, used by the client of the package ``mcp`` over stdio, on a server with the simulated arm."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """clients/ros2: an ordinary ROS 2 node moves the arm through the bridge, on Fast DDS."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

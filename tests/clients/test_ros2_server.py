@@ -1,7 +1,5 @@
 """The connection of clients/ros2, without ROS: what the node sends to a real server, and in which order."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

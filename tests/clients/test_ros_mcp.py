@@ -3,8 +3,6 @@
 It wants an environment of its own: ``make test-clients`` makes it and runs this.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """roslibjs and roslibpy as they are published, two versions of each, against the server with the simulated arm."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

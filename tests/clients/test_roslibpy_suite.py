@@ -4,8 +4,6 @@ They are unchanged but for the port. The other libraries' packages have no tests
 (PyPI) run by scenarios of the same calls, in test_roslib.py and test_compas_fab.py. None of the three speaks raw TCP.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Lab scripts with the least that can be said of a goal, against the server with the simulated arm."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

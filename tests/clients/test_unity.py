@@ -1,7 +1,5 @@
 """clients/unity: its engine-free part moves the arm under Mono, and all of it compiles beside stand-ins for Unity."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """clients/unreal: its engine-free part moves the arm, and all of it compiles beside stand-ins for Unreal."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The wheel as its users get it: with the page as it was built, without its sources, and without Node."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -3,8 +3,6 @@
 ``make release`` names its wheel in WHEEL; else one is built.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import signal

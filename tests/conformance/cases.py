@@ -25,8 +25,6 @@ In what is expected ``"<any>"`` stands for any value, ``"<... words ...>"`` for 
 ``"<hex 0a 0b>"`` for these bytes.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Players of conformance cases on the sockets of a real listener."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from contextlib import AbstractAsyncContextManager

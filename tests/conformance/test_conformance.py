@@ -1,7 +1,5 @@
 """All conformance cases in process, and on sockets a selection that has every feature of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """What compose starts; the engine itself is not needed to read it."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

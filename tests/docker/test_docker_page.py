@@ -1,7 +1,5 @@
 """The commands of docs/install.md: the engine's own words are not run, ours are held against the program."""
 
-from __future__ import annotations
-
 import re
 import shlex
 

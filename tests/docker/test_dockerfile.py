@@ -1,7 +1,5 @@
 """What the image is made of and how it starts, as far as it can be read; ``docker/verify.sh`` builds and tries it."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What the container's engine asks about its health."""
 
-from __future__ import annotations
-
 import ssl
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Taking out of an environment what a running server never loads."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

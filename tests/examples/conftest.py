@@ -1,7 +1,5 @@
 """One server for all examples, whose simulated arm moves as fast as it can, and examples run as people run them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Iterator

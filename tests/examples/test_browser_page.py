@@ -1,7 +1,5 @@
 """The browser's example in Chromium: joint states come, a button moves the arm, STOP stops it."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import re

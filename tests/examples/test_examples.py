@@ -1,7 +1,5 @@
 """Every program in examples/ does with the simulated arm what it says, and ends in order without a server."""
 
-from __future__ import annotations
-
 import ast
 import itertools
 import re

@@ -6,8 +6,6 @@ Each find is cut down to the frames that it needs and saved as a file that the c
 ``coverage run -m tests.fuzz`` counts the lines that sessions reach.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import itertools

@@ -1,7 +1,5 @@
 """Batches of made-up sessions, played and searched for finds."""
 
-from __future__ import annotations
-
 import faulthandler
 import resource
 from collections.abc import Callable

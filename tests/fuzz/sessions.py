@@ -3,8 +3,6 @@
 A session is the bytes that `tests.fuzz.target.run_world` plays: what is found can be kept as a file of the corpus.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

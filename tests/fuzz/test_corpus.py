@@ -1,7 +1,5 @@
 """What fuzzing found, and what it starts from: each input is played once in every test run."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.fuzz.batches import CORPUS, Run, problem_of

@@ -1,7 +1,5 @@
 """Sessions that are made up by chance: they can be made again, nothing is found in them, and what is wrong would be."""
 
-from __future__ import annotations
-
 from random import Random
 
 import pytest

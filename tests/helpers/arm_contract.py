@@ -7,8 +7,6 @@ turn the wrist by ``REACH_RAD`` from where the arm is found, and move the grippe
 Emergency stops hold, and torque is taken off only where nothing falls; at the end the arm holds.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

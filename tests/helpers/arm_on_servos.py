@@ -1,7 +1,5 @@
 """An arm process with its servos, their log and their control socket, for the tests of the server's handle on it."""
 
-from __future__ import annotations
-
 import os
 import signal
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The server's own record of an arm's motion, as the judge of what a page says and does."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

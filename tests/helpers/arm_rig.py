@@ -1,7 +1,5 @@
 """An arm process without the process: the supervisor on emulated servos, driven tick by tick in a time of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """Scripted servos that are well, or whose replies are lost, late, damaged or of others; and reading from them."""
 
-from __future__ import annotations
-
 import contextlib
 import random
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A planner process like the real one, but for requests whose group names a fault, or what racers do."""
 
-from __future__ import annotations
-
 import ctypes
 import dataclasses
 import itertools

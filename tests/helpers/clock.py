@@ -1,7 +1,5 @@
 """Time that a test moves: a clock with timers, and an event loop that never waits."""
 
-from __future__ import annotations
-
 import asyncio
 import selectors
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Cost of a step without a clock: the number of function calls that it makes."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from collections.abc import Callable

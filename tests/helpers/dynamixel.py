@@ -1,7 +1,5 @@
 """Emulated Dynamixel servos of a Koch v1.1 in the test's own process and time, and a supervisor on them."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

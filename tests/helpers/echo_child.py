@@ -4,8 +4,6 @@ Bytes after the word "raw" are sent as they are, whether they are a message or n
 logged.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 

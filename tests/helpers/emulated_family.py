@@ -1,7 +1,5 @@
 """Emulated servos of both families, for tests of what they do alike."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

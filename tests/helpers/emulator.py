@@ -1,7 +1,5 @@
 """Emulated servos in the test's own process, in a time that the test or the bus moves on, and requests to them."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

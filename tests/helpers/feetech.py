@@ -1,7 +1,5 @@
 """Hardware on emulated servos of Feetech, in the test's own process and time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from robot.hardware.feetech.family import Feetech

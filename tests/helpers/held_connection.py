@@ -1,7 +1,5 @@
 """Connection whose pongs a test gives, for clients that publish."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Awaitable

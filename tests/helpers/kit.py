@@ -1,7 +1,5 @@
 """A new kit: six servos as the factory makes them, of which any may be plugged in."""
 
-from __future__ import annotations
-
 from robot.commissioning.setup import ServoLine
 from robot.emulator.feetech import FeetechServo
 from robot.hardware.feetech.bus import Bus

@@ -1,7 +1,5 @@
 """Complete messages of any type: made up from a seed, and read back from CDR."""
 
-from __future__ import annotations
-
 import base64
 import random
 import struct

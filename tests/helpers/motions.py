@@ -1,7 +1,5 @@
 """Motions of the built-in arm: trajectories made without a planner, and requests to planner processes."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Clients of other people: programs in interpreters of their own."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Clients of raw TCP: sockets that send operations one behind the other, and cut what comes into frames."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import io

@@ -1,7 +1,5 @@
 """The SO-101, one with a mesh more, and an arm with seven joints."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Rules of the names that a server offers and listens to, for tests of a graph without the server's parts."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 from concurrent.futures import ThreadPoolExecutor

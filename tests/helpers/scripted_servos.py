@@ -1,7 +1,5 @@
 """Servos that follow a script, byte by byte: a second opinion on the bus, which shares no model with the emulator."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """What differs between the families of servos, for tests of what servos of every family do alike."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Fixtures: emulated servos in the test's own time or as a process, and a scripted peer."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path

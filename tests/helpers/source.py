@@ -1,7 +1,5 @@
 """The modules of the program and of its tests as text: what they import, and what they say."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import re

@@ -3,8 +3,6 @@
 The parts are the real ones, in stepped time; the arm is one that a test chooses.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Coroutine
 from contextvars import Context

@@ -1,7 +1,5 @@
 """A made-up arm whose links are STL meshes: four joints, brackets with hollows, and a gripper of two fingers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Systemd's end of the notification socket."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

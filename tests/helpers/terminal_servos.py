@@ -1,7 +1,5 @@
 """A peer on a pseudo terminal that answers by a script, in real time."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

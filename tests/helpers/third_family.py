@@ -1,7 +1,5 @@
 """Third family of servos, as someone would add one: its registers, its packets, its few methods; and such servos."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from scservo_sdk import INST_READ, INST_SYNC_READ, INST_SYNC_WRITE

@@ -3,8 +3,6 @@
 lerobot needs torch, and an environment of its own: ``make test-lerobot`` makes it and runs this.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """One browser, with a tab a module; tests are skipped, with the reason, where there is no browser or no built page."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The panels are looked at in both colour schemes, on a desktop and a phone, in English and German.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

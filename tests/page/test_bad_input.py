@@ -1,7 +1,5 @@
 """Behaviour of the page on messages that no good server sends, put into the connection on their way."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Cameras: pictures of any client as tiles, asked for only while they are seen."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Calibration and verification played on the page from the first question to the result, by a hand at the emulator."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path

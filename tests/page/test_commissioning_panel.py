@@ -1,7 +1,5 @@
 """The panel that calibrates and verifies, with states and answers put into the connection on their way."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Confirm mode on the page: a goal of another client waits until a person confirms or discards it."""
 
-from __future__ import annotations
-
 import json
 import time
 

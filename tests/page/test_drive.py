@@ -1,7 +1,5 @@
 """Driving the emulated arm by hand: buttons, keys, gamepad and pads; each moves it, and letting go stops it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """The first minute with the page: a motion at one click, a fault with its remedy, and nothing that cannot be done."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

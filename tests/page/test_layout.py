@@ -1,7 +1,5 @@
 """The page at every size, in both languages: nothing cut off, nothing on top of another, and the picture first."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The picture of the page: shadow, framing, reach, handles beside the gripper, and no frame without need."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Iterator

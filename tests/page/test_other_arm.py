@@ -1,7 +1,5 @@
 """The page with another arm: a lift and six joints that turn, two groups, and a gripper of two fingers."""
 
-from __future__ import annotations
-
 import functools
 import math
 import re

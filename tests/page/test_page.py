@@ -1,7 +1,5 @@
 """What a person does with the page, on the emulated arm: look, plan, move, stop."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

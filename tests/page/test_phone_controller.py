@@ -1,7 +1,5 @@
 """A phone as a controller of the emulated arm: by its tilt and by WebXR; and the code that brings the page to it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Pictures of the page for the documentation: ``make pictures`` copies them to docs/pictures."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Iterator

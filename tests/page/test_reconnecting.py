@@ -1,7 +1,5 @@
 """A server that goes away and comes back."""
 
-from __future__ import annotations
-
 import signal
 
 from playwright.sync_api import Browser

@@ -1,7 +1,5 @@
 """The panel Sequence: waypoints are added, checked while they are edited, played, kept by name, and exported."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The list of servos, and the details of one."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 
@@ -69,7 +67,7 @@ def test_a_warm_servo_says_so_and_what_to_do_with_what_happened_before_the_page_
         page.open_panel("arm", "servos")
         page.part("servo-open-elbow_flex").click()
         page.until_text("servo-events", "warning: warm")
-        page.until_text("servo-advice", "Relax the arm when it is idle")
+        page.until_text("servo-advice", "Keep the arm relaxed while it is idle")
         assert page.part("servo-elbow_flex").get_attribute("data-level") == "warn"
         page.shot("servo_warm")
         assert page.errors == []

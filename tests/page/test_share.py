@@ -1,7 +1,5 @@
 """What is shown to others: a page that may only look, and a film of the last seconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from playwright.sync_api import Browser

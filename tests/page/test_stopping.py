@@ -1,7 +1,5 @@
 """A stop ends what is driven by hand, whatever is held and whoever stops; the server's record is the judge."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

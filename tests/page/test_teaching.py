@@ -1,7 +1,5 @@
 """Motions shown by hand on the page: recorded, listed, replayed, cut, renamed and deleted, on the emulated arm."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """What happened over time: plots, the timeline of goals, the log, and the health of bus and loop."""
 
-from __future__ import annotations
-
 import csv
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """What the page offers can be done, and what it says is so: its plans, refusals, panels and what it has stored."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The page where others drive, and where not everybody may."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from urllib.parse import quote

@@ -1,7 +1,5 @@
 """The panel World: what is added there stands in the arm's way, is held, comes back, and shows where the arm can be."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

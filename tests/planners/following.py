@@ -1,7 +1,5 @@
 """Paths of the tip for the SO-101, from anywhere to nearby."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Invariants of every motion, for any request."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planners.geometry.collision import DEPTH_ACCURACY_M

@@ -1,7 +1,5 @@
 """Refusals of requests, as values."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Surroundings for tests of collisions."""
 
-from __future__ import annotations
-
 from itertools import count
 
 import numpy as np

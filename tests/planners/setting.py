@@ -1,7 +1,5 @@
 """A planner, and what its plans are judged by."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planners.geometry.kinematics import ForwardKinematics

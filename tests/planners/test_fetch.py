@@ -1,7 +1,5 @@
 """The Fetch as it is shipped: its description, and pose goals with orientation for seven and eight joints."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The plans of the shared problems before an independent judge with the official meshes, and the judge itself."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

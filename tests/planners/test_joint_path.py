@@ -1,7 +1,5 @@
 """Paths of the joints that are given: their timing, their limits, and what is in their way."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

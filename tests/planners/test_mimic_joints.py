@@ -1,7 +1,5 @@
 """Joints that follow others, at the wrist and at the fingers of an arm."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Goals of published arms, with joints that mimic, arms on a torso, and meshes in three formats."""
 
-from __future__ import annotations
-
 import time
 from importlib import metadata
 

@@ -1,7 +1,5 @@
 """Rules of a race for one plan. The races of a pool are in test_pool.py."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 

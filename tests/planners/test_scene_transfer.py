@@ -1,7 +1,5 @@
 """Scenes in parts: what is sent, and what the receiver makes of it."""
 
-from __future__ import annotations
-
 import asyncio
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Motions of one of two arms while the other one sags onto itself."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

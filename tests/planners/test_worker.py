@@ -1,7 +1,5 @@
 """The planner process's own part: what it takes, what it answers, and what it loads."""
 
-from __future__ import annotations
-
 import dataclasses
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Handle on one planner process: deadlines, and what goes over its channel."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Any

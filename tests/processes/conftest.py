@@ -1,7 +1,5 @@
 """Servers of several arms, and a notifier of systemd."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Each round requests a motion, injects a fault, and then requests a motion that m
 without a fault; a fault may cost one motion, not two. Ends with a table, or with the first round that broke the pool.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import os

@@ -1,7 +1,5 @@
 """A few seeds of the fault campaign, one for each kind of trouble that is cheap; ``make campaign`` runs them all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What compas_fab 2.0.1 said on the wire in a session of scene, kinematics and planning, frame by frame, said again."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Programs, commands and messages of the docs, run against a server and sent to it."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The whole path, from a client's frame to the servos and back, on the command that ``make run`` starts."""
 
-from __future__ import annotations
-
 import asyncio
 import http.client
 import itertools

@@ -1,7 +1,5 @@
 """A laboratory's program for a Fetch, as it was written for rosbridge and MoveIt of ROS 1, on the simulated arm."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json

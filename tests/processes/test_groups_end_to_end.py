@@ -1,7 +1,5 @@
 """Arms with several planning groups, served and moved over a real socket: a column with fingers, and a pair of arms."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Processor time of reading frames that are made to take long."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

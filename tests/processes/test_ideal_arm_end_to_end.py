@@ -1,7 +1,5 @@
 """An arm of anybody's, by its URDF and SRDF alone: served, told of, and moved over a real socket."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A simulated Koch v1.1: its emulated Dynamixel servos are driven by goals over a real socket."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Iterator
 
 import pytest

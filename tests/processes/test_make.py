@@ -1,7 +1,5 @@
 """``make run`` on a machine that lacks something: a sentence, and nothing half made."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

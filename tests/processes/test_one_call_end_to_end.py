@@ -1,7 +1,5 @@
 """Clients that know services and actions alone, and clients of ROS 1, on a running server with the simulated arm."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import struct

@@ -1,7 +1,5 @@
 """Arms as others publish them, served and moved over a real socket: Panda and UR5, whose poses are whole ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

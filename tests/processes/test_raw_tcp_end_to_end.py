@@ -1,7 +1,5 @@
 """A client in C, without any library, moves the simulated arm over raw TCP."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

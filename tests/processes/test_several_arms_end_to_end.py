@@ -1,7 +1,5 @@
 """Two arms in one server, each on its emulated bus: by name, together, past each other, and with a fault in one."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

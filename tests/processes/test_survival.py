@@ -1,7 +1,5 @@
 """Survival of everything else when a process dies or hangs, at the start, in the middle and at the end."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

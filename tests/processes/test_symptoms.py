@@ -3,8 +3,6 @@
 The page is read by these tests: a sentence that the program does not say fails here. ``TRAPS.md`` lists all of them.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterator

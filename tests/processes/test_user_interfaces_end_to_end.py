@@ -1,7 +1,5 @@
 """Types of a user's own packages in a running server: from the option to the wire, the recording and the replay."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

@@ -1,7 +1,5 @@
 """Two servers in processes of their own, a machine that speaks as rmw_zenoh does, and one that stops reading."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

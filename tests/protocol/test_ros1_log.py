@@ -1,7 +1,5 @@
 """Log records of both generations."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

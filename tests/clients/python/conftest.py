@@ -1,7 +1,5 @@
 """A server whose simulated arm moves as fast as its limits allow, and the client of the Python package."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

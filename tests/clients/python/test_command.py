@@ -1,7 +1,5 @@
 """The command ``python -m armbridge_client`` shows, moves, watches and stops the simulated arm."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

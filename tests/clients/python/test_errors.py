@@ -1,7 +1,5 @@
 """Each way in which a connection fails has an exception of its own, whose text says what to do."""
 
-from __future__ import annotations
-
 import asyncio
 import http.server
 import json

@@ -1,7 +1,5 @@
 """A stop by a thread, a signal, a deadline, a lost server and the end of a program: each brakes the motion."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """The client's message types are the server's."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The Python client moves the simulated arm, plans, grips, and reports why not."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """The Python client changes the scene, saves states, teaches and replays, steers, confirms and shares control."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import threading

@@ -1,7 +1,5 @@
 """Two arms of one server over one connection, each by its name."""
 
-from __future__ import annotations
-
 import pytest
 
 from armbridge_client import ArmError, GoalRefused, connect, pose

@@ -1,7 +1,5 @@
 """The wheel of the client in an empty environment of each Python that this machine has, 3.10 the oldest."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A made-up arm of STL meshes, and the folder that the assistant makes of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What works in place of paths that cannot be followed to their end."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Paths on which UR5's tip turns, judged by the one path of its six joints: exact inverse kinematics, step by step."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import coal
 import numpy as np
 import pinocchio as pin

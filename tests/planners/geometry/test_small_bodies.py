@@ -1,7 +1,5 @@
 """Bodies smaller than a link is thick, inside its material and just outside of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Steers an arm that exists in numbers only: a real planner, and the arm's own tracking of velocities."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sticks moved at random above a table, whose distance is kept whatever the other joints do."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import replace

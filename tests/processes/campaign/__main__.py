@@ -1,7 +1,5 @@
 """``python -m tests.processes.campaign``: run seeds, print a table and every seed with a violation."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import multiprocessing

@@ -1,7 +1,5 @@
 """Run of the arm process alone: motions one after the other, with the scenario's faults."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

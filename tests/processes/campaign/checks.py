@@ -1,7 +1,5 @@
 """Invariants of every run: each check returns one sentence per violation."""
 
-from __future__ import annotations
-
 import bisect
 import itertools
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The emulated bus of one run: a process with live commands, and its log of every write."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

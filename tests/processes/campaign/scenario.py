@@ -1,7 +1,5 @@
 """Scenario of one run of the campaign, drawn from its seed, and the result of the run."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Run of the whole server, which is killed or hangs during a motion."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 import signal

@@ -1,7 +1,5 @@
 """Batches planned by the workers of Dask clusters, each a scheduler and workers on this machine."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Real planner processes of a pool: their faults, their hangs, and cores that others want."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import os

@@ -1,7 +1,5 @@
 """The server's handle on an arm process that is killed, hangs, starves, is started again or ends."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import itertools

@@ -1,7 +1,5 @@
 """The contract of an arm on every kind of arm, and that its process may be killed or closed."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import AsyncIterator

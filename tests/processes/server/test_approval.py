@@ -1,7 +1,5 @@
 """Goals of a client that may only propose: a person's client approves or discards them; nothing else moves the arm."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator, Iterator

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from harness.server import ROOT
 from robot.commissioning.doctor import Verdict, judge_cycles, judge_long_reads, judge_scan
 from robot.commissioning.scan import CycleTimes, ScanResult, ServoRegisters
 from robot.hardware.feetech.registers import Register
@@ -22,6 +23,7 @@ SOUND = {
     Register.PRESENT_VOLTAGE: 50,
     Register.PRESENT_TEMPERATURE: 32,
     Register.STATUS: 0,
+    Register.LOCK: 1,
 }
 TIMES = CycleTimes(300, 0.002, 0.0021, 0.0003, 0, 1800)
 
@@ -66,6 +68,7 @@ def test_an_arm_that_is_well_is_good_in_everything():
         ),
         ({Register.PHASE: 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count"),
         ({Register.RETURN_DELAY: 250}, "return delay", Verdict.NOTE, "servo 3: 500 us"),
+        ({Register.LOCK: 0}, "EPROM lock", Verdict.NOTE, "servos 3 are unlocked"),
         ({Register.HOMING_OFFSET: 5}, "calibration", Verdict.PROBLEM, "elbow_flex HOMING_OFFSET 5 instead of 0"),
     ],
 )
@@ -109,3 +112,18 @@ def test_servos_that_do_not_answer_long_reads_are_named():
     bad = judge_long_reads(56, 31, [2, 5])
     assert bad.verdict is Verdict.PROBLEM
     assert "servos 2, 5 do not answer a read of registers 56 to 86" in bad.says
+
+
+@pytest.mark.parametrize(
+    ("changes", "check", "command"),
+    [
+        ({Register.HOMING_OFFSET: 5}, "calibration", "armbridge calibrate NAME --write-back"),
+        ({Register.PHASE: 28}, "phase bit 4", "armbridge setup --registers"),
+        ({Register.RETURN_DELAY: 250}, "return delay", "armbridge setup --registers"),
+        ({Register.OPERATING_MODE: 3}, "model and mode", "armbridge setup --registers"),
+        ({Register.LOCK: 0}, "EPROM lock", "armbridge setup --registers"),
+    ],
+)
+def test_a_remedy_is_the_command_that_the_documentation_names(changes, check, command):
+    assert command in findings(changes)[check].remedy
+    assert command in (ROOT / "docs/troubleshooting.md").read_text() + (ROOT / "docs/arm.md").read_text()

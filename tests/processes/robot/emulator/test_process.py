@@ -1,7 +1,5 @@
 """Emulated servos as a process of their own, on a pseudo terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import subprocess

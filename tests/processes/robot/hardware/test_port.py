@@ -1,7 +1,5 @@
 """Waits of a serial port, in real time; tests/robot has all else about it."""
 
-from __future__ import annotations
-
 import os
 import pty
 import time

@@ -1,7 +1,5 @@
 """Commissioning by a client, on the emulated arm: the sweep of a hand, the new start, and the comparison of poses."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager

@@ -1,7 +1,5 @@
 """The ends of a server whose arm is to be parked, by the servos' log."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import re

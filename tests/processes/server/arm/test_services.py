@@ -1,7 +1,5 @@
 """An arm that starts relaxed, ends relaxed, and whose process is killed."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

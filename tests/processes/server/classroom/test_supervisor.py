@@ -1,7 +1,5 @@
 """The supervisor in a process of its own, which it needs: it forks, and lives by signals."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal

@@ -1,7 +1,5 @@
 """A classroom as a teacher starts it, on real sockets: three servers, one host of planners, one Ctrl-C."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import os

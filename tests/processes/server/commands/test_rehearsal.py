@@ -1,7 +1,5 @@
 """The walk of docs/simulation.md on a pseudo terminal: a hand sweeps the emulated arm, and calibrate records it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from contextlib import AbstractContextManager

@@ -1,7 +1,5 @@
 """From a running server with its arm, a camera of a client and marked episodes to a dataset."""
 
-from __future__ import annotations
-
 import base64
 import json
 from pathlib import Path

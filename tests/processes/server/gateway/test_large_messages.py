@@ -1,7 +1,5 @@
 """Large messages over real sockets, in real time."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

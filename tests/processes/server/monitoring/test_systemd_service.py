@@ -1,7 +1,5 @@
 """A server under systemd: its notifications, signals and log."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

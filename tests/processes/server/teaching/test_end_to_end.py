@@ -1,7 +1,5 @@
 """Teaching by hand on the emulated arm, and replays of what was taught."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager

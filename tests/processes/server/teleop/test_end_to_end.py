@@ -1,7 +1,5 @@
 """A follower on its emulated bus follows an arm that a hand leads, and a client's topic, and ends well."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import AsyncIterator, Iterator

@@ -1,7 +1,5 @@
 """Faults on either bus while an arm follows, drawn by seed: no jump of the follower, and one end that is told."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Iterator
 from pathlib import Path

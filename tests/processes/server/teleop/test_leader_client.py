@@ -1,7 +1,5 @@
 """A leader at another machine, and a follower of it over a real socket."""
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Two followers of one leader: each has its own beginning, clutch and end."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The bus on a pseudo terminal, in real time; tests/robot has it on a line in a time of its own."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest

@@ -1,7 +1,5 @@
 """The scene of a server that was ended or killed is there at its next start."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A stick on the wire: its commands expire by the clocks of client and server."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

@@ -78,7 +78,7 @@ class HttpGoals:
             identity=posted.identity,
             address=posted.address,
         )
-        authorizer = self._access.authorizer(node, self._graph)
+        authorizer = Authorizer(node, self._access, self._graph)
         answered: asyncio.Future[HttpResponse] = asyncio.get_running_loop().create_future()
 
         def answer(response: HttpResponse) -> None:

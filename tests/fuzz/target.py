@@ -22,10 +22,9 @@ from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.gateway.client import AuthContext, Client
-from server.gateway.client_context import ClientContext
-from server.gateway.inbox import Scheduling
-from server.gateway.turns import Turns, encode_or_log
+from server.gateway.client import Client
+from server.gateway.client_context import ClientContext, Gateway
+from server.gateway.turns import Scheduling, Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, Identity, Role
 from server.graph.topics import Graph
@@ -93,18 +92,17 @@ class World:
             }
         )
         self.access = Access(settings, self.clock, self.clock, lambda: None)
-        self.throttle = AuthThrottle(self.clock)
-        self.scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
+        scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
+        self.gateway = Gateway(self.graph, self.access, AuthThrottle(self.clock), scheduling)
+        self.sockets: dict[int, UnreadSocket] = {}
         self.clients = [self._enter(number) for number in range(len(CLIENTS))]
-        self.disconnected: set[int] = set()
 
     def _enter(self, number: int) -> Client:
         name, identity = CLIENTS[number]
         node = Node(name, remote=True, identity=identity)
         session = Session(LIMITS, "ros1" if name == ROS1 else "ros2")
-        auth = AuthContext(self.access, name, self.throttle, disconnect=lambda _reason: self.disconnected.add(number))
-        context = ClientContext(node, self.graph, session, self.clock, lambda: None)
-        return Client(context, auth, self.scheduling, UnreadSocket())
+        socket = self.sockets[number] = UnreadSocket(name)
+        return Client(ClientContext(node, session, self.gateway, socket, socket))
 
     def receive(self, control: int, frame: bytes) -> None:
         """Give one client one frame, and what follows from it."""
@@ -116,12 +114,10 @@ class World:
                 encode_or_log(encoded)
         if control & FLUSH:
             self._flush(number, len(frame))
-        for left in self.disconnected | {
-            number for number, client in enumerate(self.clients) if client.session.send_queue.overflowed
-        }:
-            self.clients[left].leave()
-            self.clients[left] = self._enter(left)
-        self.disconnected.clear()
+        for left, client in enumerate(self.clients):
+            if self.sockets[left].closed is not None or client.session.send_queue.overflowed:
+                client.leave()
+                self.clients[left] = self._enter(left)
 
     def _flush(self, number: int, received_bytes: int) -> None:
         """Have one client read what is due."""

@@ -286,7 +286,7 @@ class PlannerPool(Planners):
 
     async def _answer(self, request: Request, scene: Scene) -> Answer:
         # Where nothing waits for a motion, the workers that are idle stay so for what comes.
-        if not self._racing or not isinstance(request, PlanningProblem) or asyncio.current_task() in self._background:
+        if not self._racing or not isinstance(request, PlanningProblem):
             return await self._have_answered(request, scene)
         race = Race(request)
         self._races.append(race)

@@ -26,6 +26,7 @@ from server.features.arms import (
     ArmControl,
     CommissioningOfArms,
     Following,
+    PolicyChunks,
     Restart,
     TaughtMotions,
     resumed,
@@ -149,6 +150,7 @@ class App:
             GoalQueueing(context),
             Servo(context),
             Following(context),
+            PolicyChunks(context),
         )
         # In the order of their start. They stop in reverse: goals and the arm first, which is brought to its end state;
         # then the clients; then what nothing needs any more.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from ruckig import InputParameter, Ruckig, Synchronization
+from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as Profile
 
 from robot.description.model import RobotModel
@@ -26,7 +26,10 @@ WINDOWS = (0, 3, 5, 9, 17, 33)
 # Share of the acceleration limit that averaged targets may use: the rest closes the way to them.
 ACCELERATION_SHARE = 0.7
 
-ROOM_SHARE = 0.99  # for rounding
+# A distance from the targets shrinks to a third in this time [s], and never faster than with this share of the
+# acceleration limit.
+CLOSING_S = 0.06
+CLOSING_SHARE = 0.5
 
 # The arm brakes towards the last target so much earlier than a joint at full braking would have to [s].
 BRAKES_EARLIER_S = 0.04
@@ -124,9 +127,7 @@ class MotionLimits:
         )
 
 
-def follow(
-    targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, limits: MotionLimits
-) -> Trajectory:
+def follow(targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, limits: MotionLimits) -> Trajectory:
     """Return the motion that follows targets within limits from a state of the joints, and comes to rest at the last.
 
     The targets are averaged over the shortest window with which they keep the limits, without a delay; the motion comes
@@ -137,12 +138,11 @@ def follow(
         at_s: time of the start, before the last target [s].
     """
     names, count = targets.joint_names, max(math.ceil((targets.end_s - at_s) / SAMPLE_S), 0)
-    positions, velocities, accelerations = _averaged(targets, at_s, count, limits)
+    positions, velocities = _averaged(targets, at_s, count, limits)
     brakes = _braking_sample(velocities, limits)
     states = [start]
-    for sample in range(1, brakes + 1):
-        goal = positions[sample], velocities[sample], accelerations[sample]
-        states.append(_towards(states[-1], goal, limits))
+    for sample in range(brakes):
+        states.append(_towards(states[-1], (positions[sample], velocities[sample + 1]), limits))
     tail = bridge(
         names,
         states[-1],
@@ -163,14 +163,14 @@ def deviation_rad(targets: Targets, motion: Trajectory, at_s: float) -> Vector:
     return greatest
 
 
-def _averaged(targets: Targets, at_s: float, count: int, limits: MotionLimits) -> tuple[Vector, Vector, Vector]:
-    """Return positions, velocities and accelerations of averaged targets, each of shape (count + 1, joints)."""
+def _averaged(targets: Targets, at_s: float, count: int, limits: MotionLimits) -> tuple[Vector, Vector]:
+    """Return positions and velocities of averaged targets, each of shape (count + 1, joints)."""
     margin = 2 * (WINDOWS[-1] // 2) + 2
-    sampled = targets.at(at_s + SAMPLE_S * np.arange(-margin, count + 1))
-    # Beyond the last target the joints go on as they came: the motion brakes before it.
-    mirrored = 2.0 * sampled[-1] - sampled[-2 : -2 - min(margin, len(sampled) - 1) : -1]
-    mirrored = np.vstack((mirrored, np.repeat(mirrored[-1:], margin - len(mirrored), axis=0)))
-    sampled = np.vstack((sampled, mirrored))
+    past = min(margin, max(math.floor((at_s - float(targets.time_s[0])) / SAMPLE_S), 0))
+    sampled = targets.at(at_s + SAMPLE_S * np.arange(-past, count + 1, dtype=np.float64))
+    # Before the first target and beyond the last the joints go on as they come there: the motion itself begins and
+    # brakes within the limits.
+    sampled = np.pad(sampled, ((margin - past, margin), (0, 0)), mode="reflect", reflect_type="odd")
     inside = slice(margin, margin + count + 1)
     for window in WINDOWS:
         positions = sampled
@@ -179,19 +179,15 @@ def _averaged(targets: Targets, at_s: float, count: int, limits: MotionLimits) -
             positions = np.stack([np.convolve(column, kernel, mode="same") for column in sampled.T], axis=-1)
         velocities = np.gradient(positions, SAMPLE_S, axis=0)
         accelerations = np.gradient(velocities, SAMPLE_S, axis=0)
-        kept = positions[inside], velocities[inside], accelerations[inside]
+        kept = positions[inside], velocities[inside]
         jerks = np.diff(accelerations[inside.start - 1 : inside.stop], axis=0) / SAMPLE_S
         if (
             (np.abs(kept[1]) <= limits.velocity).all()
-            and (np.abs(kept[2]) <= ACCELERATION_SHARE * limits.acceleration).all()
+            and (np.abs(accelerations[inside]) <= ACCELERATION_SHARE * limits.acceleration).all()
             and (np.abs(jerks) <= limits.jerk).all()
         ):
             break
-    velocity = np.clip(kept[1], -limits.velocity, limits.velocity)
-    # A joint near its greatest velocity must be able to end its acceleration before it exceeds that.
-    room = np.sqrt(2.0 * limits.jerk * (limits.velocity - np.abs(velocity)))
-    strongest = np.minimum(ACCELERATION_SHARE * limits.acceleration, ROOM_SHARE * room)
-    return kept[0], velocity, np.clip(kept[2], -strongest, strongest)
+    return kept
 
 
 def _braking_sample(velocities: Vector, limits: MotionLimits) -> int:
@@ -202,19 +198,20 @@ def _braking_sample(velocities: Vector, limits: MotionLimits) -> int:
 
 
 def _towards(
-    state: tuple[Vector, Vector, Vector], goal: tuple[Vector, Vector, Vector], limits: MotionLimits
+    state: tuple[Vector, Vector, Vector], target: tuple[Vector, Vector], limits: MotionLimits
 ) -> tuple[Vector, Vector, Vector]:
-    """Return the state a sample later of joints that come to a state as fast as the limits allow."""
-    joints = len(state[0])
+    """Return the state a sample later of joints that follow a target: its position now, its velocity a sample later."""
+    joints, (position, velocity, acceleration) = len(state[0]), state
+    error = target[0] - position
+    braking = np.sqrt(2.0 * CLOSING_SHARE * limits.acceleration * np.abs(error))
+    closing = np.copysign(np.minimum(np.abs(error) / CLOSING_S, braking), error)
     given, profile = InputParameter(joints), Profile(joints)
-    given.current_position, given.current_velocity, acceleration = (each.tolist() for each in state)
-    strongest = limits.acceleration.tolist()
+    given.per_dof_control_interface = [ControlInterface.Velocity] * joints
+    given.per_dof_synchronization = [Synchronization.No] * joints
+    given.current_position, given.current_velocity = position.tolist(), velocity.tolist()
     given.current_acceleration = np.clip(acceleration, -limits.acceleration, limits.acceleration).tolist()
-    given.target_position, given.target_velocity, given.target_acceleration = (each.tolist() for each in goal)
-    # A joint may be faster already: the limits may have changed since.
-    given.max_velocity = np.maximum(limits.velocity, np.abs(state[1])).tolist()
-    given.max_acceleration, given.max_jerk = strongest, limits.jerk.tolist()
-    given.synchronization = Synchronization.No
+    given.target_velocity = np.clip(target[1] + closing, -limits.velocity, limits.velocity).tolist()
+    given.max_acceleration, given.max_jerk = limits.acceleration.tolist(), limits.jerk.tolist()
     Ruckig(joints).calculate(given, profile)
-    position, velocity, acceleration = profile.at_time(SAMPLE_S)
-    return np.array(position), np.array(velocity), np.array(acceleration)
+    position, velocity, acceleration = map(np.array, profile.at_time(SAMPLE_S))
+    return position, velocity, acceleration

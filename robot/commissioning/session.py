@@ -249,7 +249,7 @@ class CalibrationSession:
     """Calibration of one arm, from holding it to writing; with ``recentre`` its servos get new homing offsets."""
 
     def __init__(self, servos: Sequence[ServoSpec], motions: Mapping[str, AskedMotion], *, recentre: bool) -> None:
-        self._servos = tuple(servos)
+        self.servos = tuple(servos)
         self._motions = motions
         self.recentre = recentre
         self._sweep: Sweep | None = None
@@ -275,16 +275,16 @@ class CalibrationSession:
         if self.step.name == HOLD or self._sweep is None:
             return 0.0
         if self.step.name == SWEEP:
-            return _SWEPT * sum(each.done for each in self.ranges()) / len(self._servos)
+            return _SWEPT * sum(each.done for each in self.ranges()) / len(self.servos)
         if self.step.name == WRITE:
             return _WRITING
         left = len(self._to_show) + len(self._to_ask)
-        return _WRITING - (_WRITING - _SWEPT) * left / (2 * len(self._servos))
+        return _WRITING - (_WRITING - _SWEPT) * left / (2 * len(self.servos))
 
     def ranges(self) -> tuple[SweptRange, ...]:
         """Return the range of each joint; none before the sweep."""
         sweep = self._sweep
-        return () if sweep is None else tuple(self._range(servo, sweep) for servo in self._servos)
+        return () if sweep is None else tuple(self._range(servo, sweep) for servo in self.servos)
 
     def _range(self, servo: ServoSpec, sweep: Sweep) -> SweptRange:
         servo_id, width = servo.servo_id, expected_width(servo)
@@ -310,7 +310,7 @@ class CalibrationSession:
         self.findings, self.calibration = [], None
         self.to_mend = []
         self._middles, self._drive_modes = {}, {}
-        free = ", ".join(spoken(servo.joint) for servo in self._servos if servo.turns_freely)
+        free = ", ".join(spoken(servo.joint) for servo in self.servos if servo.turns_freely)
         also = f" {free.capitalize()} may have no stops: turn it as far as it goes, a turn at most." if free else ""
         self.step = Step(
             SWEEP,
@@ -367,13 +367,13 @@ class CalibrationSession:
                 f"did not meet both stops ({listed}): move on, or answer {AS_IT_IS!r} where something is in the way",
             )
         # Refuses what no motion for directions could mend.
-        calibrate(self._servos, self._measured(assumed=True), recentre=self.recentre)
+        calibrate(self.servos, self._measured(assumed=True), recentre=self.recentre)
         for each in short:
             self.findings.append(
                 f"{each.joint} covered {each.note} only: its zero is wrong by half of the missing part"
             )
-        self._to_show = [servo for servo in self._servos if needs_middle(servo, self._swept)]
-        self._to_ask = [servo for servo in self._servos if servo.joint in self._motions]
+        self._to_show = [servo for servo in self.servos if needs_middle(servo, self._swept)]
+        self._to_ask = [servo for servo in self.servos if servo.joint in self._motions]
         self._next()
 
     def _measured(self, *, assumed: bool = False) -> Swept:
@@ -427,7 +427,7 @@ class CalibrationSession:
         elif self._to_ask:
             self._ask_direction(self._to_ask[0])
         else:
-            self.calibration = calibrate(self._servos, self._measured(), recentre=self.recentre)
+            self.calibration = calibrate(self.servos, self._measured(), recentre=self.recentre)
             question = "Write the calibration to its file? The servos stay as they are."
             if self.recentre:
                 question = "Write the calibration to the servos and to its file?"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -39,7 +40,7 @@ def feature(path: str, app: App, monkeypatch: pytest.MonkeyPatch) -> Any:
 def called(app: App, service: str) -> dict[str, Any]:
     """Return the values of a service's response to a client."""
     world = InProcess()
-    world.graph, world.access = app.graph, app._context.access
+    world._gateway = replace(world._gateway, graph=app.graph, access=app._context.access)
     world.say("client", op="call_service", service=service, id="1")
     (response,) = world.heard("client")
     values: dict[str, Any] = response["values"]

@@ -1,7 +1,7 @@
 """The door for action chunks: the topic and the action ``/arm/chunks``, and the answers to chunks.
 
 A chunk is the joint targets that a learned policy sends for the next second or so. Its motion is checked whole before
-it begins, is followed as far as it is free, and takes the place of the chunk before it without a stop.
+it begins, is followed up to the first contact, and takes the place of the chunk before it without a stop.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def _invalid(message: str) -> RefusedError:
 
 
 class ChunkMotion:
-    """Motion of the arm's joints of a chunk, from targets that are blended with those of the chunk before.
+    """Motion of the arm's joints of a chunk, from targets that are blended with the targets of the chunk before.
 
     Attributes:
         made: number of motions that were made: one, and one more for each cut.

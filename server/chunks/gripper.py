@@ -1,4 +1,4 @@
-"""Following of the targets of a gripper, which chunks have beside those of the arm; a finger that stalls grips."""
+"""Following of the targets of a gripper, which chunks have beside the arm's targets; a finger that stalls grips."""
 
 from __future__ import annotations
 

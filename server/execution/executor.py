@@ -274,7 +274,7 @@ class GoalExecutor:
         return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
 
     async def _play_given(self, goal: Goal, motion: ExternalTrajectory) -> Answer:
-        """Play a trajectory; one that may be cut is followed as far as it is free."""
+        """Play a trajectory, up to a first contact where it may be cut."""
         while True:
             answer = await _answered(self._play_external(goal, motion))
             if goal.reason or motion.cut is None or (shorter := motion.cut(answer.details)) is None:

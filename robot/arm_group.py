@@ -19,10 +19,10 @@ from robot.arm import Arm, ArmClock, ArmStream
 from robot.calibration import Calibration
 from robot.errors import OrderRefused
 from robot.faults import Fault
-from robot.hardware.interface import BusCounters
 from robot.messages import (
     ArmHealth,
     ArmState,
+    BusCounters,
     ChangePace,
     CommandDone,
     Mode,

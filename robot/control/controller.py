@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot.control.checks import names_refusal, refusal
-from robot.control.guards import Guards, Persistence, Temperatures
+from robot.control.guards import Guards, Persistence
 from robot.control.motion import Motion, Streaming, splice, splice_refusal
 from robot.control.pacing import MAX_TICK_S
 from robot.description.limits import JointBounds
@@ -74,7 +74,6 @@ class ArmController:
         bounds: JointBounds,
         guards: Guards,
         full_torque: Vector,
-        temperatures: Temperatures,
         fault: Fault | None = None,
         *,
         simulated: bool = False,
@@ -85,7 +84,6 @@ class ArmController:
         self.bounds = bounds
         self.guards = guards
         self._full_torque = full_torque
-        self._slow_c = temperatures.slow_c
         self.torque_limit = full_torque.copy()  # share of full duty that each joint may use now, shape (joints,)
         # Goals of the latest tick; the measured positions while the arm is relaxed, shape (joints,) [rad].
         self.goal_rad = self._hold_rad = np.zeros(len(joint_names))
@@ -252,7 +250,7 @@ class ArmController:
         motions = self.motions + self._braking
         if not motions and self._hold_rad.tolist() == self.goal_rad.tolist():
             return
-        hot = max(measured.temperature_c.tolist()) >= self._slow_c
+        hot = max(measured.temperature_c.tolist()) >= self.guards.limits.slow_temperature_c
         wanted = self._hold_rad.copy()
         fastest = SLOW_RATE if hot else 1.0
         led = np.zeros(len(self._names), dtype=bool)

@@ -335,10 +335,10 @@ def roll_pitch_yaw(rotation: Vector) -> tuple[float, float, float]:
     return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 
 
-def joint_motion(element: ET.Element, position: float) -> Vector:
-    """Return the motion of a URDF <joint> at a position [rad, or m of a prismatic joint], shape (4, 4) [m]."""
-    transform, axis = np.eye(4), unit_axis(element)
-    if element.get("type") == "prismatic":
+def joint_motion(axis: Vector, position: float, *, slides: bool) -> Vector:
+    """Return the motion of a joint about or along its axis at a position [rad or m], shape (4, 4) [m]."""
+    transform = np.eye(4)
+    if slides:
         transform[:3, 3] = position * axis
     else:
         transform[:3, :3] = rotation_about(axis, position)
@@ -347,7 +347,8 @@ def joint_motion(element: ET.Element, position: float) -> Vector:
 
 def shift_origin(element: ET.Element, position: float) -> None:
     """Move the origin of a URDF <joint> by a position [rad, or m of a prismatic joint], which becomes its zero."""
-    transform = origin_transform(element) @ joint_motion(element, position)
+    motion = joint_motion(unit_axis(element), position, slides=element.get("type") == "prismatic")
+    transform = origin_transform(element) @ motion
     origin = element.find("origin")
     if origin is None:
         origin = ET.SubElement(element, "origin")

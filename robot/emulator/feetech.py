@@ -89,14 +89,12 @@ INST_REBOOT = 0x08
 INST_BACKUP = 0x09
 INST_RESET = 0x0A
 INST_CALIBRATE = 0x0B
+_MAINTENANCE = (INST_RESTORE, INST_REBOOT, INST_BACKUP, INST_RESET, INST_CALIBRATE)
 
 # The EPROM ends where the SRAM begins, including addresses that are not documented.
 _EPROM_BYTES = int(Register.TORQUE_ENABLE)
 _WRITABLE = frozenset(range(Register.ID, MEMORY_BYTES)) - {
-    register + offset
-    for register in Register
-    if register.layout.area is Area.READ_ONLY
-    for offset in range(register.layout.size)
+    register + offset for register in Register if register.area is Area.READ_ONLY for offset in range(register.size)
 }
 
 
@@ -168,8 +166,15 @@ class FeetechServo(EmulatedServo[Register]):
 
     def maintain(self, code: int) -> bool:
         """Carry out an instruction of the factory's tools; INST_RESET finds no count of turns to clear."""
-        if code in _MAINTENANCE:
-            _MAINTENANCE[code](self)
+        match code:
+            case _ if code == INST_REBOOT:
+                self.power_up()
+            case _ if code == INST_BACKUP:
+                self._backup = self._present_eprom
+            case _ if code == INST_RESTORE:
+                self.restore()
+            case _ if code == INST_CALIBRATE:
+                self.make_middle()
         return code in _MAINTENANCE
 
     def make_middle(self) -> None:
@@ -177,10 +182,6 @@ class FeetechServo(EmulatedServo[Register]):
         self.memory.set(Register.HOMING_OFFSET, round(self.plant.position_ticks) % TICKS_PER_TURN - MIDDLE_TICKS)
         self._stored_eprom = self._present_eprom
         self._follow_registers()
-
-    def back_up(self) -> None:
-        """Back the EPROM up for :meth:`restore`."""
-        self._backup = self._present_eprom
 
     def restore(self) -> None:
         """Restore the EPROM of the latest backup, or the initial one; the id stays."""
@@ -271,17 +272,6 @@ class FeetechServo(EmulatedServo[Register]):
         if effective:
             return self.value(Register.PROTECTIVE_TORQUE) * PERMILLE_PER_PERCENT
         return FULL_DUTY_PERMILLE
-
-
-_MAINTENANCE: Mapping[int, Callable[[FeetechServo], None]] = MappingProxyType(
-    {
-        INST_RESTORE: FeetechServo.restore,
-        INST_REBOOT: FeetechServo.power_up,
-        INST_BACKUP: FeetechServo.back_up,
-        INST_RESET: lambda _servo: None,
-        INST_CALIBRATE: FeetechServo.make_middle,
-    }
-)
 
 
 class FeetechCodec(Codec):

@@ -20,19 +20,18 @@ class Memory(Generic[RegisterT]):
     """Bytes of a servo's registers; all are 0 at first."""
 
     def __init__(self, table: RegisterTable[RegisterT], size: int) -> None:
-        self._table = table
         self._bytes = bytearray(size)
         # Decoded once, by address: the bus asks for them at every packet.
         self._values: list[int | None] = [None] * size
         self.register_at = {
-            register + offset: register for register, layout in table.layout.items() for offset in range(layout.size)
+            register + offset: register for register in table.registers for offset in range(register.size)
         }
 
     def value(self, register: RegisterT) -> int:
         """Return the value of a register."""
         value = self._values[register]
         if value is None:
-            value = self._table.decode(register, self.read(register, register.layout.size))
+            value = register.decode(self.read(register, register.size))
             self._values[register] = value
         return value
 
@@ -40,9 +39,9 @@ class Memory(Generic[RegisterT]):
         """Set a register; a value beyond its range saturates."""
         if self._values[register] == value:
             return
-        lowest, highest = self._table.value_range(register)
+        lowest, highest = register.value_range
         value = max(lowest, min(highest, value))
-        self._bytes[register : register + register.layout.size] = self._table.encode(register, value)
+        self._bytes[register : register + register.size] = register.encode(value)
         self._values[register] = value
 
     def read(self, address: int, length: int) -> bytes:
@@ -61,8 +60,8 @@ class Memory(Generic[RegisterT]):
         values = {}
         for at in range(address, address + len(data)):
             register = self.register_at.get(at)
-            if register is not None and register == at and at + register.layout.size <= address + len(data):
-                values[register] = self._table.decode(register, data[at - address :][: register.layout.size])
+            if register is not None and register == at and at + register.size <= address + len(data):
+                values[register] = register.decode(data[at - address :][: register.size])
         return values
 
 

@@ -32,8 +32,7 @@ from prometheus_client.registry import Collector
 from websockets.http11 import Request
 
 from robot.faults import FaultCode
-from robot.hardware.interface import BusCounters
-from robot.messages import ArmHealth, JointHealth, Mode
+from robot.messages import ArmHealth, BusCounters, JointHealth, Mode
 from server.execution.goal import Answer
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route

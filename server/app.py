@@ -26,6 +26,7 @@ from server.features.arms import (
     ArmControl,
     CommissioningOfArms,
     Following,
+    PolicyChunks,
     Restart,
     TaughtMotions,
     resumed,
@@ -140,7 +141,7 @@ class App:
         shared = inherited is not None
         commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
-        made = (MoveGroup, ArmGoals, TaughtMotions, GoalQueueing, Servo, Following)
+        made = (MoveGroup, ArmGoals, TaughtMotions, GoalQueueing, Servo, Following, PolicyChunks)
         goals = [make(context) for make in made]
         self.features = self._in_order_of_start(commissioning, parkings, Together("goals", goals, 1.1))
         feed.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])

@@ -25,10 +25,10 @@ from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.features.arms import (
     ArmControl,
     CommissioningOfArms,
-    Following,
     Restart,
-    TaughtMotions,
     resumed,
+    teaching_of,
+    teleoperation_of,
     with_calibration,
 )
 from server.features.clients import Clients
@@ -145,10 +145,10 @@ class App:
         goals = (
             MoveGroup(context),
             ArmGoals(context),
-            TaughtMotions(context),
+            teaching_of(context),
             GoalQueueing(context),
             Servo(context),
-            Following(context),
+            teleoperation_of(context),
         )
         # In the order of their start. They stop in reverse: goals and the arm first, which is brought to its end state;
         # then the clients; then what nothing needs any more.

@@ -73,7 +73,7 @@ build/page.tried: $(PAGE_SOURCES)
 	@mkdir -p build && touch $@
 	@$(MAKE) -s page || echo "the page could not be built; the server starts without it. make page tries again" >&2
 
-# Three rings, by what a test may depend on (docs/architecture.md): logic, protocol and planning; several processes and real
+# Three rings, by what a test may depend on (ARCHITECTURE.md): logic, protocol and planning; several processes and real
 # time; the page in a browser, and the clients of others. Each prints its ten slowest tests.
 PYTEST := $(BIN)/python -m pytest --durations=10
 
@@ -173,9 +173,9 @@ lint: install-dev
 
 check: test test-processes lint
 
-# A million frames from made-up clients; ARGS="--frames 10000000 --jobs 2" takes most of an hour.
+# A million frames from made-up clients; FUZZ_BATCHES=7000 plays ten times as many.
 fuzz: install-dev
-	$(BIN)/python -m tests.fuzz $(ARGS)
+	FUZZ_BATCHES=$${FUZZ_BATCHES:-700} $(PYTEST) tests/fuzz -n 2 $(ARGS)
 
 bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)

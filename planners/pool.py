@@ -317,7 +317,7 @@ class PlannerPool(Planners):
         return None
 
     def _take_idle(self, scene: Scene, *, urgent: bool = False) -> WorkerProcess | None:
-        """Take an idle worker that has not died: of normal priority for a moving arm, and one that has the scene."""
+        """Take an idle worker that has not died: of normal priority for a moving arm, preferably with the scene."""
         self._idle = [worker for worker in self._idle if worker.usable]
         if not self._idle:
             return None

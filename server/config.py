@@ -82,10 +82,6 @@ class GuardSettings(SettingsSection):
     settle_timeout_s: float = _guard("settle_timeout_s")
     """time for that, after which the motion has failed; less than moveit.allowed_goal_duration_margin [s]."""
 
-    def limits(self) -> GuardLimits:
-        """The same as the arm process has it."""
-        return GuardLimits(**self.model_dump())
-
 
 # Of the environment variables.
 PREFIX = "ARMBRIDGE_"

@@ -100,22 +100,23 @@ def usb_id_text(usb_id: UsbId) -> str:
 def _only(port: str, found: Sequence[ListPortInfo]) -> str:
     if len(found) == 1:
         return _stable_name(found[0])
-    boards = " and ".join(f"{_stable_name(info)} ({_describe(info)})" for info in found)
+    numbers = [
+        f"USB serial number {info.serial_number}" if info.serial_number else "no USB serial number" for info in found
+    ]
+    boards = " and ".join(
+        f"{_stable_name(info)} ({usb_id_text((info.vid, info.pid))}, {number})"
+        for info, number in zip(found, numbers, strict=True)
+    )
     raise PortError(
         port, f"could be any of {len(found)} boards: {boards}; name one, as in --serial {_stable_name(found[0])}"
     )
 
 
-def _describe(info: ListPortInfo) -> str:
-    number = f"USB serial number {info.serial_number}" if info.serial_number else "no USB serial number"
-    return f"{usb_id_text((info.vid, info.pid))}, {number}"
-
-
 def _stable_name(info: ListPortInfo) -> str:
     """Return the stable link to a device, or the device itself without one.
 
-    Boards without a serial number, as those with a CH340, all have the same name by device: the link leads to the one
-    that was plugged in last.
+    Boards without a serial number, as those with a CH340, all have the same name by device: the link leads to the
+    adapter plugged in last.
     """
     folders = (NAMES_BY_DEVICE, NAMES_BY_SOCKET) if info.serial_number else (NAMES_BY_SOCKET, NAMES_BY_DEVICE)
     device = os.path.realpath(info.device)

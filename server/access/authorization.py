@@ -136,14 +136,6 @@ class Authorizer:
         self._settled: set[str] = set()
         access.note_driver(node)
 
-    def is_urgent(self, operation: Operation) -> bool:
-        """Return True for an operation that stops the arm or cancels a goal."""
-        return is_stop(operation, self._graph) or is_cancel(operation, self._graph)
-
-    def is_cancel(self, operation: Operation) -> bool:
-        """Return True for an operation that cancels a goal."""
-        return is_cancel(operation, self._graph)
-
     def may_publish(self, topic: str) -> bool:
         """Return True for a topic, as the client spells it, on which it is known to be allowed any message."""
         return topic in self._settled
@@ -208,7 +200,7 @@ class Authorizer:
         return self.name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
 
     def _rule_of_publishing(self, name: str) -> Rule:
-        """Return the rule of a topic; one that would stop nothing has the rule of any other topic."""
+        """Return the rule of a topic; a stop topic that would stop nothing has the rule of any other topic."""
         rule = rule_of_topic(name, self._graph)
         if not rule.stops:
             return rule
@@ -251,7 +243,7 @@ NO_ARMS: Mapping[str, Callable[[], RunningGoal | None]] = MappingProxyType({})
 class Access:
     """Authentication and authorization as the settings describe them, or ConfigurationError.
 
-    ``busy`` returns the goal in progress, ``arms`` that of each of several arms by its name.
+    ``busy`` returns the goal in progress, ``arms`` the goal of each of several arms by its name.
     """
 
     def __init__(
@@ -280,10 +272,6 @@ class Access:
         self.clock = clock
         self._wall_clock = wall_clock
         self._rosauth = RosauthVerifier(self.tokens)
-
-    def authorizer(self, node: Node, graph: Graph) -> Authorizer:
-        """Return the check of a client's operations on a graph."""
-        return Authorizer(node, self, graph)
 
     def lease_of(self, rule: Rule) -> ControlLease:
         """Return the control that a name needs: control of its arm, or of all arms."""

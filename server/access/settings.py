@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -74,16 +73,11 @@ class AccessSettings(SettingsSection):
     @field_validator("admin_tokens", "operate_tokens", "propose_tokens", "view_tokens")
     @classmethod
     def _tokens_are_long(cls, value: dict[str, SecretStr]) -> dict[str, SecretStr]:
-        check_tokens({name: token.get_secret_value() for name, token in value.items()})
+        for name, token in value.items():
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"the name {name!r} must be 1 to 64 letters, digits and . _ @ -, the first no sign")
+            check_token(token.get_secret_value(), f"the token of {name} ")
         return value
-
-
-def check_tokens(tokens: Mapping[str, str]) -> None:
-    """Check tokens and their names against the limits."""
-    for name, token in tokens.items():
-        if not _NAME.fullmatch(name):
-            raise ValueError(f"the name {name!r} must be 1 to 64 letters, digits and . _ @ -, the first no sign")
-        check_token(token, f"the token of {name} ")
 
 
 def check_token(token: str, whose: str = "") -> None:

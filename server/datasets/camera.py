@@ -17,9 +17,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from websockets.asyncio.client import ClientConnection
 
 from server.errors import ServerError
-from server.publishing_client import Connection, PublishedTopic, PublishingClient, run_until_signal
+from server.publishing_client import PublishedTopic, PublishingClient, run_until_signal
 
 TEST_DEVICE = "test"
 TEST_WIDTH, TEST_HEIGHT = 640, 480
@@ -248,7 +249,7 @@ class CameraClient(PublishingClient):
         finally:
             await asyncio.to_thread(self.images.close)
 
-    async def publish(self, connection: Connection) -> None:
+    async def publish(self, connection: ClientConnection) -> None:
         """Publish images, one after the other."""
         options, loop = self._options, asyncio.get_running_loop()
         due_s = loop.time()

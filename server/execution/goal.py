@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.arrival import arrival_epoch
+from server.arrival import arrival_epoch, is_stopped
 from server.errors import refused
 from server.execution.motions import Joints, Motion, Performed
 from server.execution.time_limits import ExecutionDeadline
 from server.graph.node import Node
 
 Result = TypeVar("Result")
+
+# A stream that was stopped has ended when the topic is silent for this time: clients publish at 10 Hz and more.
+STREAM_PAUSE_S = 0.5
 
 
 class GoalState(StrEnum):
@@ -106,6 +110,25 @@ class CancelScope:
         return None if task.cancelled() else task.result()
 
 
+class MessageStream:
+    """Stream of messages on a topic that move the arm, which a stop ends until the topic is silent for a moment."""
+
+    def __init__(self, topic: str, clock: Callable[[], float]) -> None:
+        self._topic, self._clock = topic, clock
+        # Time of the latest message, and stop epoch of the stream's first one.
+        self._heard_s, self._epoch = -math.inf, 0
+
+    def check(self, last_stop: int) -> None:
+        """Take a message; raise RefusedError where the arm's last stop has ended the stream."""
+        now_s = self._clock()
+        silence_s, self._heard_s = now_s - self._heard_s, now_s
+        if silence_s > STREAM_PAUSE_S:
+            self._epoch = arrival_epoch()
+        elif is_stopped(last_stop, self._epoch):
+            text = f"the arm was stopped: publish nothing on {self._topic} for {STREAM_PAUSE_S:g} s to move it again"
+            raise refused(MoveItErrorCode.PREEMPTED, text)
+
+
 class GoalPolicy(StrEnum):
     """Treatment of a goal that arrives while another one of its joints is active."""
 
@@ -185,8 +208,8 @@ class Goal(CancelScope):
     def defer_replacement(self) -> None:
         """Have no other goal replace it until its motion has begun.
 
-        Else none of a stream of trajectories would begin where it takes longer to check one than the next takes to
-        come.
+        Otherwise no trajectory of a stream would begin if checking a trajectory takes longer than the next needs to
+        arrive.
         """
         self._deferring = True
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -69,14 +69,17 @@ class ExternalTrajectory:
     """Trajectory that a client has planned.
 
     Attributes:
-        trajectory: makes it from the position of every joint at its start [rad], the monotonic time of that [s], and
+        trajectory: makes it from the position of every joint [rad] and the monotonic time [s] at its start, and
             the splice point at which it begins, or None at rest; or raises RefusedError.
-        spliced: False for one that begins at rest alone.
+        spliced: False for a motion that can only begin at rest.
+        cut: makes the part before a contact from the details of the answer that reports it, None where no part is left;
+            None for a trajectory that is played whole.
     """
 
     trajectory: Callable[[Positions, float, SplicePoint | None], Trajectory]
     joints: Joints
     spliced: bool = True
+    cut: Callable[[Mapping[str, Any]], ExternalTrajectory | None] | None = None
 
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory

@@ -19,9 +19,11 @@ from server.arm.services import ArmPace, ArmServices
 from server.arm.topics import TOPIC as JOINT_STATES
 from server.arm.topics import ArmStateTopics, JointStates
 from server.arm.verifying import FirstMotions, VerificationProcedure
+from server.chunks.action_chunks import ActionChunks
 from server.config import Settings
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
+from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.named_states import data_directory, default_path
 from server.moveit.servo.servo_node import servo_setup
 from server.teaching.replay import ReplayAction
@@ -171,6 +173,22 @@ def teaching_of(context: ServerContext) -> Teaching:
     motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
     ReplayAction(context.graph, robot, motions, context.goals.queue, planning.problems)
     return Teaching(context.graph, robot, motions, planning.pool, planning.scene_state, planning.current)
+
+
+class PolicyChunks(Feature):
+    """Chunks of joint targets, which learned policies send to each arm."""
+
+    name = "chunks"
+
+    def __init__(self, context: ServerContext) -> None:
+        goals = context.goals
+        trajectories = TrajectoryContext(context.planning, goals.queue, goals.time_limits)
+        self._of_arms = [
+            ActionChunks(each.graph, each.served.arm, each.joints, trajectories, each.gripper) for each in context.arms
+        ]
+
+    async def stop(self) -> None:
+        await asyncio.gather(*(each.close() for each in self._of_arms))
 
 
 # Name, for clients, of a follower that is the only arm.

@@ -29,16 +29,16 @@ from server.gateway.admission import (
     check_exposure,
     host_addresses,
 )
+from server.gateway.client_context import Gateway
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
-from server.gateway.inbox import Scheduling
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import TcpStream, Transport, keep_alive
-from server.gateway.turns import Threads, Turns, call_soon
+from server.gateway.turns import Scheduling, Threads, Turns
 from server.gateway.websocket import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.timers import CallLater, Timer, call_later
+from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -152,7 +152,7 @@ class ClientList:
         self._node = Node("rosbridge_websocket")
         self._clients: dict[Node, dict[str, Any]] = {}
         # Runs while the next publication has to wait.
-        self._pause: Timer | None = None
+        self._pause: asyncio.TimerHandle | None = None
         self._changed = False
 
     def open(self) -> None:
@@ -239,7 +239,6 @@ class Listener:
         *,
         takes_goals_along: bool = False,
     ) -> None:
-        self._graph = graph
         self._settings = settings
         self._host = settings.host
         self._port = settings.port
@@ -251,8 +250,6 @@ class Listener:
         pair = settings.tls_certificate, settings.tls_key
         self._tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
         self._limiter = ConnectionLimiter(settings)
-        self._limits = settings.limits
-        self._takes_goals_along = takes_goals_along
         self._sockets: list[socket.socket] = []
         self._tcp_sockets: list[socket.socket] = []
         # One a listening socket.
@@ -261,8 +258,16 @@ class Listener:
         self._transports: set[Transport] = set()
         self._clients = ClientList(graph)
         self._threads = Threads()
-        self._scheduling = Scheduling(Turns(call_soon, time.monotonic), self._threads)
-        self._budget = SendBudget(settings.max_queued_bytes)
+        self._gateway = Gateway(
+            graph,
+            self._access,
+            self.admission.auth_throttle,
+            Scheduling(Turns(lambda call: asyncio.get_running_loop().call_soon(call), time.monotonic), self._threads),
+            SendBudget(settings.max_queued_bytes),
+            settings.limits,
+            settings.ros_version,
+            takes_goals_along,
+        )
         self.traffic = Traffic()
 
     @property
@@ -317,7 +322,7 @@ class Listener:
     async def bind(self) -> None:
         """Take the port; clients that connect now wait until :meth:`open`.
 
-        Raises ConfigurationError for an address open to others, StartError for one that cannot be had.
+        Raises ConfigurationError for an address open to others, StartError for an address that cannot be taken.
         """
         places = await resolve(self._host, self._port)
         addresses = [place.address for place in places]
@@ -388,17 +393,7 @@ class Listener:
         self._threads.close()
 
     async def _serve_client(self, transport: Transport) -> None:
-        connection = Connection(
-            transport,
-            self._graph,
-            self._limits,
-            self._access,
-            self.admission.auth_throttle,
-            self._scheduling,
-            self._budget,
-            takes_goals_along=self._takes_goals_along,
-            ros_version=self._settings.ros_version,
-        )
+        connection = Connection(transport, self._gateway)
         self._clients.add(connection.node, connection.address)
         self.traffic.add(connection)
         try:
@@ -442,7 +437,8 @@ def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
             listening.append(_listen_on(place, port, alone=len(places) == 1))
         except OSError as error:
             if error.errno not in _NOT_HERE:
-                _close(listening)
+                for each in listening:
+                    each.close()
                 raise
             missing = error
         else:
@@ -469,11 +465,6 @@ def _listen_on(place: Place, port: int, *, alone: bool) -> socket.socket:
         made.close()
         raise
     return made
-
-
-def _close(sockets: Sequence[socket.socket]) -> None:
-    for each in sockets:
-        each.close()
 
 
 def _reason(host: str, port: int, error: OSError | UnicodeError, option: str = "--port") -> str:

@@ -129,6 +129,22 @@ def failure_told(call: Call) -> Iterator[None]:
         call.fail(f"Service {call.service} failed inside the server")
 
 
+Work: TypeAlias = Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]
+
+
+def telling(name: str, work: Work, log: logging.Logger) -> Work:
+    """Return a service that answers a ServiceError by its fields ``success`` and ``message``, and logs it."""
+
+    async def serve(request: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            return await work(request)
+        except ServiceError as error:
+            log.warning("%s: %s", name, error)
+            return {"success": False, "message": str(error)}
+
+    return serve
+
+
 # A local part may plan a motion meanwhile; the planners' own deadline is shorter.
 LOCAL_TIMEOUT_S = 60.0
 

@@ -132,8 +132,7 @@ class Graph:
     ) -> None:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.message_types, call_later)
-        self.actions = Actions(self.message_types, self.services, call_later)
-        self.actions.publish_on(ActionTopics(self, clock))
+        self.actions = Actions(self.message_types, self.services, ActionTopics(self, clock), call_later)
         self._clock = clock
         self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s
@@ -214,7 +213,7 @@ class Graph:
         return topic is not None and bool(topic.latching)
 
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
-        """Register ``node`` as publisher; raises GraphError for an unknown type, or one that the topic has not."""
+        """Register ``node`` as publisher; raises GraphError for an unknown type, or another type than the topic's."""
         topic = self._topic(name, type_name, node)
         self._add_publisher(topic, node)
         if latch:

@@ -32,8 +32,7 @@ from prometheus_client.registry import Collector
 from websockets.http11 import Request
 
 from robot.faults import FaultCode
-from robot.hardware.interface import BusCounters
-from robot.messages import ArmHealth, JointHealth, Mode
+from robot.messages import ArmHealth, BusCounters, JointHealth, Mode
 from server.execution.goal import Answer
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
@@ -366,10 +365,10 @@ class Monitor:
         self._sources.started = True
         self._notifier.notify_ready("; ".join(self.health().reasons) or "ready")
 
-    def notify_stopping(self, *, starts_anew: bool = False) -> None:
-        """Note the begin of the stop, and notify systemd, which would end a service that starts anew at once."""
+    def notify_stopping(self, *, restarts: bool = False) -> None:
+        """Note the begin of the stop, and notify systemd, which would end a service that restarts at once."""
         self._sources.stopping = True
-        if starts_anew:
+        if restarts:
             self._notifier.notify_status("starting again")
         else:
             self._notifier.notify_stopping()

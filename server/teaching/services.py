@@ -13,11 +13,11 @@ from planners.problem import Plan, PlanningFailure
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
 from robot.trajectory import Vector
-from server.answers import Work, telling
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState, SceneSource
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
+from server.graph.services import Work, telling
 from server.graph.topics import Graph
 from server.lifecycle import Feature
 from server.moveit.messages import Message

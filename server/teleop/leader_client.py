@@ -6,21 +6,23 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from websockets.asyncio.client import ClientConnection
+
 from protocol.messages import Stamp
 from robot.arm import Arm
 from robot.messages import ArmState, Mode
 from server.arm.setup import Description, arm_config
 from server.config import Settings
 from server.execution.monitors import ARM_START_TIMEOUT_S
-from server.publishing_client import Connection, PublishedTopic, PublishingClient, run_until_signal
+from server.publishing_client import PublishedTopic, PublishingClient, run_until_signal
 
 SAMPLE_TYPE = "sensor_msgs/JointState"
 
 # A server that takes no sample within this time has left without a word.
 TAKEN_TIMEOUT_S = 5.0
 
-# Samples on their way: the first ones of a slow network are still to be told of when the next leave. Beyond, samples
-# are left out, so that no old one is behind a new one.
+# Samples on their way: on a slow network the next ones leave before the first are acknowledged. Beyond this number,
+# samples are dropped, so that no old sample queues behind a new one.
 IN_FLIGHT = 8
 
 
@@ -56,7 +58,7 @@ class LeaderClient(PublishingClient):
         super().__init__(target, SAMPLE_TYPE, tell)
         self._samples = samples
 
-    async def publish(self, connection: Connection) -> None:
+    async def publish(self, connection: ClientConnection) -> None:
         """Publish samples for as long as the connection lasts."""
         taken: Awaitable[float] | None = None
         since_ping = 0

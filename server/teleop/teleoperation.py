@@ -16,12 +16,12 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
-from server.answers import Work, telling
 from server.arrival import is_stopped
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
 from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING, Rule
+from server.graph.services import Work, telling
 from server.graph.topics import Graph, Subscriber
 from server.lifecycle import Feature
 from server.moveit.messages import Message

@@ -80,7 +80,7 @@ class ZenohSettings(SettingsSection):
     @classmethod
     def _are_endpoints(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for endpoint in value:
-            if not is_endpoint(endpoint):
+            if _ENDPOINT.match(endpoint) is None:
                 raise ValueError(f"{endpoint!r} must be protocol/address, as in tcp/127.0.0.1:7447")
         return value
 
@@ -129,11 +129,6 @@ def error_text(error: Exception) -> str:
     """Return the sentence of zenoh's error, without its source line and the errors that wrap it."""
     text = str(error)
     return (text.partition('msg: "')[2] or text).partition(" at /")[0].partition('", location')[0].rstrip(".! ")
-
-
-def is_endpoint(text: str) -> bool:
-    """Return True for a text of the form ``protocol/address``."""
-    return _ENDPOINT.match(text) is not None
 
 
 def exposed_endpoint(endpoints: Iterable[str], *, mutual_tls: bool) -> str | None:

@@ -24,7 +24,14 @@ from robot.messages import ArmState, Command, Mode, Order
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.config import Settings
-from server.features.arms import ArmControl, CommissioningOfArms, Restart, teaching_of, teleoperation_of
+from server.features.arms import (
+    ArmControl,
+    CommissioningOfArms,
+    PolicyChunks,
+    Restart,
+    teaching_of,
+    teleoperation_of,
+)
 from server.features.context import context_of
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
 from server.features.parking import Parkings
@@ -45,6 +52,16 @@ WAVE = TaughtMotion(ARM_JOINTS, np.arange(6) * 0.2, np.linspace(0.1, 0.3, 6)[:, 
 TRAJECTORY = {
     "joint_names": list(ARM_JOINTS),
     "points": [{"positions": [0.1, 0.0, 0.0, 0.0, 0.0], "time_from_start": {"sec": 2, "nanosec": 0}}],
+}
+CHUNK = {
+    "joint_names": [*ARM_JOINTS, "gripper"],
+    "points": [
+        {
+            "positions": [0.01 * step, 0.0, 0.0, 0.0, 0.0, 0.1],
+            "time_from_start": {"sec": 0, "nanosec": 33_000_000 * step},
+        }
+        for step in range(1, 30)
+    ],
 }
 
 
@@ -73,7 +90,9 @@ class ServerStage:
         servo = Servo(self.context)
         self.commissioning = CommissioningOfArms(self.context, Restart(), None, shared_calibration=False)
         queue = GoalQueueing(self.context)
-        goals = MoveGroup(self.context), ArmGoals(self.context), self.teaching, queue, servo, self.teleoperation
+        chunks = PolicyChunks(self.context)
+        of_arms = self.teaching, queue, servo, self.teleoperation, chunks
+        goals = MoveGroup(self.context), ArmGoals(self.context), *of_arms
         self._features = ArmControl(self.context), Parkings(self.context), *goals, self.commissioning
         for feature in goals:
             at_once(feature.start())
@@ -85,6 +104,11 @@ class ServerStage:
         executors._context = replace(executors._context, clock=clock)
         for controller in (each for goals_of in goals[1]._goals_of.values() for each in goals_of._controllers):
             controller._context = replace(controller._context, clock=clock)
+            controller._stream._clock = clock
+        for each in chunks._of_arms:
+            each._clock = each._stream._clock = clock
+            if each._gripper is not None:
+                each._gripper._clock = clock
         self.client = Node("client", remote=True)
         self.answers: list[Any] = []
 
@@ -217,6 +241,7 @@ REQUESTS: dict[str, Callable[[ServerStage], None]] = {
     "a verification": verify,
     "a following": follow,
     "a jog": jog,
+    "a chunk": lambda stage: stage.publish("/arm/chunks", "armbridge_msgs/ActionChunk", {"trajectory": CHUNK}),
 }
 
 

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser
 
 from harness.clients import call
-from harness.page import PHONE, SHARED, OpenPage, opened
+from harness.page import SHARED, OpenPage
 from harness.server import FAST, RunningServer
 
 # In front of the arm, within its reach.
@@ -241,17 +240,3 @@ def test_the_reachable_region_is_computed_anew_when_the_scene_changes(page: Open
     page.until_state(f"s.region.cells.filter(c => c.reach === 'contact' && {in_box}).length > 1", 240_000)
     page.part("region-shown").uncheck()
     page.until_state("s.region.cells.length === 0 && s.region.total === 0")
-
-
-def test_the_panel_fits_a_phone(browser: Browser, server: RunningServer) -> None:
-    with opened(browser, PHONE, has_touch=True) as page:
-        open_world(page, server)
-        small = page.page.evaluate(
-            """() => [...document.querySelectorAll('#panel-world button, #panel-world input, #panel-world select')]
-                .filter(each => each.offsetParent !== null && !['radio', 'checkbox'].includes(each.type))
-                .map(each => [each.dataset.testid, each.getBoundingClientRect().height])
-                .filter(([, height]) => height < 44)"""
-        )
-        assert small == []
-        assert page.page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
-        page.shot("world_phone")

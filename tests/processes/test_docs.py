@@ -24,8 +24,7 @@ SENT = ("engines.md", "goals.md", "operations.md")
 
 WITH_CODE = ("engines.md",)
 
-# Modules of a server are no programs; tests/server/test_extending.py runs them.
-PROGRAMS = [(page.name, block) for page in PAGES if page.name != "architecture.md" for block in blocks(page, "python")]
+PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
 
 
 def run_python(arguments: list[str]) -> subprocess.CompletedProcess[str]:

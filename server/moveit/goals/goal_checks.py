@@ -14,7 +14,7 @@ import numpy as np
 from planners.interface import Planners
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose, Scene
-from robot.trajectory import rest_to_rest_s
+from robot.trajectory import rest_to_rest
 from server.errors import RefusedError, ServiceError
 from server.execution.motions import PlannedMotion, Positions
 from server.graph.list_limits import ListLimits
@@ -164,11 +164,13 @@ def goal_check(
     parameters = planning.parameters.configured
     # The slowest joint's, when nothing is in the way.
     duration_s = max(
-        rest_to_rest_s(
-            abs(end_rad[joint.name] - start_rad[joint.name]),
+        rest_to_rest(
+            joint.name,
+            start_rad[joint.name],
+            end_rad[joint.name],
             parameters.max_velocity_scaling * joint.max_velocity,
             parameters.max_acceleration_scaling * joint.max_acceleration,
-        )
+        ).duration_s
         for joint in planning.robot.movable_joints
     )
     return {

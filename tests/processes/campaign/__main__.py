@@ -12,8 +12,7 @@ from pathlib import Path
 from harness.figures import print_table
 from robot.emulator.populations import POPULATIONS
 from tests.processes.campaign.arm_run import run_arm
-from tests.processes.campaign.scenario import OF_SERVER, REFUSED, Happening, Result, scenario_of
-from tests.processes.campaign.server_run import run_server
+from tests.processes.campaign.scenario import Happening, Result, scenario_of
 
 SEEDS = 200
 
@@ -51,9 +50,8 @@ def run_seed(seed: int, folder: Path, population: str | None = None) -> Result:
         population: state in which the servos are found; None for the one that the seed draws.
     """
     scenario = scenario_of(seed, population)
-    run = run_server if scenario.happening in OF_SERVER and scenario.population not in REFUSED else run_arm
     try:
-        return asyncio.run(run(scenario, folder))
+        return asyncio.run(run_arm(scenario, folder))
     except Exception as error:  # noqa: BLE001 - whatever it was, the other seeds go on and this one is named
         violations = [f"the run broke off: {error!r}"]
         return Result(seed, scenario.happening.value, scenario.population, violations=violations)

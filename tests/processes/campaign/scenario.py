@@ -51,12 +51,7 @@ class Happening(Enum):
     EMERGENCY_STOP = "emergency stop"
     RELAX = "relax"
     ARM_KILLED = "arm process killed"
-    SERVER_KILLED = "server killed"
-    SERVER_FROZEN = "server silent"
 
-
-# These need a server process of their own.
-OF_SERVER = frozenset({Happening.SERVER_KILLED, Happening.SERVER_FROZEN})
 
 # Servos that must never be given torque: their zero has shifted, or they cannot be told apart.
 REFUSED = frozenset({"ros2_driver", "kit"})

@@ -53,7 +53,7 @@ class World:
         self.access = Access(AccessSettings.model_validate(settings), lambda: self.now_s, lambda: 0.0, arms=idle)
 
     def authorizer(self, identity: Identity | None = ANYONE, name: str = "x") -> Authorizer:
-        return self.access.authorizer(Node(name, remote=True, identity=identity), self.graph)
+        return Authorizer(Node(name, remote=True, identity=identity), self.access, self.graph)
 
 
 def asked(authorizer: Authorizer, op: str, **fields: Any) -> str | None:
@@ -349,7 +349,7 @@ def test_an_auth_without_a_token_names_the_missing_field() -> None:
 def test_without_limits_all_drive_at_once() -> None:
     everything = unlimited()
     for name in ("first", "second"):
-        authorizer = everything.authorizer(Node(name, remote=True), SERVER)
+        authorizer = Authorizer(Node(name, remote=True), everything, SERVER)
         assert authorizer.publishing("/moveit_goal_named", {}) is None
 
 

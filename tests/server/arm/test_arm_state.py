@@ -8,8 +8,7 @@ import pytest
 from harness.clients import ArmClient, values_of
 from protocol.registry import Registry
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import BusCounters
-from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, ArmStateTopics
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node

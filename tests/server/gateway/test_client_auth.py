@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from protocol.codecs import png
-from server.access.authentication import MAX_WRONG, AuthThrottle
+from server.access.authentication import MAX_WRONG
 from server.access.settings import AccessSettings
 from server.gateway.client import MAX_FIRST_BYTES
 from server.graph.permissions import Identity, Role
@@ -172,22 +172,18 @@ def test_nor_does_one_that_is_shown_in_a_wrong_way(
 
 @pytest.mark.parametrize(("token", "left"), [("guess-0123456789abcdef", False), (ADA, True)])
 def test_wrong_tokens_are_counted_and_right_ones_not(world: InProcess, token: str, left: bool) -> None:
-    throttle = AuthThrottle(world.clock)
     for number in range(MAX_WRONG - 1):
-        throttle.record_failure("", number)
-    world.enter("y", None, throttle)
-    world.say("y", op="auth", token=token)
-    assert (throttle.refusal("") is None) is left
+        world.throttle.record_failure("", number)
+    world.say("x", op="auth", token=token)
+    assert (world.throttle.refusal("") is None) is left
 
 
 def test_from_an_address_with_too_many_wrong_ones_a_right_one_is_not_looked_at(world: InProcess) -> None:
-    throttle = AuthThrottle(world.clock)
     for number in range(MAX_WRONG):
-        throttle.record_failure("", number)
-    world.enter("y", None, throttle)
-    world.say("y", op="auth", token=ADA)
-    assert "try again in" in world.closed["y"]
-    assert identity(world, "y") is None
+        world.throttle.record_failure("", number)
+    world.say("x", op="auth", token=ADA)
+    assert "try again in" in world.closed["x"]
+    assert identity(world) is None
 
 
 def test_showing_the_same_token_again_and_again_fills_no_log(

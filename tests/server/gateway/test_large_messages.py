@@ -57,7 +57,7 @@ class World:
 
     @property
     def used_bytes(self) -> int:
-        return self.listener._budget.used_bytes
+        return self.listener._gateway.budget.used_bytes
 
 
 async def numbers(client: ClientConnection, count: int) -> list[int]:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import BusCounters
-from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.gateway.connection import Traffic
 from server.monitoring.health import Sources
 from server.monitoring.monitor import GoalCounters

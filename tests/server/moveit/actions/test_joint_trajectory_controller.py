@@ -157,7 +157,7 @@ class Followed:
     def __init__(self, path_rad: float = 0.0, goal_rad: float = 0.0, time_s: float = 0.0) -> None:
         self.results: list[Result] = []
         self.cancelled: list[str] = []
-        goal = Goal("/follow", "control_msgs/action/FollowJointTrajectory", {}, INTERFACES, None, Node("client"))
+        goal = Goal(("/follow", "control_msgs/action/FollowJointTrajectory"), {}, INTERFACES, Node("client"))
         goal.when_ended(self.results.append)
         path = {"elbow_flex": path_rad} if path_rad else {}
         end = {"elbow_flex": goal_rad} if goal_rad else {}

@@ -1,15 +1,19 @@
-"""What the image is made of and how it starts, as far as it can be read; ``docker/verify.sh`` builds and tries it."""
+"""The image, compose and the commands of docs/install.md as far as they can be read; docker/verify.sh tries them."""
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 from fnmatch import fnmatch
+from typing import Any
 
 import pytest
+import yaml
 
 from harness.server import ROOT
 from server import cli
+from server.config import PREFIX, Settings
 from server.gateway.settings import ServerSettings
 
 Instruction = tuple[str, str]
@@ -109,3 +113,91 @@ def test_the_scripts_are_well_formed(name: str) -> None:
     if shutil.which("shellcheck") is not None:
         done = subprocess.run(["shellcheck", script], capture_output=True, text=True, timeout=60, check=False)
         assert done.stdout == ""
+
+
+TEXT = (ROOT / "docker/compose.yaml").read_text()
+SERVICES: dict[str, Any] = yaml.safe_load(TEXT)["services"]
+
+
+@pytest.mark.parametrize("name", ["simulated", "real"])
+def test_a_server_has_no_more_rights_than_it_needs_and_is_open_to_its_own_machine_alone(name: str) -> None:
+    service = SERVICES[name]
+    assert service["read_only"] is True
+    assert service["cap_drop"] == ["ALL"]
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert not {"privileged", "cap_add", "network_mode", "pid", "user"} & service.keys()
+    assert service["mem_limit"]
+    assert service["pids_limit"]
+    assert service["ports"] == ["${ARMBRIDGE_PUBLISH:-127.0.0.1:9090}:9090"]
+
+
+def test_only_the_simulated_arm_is_started_unless_told_otherwise() -> None:
+    assert [name for name, service in SERVICES.items() if "profiles" not in service] == ["simulated"]
+    assert "devices" not in SERVICES["simulated"]
+
+
+def test_the_real_arm_is_not_served_without_a_token() -> None:
+    assert "--insecure" not in SERVICES["real"]["command"]
+    assert "ARMBRIDGE_ACCESS__TOKEN" in SERVICES["real"]["environment"]
+
+
+def test_nobody_who_wants_the_simulated_arm_is_asked_for_the_token_of_the_real_one() -> None:
+    assert re.findall(r"\$\{\w+:?\?", TEXT) == []
+
+
+def test_the_real_arm_is_the_device_that_is_handed_in() -> None:
+    real = SERVICES["real"]
+    (device,) = real["devices"]
+    assert device.rpartition(":")[2] == real["command"][real["command"].index("--serial") + 1]
+
+
+PAGE = (ROOT / "docs/install.md").read_text()
+LINES = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for line in block.splitlines()
+    if line[:7] == "docker "
+]
+
+
+def of_armbridge(line: str) -> list[str]:
+    """What a line that starts a container hands to the program in it."""
+    words = shlex.split(line)
+    if words[:2] == ["docker", "run"]:
+        return words[words.index("armbridge") + 1 :]
+    return words[words.index("real", words.index("run")) + 1 :] if "run" in words else []
+
+
+OF_SERVERS = {name for service in SERVICES.values() for name in service["environment"]}
+
+HANDED = [words for line in LINES if (words := of_armbridge(line))]
+
+
+def test_the_program_in_the_container_knows_the_commands_and_their_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert len(HANDED) >= 5
+    for words in HANDED:
+        with pytest.raises(SystemExit, match="0"):
+            cli.main([words[0], "--help"])
+        known = re.findall(r"--[\w-]+", capsys.readouterr().out)
+        assert [word for word in words if word.startswith("--") and word not in known] == [], words
+
+
+def test_every_variable_is_one_of_the_settings() -> None:
+    settings = Settings()
+    for name in sorted({*re.findall(rf"{PREFIX}\w+__\w+", PAGE), *OF_SERVERS}):
+        section, key = name.removeprefix(PREFIX).lower().split("__")
+        assert key in type(getattr(settings, section)).model_fields, name
+
+
+def test_a_name_of_the_machine_is_given_as_the_page_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    (value,) = re.findall(r"-e ARMBRIDGE_ACCESS__ALLOWED_HOSTS='([^']+)'", PAGE)
+    monkeypatch.setenv("ARMBRIDGE_ACCESS__ALLOWED_HOSTS", value)
+    assert Settings().access.allowed_hosts == ("lab-pc",)
+
+
+def test_files_that_the_page_names_exist() -> None:
+    assert [name for name in re.findall(r"`(docker/\w[\w.]*)`", PAGE) if not (ROOT / name).exists()] == []
+
+
+def test_every_variable_of_the_compose_file_is_explained() -> None:
+    assert [name for name in sorted(set(re.findall(rf"{PREFIX}\w+", TEXT))) if f"| `{name}` |" not in PAGE] == []

@@ -1,4 +1,4 @@
-"""The Fetch as it is shipped: its description, and pose goals with orientation for seven and eight joints."""
+"""Built-in arms as they are shipped: named states of Fetch and Koch, and pose goals for seven and eight joints."""
 
 import itertools
 
@@ -14,6 +14,7 @@ from planners.scene import Pose
 from robot.description import robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
+from robot.description.robot_folder import built_in
 
 TIP = "gripper_link"
 
@@ -78,3 +79,29 @@ def test_it_goes_from_pose_to_pose_with_the_orientation_that_is_asked_for(
         np.testing.assert_allclose(reached[:3, 3], point, atol=POSITION_M)
         turned = pin.log3(pin.Quaternion(np.array(quaternion)).matrix().T @ reached[:3, :3])
         assert np.linalg.norm(turned) < 2.0 * ORIENTATION_RAD
+
+
+KOCH = built_in("koch_v1_1").model
+STATES = KOCH.named_states["arm"]
+
+
+@pytest.fixture(scope="module")
+def collisions() -> CollisionModel:
+    return CollisionModel(KOCH)
+
+
+def configuration(collisions: CollisionModel, name: str) -> np.ndarray:
+    return np.array([STATES[name].get(joint, 0.0) for joint in collisions.joint_names])
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_a_koch_touches_nothing_at_its_named_states_and_between_them(collisions: CollisionModel, name: str) -> None:
+    start, end = configuration(collisions, "home"), configuration(collisions, name)
+    assert not any(collisions.collides(start + (end - start) * share) for share in np.linspace(0.0, 1.0, 50))
+
+
+def test_a_stretched_koch_reaches_as_far_as_its_links_are_long(collisions: CollisionModel) -> None:
+    (tip,) = collisions.tip_positions([configuration(collisions, "extended")], "gripper_frame_link")
+    # Upper arm 108 mm, forearm 100 mm, wrist 45 mm, fingers 67 mm.
+    assert tip[0] == pytest.approx(0.32, abs=0.01)
+    assert abs(tip[1]) < 0.01

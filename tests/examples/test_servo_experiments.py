@@ -1,18 +1,21 @@
+"""Experiments on the servos, on emulated ones: each has a finding, and leaves the servos as it found them."""
+
 from __future__ import annotations
 
 import contextlib
 
 import pytest
 
-from harness.server import read_write_log
-from robot.commissioning.doctor import Verdict
-from robot.commissioning.experiments import (
+from examples.servo_experiments import (
     EXPERIMENTS,
     GENTLE_TORQUE,
     STEP_TICKS,
     ServoRig,
     run_experiment,
 )
+from harness.emulator import RunningEmulator
+from harness.server import read_write_log
+from robot.commissioning.doctor import Verdict
 from robot.errors import StartupError
 from robot.hardware.feetech.registers import Register
 
@@ -129,3 +132,14 @@ def test_torque_does_not_come_on_far_from_the_goal_or_outside_the_angle_limits(r
     with pytest.raises(StartupError, match="outside its angle limits"), rig.holding():
         pass
     assert rig.read(Register.TORQUE_ENABLE) == 0
+
+
+def test_the_program_prints_the_finding_of_each_experiment_that_it_may_do(run_example):
+    emulator = RunningEmulator()
+    try:
+        answer = run_example("servo_experiments.py", "--serial", emulator.port, "--yes")
+    finally:
+        emulator.end()
+    assert answer.returncode == 0, answer.stderr
+    done = [line.partition(":")[0] for line in answer.stdout.splitlines()]
+    assert done == [experiment.name for experiment in EXPERIMENTS if not experiment.needs_hands]

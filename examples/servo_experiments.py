@@ -1,12 +1,16 @@
-"""Experiments on the servos: each asks for a property that no document states.
+"""Experiments on Feetech servos: each asks for a property that no document states.
 
-An experiment that switches torque uses one servo (:class:`ServoRig`), at a fifth of its torque, within 25 ticks (2 deg)
-of its position, only if it is relaxed, and leaves it relaxed. Nothing that is written outlives a power cut. The arm
-process works with any result, since it reads back what it relies on.
+    python examples/servo_experiments.py --serial auto
+
+Each is carried out after your yes (``--yes`` agrees to all but the last, which needs your hands). An experiment that
+switches torque uses one servo (:class:`ServoRig`), at a fifth of its torque, within 25 ticks (2 deg) of its position,
+only if it is relaxed, and leaves it relaxed. Nothing that is written outlives a power cut. The arm process works with
+any result, since it reads back what it relies on.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import time
 from collections.abc import Callable, Iterator
@@ -26,6 +30,7 @@ from robot.hardware.feetech.registers import (
     goal_block,
 )
 from robot.hardware.interface import StatusFlag, run_to_end
+from robot.hardware.port import resolve_port
 from robot.hardware.servos.bus import write_verified
 
 GENTLE_TORQUE = 200  # Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper
@@ -320,3 +325,37 @@ EXPERIMENTS = (
         needs_hands=True,
     ),
 )
+
+
+def agreed(experiment: Experiment, rig: ServoRig, *, yes: bool) -> bool:
+    """Ask the person at the arm; return True for a yes."""
+    if yes:
+        return not experiment.needs_hands
+    driven = f" (servo {rig.servo_id})" if experiment.switches_torque else ""
+    return input(f"{experiment.name}: {experiment.does}{driven}. Go on? [y/N] ").strip().lower() in ("y", "yes")
+
+
+def main() -> None:
+    """Carry out the experiments on an arm, and print what each has found."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--serial", default="auto", help="serial device, socket://host:port, USB id or auto (auto)")
+    parser.add_argument("--servo", type=int, metavar="ID", help="servo that may be driven (the last, the gripper)")
+    parser.add_argument("--yes", action="store_true", help="agree to every experiment that needs no hands")
+    options = parser.parse_args()
+    try:
+        with contextlib.closing(Bus.open(resolve_port(options.serial))) as bus:
+            present = tuple(bus.broadcast_ping())
+            driven = max(present, default=None) if options.servo is None else options.servo
+            if driven not in present:
+                parser.exit(1, f"servo {driven} does not answer; there are {', '.join(map(str, present)) or 'none'}\n")
+            rig = ServoRig(bus, driven, present)
+            for experiment in EXPERIMENTS:
+                if agreed(experiment, rig, yes=options.yes):
+                    finding = run_experiment(experiment, rig)
+                    print(f"{finding.check}: {finding.says}. {finding.remedy}".strip())
+    except RobotError as error:
+        parser.exit(1, f"{error}\n")
+
+
+if __name__ == "__main__":
+    main()

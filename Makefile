@@ -202,7 +202,7 @@ lock: install-dev
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --output-file requirements-docs.lock --group docs
 
 # Wheel, sdist and image, tried out, in build/release; nothing is published.
-release: install-dev page
+release: install-dev page docs
 	docker/release.sh
 
 clean:

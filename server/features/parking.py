@@ -438,7 +438,7 @@ class Parkings(Feature):
             self._kept.check_rest()
 
     def on_progress(self, _goal: Goal, progress: Progress) -> None:
-        """Have none of several arms parked by a way that was planned before a motion."""
+        """Forget the ways that were planned before a motion of one of several arms."""
         if progress.state is GoalState.EXECUTING:
             self._kept.forget()
 

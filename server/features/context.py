@@ -79,8 +79,7 @@ class Goals:
             self.executors, goals.policy, goals.capacity, self._on_progress, self._on_answer
         )
         file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
-        group = planning.problems.group("")
-        self.named_states = NamedStates(robot, group.name, file.load(), file.change)
+        self.named_states = NamedStates(robot, planning.problems.group("").name, file)
         self.counters = GoalCounters()
         self.listeners: list[GoalListener] = []
 

@@ -60,28 +60,20 @@ class NamedStates:
 
     Args:
         group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
-        keep: changes the states that are kept, those that other servers have saved meanwhile among them; returns them
-            all.
 
     Attributes:
         described: states of the SRDF.
         saved: states that users saved.
     """
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        group: str,
-        saved: Mapping[str, Positions],
-        keep: Callable[[Change], Awaitable[Mapping[str, Positions]]],
-    ) -> None:
+    def __init__(self, robot: RobotModel, group: str, file: NamedStatesFile) -> None:
         self._joints = {joint.name: joint for joint in robot.movable_joints}
         self._states_of_groups = robot.named_states
         self.described: Mapping[str, Positions] = robot.named_states.get(group, {})
-        self._keep = keep
+        self._file = file
         self._changing = asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
-        self.saved = self._usable(saved)
+        self.saved = self._usable(file.load())
 
     def names(self, group: str | None = None) -> list[str]:
         """Return the names of all states in alphabetical order; as :meth:`find`."""
@@ -163,7 +155,7 @@ class NamedStates:
 
     async def _change(self, change: Change) -> None:
         async with self._changing:
-            self.saved = self._usable(await self._keep(change))
+            self.saved = self._usable(await self._file.change(change))
         self._changed()
 
     def _changed(self) -> None:

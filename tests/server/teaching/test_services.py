@@ -33,7 +33,7 @@ class Lesson(ServiceRig):
         self.teaching = Teaching(self.graph, ROBOT, self.motions, self.pool, self.scene_state, self.current)
         self.states = self.listen("/teach/state", "armbridge_msgs/TeachState")
         self.state = RELAXED
-        self.teaching.take_state(self.state)
+        self.teaching.on_state("", self.state)
 
     def hand(self, lasts_s: float = 2.0, **to_rad: float) -> None:
         """Lead joints to positions, and rest there for a moment."""
@@ -46,7 +46,7 @@ class Lesson(ServiceRig):
             share = 0.5 - 0.5 * np.cos(np.pi * min(passed_s / lasts_s, 1.0))
             at = before.position_rad + share * (goal - before.position_rad)
             self.state = replace(before, clock_s=before.clock_s + float(passed_s), position_rad=at)
-            self.teaching.take_state(self.state)
+            self.teaching.on_state("", self.state)
 
     async def teach(self, name: str) -> dict[str, Any]:
         assert (await self.call("/teach/begin", name=name))["success"]
@@ -59,7 +59,7 @@ class Lesson(ServiceRig):
 async def lesson(tmp_path: Path) -> AsyncIterator[Lesson]:
     made = Lesson(tmp_path / "motions")
     yield made
-    await made.teaching.close()
+    await made.teaching.stop()
 
 
 async def refused(lesson: Lesson, service: str, **request: Any) -> str:
@@ -116,9 +116,9 @@ async def test_one_motion_is_recorded_at_a_time_whoever_asks(lesson: Lesson) -> 
 async def test_a_discarded_recording_leaves_nothing(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
-    assert lesson.teaching.recording
+    assert lesson.teaching.observes_states
     assert (await lesson.call("/teach/discard"))["success"]
-    assert not lesson.teaching.recording
+    assert not lesson.teaching.observes_states
     assert (await lesson.call("/teach/list")) == {"names": []}
     assert "discarded" in await refused(lesson, "end")
     assert "discarded" in await refused(lesson, "discard")
@@ -134,7 +134,7 @@ async def test_a_recording_without_a_motion_is_not_saved(lesson: Lesson) -> None
 async def test_a_lost_arm_ends_the_recording_which_is_kept_and_the_state_says_so(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
-    lesson.teaching.take_state(replace(lesson.state, mode=Mode.DISCONNECTED, reason="unplugged"))
+    lesson.teaching.on_state("", replace(lesson.state, mode=Mode.DISCONNECTED, reason="unplugged"))
     await until(lambda: "unplugged; the motion 'wave' is saved" in lesson.states[-1]["message"])
     assert (await lesson.call("/teach/list")) == {"names": ["wave"]}
 
@@ -142,7 +142,7 @@ async def test_a_lost_arm_ends_the_recording_which_is_kept_and_the_state_says_so
 async def test_a_server_that_ends_saves_what_is_being_recorded(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
-    await lesson.teaching.close()
+    await lesson.teaching.stop()
     assert await lesson.motions.names() == ["wave"]
 
 
@@ -198,7 +198,7 @@ async def test_a_recording_that_cannot_be_kept_does_not_begin(
 
 
 async def test_an_arm_that_is_not_connected_is_not_recorded(lesson: Lesson) -> None:
-    lesson.teaching.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
+    lesson.teaching.on_state("", ArmState(1.0, Mode.DISCONNECTED, JOINTS))
     assert "not connected" in await refused(lesson, "begin", name="wave")
 
 

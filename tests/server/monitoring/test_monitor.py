@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import mmap
 import os
+import re
 import threading
 import urllib.error
 import urllib.request
@@ -22,7 +24,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from harness.clients import ArmClient, values_of
-from harness.server import ServerOnBus
+from harness.server import ROOT, ServerOnBus
 from harness.waiting import join, wait_until
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
@@ -63,6 +65,7 @@ from tests.server.monitoring.watched_parts import (
     arm_state,
     watched_sources,
 )
+from tests.test_readme import blocks
 
 # A scrape holds the event loop up; this many calls take some 2 ms.
 SCRAPE_CALLS = 20_000
@@ -379,6 +382,7 @@ async def test_metrics_follow_what_happens(served: ServerOnBus, client: ArmClien
 # The event loop.
 
 WELL = Health(live=True, ready=True)
+
 DEAD = Health(live=False, ready=False, reasons=("the arm process has been silent", "and so on"))
 
 
@@ -455,3 +459,39 @@ async def test_the_accept_header_chooses_the_format_of_the_metrics() -> None:
     assert "armbridge_live" in {family.name for family in parse_openmetrics(modern.body.decode())}
     assert modern.headers["Content-Type"].startswith("application/openmetrics-text")
     assert modern.body.endswith(b"# EOF\n")
+
+
+PAGE = ROOT / "docs" / "operations.md"
+
+SUFFIXES = {"counter": "_total", "info": "_info"}
+
+
+def rows() -> list[list[str]]:
+    lines = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    return [re.split(r" *\| *", line)[1:-1] for line in lines]
+
+
+def test_every_metric_is_on_the_page_with_its_kind_and_labels() -> None:
+    told = {}
+    for cells in rows():
+        for name in re.findall(r"`(armbridge_\w+)`", cells[0]):
+            told[name] = (cells[1], set(filter(None, re.split(r",? +", cells[2].strip()))))
+    found = {}
+    # Of no age, whatever the time is.
+    condition = replace(arm_health(), monotonic_s=math.inf)
+    for family in Metrics(replace(watched_sources(), arm_health=condition)).registry.collect():
+        labels = {label for each in family.samples for label in each.labels} - {"le"}
+        # Nobody has sent a goal.
+        labels |= {"source", "result"} if family.name == "armbridge_goals" else set()
+        kind = "gauge" if family.type == "info" else family.type
+        found[family.name + SUFFIXES.get(family.type, "")] = (kind, labels)
+    assert told == found
+
+
+def test_prometheus_can_read_what_it_is_to_scrape() -> None:
+    yaml = pytest.importorskip("yaml")
+    (snippet,) = blocks(PAGE, "yaml")
+    (job,) = yaml.safe_load(snippet)["scrape_configs"]
+    assert job["static_configs"] == [{"targets": ["127.0.0.1:9090"]}]
+    with_token = yaml.safe_load(re.sub(r"# (?=authorization|  credentials)", "", snippet))
+    assert set(with_token["scrape_configs"][0]["authorization"]) == {"credentials_file"}

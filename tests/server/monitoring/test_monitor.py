@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from prometheus_client import Histogram
 from prometheus_client.core import Metric
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as parse
@@ -34,11 +33,10 @@ from server.execution.goal import Answer
 from server.execution.motions import Performed
 from server.gateway.connection import Traffic, TrafficCounts
 from server.monitoring import monitor as monitor_module
-from server.monitoring.health import Health, Sources
+from server.monitoring.health import Health, Sources, check_health
 from server.monitoring.monitor import (
     ARM_HEALTH_STALE_S,
     WATCHDOG_NOTIFICATIONS,
-    EventLoopMonitor,
     GoalCounters,
     Metrics,
     Monitor,
@@ -334,13 +332,14 @@ def metrics(port: int) -> dict[str, float]:
 
 
 async def test_routes_are_answered_before_any_part_is_there() -> None:
-    monitor = Monitor(Sources(), SystemdNotifier())
+    sources = Sources()
+    monitor = Monitor(sources, SystemdNotifier())
     assert set(monitor.routes) == {"healthz", "readyz", "livez", "metrics"}
-    assert monitor.health().reasons == ("the server is starting",)
+    assert check_health(sources).reasons == ("the server is starting",)
     monitor.notify_started()
-    assert monitor.health().ready
+    assert check_health(sources).ready
     monitor.notify_stopping()
-    assert monitor.health().reasons == ("the server is stopping",)
+    assert check_health(sources).reasons == ("the server is stopping",)
 
 
 async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus, client: ArmClient) -> None:
@@ -386,10 +385,6 @@ WELL = Health(live=True, ready=True)
 DEAD = Health(live=False, ready=False, reasons=("the arm process has been silent", "and so on"))
 
 
-def lag() -> Histogram:
-    return Metrics(Sources()).loop_lag_s
-
-
 class Listening(SystemdNotifier):
     """A notifier that keeps its notifications."""
 
@@ -408,9 +403,11 @@ class Listening(SystemdNotifier):
 def monitored(notifier: Listening, *found: Health, times_s: Iterable[float]) -> list[str]:
     """What a notifier has heard after looks at these times; the health is the next one found, in the end the last."""
     looks = iter(found)
-    monitor = EventLoopMonitor(notifier, lambda: next(looks, found[-1]), lag())
-    for now_s in times_s:
-        monitor.check(now_s)
+    monitor = Monitor(Sources(), notifier)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(monitor_module, "check_health", lambda _sources: next(looks, found[-1]))
+        for now_s in times_s:
+            monitor.check(now_s)
     return notifier.heard
 
 
@@ -433,8 +430,9 @@ async def test_a_blocked_event_loop_shows_as_its_lag(monkeypatch: pytest.MonkeyP
     loop = asyncio.get_running_loop()
     assert isinstance(loop, SteppedLoop)
     monkeypatch.setattr(monitor_module, "time", SimpleNamespace(monotonic=loop.time))
-    lag_s = lag()
-    watching = asyncio.create_task(EventLoopMonitor(Listening(), lambda: WELL, lag_s, period_s=0.01).run())
+    monitor = Monitor(Sources(), Listening(), period_s=0.01)
+    lag_s = monitor.metrics.loop_lag_s
+    watching = asyncio.create_task(monitor.run())
     await asyncio.sleep(0.055)
     name = "armbridge_event_loop_lag_seconds"
     assert samples(lag_s.collect())[f"{name}_sum",] == pytest.approx(0.0)

@@ -1,7 +1,5 @@
 """Large messages over real sockets: to readers, and to clients that stand still."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -108,7 +108,7 @@ pictures: install-dev page
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev page client-environments
+test-clients: install-dev page docs client-environments
 	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
 client-environments: build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried

@@ -111,11 +111,7 @@ class Monitoring(Feature):
 
 
 class Recording(Feature):
-    """The recorder, where the settings name a file.
-
-    Attributes:
-        recorder: takes messages from its construction on; None to record nothing.
-    """
+    """The recorder, which takes messages from its construction on; None where the settings name no file."""
 
     name = "the recording"
     deadline_s = 0.8

@@ -10,7 +10,6 @@ import logging
 import threading
 
 import draccus
-import torch
 from lerobot.async_inference.configs import RobotClientConfig
 from lerobot.async_inference.helpers import TimedAction
 from lerobot.async_inference.robot_client import RobotClient
@@ -35,7 +34,7 @@ NEAR_RAD = 0.2
 START_SPEED = 0.3
 
 
-class ChunkClient(RobotClient):  # type: ignore[misc]  # lerobot's class
+class ChunkClient(RobotClient):
     """RobotClient that sends chunks, and counts the steps of actions instead of sending them one by one."""
 
     def __init__(self, config: RobotClientConfig) -> None:
@@ -136,6 +135,5 @@ def run(config: RobotClientConfig) -> None:
 def main() -> None:
     """Start from the command line."""
     logging.basicConfig(level=logging.INFO)
-    torch.set_num_threads(1)
     register_third_party_plugins()
     run(draccus.parse(RobotClientConfig))

@@ -226,7 +226,11 @@ class ArmController:
         found = self.guards.check(self.goal_rad, measured, self.torque_limit, now_s, yielding)
         ended = self._end_gripped(measured, yielding) if yielding is not None else []
         if self._relieves:
-            self._relieve(measured, now_s)
+            # Limit joints that push for so long that the protection of their servos would latch.
+            thresholds = self.guards.thresholds
+            lasting_s = self._loaded.lasting(np.abs(measured.load) > thresholds.sustained_torque, now_s)
+            limited = np.minimum(self.torque_limit, thresholds.sustained_torque)
+            self.torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self.torque_limit)
         if found is not None:
             ended += self.react(found, measured)
         return ended + self._end_finished(measured, now_s)
@@ -293,13 +297,6 @@ class ArmController:
             ended.append(motion.ended(Outcome.GRIPPED, message))
             self._drop(motion, measured)
         return ended
-
-    def _relieve(self, measured: Measured, now_s: float) -> None:
-        """Limit joints that push for so long that the protection of their servos would latch."""
-        thresholds = self.guards.thresholds
-        lasting_s = self._loaded.lasting(np.abs(measured.load) > thresholds.sustained_torque, now_s)
-        limited = np.minimum(self.torque_limit, thresholds.sustained_torque)
-        self.torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self.torque_limit)
 
     def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
         ended = []

@@ -151,7 +151,10 @@ class Guards:
             return self._silence_fault(goal_rad, measured)
         self._fresh = False
         jumped = self._none if last is None else self._jumped(measured, now_s, *last)
-        self._check_errors(goal_rad, measured, torque_limit, now_s)
+        error = np.abs(measured.position_rad - goal_rad)
+        self.stalled = self._stalling(error, measured, torque_limit, now_s)
+        lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
+        self.lost = lost_s >= self.limits.tracking_time_s
         resisting = self._none if yielding is None else yielding
         status_faults = _STATUS_FAULTS if measured.status.any() else ()
         findings = (
@@ -211,12 +214,6 @@ class Guards:
 
     def _silent_joints(self, measured: Measured) -> Flags:
         return np.asarray(measured.age_s > self.limits.silent_after_s)
-
-    def _check_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
-        error = np.abs(measured.position_rad - goal_rad)
-        self.stalled = self._stalling(error, measured, torque_limit, now_s)
-        lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
-        self.lost = lost_s >= self.limits.tracking_time_s
 
     def _stalling(self, error: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> Flags:
         far = error > STALL_ERROR_RAD

@@ -153,7 +153,10 @@ class Orders:
         if fault is None:
             return "there is no fault"
         yield from self._until_rest(controller)
-        self._check_answers()
+        silent_after_s = controller.guards.limits.silent_after_s
+        for joint, age_s in enumerate(self._readings().age_s.tolist()):
+            if age_s > silent_after_s:
+                raise OrderRefused(f"the servo of joint {hardware.label(joint)} does not answer")
         driven = yield from hardware.driven()
         yield from self._clear_overloads(controller)
         yield POLL_S
@@ -175,11 +178,6 @@ class Orders:
             raise OrderRefused("the arm holds, and a new homing offset would move its goals: relax it first")
         return (yield from self._arm.hardware.write_calibration(calibration))
 
-    @property
-    def survey_due(self) -> bool:
-        """True when something was written to the actuators since they were surveyed."""
-        return self._arm.controller is not None and self._arm.hardware.needs_survey
-
     def survey(self) -> Steps[str]:
         """Survey the actuators of a relaxed arm again; the controller's limits stay as they are."""
         yield from self._arm.hardware.survey()
@@ -195,12 +193,6 @@ class Orders:
             goal_rad = yield from self._arm.hardware.clear_overloads(overloaded, hold=controller.torque_enabled)
             if goal_rad is not None:
                 self._arm.hold(goal_rad)
-
-    def _check_answers(self) -> None:
-        silent_after_s = self._controller().guards.limits.silent_after_s
-        for joint, age_s in enumerate(self._readings().age_s.tolist()):
-            if age_s > silent_after_s:
-                raise OrderRefused(f"the servo of joint {self._arm.hardware.label(joint)} does not answer")
 
     def _check_causes(self, fault: Fault) -> None:
         """Raise OrderRefused while an actuator is hot or reports an error."""

@@ -362,16 +362,12 @@ def with_fixed_joints(urdf: str, positions: Mapping[str, float]) -> str:
     for element in root.findall("joint"):
         name = element.get("name", "")
         if name in positions:
-            _fix(element, positions[name])
+            shift_origin(element, positions[name])
+            for child in [*element]:
+                if child.tag in OF_MOVING_JOINTS:
+                    element.remove(child)
+            element.set("type", "fixed")
     return ET.tostring(root, encoding="unicode")
-
-
-def _fix(element: ET.Element, position: float) -> None:
-    shift_origin(element, position)
-    for child in [*element]:
-        if child.tag in OF_MOVING_JOINTS:
-            element.remove(child)
-    element.set("type", "fixed")
 
 
 log = logging.getLogger("armbridge.description")
@@ -438,20 +434,16 @@ def _candidates(name: str, directory: Path | None, packages: Sequence[Path]) -> 
         package, _, inner = name.removeprefix(_PACKAGE).partition("/")
         around = () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]
         for folder in (*packages, *around):
-            yield from _in_folder(folder, package, inner)
+            # The folder contains the package, or is it.
+            yield folder / package / inner
+            if folder.name == package or _name_of_package(folder) == package:
+                yield folder / inner
     elif name.startswith(_FILE):
         yield Path(unquote(name.removeprefix(_FILE)))
     elif directory is not None:
         yield directory / name
     elif Path(name).is_absolute():
         yield Path(name)
-
-
-def _in_folder(folder: Path, package: str, inner: str) -> Iterator[Path]:
-    """Yield the places of a package's file, where a folder contains the package or is it."""
-    yield folder / package / inner
-    if folder.name == package or _name_of_package(folder) == package:
-        yield folder / inner
 
 
 def _name_of_package(folder: Path) -> str | None:

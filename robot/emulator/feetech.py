@@ -150,7 +150,7 @@ class FeetechServo(EmulatedServo[Register]):
             self.memory.set(Register.TORQUE_ENABLE, torque)
             self.make_middle()
         elif torque and not asked:
-            if self.protection.refuses_torque_off:
+            if self.protection.latches and self.protection.latched:
                 self.memory.set(Register.TORQUE_ENABLE, torque)
             self.protection.torque_off()
         self._follow_write(address)
@@ -311,7 +311,7 @@ def emulated_feetech_arm(
     """Build the emulated Feetech servos of an arm; raises OSError where log or control socket cannot be created."""
     population = POPULATIONS[config.population]
     servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
-    holds = config.driven and (config.resumes or not population.has_shifted)
+    holds = config.driven and (config.resumes or not any(population.offset_shift_ticks))
     log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
     arm = EmulatedArm(robot, config, Feetech(config.profile), servos, FEETECH, bounds, limits, clock, log, holds=holds)
     if config.control:

@@ -86,7 +86,7 @@ class Protection:
         self.latches = latches
         self.forced = 0  # errors forced by a command
         self.status = 0  # present errors
-        self._latched = 0
+        self.latched = 0  # errors that outlast their cause
         self._overload_s = self._overcurrent_s = 0.0
 
     def step(
@@ -112,17 +112,12 @@ class Protection:
         if temperature_c > limits.temperature_c:
             detected |= StatusFlag.TEMPERATURE
         if detected:
-            self._latched |= detected & limits.latching
-        self.status = detected | self._latched | self.forced
-
-    @property
-    def refuses_torque_off(self) -> bool:
-        """True while an error is latched that only a power cycle clears."""
-        return self.latches and bool(self._latched)
+            self.latched |= detected & limits.latching
+        self.status = detected | self.latched | self.forced
 
     def latch(self, errors: StatusFlag) -> None:
         """Detect errors that outlast their cause."""
-        self._latched |= errors
+        self.latched |= errors
 
     def torque_off(self) -> None:
         """Clear the latches that switching torque off clears."""
@@ -132,8 +127,8 @@ class Protection:
     def power_up(self) -> None:
         """Clear timers and latches."""
         self._overload_s = self._overcurrent_s = 0.0
-        self.status &= ~self._latched | self.forced
-        self._latched = 0
+        self.status &= ~self.latched | self.forced
+        self.latched = 0
 
 
 class EmulatedServo(ABC, Generic[RegisterT]):

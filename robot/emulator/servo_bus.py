@@ -330,8 +330,11 @@ class ServoBus(Generic[S]):
                 rest = instruction.parameters[block_bytes:]
                 if code == INST_SYNC_READ:
                     yield from self._sync_read(hearers, address, length, rest)
-                else:
-                    _sync_write(hearers, address, length, rest, written)
+                    return
+                for at in range(0, len(rest) - length, length + 1):
+                    for servo in hearers:
+                        if servo.servo_id == rest[at]:
+                            _write(servo, address, rest[at + 1 : at + 1 + length], written)
             return
         for servo in sorted(hearers, key=lambda servo: servo.servo_id):
             if broadcast or instruction.servo_id == servo.servo_id:
@@ -413,13 +416,6 @@ def superimposed(packets: Sequence[bytes]) -> bytes:
         received.append(low & 0xFF ^ 0xFF)
         low >>= BITS_PER_BYTE - 1
     return bytes(received)
-
-
-def _sync_write(hearers: Sequence[S], address: int, length: int, blocks: bytes, written: Written) -> None:
-    for at in range(0, len(blocks) - length, length + 1):
-        for servo in hearers:
-            if servo.servo_id == blocks[at]:
-                _write(servo, address, blocks[at + 1 : at + 1 + length], written)
 
 
 def _write(servo: EmulatedServo[Any], address: int, data: bytes, written: Written) -> int:

@@ -171,7 +171,7 @@ class GoalExecutor:
             return await self._plan_and_play(goal, goal.request.motion)
         if goal.request.motion is None:
             raise AssertionError("a rejected goal was queued")
-        return await _answered(self._play_external(goal, goal.request.motion))
+        return await self._play_given(goal, goal.request.motion)
 
     # Attempts: from a motion to an answer.
 
@@ -273,6 +273,14 @@ class GoalExecutor:
         self._check_s = self._clock() - asked_s
         return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
 
+    async def _play_given(self, goal: Goal, motion: ExternalTrajectory) -> Answer:
+        """Play a trajectory, up to a first contact where it may be cut."""
+        while True:
+            answer = await _answered(self._play_external(goal, motion))
+            if goal.reason or motion.cut is None or (shorter := motion.cut(answer.details)) is None:
+                return answer
+            motion = shorter
+
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         if (answer := await self._splice_external(goal, request)) is not None:
             return answer
@@ -357,7 +365,6 @@ class GoalExecutor:
     async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
-        goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         to_come_s = planned.duration_s
         for motion in motions:
@@ -389,6 +396,8 @@ class GoalExecutor:
                 goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
                 await goal.unless_cancelled(asyncio.wait([in_the_way.ended]))
             elif all(one in beside for one in self._in_progress.beside(joints)):
+                left_s = whole.duration_s + to_come_s
+                goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, left_s))
                 return await self._player.play(goal, checked, self._questions(checked), to_come_s=to_come_s)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:

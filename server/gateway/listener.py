@@ -3,8 +3,6 @@
 With a certificate, which can be replaced while the server runs, connections are encrypted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno
@@ -38,7 +36,7 @@ from server.gateway.turns import Scheduling, Threads, Turns
 from server.gateway.websocket import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.timers import CallLater, Timer, call_later
+from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -152,7 +150,7 @@ class ClientList:
         self._node = Node("rosbridge_websocket")
         self._clients: dict[Node, dict[str, Any]] = {}
         # Runs while the next publication has to wait.
-        self._pause: Timer | None = None
+        self._pause: asyncio.TimerHandle | None = None
         self._changed = False
 
     def open(self) -> None:

@@ -2,11 +2,9 @@
 
 Control frames, fragments and everything unusual are for ``ServerProtocol``, the documented sans-I/O interface of
 websockets. Whole messages, nearly all that clients send, are read here, which saves a third of the time of a flood
-(docs/architecture.md). Their mask is taken off by ``websockets.speedups.apply_mask``, the one name in use that
+(ARCHITECTURE.md). Their mask is taken off by ``websockets.speedups.apply_mask``, the one name in use that
 websockets does not document: so pyproject.toml bounds its version, and each new major version has to be tried.
 """
-
-from __future__ import annotations
 
 import asyncio
 import contextlib

@@ -60,28 +60,20 @@ class NamedStates:
 
     Args:
         group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
-        keep: changes the states that are kept, those that other servers have saved meanwhile among them; returns them
-            all.
 
     Attributes:
         described: states of the SRDF.
         saved: states that users saved.
     """
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        group: str,
-        saved: Mapping[str, Positions],
-        keep: Callable[[Change], Awaitable[Mapping[str, Positions]]],
-    ) -> None:
+    def __init__(self, robot: RobotModel, group: str, file: NamedStatesFile) -> None:
         self._joints = {joint.name: joint for joint in robot.movable_joints}
         self._states_of_groups = robot.named_states
         self.described: Mapping[str, Positions] = robot.named_states.get(group, {})
-        self._keep = keep
+        self._file = file
         self._changing = asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
-        self.saved = self._usable(saved)
+        self.saved = self._usable(file.load())
 
     def names(self, group: str | None = None) -> list[str]:
         """Return the names of all states in alphabetical order; as :meth:`find`."""
@@ -93,11 +85,7 @@ class NamedStates:
         self._changed()
 
     def find(self, name: str, group: str | None = None) -> tuple[str, Positions] | None:
-        """Return the spelling of a name and its state; None when there is no such state.
-
-        Args:
-            group: planning group whose states of the SRDF count; None for the selected one.
-        """
+        """Return the spelling of a name and its state, also of a group in the SRDF; None without such a state."""
         states = self._of(group)
         spelled = _spelling(name, states)
         return None if spelled is None else (spelled, states[spelled])
@@ -163,7 +151,7 @@ class NamedStates:
 
     async def _change(self, change: Change) -> None:
         async with self._changing:
-            self.saved = self._usable(await self._keep(change))
+            self.saved = self._usable(await self._file.change(change))
         self._changed()
 
     def _changed(self) -> None:

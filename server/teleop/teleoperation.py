@@ -16,13 +16,14 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
-from server.answers import Work, telling
 from server.arrival import is_stopped
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
 from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING, Rule
+from server.graph.services import Work, telling
 from server.graph.topics import Graph, Subscriber
+from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.teleop.following import STALE_S, Phase
 from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample, joint_map
@@ -50,11 +51,7 @@ LOGGED_AGAIN_S = 5.0
 
 
 def read_sample(message: Message, received_s: float) -> LeaderSample:
-    """Read a sensor_msgs/JointState.
-
-    Args:
-        received_s: time that stands for the stamp of a message without one [s].
-    """
+    """Read a sensor_msgs/JointState; the time of its receipt stands for the stamp of a message without one [s]."""
     names, positions = message["name"], message["position"]
     if len(names) != len(positions) or not 0 < len(names) <= MAX_JOINTS:
         raise ServiceError(
@@ -141,8 +138,10 @@ class _Following:
     targets_rad: Mapping[str, float] = field(default_factory=dict)
 
 
-class Teleoperation:
+class Teleoperation(Feature):
     """Has arms follow leaders, each follower one."""
+
+    name = "teleoperation"
 
     def __init__(
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
@@ -184,19 +183,19 @@ class Teleoperation:
         self._graph.publish(self._node, below + STATE_TOPIC, _state_message("", "", state))
 
     @property
-    def active(self) -> bool:
-        """True while a leader is listened to, whose states are needed at their full rate."""
+    def observes_states(self) -> bool:
+        """True while a leader is listened to."""
         return bool(self._followings)
 
-    def take_leader_state(self, name: str, state: ArmState) -> None:
-        """Take the latest state of an arm of this server."""
+    def on_state(self, arm: str, state: ArmState) -> None:
+        """Follow the latest state of a leader, without waiting for the states of other arms."""
         for following in self._followings.values():
-            if following.leader.name == name:
+            if following.leader.name == arm:
                 following.leader.take_state(state)
                 if following.session is not None:
                     following.session.take_sample()
 
-    async def close(self) -> None:
+    async def stop(self) -> None:
         """End every following; the arms come to rest by themselves."""
         sessions = [each.session for each in self._followings.values() if each.session is not None]
         await asyncio.gather(*(session.close() for session in sessions))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import functools
 import itertools
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -28,7 +29,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalTranslator
-from server.moveit.named_states import Change, NamedStates, States
+from server.moveit.named_states import NamedStates, NamedStatesFile
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import RequestContext
 from server.moveit.requests.planning_context import PlanningContext
@@ -175,18 +176,6 @@ def near(pose: Pose, position_m: tuple[float, float, float], tolerance_m: float 
     return all(abs(a - b) <= tolerance_m for a, b in zip(pose.position_m, position_m, strict=True))
 
 
-def keep_in_memory(states: States | None = None) -> Callable[[Change], Awaitable[States]]:
-    """Return the keeper of states that live as long as the test."""
-    kept: States = dict(states or {})
-
-    async def keep(change: Change) -> States:
-        nonlocal kept
-        kept = change(kept)
-        return kept
-
-    return keep
-
-
 def planning_of(arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, **parameters: Any) -> PlanningContext:
     """Return the context of planning for an arm in an empty scene."""
     scene = SceneState(robot)
@@ -205,8 +194,8 @@ def planning_of(arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, **
 
 def translator(arm: FakeArm | None = None, robot: RobotModel = ROBOT, **parameters: Any) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
-    saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
-    states = NamedStates(robot, robot.default_group, saved, keep_in_memory(saved))
+    states = NamedStates(robot, robot.default_group, NamedStatesFile(Path("/no file")))
+    states.saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
     return GoalTranslator(planning_of(arm or FakeArm(), robot, **parameters), MoveItParameters(**parameters), states)
 
 

@@ -34,7 +34,7 @@ from server.moveit.scene.collision_objects import (
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
-from server.timers import CallLater, Timer, call_later
+from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
 
@@ -243,7 +243,7 @@ class MonitoredScenePublisher:
         self._published = state.contents
         self._period_s = 1.0 / rate_hz
         self._published_at_s = clock() - self._period_s
-        self._timer: Timer | None = None
+        self._timer: asyncio.TimerHandle | None = None
         graph.advertise(self._node, MONITORED_TOPIC, "moveit_msgs/PlanningScene")
         self._latch()
         state.on_change(self._schedule)

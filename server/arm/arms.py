@@ -156,12 +156,7 @@ class StateFeed:
 
 @dataclass(frozen=True)
 class ServedArm:
-    """An arm, or all arms together.
-
-    Attributes:
-        name: of one of several arms; empty for the only one, and for all together.
-        leads: True for an arm that others follow.
-    """
+    """An arm by its name among several, or all arms together; the name of an only arm is empty."""
 
     name: str
     settings: ArmSettings

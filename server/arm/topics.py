@@ -96,11 +96,7 @@ class ArmStateTopics:
         self.take_state(state)
 
     def take_state(self, state: ArmState, last_stop: int = 0) -> None:
-        """Publish a state when it says something new.
-
-        Args:
-            last_stop: stop epoch of the arm's last stop; a new one is published for every client.
-        """
+        """Publish a state when it says something new, such as the stop epoch of the arm's last stop."""
         shown = state.mode, state.reason, state.fault, state.pace, last_stop
         if shown != self._shown:
             self._shown = shown
@@ -124,11 +120,7 @@ class ArmStateTopics:
 
 
 def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]:
-    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it.
-
-    Args:
-        prefix: of the arm's services.
-    """
+    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it."""
     message = _SENTENCES[state.mode].format(prefix=prefix)
     if state.fault is not None:
         message = f"{state.fault} The service that resets it is {prefix}{RESET_FAULT}."

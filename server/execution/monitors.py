@@ -189,11 +189,7 @@ class SceneMonitor:
     def start(
         self, version: int, questions: Callable[[], Questions], on_contact: Callable[[PlanningFailure], None]
     ) -> None:
-        """Monitor a motion until :meth:`stop`.
-
-        Args:
-            on_contact: called once, when the motion is no longer free; the monitor then stops.
-        """
+        """Monitor a motion until :meth:`stop`, or until it is not free: then call ``on_contact`` once, and stop."""
         self._checked_version, self._questions, self._on_contact = version, questions, on_contact
         self._on_change()
 

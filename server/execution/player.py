@@ -59,11 +59,7 @@ class CheckedMotion:
 
 @dataclass(frozen=True)
 class OutgoingMotion:
-    """Motion that goes on for a moment after its goal was preempted, so that another can replace it.
-
-    Attributes:
-        until_s: monotonic time by which the other has to be sent [s].
-    """
+    """Motion that goes on for a moment after its goal was preempted; another can replace it, if sent by ``until_s``."""
 
     motion: CheckedMotion
     ended: asyncio.Future[MotionEnded]
@@ -78,11 +74,7 @@ class OutgoingMotion:
 
 
 class MotionWatch:
-    """Watch over one motion of a request until it ends: brakes it after a cancellation, and counts its time.
-
-    Args:
-        gripping: True for a motion that keeps its own speed where others are paused or slowed down.
-    """
+    """Watch over one motion until it ends: brakes after a cancellation, counts its time; a grip keeps its speed."""
 
     def __init__(
         self,
@@ -128,11 +120,7 @@ class MotionWatch:
 
 
 class Player:
-    """Player of one motion at a time.
-
-    Attributes:
-        outgoing: the motion of a preempted goal; None if there is none.
-    """
+    """Player of one motion at a time; the motion of a preempted goal is ``outgoing``."""
 
     def __init__(
         self,
@@ -315,11 +303,7 @@ class MotionsInProgress:
         return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
 
     def expected_rad(self, held_rad: Mapping[str, float], joints: Joints) -> dict[str, float]:
-        """Return where the joints will hold when every motion of others, begun or announced, has ended [rad].
-
-        Args:
-            joints: those for which this is asked; they are where they hold now.
-        """
+        """Return the positions [rad] of some joints now, and of others after their motions, begun or announced."""
         expected_rad = dict(held_rad)
         for one in self.beside(joints):
             end_rad = one.trajectory.positions_rad[-1].tolist()

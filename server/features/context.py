@@ -159,11 +159,7 @@ class ArmContext:
         self.goals.queue.stop(reason, self.only_joints)
 
     def go_to(self, positions_rad: Positions, scaling: float) -> Goal:
-        """Queue a goal for joints of the arm.
-
-        Args:
-            scaling: share of the velocity and acceleration limits.
-        """
+        """Queue a goal for joints of the arm, at a share of the velocity and acceleration limits."""
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
         motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
         return self.goals.queue.submit(GoalRequest("the server", motion, message))
@@ -171,11 +167,7 @@ class ArmContext:
 
 @dataclass(frozen=True, eq=False)
 class ServerContext:
-    """Context of all features.
-
-    Attributes:
-        arms: the whole, which is the only arm or all arms together; then each of several.
-    """
+    """Context of all features; the arms are the whole, which is the only arm or all together, then each of several."""
 
     settings: Settings
     graph: Graph

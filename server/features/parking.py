@@ -122,14 +122,7 @@ class Parking:
     # Parking now.
 
     def park(self, source: str) -> asyncio.Future[CommandDone]:
-        """End all goals, move the arm to its rest pose, and relax it there.
-
-        Args:
-            source: service, or reason, that asks for it.
-
-        Returns:
-            Future of the answer. An arm that does not come to its rest pose goes on holding.
-        """
+        """End all goals, move the arm to its rest pose, and relax it there; an arm that cannot come to it holds."""
         pose = self._pose
         refused = self._no_pose if pose is None else STOPPED_SINCE if is_stopped(self._arm.last_stop) else ""
         if pose is None or refused:
@@ -317,12 +310,7 @@ class KeptWays:
 
 @dataclass(frozen=True)
 class _Place:
-    """Place from which ways were planned.
-
-    Attributes:
-        arms: process id of each arm process, which keeps the way, and the arm's mode.
-        speed_limit: of the arms, which decides on the duration.
-    """
+    """Place from which ways were planned: also each arm process with its mode, and the speed limit."""
 
     held_rad: Mapping[str, float]
     version: int

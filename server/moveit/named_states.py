@@ -85,11 +85,7 @@ class NamedStates:
         self._changed()
 
     def find(self, name: str, group: str | None = None) -> tuple[str, Positions] | None:
-        """Return the spelling of a name and its state; None when there is no such state.
-
-        Args:
-            group: planning group whose states of the SRDF count; None for the selected one.
-        """
+        """Return the spelling of a name and its state, also of a group in the SRDF; None without such a state."""
         states = self._of(group)
         spelled = _spelling(name, states)
         return None if spelled is None else (spelled, states[spelled])

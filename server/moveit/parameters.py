@@ -173,12 +173,7 @@ class PlannerParameters:
         return texts
 
     def set(self, group: str, planner: str, values: Mapping[str, str], *, replace: bool) -> None:
-        """Set parameters.
-
-        Args:
-            group: name of the group; empty for all.
-            planner: name of the planner; empty for all.
-        """
+        """Set parameters of a group and a planner by their names; empty for all."""
         scope = (group, planner)
         kept = {} if replace else self._set.get(scope, {})
         wanted = {**kept, **values}

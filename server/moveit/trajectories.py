@@ -69,11 +69,7 @@ class TrajectoryTiming:
 
 
 def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTiming | None = None) -> ExternalTrajectory:
-    """Make the motion of a trajectory_msgs/JointTrajectory, read once the state at its start is known.
-
-    Args:
-        timing: None for a trajectory that begins at rest alone, when its turn comes.
-    """
+    """Make the motion of a trajectory_msgs/JointTrajectory; without a timing it begins at rest, when its turn comes."""
     names = tuple(message["joint_names"])
     group = smallest_group(robot, names)
     joints = frozenset(names if group is None else group.joints)
@@ -376,12 +372,7 @@ def knot_velocities(time_s: Vector, positions_rad: Vector) -> Vector:
 
 
 def knot_accelerations(time_s: Vector, positions_rad: Vector, velocities_rad_s: Vector) -> Vector:
-    """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2].
-
-    Args:
-        positions_rad: shape (n, joints) [rad].
-        velocities_rad_s: shape (n, joints) [rad/s].
-    """
+    """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2]."""
     accelerations = np.zeros_like(positions_rad)
     spans = np.diff(time_s)[:, np.newaxis]
     slopes = np.diff(positions_rad, axis=0) / spans

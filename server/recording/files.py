@@ -87,12 +87,7 @@ def check_path(path: Path) -> None:
 
 
 class RecordedMessage(NamedTuple):
-    """Message as a file holds it.
-
-    Attributes:
-        log_time_ns: time of recording [ns since the epoch], by a clock that never jumps.
-        publish_time_ns: time of publication [ns since the epoch].
-    """
+    """Message of a file with its times of recording and publication [ns since the epoch], by a steady clock."""
 
     topic: str
     type_name: str

@@ -62,11 +62,7 @@ class RecordedTopic:
 
 @dataclass
 class Summary:
-    """Contents of a file.
-
-    Attributes:
-        complete: False if the file was not ended or is damaged.
-    """
+    """Contents of a file, which is not complete if it was not ended or is damaged."""
 
     topics: list[RecordedTopic] = field(default_factory=list)
     messages: int = 0

@@ -96,11 +96,7 @@ class Following:
         return Act.NOTHING
 
     def take_ramp_end(self, failure: str) -> None:
-        """Take the end of the ramp.
-
-        Args:
-            failure: reason for which it did not arrive; empty when it did.
-        """
+        """Take the end of the ramp, or the reason for which the ramp did not arrive."""
         if self.phase is not Phase.RAMPING:
             return
         if failure:
@@ -175,11 +171,7 @@ def tracking_velocities(
     limits: Mapping[str, TrackingLimits],
     latency_s: float,
 ) -> dict[str, float]:
-    """Return the velocity of each joint that has a target [rad/s].
-
-    Args:
-        leader_rad_s: velocities of the targets, 0 where they are not named [rad/s].
-    """
+    """Return the velocity of each joint that has a target; a leader's velocity that is not named is 0 [rad/s]."""
     return {
         name: tracking_velocity(target - goals_rad[name], leader_rad_s.get(name, 0.0), limits[name], latency_s)
         for name, target in targets_rad.items()

@@ -44,11 +44,7 @@ class LeaderSample:
 
 @dataclass(frozen=True)
 class LeaderPose:
-    """Pose of a leader to be followed.
-
-    Attributes:
-        latency_s: time since the reading, without the least time that a sample has taken to come [s].
-    """
+    """Pose of a leader, with the time since its reading, without the least time that a sample has taken to come [s]."""
 
     positions_rad: Positions
     velocity_rad_s: Positions

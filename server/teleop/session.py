@@ -67,11 +67,7 @@ GoTo: TypeAlias = Callable[[Positions, float], Goal]
 
 @dataclass(frozen=True)
 class Follower:
-    """Arm that can follow.
-
-    Attributes:
-        prefix: with which names of its joints begin; empty for an arm that is alone.
-    """
+    """Arm that can follow; the names of its joints begin with the prefix, which is empty for an arm that is alone."""
 
     name: str
     prefix: str

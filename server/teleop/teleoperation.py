@@ -51,11 +51,7 @@ LOGGED_AGAIN_S = 5.0
 
 
 def read_sample(message: Message, received_s: float) -> LeaderSample:
-    """Read a sensor_msgs/JointState.
-
-    Args:
-        received_s: time that stands for the stamp of a message without one [s].
-    """
+    """Read a sensor_msgs/JointState; the time of its receipt stands for the stamp of a message without one [s]."""
     names, positions = message["name"], message["position"]
     if len(names) != len(positions) or not 0 < len(names) <= MAX_JOINTS:
         raise ServiceError(

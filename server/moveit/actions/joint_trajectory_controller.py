@@ -262,11 +262,7 @@ class JointTrajectoryController:
 
 
 class TrajectoryGoal:
-    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result.
-
-    Attributes:
-        executing: True while its motion is in progress.
-    """
+    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result."""
 
     def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
         self._goal = goal

@@ -228,11 +228,7 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
 
 
 async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) -> Answer:
-    """Plan from the start state of the first request, whatever the arm does meanwhile.
-
-    Args:
-        sender: its client; positions that it assumes complete the start state.
-    """
+    """Plan from the start state of the first request, completed by positions that the sender assumes."""
     state, diff = goal.requests[0]["start_state"], goal.scene_diff
     try:
         start = context.start(state, sender)

@@ -150,11 +150,7 @@ def goal_check(
     tip: str,
     desired: Pose | None,
 ) -> dict[str, Any]:
-    """Return the armbridge_msgs/GoalCheck of one goal.
-
-    Args:
-        desired: the goal pose in the root link; None for a joint goal.
-    """
+    """Return the armbridge_msgs/GoalCheck of one goal; its pose is in the root link, and None for a joint goal."""
     if isinstance(answer, PlanningFailure):
         return _refused(answer)
     end_rad, angle_rad = answer.positions_rad[0], 0.0

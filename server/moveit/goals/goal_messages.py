@@ -254,11 +254,7 @@ class Suggestion:
 
 
 def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) -> Suggestion | None:
-    """Return the goal that would work by the details of a failure; None when they name none.
-
-    Args:
-        message: the rejected message; empty when it could not be read.
-    """
+    """Return the goal that would work by the details of a failure; None when they name none."""
     if "nearest_name" in details:
         name = details["nearest_name"]
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")

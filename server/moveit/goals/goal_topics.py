@@ -175,11 +175,7 @@ class GoalStatusTopics:
         self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
     def publish_answer(self, goal: Goal, answer: Answer, *, logged: bool = False) -> None:
-        """Log the end of a goal, publish its final status, then the result of a goal from a topic.
-
-        Args:
-            logged: true if its end is in the log already.
-        """
+        """Publish the final status of a goal, then the result of a goal from a topic; its end may be logged already."""
         status = final_status(goal, answer, self._robot)
         level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
@@ -241,11 +237,7 @@ def details_as_json(answer: Answer) -> dict[str, str]:
 
 
 class GoalTopics:
-    """Topics by which goals are sent, their group is chosen, and they are cancelled and stopped.
-
-    Args:
-        joints: those that the topics for stops are for; None for all.
-    """
+    """Topics by which goals are sent, their group is chosen, and they are cancelled or, of some joints, stopped."""
 
     def __init__(
         self,

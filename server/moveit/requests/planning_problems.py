@@ -90,11 +90,7 @@ class BuiltProblem(Generic[Problem]):
 
 
 class ProblemBuilder:
-    """Builder of planning problems for one robot.
-
-    Args:
-        speed_limit: share of the velocity limits that motions of some joints may use now.
-    """
+    """Builder of planning problems for one robot, at the present speed limit: a share of the velocity limits."""
 
     def __init__(
         self,
@@ -144,11 +140,7 @@ class ProblemBuilder:
         )
 
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
-        """Build the problem of a moveit_msgs/MotionPlanRequest.
-
-        Args:
-            request: the request; its start state is not read here, because only the first of several has one.
-        """
+        """Build the problem of a moveit_msgs/MotionPlanRequest; its start state is read before."""
         pipeline = check_pipeline(request["pipeline_id"])
         _check_unread(request)
         group = self.group(request["group_name"])

@@ -45,11 +45,7 @@ MAX_WAITING_ELEMENTS = 1_000_000
 
 @dataclass(frozen=True)
 class SceneChange:
-    """A change of the scene by a message.
-
-    Attributes:
-        elements: number of elements in the message, as far as they take time.
-    """
+    """A change of the scene by a message, with the number of the elements in the message that take time."""
 
     apply: Callable[[SceneDraft], None]
     elements: int
@@ -300,11 +296,7 @@ class AssumedStates:
         self._sent[node] = positions_rad
 
     def after(self, node: Node, robot_state: Message) -> Mapping[str, float] | None:
-        """Return the positions that a client assumes once a moveit_msgs/RobotState is taken over, by joint [rad].
-
-        Args:
-            robot_state: without joints it changes nothing; with ``is_diff``, other joints stay as they are.
-        """
+        """Return the positions [rad] that a client assumes after a moveit_msgs/RobotState, a diff or a whole one."""
         named = read_joint_positions(robot_state["joint_state"], self._joints, "robot_state.joint_state")
         before, sent = self._assumed.get(node), self._sent.get(node, {})
         if all(sent.get(joint) == position for joint, position in named.items()):

@@ -227,11 +227,7 @@ def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
 
 
 class ServoNode:
-    """MoveIt Servo's node.
-
-    Args:
-        busy: returns the reason if the arm cannot be steered now, else an empty text.
-    """
+    """MoveIt Servo's node; ``busy`` returns the reason if the arm cannot be steered now, else an empty text."""
 
     def __init__(
         self,

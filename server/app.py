@@ -1,7 +1,5 @@
 """Composition root: makes every part of the server, starts them in order, and stops them in reverse."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from dataclasses import dataclass

@@ -80,7 +80,7 @@ class Monitoring(Feature):
         bridge: Bridge | None,
         notifier: SystemdNotifier | None,
     ) -> None:
-        sources = Sources(
+        self._sources = Sources(
             traffic=clients.listener.traffic,
             refused_connections=clients.listener.refused_connections,
             goal_counters=context.goals.counters,
@@ -90,7 +90,7 @@ class Monitoring(Feature):
             recorder=recorder,
             zenoh=bridge,
         )
-        self.monitor = Monitor(sources, notifier or SystemdNotifier())
+        self.monitor = Monitor(self._sources, notifier or SystemdNotifier())
         self._watching = BackgroundTask("monitor", self.monitor.run)
         clients.routes.update(self.monitor.routes)
 
@@ -102,7 +102,7 @@ class Monitoring(Feature):
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         if not arm:
-            self.monitor.take_health(health)
+            self._sources.arm_health = health
 
 
 class Recording(Feature):

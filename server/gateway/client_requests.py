@@ -1,7 +1,5 @@
 """Services and actions of one client: its offers, and its calls and goals to other providers."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Topics of one client: its publications, and its subscriptions with their deliveries."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 With a certificate, which can be replaced while the server runs, connections are encrypted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

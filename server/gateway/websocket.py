@@ -6,8 +6,6 @@ websockets. Whole messages, nearly all that clients send, are read here, which s
 websockets does not document: so pyproject.toml bounds its version, and each new major version has to be tried.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

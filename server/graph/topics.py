@@ -7,8 +7,6 @@ rosbridge_server publishes with transient-local durability: with ``latch`` the l
 publisher lives, without it every message for a second (rosbridge_library, internal/publishers.py).
 """
 
-from __future__ import annotations
-
 import difflib
 import logging
 import time

@@ -1,7 +1,5 @@
 """ARCHITECTURE.md: each of its examples is added to a server as the page describes, and called by a client."""
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import replace

@@ -1,6 +1,5 @@
-from __future__ import annotations
-
 from http import HTTPStatus
+from ipaddress import ip_address
 
 import pytest
 from websockets.datastructures import Headers
@@ -8,13 +7,14 @@ from websockets.datastructures import Headers
 from server.access.authentication import MAX_WRONG, WINDOW_S, Tokens
 from server.access.one_time_tokens import OneTimeTokens
 from server.errors import ConfigurationError
+from server.gateway import admission
 from server.gateway.admission import (
     AdmissionPolicy,
     AllowedHosts,
     AllowedOrigins,
-    Authority,
     HandshakeRequest,
     check_exposure,
+    host_addresses,
     matches,
     own_names,
     read_authority,
@@ -24,8 +24,11 @@ from server.graph.permissions import ANYONE, Identity, Role
 from tests.helpers.clock import FakeClock
 
 SECRET, OTHER = "correct-horse-battery", "another-token-of-mine"
+
 ALICE = Identity("alice", Role.OPERATE)
+
 LOCKED = Tokens({SECRET: ALICE}, anonymous=None)
+
 VIEWED = Tokens({SECRET: ALICE}, anonymous=Identity("", Role.VIEW))
 
 
@@ -58,10 +61,6 @@ def test_a_request_names_one_host(hosts: list[str]) -> None:
     headers = Headers([("Host", host) for host in hosts])
     status, text = refused(AdmissionPolicy().check(HandshakeRequest("::1", "/", headers, upgrade=True)))
     assert (status, text) == (400, f"a request needs one Host header, not {len(hosts)}\n")
-
-
-def test_the_robots_files_are_no_exception_from_the_name() -> None:
-    assert refused(AdmissionPolicy().check(request_for("/robot/x", host="evil.com", upgrade=False)))[0] == 421
 
 
 # Origin.
@@ -192,6 +191,7 @@ def is_host(hosts: AllowedHosts, text: str) -> bool:
         ("localhost.", True),
         ("127.0.0.1:9090", True),
         ("[::1]:9090", True),
+        ("[fe80::1%eth0]:9090", True),
         ("192.168.0.2", True),
         # Browsers take it for the address, too, and ask nobody.
         ("127.0.0.1.", True),
@@ -240,7 +240,9 @@ def is_allowed(origin: str, *allowed: str, host: str = "robot.lab:9090", encrypt
 
 
 LOCAL_HOSTS = ("localhost", "localhost:3000", "127.0.0.1:8000", "127.8.9.1", "[::1]:5173")
+
 LOOK_LOCAL = ("localhost.evil.com", "127.0.0.1.evil.com", "localhost@evil.com", "evil.com#localhost")
+
 NO_ORIGINS = ("null", "file://", "", "localhost", "//localhost", "ftp://localhost", "chrome-extension://localhost")
 
 
@@ -295,7 +297,9 @@ def test_further_pages_are_allowed_by_pattern(allowed: str, origin: str, may: bo
 
 
 WITHOUT_TOKENS = Tokens({}, ANYONE)
+
 WITH_TOKEN = Tokens({"correct-horse-battery": Identity("admin", Role.ADMIN)}, None)
+
 EVERYWHERE = ["0.0.0.0"]
 
 
@@ -338,26 +342,12 @@ def test_anonymous_operators_need_the_option_insecure_and_anonymous_viewers_do_n
         check_exposure("robot", EVERYWHERE, moving, insecure=False)
 
 
-@pytest.mark.parametrize(
-    ("text", "read"),
-    [
-        ("localhost", Authority("localhost")),
-        ("LocalHost:9090", Authority("localhost", 9090)),
-        ("robot.lab.", Authority("robot.lab")),
-        ("127.0.0.1:80", Authority("127.0.0.1", 80)),
-        ("[::1]", Authority("::1")),
-        ("[0:0:0:0:0:0:0:1]:9090", Authority("::1", 9090)),
-        ("[fe80::1%eth0]:9090", Authority("fe80::1", 9090)),
-        ("my_robot:9090", Authority("my_robot", 9090)),
-    ],
-)
-def test_a_host_is_read_with_its_port(text: str, read: Authority) -> None:
-    assert read_authority(text) == read
-
-
 WRONG_PORTS = [":9090", "localhost:", "localhost:x", "localhost:65536", "localhost:9090:1"]
+
 WITH_MORE = [f"localhost{more}" for more in ("/", "#evil.com", "\\evil.com", "\n", "..", ",evil.com", ":9090@evil.com")]
+
 NO_ADDRESSES = ["::1", "[::1", "[127.0.0.1]", "[::x]"]
+
 NO_NAMES = ["", "user@localhost", "local host", " localhost", ".", "löcalhost", "a" * 256]
 
 
@@ -382,3 +372,28 @@ def test_a_one_time_token_reads_files_while_its_connection_is_open_and_opens_non
     one_time.use(token)
     assert policy.check(request_for("/robot/x", header, upgrade=False)) == Identity("one-time-1", Role.VIEW)
     assert refused(policy.check(request_for("/", header, upgrade=True)))[0] == 401
+
+
+IPV6_TABLE = """\
+00000000000000000000000000000001 01 80 10 80       lo
+fe800000000000000000000000000001 02 40 20 80     eth0
+fd000000000000000000000000000002 02 40 00 80     eth0
+"""
+
+
+def test_only_addresses_that_others_can_write_down_are_returned():
+    for text in host_addresses():
+        address = ip_address(text)
+        assert not address.is_loopback
+        assert not address.is_link_local
+
+
+def test_ipv6_addresses_are_those_of_global_scope(monkeypatch):
+    monkeypatch.setattr(admission, "_read_table", lambda: IPV6_TABLE)
+    monkeypatch.setattr(admission, "_ipv4_addresses", lambda: ["10.0.0.2"])
+    assert host_addresses() == ["10.0.0.2", "fd00::2"]
+
+
+def test_a_kernel_without_ipv6_has_none(monkeypatch, tmp_path):
+    monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / "missing")
+    assert not any(":" in address for address in host_addresses())

@@ -277,7 +277,8 @@ class NamedStatesServices:
         self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
         self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save, CONFIGURING)
         self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get, LOOKING)
-        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has, LOOKING)
+        has = "/has_robot_state", "CheckIfRobotStateExistsInWarehouse"
+        self._offer(*has, lambda request: {"exists": states.find(request["name"]) is not None}, LOOKING)
         self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename, CONFIGURING)
         self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
 
@@ -327,9 +328,6 @@ class NamedStatesServices:
                 f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names())}"
             )
         return {"state": state_message(dict(found[1]), self._robot.root_link, time.time())}
-
-    def _has(self, request: Request) -> Request:
-        return {"exists": self._states.find(request["name"]) is not None}
 
     async def _rename(self, request: Request) -> Request:
         await self._states.rename(request["old_name"], request["new_name"])

@@ -220,7 +220,8 @@ class Teleoperation(Feature):
             raise ServiceError(
                 f"leader: must be an arm that leads ({known}) or a topic that begins with /, not {name[:80]!r}"
             )
-        if name.startswith("/") and self._own_topic(name):
+        below = ["", *(f"/{each.name}" for each in self._followers.values() if each.prefix)]
+        if name in {TARGETS_TOPIC, *(f"{each}/joint_states" for each in below)}:
             raise ServiceError(f"leader: must not be {name}, which has the positions of this server's arms")
         leader = Leader(name, self._watched(follower, name), self._clock)
         following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
@@ -301,11 +302,6 @@ class Teleoperation(Feature):
         if not name and len(names) == 1:
             return self._followers[names[0]]
         raise ServiceError(f"follower: must be one of {', '.join(names) or 'none'}, not {name[:80]!r}")
-
-    def _own_topic(self, name: str) -> bool:
-        """Return True for a topic by which an arm would follow itself."""
-        own = (f"{'' if not follower.prefix else '/' + follower.name}" for follower in self._followers.values())
-        return name in {"/joint_states", TARGETS_TOPIC, *(f"{below}/joint_states" for below in own)}
 
     def _watched(self, follower: Follower, leader: str) -> dict[str, float]:
         """Return the greatest velocity of the leader's joints that are named as the follower's [rad/s]."""

@@ -275,6 +275,17 @@ async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: P
     policy.assert_within_limits()
 
 
+async def test_a_chunk_from_where_the_arm_holds_before_an_object_is_followed(policy: Policy) -> None:
+    policy.add_walls()
+    policy.publish(chunk(ramp(45, 2.4)))
+    await asyncio.sleep(0.8)
+    here = policy.arm_rad[-1, 0]
+    policy.publish(chunk(ramp(30, here - 0.3, here)))
+    await asyncio.sleep(1.5)
+    assert policy.refusals == []
+    assert policy.arm_rad[-1, 0] == pytest.approx(here - 0.3, abs=1e-3)
+
+
 async def test_an_object_that_comes_into_the_way_is_not_reached(policy: Policy) -> None:
     policy.publish(chunk(ramp(60, 1.4)))
     await asyncio.sleep(0.3)

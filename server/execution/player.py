@@ -268,11 +268,7 @@ class MotionInProgress:
 
 
 class MotionsInProgress:
-    """Motions of all goals, by which motions of some joints are planned around motions of others.
-
-    Attributes:
-        turn: held by the goal that is being planned, so that the next one knows where its motions end.
-    """
+    """Motions of all goals, by which motions of some joints are planned around others, one goal at a ``turn``."""
 
     def __init__(self) -> None:
         self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}

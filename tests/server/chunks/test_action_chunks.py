@@ -22,6 +22,7 @@ from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME,
 from server.chunks.gripper import SETTLES_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
+from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import box, diff, planner
@@ -169,6 +170,21 @@ async def test_overlapping_chunks_are_joined_without_a_stop_or_a_jump(policy: Po
     policy.assert_within_limits()
     velocity = np.diff(policy.arm_rad[60:280, 0]) / PERIOD_S
     assert velocity.min() > 0.1
+
+
+@pytest.mark.parametrize("planning_s", [0.06, 0.2])
+async def test_slow_planners_never_stop_a_stream_of_chunks(
+    policy: Policy, monkeypatch: pytest.MonkeyPatch, planning_s: float
+) -> None:
+    monkeypatch.setattr(stage_module, "PLANNING_S", planning_s)
+    for number in range(8):
+        start = 0.15 * number
+        policy.publish(chunk(ramp(24, start + 0.4, start)))
+        await asyncio.sleep(0.3)
+    policy.assert_within_limits()
+    assert set(policy.codes) == {MoveItErrorCode.SUCCESS}
+    velocity = np.diff(policy.arm_rad[100:230, 0]) / PERIOD_S
+    assert velocity.min() > 0.2
 
 
 async def test_targets_are_followed_at_the_times_of_their_stamp(policy: Policy) -> None:

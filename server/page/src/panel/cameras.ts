@@ -1,7 +1,7 @@
 import type { Cameras } from "../link/cameras";
 import { t } from "../texts/texts";
 import type { PanelContext } from "./context";
-import { isShown, whenShown } from "./dock";
+import { isShown, whenShown } from "./shown";
 import { button, el, keyedList, type ListItem } from "./dom";
 
 /** Cameras that are shown at once: each takes a share of the network. */

@@ -1,4 +1,6 @@
 import { parseNumber, type NumberRange } from "../logic/numbers";
+import { throttle } from "../logic/throttle";
+import { loadPreference, storePreference } from "../state/preferences";
 import { t } from "../texts/texts";
 
 /** Attributes, text and event listeners (`on`) of a new element. */
@@ -168,26 +170,6 @@ export function section(name: string, title: string, open: boolean, ...children:
   return details;
 }
 
-/** Load a preference from the browser's storage, or its default. */
-export function loadPreference(key: string, fallback: string): string {
-  try {
-    return localStorage.getItem(`armbridge-${key}`) ?? fallback;
-  } catch {
-    // A browser may refuse to store anything.
-    return fallback;
-  }
-}
-
-/** Store a preference in the browser; false where the browser refuses, and it lasts until the page is loaded again. */
-export function storePreference(key: string, value: string): boolean {
-  try {
-    localStorage.setItem(`armbridge-${key}`, value);
-    return true;
-  } catch {
-    return false;
-  }
-}
-
 /** Input for a number, with a place for its problem. */
 export interface NumberField {
   input: HTMLInputElement;
@@ -242,23 +224,4 @@ export function numberField(
   return { input, problem, show };
 }
 
-/** Limit the rate of calls; the newest value is always delivered. */
-export function throttle<Value>(period_ms: number, listener: (value: Value) => void): (value: Value) => void {
-  let pending: { value: Value } | null = null;
-  let last_ms = -Infinity;
-  let timer: ReturnType<typeof setTimeout> | null = null;
-  const run = (): void => {
-    timer = null;
-    if (!pending) return;
-    const { value } = pending;
-    pending = null;
-    last_ms = performance.now();
-    listener(value);
-  };
-  return (value) => {
-    pending = { value };
-    const due_ms = last_ms + period_ms - performance.now();
-    if (due_ms <= 0) run();
-    else timer ??= setTimeout(run, due_ms);
-  };
-}
+export { loadPreference, storePreference, throttle };

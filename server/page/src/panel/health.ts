@@ -2,7 +2,7 @@ import { healthRows } from "../logic/arm-health";
 import type { State } from "../state/state";
 import { t } from "../texts/texts";
 import type { PanelContext } from "./context";
-import { isShown, whenShown } from "./dock";
+import { isShown, whenShown } from "./shown";
 import { el, section, setText, throttle } from "./dom";
 
 /** Time between two updates [ms]; diagnostics come once a second. */

@@ -4,7 +4,7 @@ import { bounds, live, MAX_SPAN_S, panned, paused, zoomed, type Extent, type Tim
 import type { State } from "../state/state";
 import { t } from "../texts/texts";
 import type { PanelContext } from "./context";
-import { isShown, whenShown } from "./dock";
+import { isShown, whenShown } from "./shown";
 import { button, el, loadPreference, option, setText, storePreference, throttle } from "./dom";
 import { saveFile } from "./files";
 import type { TimeChart } from "./time-chart";

@@ -3,7 +3,7 @@ import type { ServoState, State } from "../state/state";
 import { t } from "../texts/texts";
 import type { PageStore } from "../state/store";
 import type { PanelContext } from "./context";
-import { isShown, whenShown } from "./dock";
+import { isShown, whenShown } from "./shown";
 import { button, el, keyedList, section, setText, throttle, type ListItem } from "./dom";
 import { servoDetails } from "./servo-details";
 

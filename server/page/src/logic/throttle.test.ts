@@ -1,5 +1,5 @@
 import { expect, test, vi } from "vitest";
-import { throttle } from "./dom";
+import { throttle } from "./throttle";
 
 test("the first call is heard at once, and of those that follow too soon the newest", () => {
   vi.useFakeTimers();

@@ -13,7 +13,6 @@ BENCHMARKS = (
     "goal_latency",
     "planning",
     "published_arms",
-    "queued_goals",
     "planner_processes",
     "planning_scenes",
     "planning_random",

@@ -16,7 +16,7 @@ CONNECT_TIMEOUT_S = 4
 MOTION_TIMEOUT_S = 30
 RETRY_PAUSE_S = 1
 TOLERANCE = 0.01  # [m], and [rad] about each axis
-# Result codes are those of moveit_msgs/MoveItErrorCodes.
+# Result codes of moveit_msgs/MoveItErrorCodes.
 NAMES = {1: "SUCCESS", -1: "PLANNING_FAILED", -4: "CONTROL_FAILED", -7: "PREEMPTED"}
 NAMES |= {-12: "GOAL_IN_COLLISION", -16: "INVALID_GOAL_CONSTRAINTS", -31: "NO_IK_SOLUTION", 99999: "FAILURE"}
 # Positions in base_link [m], and the hand's orientation at both: fingers forward and up.

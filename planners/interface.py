@@ -40,15 +40,10 @@ LOAD_TIMEOUT_S = 30.0
 class Planners(ABC):
     """Planners of one robot, with turns for ``active`` motions and ``questions`` at a time, which others wait for."""
 
-    def __init__(
-        self, active: int = 1, questions: int = 1, max_waiting: int = MAX_WAITING, *, in_background: bool = True
-    ) -> None:
+    def __init__(self, active: int = 1, questions: int = 1, max_waiting: int = MAX_WAITING) -> None:
         self._max_waiting = max_waiting
         self._motion_turns = asyncio.Semaphore(active)
         self._question_turns = asyncio.Semaphore(questions)
-        self._plans_in_background = in_background
-        # Motions that are planned as long as nothing else is to be planned.
-        self._background: set[asyncio.Task[Plan | PlanningFailure]] = set()
         # Reason for which there is no planner and probably never will be; None as long as one may come.
         self.load_failure: str | None = None
         self.waiting_count = 0  # requests that wait for their turn
@@ -110,11 +105,7 @@ class Planners(ABC):
         if self.waiting_count >= self._max_waiting:
             message = f"{self.waiting_count} requests wait for a planner already (limit {self._max_waiting})"
             return PlanningFailure(MoveItErrorCode.FAILURE, message)
-        motion = isinstance(request, MotionRequest)
-        turns = self._motion_turns if motion else self._question_turns
-        if motion and turns.locked():
-            for task in self._background:
-                task.cancel()
+        turns = self._motion_turns if isinstance(request, MotionRequest) else self._question_turns
         self.waiting_count += 1
         try:
             await turns.acquire()
@@ -124,18 +115,3 @@ class Planners(ABC):
             return await self._answer(request, scene)
         finally:
             turns.release()
-
-    async def ask_in_background(
-        self, problem: PlanningProblem, scene: Scene = EMPTY_SCENE
-    ) -> Plan | PlanningFailure | None:
-        """Have a motion planned that nothing waits for; None as soon as another request needs the planner."""
-        if not self._plans_in_background or self._motion_turns.locked():
-            return None
-        asking = asyncio.create_task(self.ask(problem, scene), name="planning in the background")
-        self._background.add(asking)
-        try:
-            await asyncio.wait([asking])
-        finally:
-            self._background.discard(asking)
-            asking.cancel()
-        return None if asking.cancelled() else asking.result()

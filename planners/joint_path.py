@@ -1,4 +1,4 @@
-"""Timing of a given path of the joints, no faster than a share of its own time, and its check as it is executed."""
+"""Timing of a given path of the joints, no faster than a share of its own time, and its check during execution."""
 
 from __future__ import annotations
 

@@ -286,7 +286,7 @@ class PlannerPool(Planners):
 
     async def _answer(self, request: Request, scene: Scene) -> Answer:
         # Where nothing waits for a motion, the workers that are idle stay so for what comes.
-        if not self._racing or not isinstance(request, PlanningProblem) or asyncio.current_task() in self._background:
+        if not self._racing or not isinstance(request, PlanningProblem):
             return await self._have_answered(request, scene)
         race = Race(request)
         self._races.append(race)
@@ -317,7 +317,7 @@ class PlannerPool(Planners):
         return None
 
     def _take_idle(self, scene: Scene, *, urgent: bool = False) -> WorkerProcess | None:
-        """Take an idle worker that has not died: of normal priority for a moving arm, and one that has the scene."""
+        """Take an idle worker that has not died: of normal priority for a moving arm, preferably with the scene."""
         self._idle = [worker for worker in self._idle if worker.usable]
         if not self._idle:
             return None

@@ -283,7 +283,7 @@ class IkAnswer:
 
 @dataclass(frozen=True)
 class PathGoal:
-    """What works in place of a path of the tip that cannot be followed to its end; each verified by a plan."""
+    """Alternatives to a path of the tip that cannot be followed to its end; each verified by a plan."""
 
     end: Pose | None  # an end to which the same path can be followed, and be planned again; None when none was found
     fraction: float  # share of the path's length up to there, 0 to 1

@@ -150,10 +150,10 @@ def bounded(request: Request) -> Request:
 
 
 class SharedPlanners(Planners):
-    """Connection to a host of planners: one motion and one question at a time, and nothing in the background."""
+    """Connection to a host of planners: one motion and one question at a time."""
 
     def __init__(self, address: Path) -> None:
-        super().__init__(in_background=False)
+        super().__init__()
         self._address = address
         self._numbers = itertools.count(1)
         self._answers: dict[int, asyncio.Future[Answer]] = {}

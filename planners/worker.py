@@ -144,7 +144,7 @@ class Worker:
 
 
 def limit_memory(limit_bytes: int) -> None:
-    """Bound this process's data, not its address space, of which libraries map several times what they use."""
+    """Bound this process's data, not its address space: libraries map several times the memory they use."""
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if hard != resource.RLIM_INFINITY:
         limit_bytes = min(limit_bytes, hard)

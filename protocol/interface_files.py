@@ -3,8 +3,8 @@
 The grammar depends on the package's generation: ROS 2's has bounds, defaults and wide text
 (rosidl_adapter), of ROS 1 with ``time``, ``duration`` and ``Header`` (genmsg). Comments are passed over.
 
-A file is read to its end; each line that cannot be read becomes a `Problem`. Types that the file refers to are left to
-whoever knows all files.
+A file is read to its end; each line that cannot be read becomes a `Problem`. The caller,
+which knows all files, resolves the types that the file refers to.
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ MAX_FILES = 10_000
 MAX_DEPTH = 6
 MAX_FOLDERS = 20_000
 
-# Values that a message has without its lists, for each of which its compiled form has a part, made when the first
-# message comes: in 0.3 s for the limit, while all wait. The largest packaged type has 94.
+# Values of a message outside lists. The first message of a type compiles a part for each value, while everything
+# waits: 0.3 s at this limit. The largest packaged type has 94.
 MAX_FIELDS = 2_000
 # Values of a message in which nothing is set, with the elements of its arrays of fixed size.
 MAX_DEFAULT_VALUES = 1_000_000
@@ -122,7 +122,7 @@ class _PackageReader:
         self.problems: list[Problem] = []
         self._files_left = MAX_FILES
         self._folders_left = MAX_FOLDERS
-        # Folders of the one that is read, without symbolic links, which may lead in a circle.
+        # Real paths of the folders that were read: symbolic links may lead in a circle.
         self._seen: set[Path] = set()
 
     def read_folder(self, folder: Path) -> list[_Package]:

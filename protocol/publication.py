@@ -58,7 +58,7 @@ def _header(opening: int, length: int) -> bytes:
 class EncodedMessage:
     """Frames that are sent or dropped as a whole: one, or the fragments of one.
 
-    ``size_bytes`` is an estimate until the message is ``ready``; one that cannot be encoded has no frames.
+    ``size_bytes`` is an estimate until the message is ``ready``; a message that cannot be encoded has no frames.
     """
 
     __slots__ = ("_encode", "_frames", "_on_wire", "_parts", "frame_count", "ready", "size_bytes")

@@ -2,7 +2,7 @@
 
 A `Registry` speaks one generation of ROS. The one of ROS 2, which the server works with, also knows the types
 that exist only in ROS 1, in ROS 2 spelling; `Registry.ros1` holds them as ROS 1 declares them. The tables are package
-data; the messages that ROS 1 makes of each action are derived from the action when the tables are read. Those of the
+data; the messages that ROS 1 makes of each action are derived from the action when the tables are read. Types of the
 user's own packages are added by `protocol.interface_packages`.
 """
 
@@ -124,7 +124,7 @@ _UUID = "unique_identifier_msgs/msg/UUID"
 # Types that have another name in ROS 1 or in a port to ROS 2, each the same type to the server.
 _RENAMED = {
     "rosgraph_msgs/msg/Log": "rcl_interfaces/msg/Log",
-    # roslib 2's, and that of its versions before.
+    # Names of roslib 2 and of earlier versions.
     "tf2_web_republisher_interfaces/action/TFSubscription": "tf2_web_republisher/action/TFSubscription",
     "tf2_web_republisher_msgs/action/TFSubscription": "tf2_web_republisher/action/TFSubscription",
 }

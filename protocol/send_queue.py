@@ -2,9 +2,9 @@
 
 The rule for topic data is to drop the oldest: when more waits than one client may have, when a subscription is further
 behind than it may be, when the client stands still, and when the budget of the whole server is used up and this client
-has read least recently. So a slow client costs a bounded amount of memory, and what it reads at last is recent; one
-that keeps up loses nothing, however large its messages are. A message is encoded already, or is being encoded by a
-thread: one frame, or several fragments that are sent or dropped together.
+has read least recently. So a slow client costs a bounded amount of memory, and what it reads at last is recent; a
+client that keeps up loses nothing, however large its messages are. A message is already
+encoded, or a thread encodes it: one frame, or several fragments that are sent or dropped together.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ class SendQueue:
         if leaving_bytes >= LARGE_ANSWER_BYTES:
             self._count_leaving(leaving_bytes)
         taken = [self._take_reply(each) if each in self._replies else self._take_sent(each, now) for each in due]
-        # One that could not be encoded has none.
+        # A message that could not be encoded has no frames.
         return [encoded for encoded in taken if encoded.frame_count]
 
     def next_due(self, now: float) -> float | None:

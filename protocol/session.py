@@ -24,7 +24,7 @@ from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, P
 from protocol.send_queue import SendBudget, SendQueue
 from protocol.subscriptions import Registrations, Subscription, Subscriptions
 
-# What is taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
+# Bytes taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
 SEND_BUDGET_BYTES = 65_536
 
 # A client that is too slow gets slower by every message about it.

@@ -1,6 +1,6 @@
 """Messages that are just as their types declare them: read, checked and written in C.
 
-msgspec decodes JSON into a struct in one pass and refuses what is missing, unknown or of another kind. What it refuses
+msgspec decodes JSON into a struct in one pass and refuses missing, unknown and mistyped fields. A refused message
 is left to :mod:`protocol.messages`, which forgives more and names the problem. What it takes comes out of both ways
 alike, except that the general way also fills in and converts.
 """

@@ -1,6 +1,6 @@
 """Descriptions of interface types: for rosapi as text and TypeDefs, for ROS 2 as the hash of a type's version.
 
-The text is that of `gendeps --cat`. Text and TypeDefs belong to one generation of ROS; a type that exists only in
+The text is `gendeps --cat`'s. Text and TypeDefs belong to one generation of ROS; a type that exists only in
 ROS 2 is described as if ROS 1 had it.
 
 The hash (REP-2016, "RIHS01") is the SHA-256 of a description in JSON, with the fields of the type and of all types in

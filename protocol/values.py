@@ -1,7 +1,7 @@
 """Primitive values of a message: validates what came and converts it to what the type stores.
 
-Every converter takes a decoded value and returns it as the type wants it, or raises MessageError. What is
-forgiven: an integer for a float, a whole float for an integer, null for a float (NaN goes out as null, so
+Every converter takes a decoded value and returns it as the type wants it, or raises MessageError. It
+accepts: an integer for a float, a whole float for an integer, null for a float (NaN goes out as null, so
 null comes back as NaN), and in a list true and false for numbers (a gamepad's buttons).
 """
 

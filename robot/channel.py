@@ -1,4 +1,4 @@
-"""Socket pair between the server and a child: pickled dataclasses behind a length, none of them from a client."""
+"""Socket pair between the server and a child: pickled dataclasses behind a length, never from a client."""
 
 from __future__ import annotations
 

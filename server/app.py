@@ -205,8 +205,8 @@ class App:
                 await first_of(ending, restart.requested)
             log.info("stopping")
         finally:
-            starts_anew = restart.requested.is_set() and not ending.is_set()
-            self._monitoring.monitor.notify_stopping(starts_anew=starts_anew)
+            restarts = restart.requested.is_set() and not ending.is_set()
+            self._monitoring.monitor.notify_stopping(restarts=restarts)
             await stop_in_reverse(started, STOP_TOTAL_S, hurry)
             self._collector.stop()
         log.info("stopped")

@@ -50,7 +50,7 @@ MAX_NAMES_TOLD = 10
 
 
 def load_registry(folders: Sequence[Path]) -> Registry:
-    """Return the packaged types and those of the user's packages, or raise ConfigurationError with every problem."""
+    """Return the types of the packaged and the user's packages, or raise ConfigurationError with every problem."""
     if not folders:
         return Registry.load()
     # Imported when it is needed: most servers have no types of the user's, and start without it.

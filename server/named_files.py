@@ -126,7 +126,7 @@ class NamedFiles:
             return use(path)
         except FileNotFoundError:
             known = ", ".join(self._names())
-            text = f"there is none of this name; saved are: {known}" if known else f"no {self._kind} is saved"
+            text = f"there is no such {self._kind}; saved are: {known}" if known else f"no {self._kind} is saved"
             raise ValueError(text) from None
 
     def _locked(self) -> AbstractContextManager[None]:

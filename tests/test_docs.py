@@ -1,5 +1,6 @@
 """Commands, settings, sentences and links of README and docs; programs are run by tests/processes/test_docs.py."""
 
+import ast
 import json
 import math
 import os
@@ -329,6 +330,36 @@ def test_the_limits_in_tables_are_those_of_the_settings_and_constants_that_stand
                 checked += 1
                 assert any(each <= numbers for each in defaults), f"{page}: {name} is {defaults}, not {shown}"
     assert checked > 4
+
+
+# Constructions over which readers stumbled, each with its remedy: say the noun, the verb, the number.
+STUMBLES = re.compile(
+    r"\b(told|tells|anew|in hand|those of|that of|ones? that|none of|but for|of which|whoever|so many|has it that|"
+    r"as it is|what is)\b",
+    re.IGNORECASE,
+)
+QUESTIONS = ("What ", "Whether ", "Who", "Where ", "Which ", "Why ", "How ")
+
+
+def test_no_sentence_uses_a_construction_that_readers_stumble_over() -> None:
+    """Docs, docstrings, comments, log lines, errors and `--help`; also across the end of a line."""
+    written = [ROOT / name for name in (*TOP, "CHANGELOG.md")] + PAGES + sorted((ROOT / "clients").rglob("README.md"))
+    found = []
+    for path in (*written, *(path for folder in (*ROOMS, "clients", "examples") for path in paths(folder))):
+        text = re.sub(r"\s*\n\s*(#\s+)?", " ", path.read_text())
+        found += [f"{path.relative_to(ROOT)}: {text[hit.start() - 40 : hit.end()]}" for hit in STUMBLES.finditer(text)]
+    assert found == [], "say the noun again, the verb, or the number itself"
+
+
+def test_docstrings_open_with_a_verb_or_a_noun() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}: {text.splitlines()[0]}"
+        for path in (path for room in ROOMS for path in paths(room))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module)
+        and (text := ast.get_docstring(node) or "").startswith(QUESTIONS)
+    ]
+    assert found == []
 
 
 def errors_table(heading: str) -> list[list[str]]:

@@ -46,7 +46,7 @@ MAX_MESH_BYTES = 500 << 20  # size of the meshes of one robot: twenty times the 
 
 
 def parse_urdf(urdf_path: Path) -> ET.Element:
-    """Read a URDF; AssistantError for a file that cannot be read, DescriptionError for one that is no URDF."""
+    """Read a URDF; AssistantError for a file that cannot be read, DescriptionError for a file that is no URDF."""
     try:
         text = urdf_path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

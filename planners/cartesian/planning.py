@@ -166,7 +166,7 @@ class TipTracker:
 def _demanded_rad(jacobian: Vector, before: pin.SE3, target: pin.SE3) -> float:
     """Return how far the joints turn at most to meet the change of orientation between two poses of a path [rad].
 
-    The change is that of the path, and what moving the tip brings with it. The joints turn further by the inverse of
+    Orientation changes along the path, and where the tip moves. The joints turn further by the inverse of
     the Jacobian's smallest singular value, among joint motions that leave the tip in its place. It is 0 near a
     singularity (Chiaverini, "Singularity-robust task-priority redundancy resolution", 1997).
     """

@@ -54,7 +54,7 @@ def goal_violates(violations: Sequence[Violation]) -> PlanningFailure:
 
 
 def check_start_place(pairs: Sequence[CollidingPair], violations: Sequence[Violation]) -> None:
-    """Check for contact at the start, of which there may be shallow ones, and for violated path constraints."""
+    """Check for contact at the start, where shallow contact is allowed, and for violated path constraints."""
     check_start_contact(pairs)
     if violations:
         code = MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
@@ -433,7 +433,7 @@ class GoalStates:
         return tuple(sorted(found or solutions, key=lambda q: self._move_time_s(query.start_q, q)))
 
     def _turns(self, solution: Vector, columns: Sequence[int], start_q: Vector) -> list[Vector]:
-        """Return a solution with each joint as it is nearest to the start or next to that, the nearest first."""
+        """Return a solution with each joint's turns nearest to the start, the nearest first."""
         choices = []
         for column in columns:
             turned = solution[column] + TURN_RAD * np.arange(-2, 3)

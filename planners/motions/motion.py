@@ -69,8 +69,8 @@ CURVE_STEPS_M = (0.01, 0.005, 0.0025, 0.001)
 # Another path found as coarsely costs less than one found more finely, but where something is thin all are blocked.
 BLOCKED_PATHS_A_STEP = 3
 
-# Some trees take ten times as long as most, so that two searches grow trees in turns, each for this many checks. UR5's
-# p95 is half of that of searches that are given up for others and their trees thrown away.
+# Some trees take ten times as long as most, so that two searches grow trees in turns, each for this many checks. This
+# halves UR5's p95 compared with giving a search up for another and throwing its trees away.
 SEARCHES = 2
 CHECKS_A_TURN = 3000
 

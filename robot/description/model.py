@@ -48,7 +48,7 @@ class Hull:
 
 @dataclass(frozen=True)
 class LinkSurface:
-    """Where the surface of a link is, to the last triangle."""
+    """Surface of a link, to the last triangle."""
 
     path: Path  # file of surfaces, see planners.geometry.surfaces
     link: str  # name of the link in the file

@@ -114,8 +114,8 @@ def _describe(info: ListPortInfo) -> str:
 def _stable_name(info: ListPortInfo) -> str:
     """Return the stable link to a device, or the device itself without one.
 
-    Boards without a serial number, as those with a CH340, all have the same name by device: the link leads to the one
-    that was plugged in last.
+    Boards without a serial number, as those with a CH340, all have the same name by device: the link leads to the
+    adapter plugged in last.
     """
     folders = (NAMES_BY_DEVICE, NAMES_BY_SOCKET) if info.serial_number else (NAMES_BY_SOCKET, NAMES_BY_DEVICE)
     device = os.path.realpath(info.device)

@@ -208,7 +208,7 @@ class Authorizer:
         return self.name_refusal(rule, "service", name) or self._drive(rule, name, arguments)
 
     def _rule_of_publishing(self, name: str) -> Rule:
-        """Return the rule of a topic; one that would stop nothing has the rule of any other topic."""
+        """Return the rule of a topic; a stop topic that would stop nothing has the rule of any other topic."""
         rule = rule_of_topic(name, self._graph)
         if not rule.stops:
             return rule
@@ -251,7 +251,7 @@ NO_ARMS: Mapping[str, Callable[[], RunningGoal | None]] = MappingProxyType({})
 class Access:
     """Authentication and authorization as the settings describe them, or ConfigurationError.
 
-    ``busy`` returns the goal in progress, ``arms`` that of each of several arms by its name.
+    ``busy`` returns the goal in progress, ``arms`` the goal of each of several arms by its name.
     """
 
     def __init__(

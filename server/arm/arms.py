@@ -220,8 +220,7 @@ class Arms:
     """All arms of a server.
 
     Args:
-        feed: takes the state of each arm as soon as it comes, and those of several as one as often as the arms send
-            theirs.
+        feed: takes each arm's state as soon as it comes; the joint state of several arms at the rate of one arm.
     """
 
     def __init__(self, files: Mapping[str, ArmFiles], feed: StateFeed, arm_process: StartedChild | None = None) -> None:

@@ -58,7 +58,7 @@ class Dialogue:
     """Conversation of a procedure with the person: the present step, and the answer that is waited for.
 
     Args:
-        changed: called after every change of what is shown.
+        changed: called after every change of the shown state.
 
     Attributes:
         progress: share that is done, 0 to 1.

@@ -124,8 +124,8 @@ class ArmPace:
     """Sets the pace of motions: speed, pause and the way back, and the speed limit.
 
     The speed factor is the driver's: a share of the planned speed of every motion, also of a slow one. The speed limit
-    is the operator's: a share of the joints' velocity limits, which slows down only what would be faster, whoever moves
-    the arm, and the gripper too. Guards and limits of the arm hold at every pace.
+    is the operator's: a share of the joints' velocity limits, which slows down only faster motions, of every client and
+    of the gripper. Guards and limits of the arm hold at every pace.
     """
 
     def __init__(self, graph: LocalGraph, arm: AnyArm) -> None:

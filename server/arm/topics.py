@@ -17,8 +17,8 @@ from server.graph.topics import Graph
 
 TOPIC = "/joint_states"
 
-# Topics that are published with every state, or with every other: it, also of one of several arms, /tf, and those of
-# controllers.
+# Topics that are published with every state, or with every other: it, also of one of several arms, /tf, and
+# controllers' states.
 _FREQUENT = (TOPIC, "/tf", "_controller/controller_state", "_controller/state")
 
 
@@ -87,8 +87,8 @@ class ArmStateTopics:
         }
         self._robot = robot
         self._node = Node("arm state")
-        # All that the last message told.
-        self._told: tuple[Mode, str, Fault | None, Pace, int] | None = None
+        # Contents of the last message.
+        self._shown: tuple[Mode, str, Fault | None, Pace, int] | None = None
         self._limits: dict[str, Any] | None = None
         graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
@@ -101,9 +101,9 @@ class ArmStateTopics:
         Args:
             last_stop: stop epoch of the arm's last stop; a new one is published for every client.
         """
-        told = state.mode, state.reason, state.fault, state.pace, last_stop
-        if told != self._told:
-            self._told = told
+        shown = state.mode, state.reason, state.fault, state.pace, last_stop
+        if shown != self._shown:
+            self._shown = shown
             message = status(state, self._robot.name, self._graph.resolve(""))
             message["values"] += key_values({"last_stop": str(last_stop)} | self._ranges)
             self._graph.publish(self._node, STATE_TOPIC, message)

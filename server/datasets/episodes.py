@@ -63,7 +63,7 @@ def checked_task(task: str) -> str:
 
 @dataclass
 class EpisodeMarks:
-    """State between marks: the ``open`` episode, None between episodes, and the ``ended`` ones that are kept."""
+    """State between marks: the ``open`` episode, None between episodes, and the kept ``ended`` episodes."""
 
     open: Episode | None = None
     ended: list[Episode] = field(default_factory=list)

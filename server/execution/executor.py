@@ -48,7 +48,6 @@ from server.execution.motions import (
     plan_sequence,
     with_lead_in,
 )
-from server.execution.planned_ahead import PlannedAhead
 from server.execution.player import (
     BRAKING_TIMEOUT_S,
     CheckedMotion,
@@ -163,46 +162,16 @@ class GoalExecutor:
         self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._player = Player(arm, self._robot, self._scene_monitor, in_progress, self._clock)
-        self._goal: Goal | None = None
-        self._ahead = PlannedAhead(context.pool)
         # Time that the last check of a trajectory in motion took [s].
         self._check_s = HORIZON_S
-        # Where the joints of the active goal will be at its end [rad]; None before its motion is known.
-        self._end_rad: Positions | None = None
-
-    # Methods for the queue.
 
     async def run(self, goal: Goal) -> Answer:
         """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
-        self._goal = goal
-        goal.cancelled.add_done_callback(lambda _reason: self._ahead.cancel())
-        try:
-            if isinstance(goal.request.motion, PlannedMotion):
-                answer = await self._plan_and_play(goal, goal.request.motion)
-            elif goal.request.motion is not None:
-                answer = await _answered(self._play_external(goal, goal.request.motion))
-            else:
-                raise AssertionError("a rejected goal was queued")
-            if answer.code is not MoveItErrorCode.SUCCESS:
-                # The arm is not where the next goal was planned from, or something has happened to it.
-                self._ahead.cancel()
-            return answer
-        finally:
-            self._goal = self._end_rad = None
-
-    def plan_ahead(self, following: Goal, left_s: float) -> None:
-        """Plan the next goal in advance, from where the motion in progress ends; do nothing when that is unknown."""
-        held_rad = self._current.positions_rad()
-        if self._goal is None or self._goal.reason or self._end_rad is None or held_rad is None:
-            return
-        # Beside motions of other joints it is not known where those are when the goal's turn comes.
-        if following.request.motion is not None and not self._in_progress.beside(following.request.joints):
-            self._ahead.begin(following.request.motion, held_rad, self._end_rad, self._scene.scene, left_s)
-
-    def forget(self, goal: Goal) -> None:
-        """Drop the plan that was made in advance for a goal whose turn will not come."""
-        if goal.request.motion is not None:
-            self._ahead.forget(goal.request.motion)
+        if isinstance(goal.request.motion, PlannedMotion):
+            return await self._plan_and_play(goal, goal.request.motion)
+        if goal.request.motion is None:
+            raise AssertionError("a rejected goal was queued")
+        return await _answered(self._play_external(goal, goal.request.motion))
 
     # Attempts: from a motion to an answer.
 
@@ -252,7 +221,6 @@ class GoalExecutor:
     ) -> Answer | None:
         """Play a motion in the place of the outgoing one; None where the arm has passed the splice point."""
         self._show_soon(planned)
-        self._end_rad = planned.end_rad
         goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         answer = await self._player.play(goal, motion, self._questions(motion), from_s=point.from_s)
@@ -363,7 +331,7 @@ class GoalExecutor:
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
-            planned = await plan_sequence(request.steps, start_rad, scene, self._ahead.ask)
+            planned = await plan_sequence(request.steps, start_rad, scene, self._pool.ask)
             if planned.failure is None:
                 self._in_progress.announce(request.joints, planned.end_rad)
             return planned, scene
@@ -389,7 +357,6 @@ class GoalExecutor:
     async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
         motions = planned.performed.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
-        self._end_rad = planned.end_rad
         goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         to_come_s = planned.duration_s
@@ -491,10 +458,9 @@ def _group_of(robot: RobotModel, motion: Trajectory) -> str:
 class GoalExecutors:
     """Executors of goals: one for each set of joints, so that a goal can replace the motion of the one before."""
 
-    def __init__(self, arm: AnyArm, context: ExecutionContext, kind: type[GoalExecutor] = GoalExecutor) -> None:
+    def __init__(self, arm: AnyArm, context: ExecutionContext) -> None:
         self._arm = arm
         self._context = context
-        self._kind = kind
         self.time_limits = context.time_limits
         self.in_progress = MotionsInProgress()
         self._executors: dict[Joints, GoalExecutor] = {}
@@ -502,7 +468,7 @@ class GoalExecutors:
     def executor(self, joints: Joints) -> GoalExecutor:
         """Return the executor of motions of some joints."""
         if joints not in self._executors:
-            self._executors[joints] = self._kind(self._arm.part(joints), self._context, self.in_progress)
+            self._executors[joints] = GoalExecutor(self._arm.part(joints), self._context, self.in_progress)
         return self._executors[joints]
 
     def last_stop(self, joints: Joints) -> int:

@@ -185,8 +185,8 @@ class Goal(CancelScope):
     def defer_replacement(self) -> None:
         """Have no other goal replace it until its motion has begun.
 
-        Else none of a stream of trajectories would begin where it takes longer to check one than the next takes to
-        come.
+        Otherwise no trajectory of a stream would begin if checking a trajectory takes longer than the next needs to
+        arrive.
         """
         self._deferring = True
 

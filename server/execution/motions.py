@@ -69,9 +69,9 @@ class ExternalTrajectory:
     """Trajectory that a client has planned.
 
     Attributes:
-        trajectory: makes it from the position of every joint at its start [rad], the monotonic time of that [s], and
+        trajectory: makes it from the position of every joint [rad] and the monotonic time [s] at its start, and
             the splice point at which it begins, or None at rest; or raises RefusedError.
-        spliced: False for one that begins at rest alone.
+        spliced: False for a motion that can only begin at rest.
     """
 
     trajectory: Callable[[Positions, float, SplicePoint | None], Trajectory]

@@ -179,15 +179,12 @@ class GoalQueue:
             self._leave(goal, reason)
 
     def _leave(self, goal: Goal, reason: str) -> None:
-        self._executors.executor(goal.request.joints).forget(goal)
         self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, f"{reason} before this goal's turn came"))
 
     def _enqueue(self, goal: Goal) -> None:
         ahead = sum(1 for other in (*self._active, *self._waiting) if other.request.joints & goal.request.joints)
         self._waiting.append(goal)
         goal.report(Progress(GoalState.QUEUED, f"{ahead} goals ahead" if ahead else "next"))
-        for active in self._moving(goal.request.joints):
-            self._look_ahead(active)
         self._begin_soon()
 
     def _begin_soon(self) -> None:
@@ -207,14 +204,6 @@ class GoalQueue:
                 self._active[goal] = asyncio.create_task(self._work(goal), name=f"goal {goal.goal_id}")
             taken |= goal.request.joints
 
-    def _look_ahead(self, active: Goal) -> None:
-        """Have the next goal planned in advance while a motion is in progress, if it waits for that motion alone."""
-        following = next((goal for goal in self._waiting if goal.request.joints & active.request.joints), None)
-        if active.remaining_s is None or following is None or following.request.joints != active.request.joints:
-            return
-        with _contained(following):
-            self._executors.executor(active.request.joints).plan_ahead(following, active.remaining_s)
-
     async def _work(self, goal: Goal) -> None:
         try:
             answer = await self._executors.executor(goal.request.joints).run(goal)
@@ -230,8 +219,6 @@ class GoalQueue:
 
     def _report(self, goal: Goal, progress: Progress) -> None:
         goal.progress = progress
-        if goal in self._active:
-            self._look_ahead(goal)
         with _contained(goal):
             self._on_progress(goal, progress)
         with _contained(goal):

@@ -458,7 +458,7 @@ def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insec
         )
     if anonymous is not None and may_move:
         log.warning(
-            "INSECURE: whoever reaches %s may connect without a token as %s; docs/security.md says how to change that",
+            "INSECURE: anyone at %s may connect without a token as %s; docs/security.md says how to change that",
             where,
             anonymous.role.name.lower(),
         )

@@ -1,4 +1,4 @@
-"""Services and actions of one client: its offers of them, and its calls and goals to those of others."""
+"""Services and actions of one client: its offers, and its calls and goals to other providers."""
 
 from __future__ import annotations
 

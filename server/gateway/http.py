@@ -108,7 +108,7 @@ NOT_BUILT = f"""<!doctype html>
 <body>
 <h1>armbridge is running</h1>
 <p>Clients of rosbridge connect to this address.</p>
-<p>What is missing is the page for people. Here {HOW_TO_BUILD_PAGE}. Then load this address again.</p>
+<p>The page for people is not built. Here {HOW_TO_BUILD_PAGE}. Then load this address again.</p>
 </body>
 </html>
 """

@@ -34,7 +34,7 @@ PATH = "goal"
 GOAL_SERVICE, STOP_SERVICE = "/moveit_goal", "/arm/stop"
 GRIPPER_ACTION, GRIPPER_TYPE = "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand"
 
-# Fields of the service: the targets, of which one must be given, and the options; then fields of a gripper's goal.
+# Fields of the service: the targets, exactly one required, and the options; then fields of a gripper's goal.
 MOTIONS, OPTIONS = ("named", "joints", "pose"), ("group", "velocity_scaling", "acceleration_scaling", "plan_only")
 TARGETS = (*MOTIONS, "gripper", "stop")
 GRIPPER_FIELDS = ("position", "max_effort")
@@ -145,7 +145,7 @@ class HttpGoals:
         prefix = f"/{arm}" if arm else ""
         given = [name for name in TARGETS if name in request]
         if len(given) != 1:
-            got = " and ".join(given) or "none of them"
+            got = " and ".join(given) or "none"
             raise _RefusedError(f"exactly one of {', '.join(TARGETS)} must be given, not {got}")
         if given == ["stop"]:
             _check_fields(request, ("stop",), "")

@@ -317,7 +317,7 @@ class Listener:
     async def bind(self) -> None:
         """Take the port; clients that connect now wait until :meth:`open`.
 
-        Raises ConfigurationError for an address open to others, StartError for one that cannot be had.
+        Raises ConfigurationError for an address open to others, StartError for an address that cannot be taken.
         """
         places = await resolve(self._host, self._port)
         addresses = [place.address for place in places]

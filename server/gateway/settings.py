@@ -23,7 +23,7 @@ class ServerSettings(SettingsSection):
     """spelling of messages for clients whose URL has no ``?ros=``: ROS 1 has seq, secs and nsecs."""
     tcp_port: int | None = Field(default=None, ge=0, le=65535)
     """one more port, for rosbridge over raw TCP (docs/protocol.md); 0 takes a free one, None for no such port."""
-    # That of ROSIntegration's default, and of the rosbridge_tcp for which such clients were written.
+    # ROSIntegration's default, and the rosbridge_tcp that such clients were written for.
     tcp_ros_version: int = Field(default=1, ge=1, le=2)
     """spelling of messages for the clients of tcp_port."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"

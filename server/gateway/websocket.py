@@ -65,7 +65,7 @@ _ACCEPTED = (
 
 
 def read_upgrade(data: bytes) -> Request | None:
-    """Return a request that opens a WebSocket; None for one that is incomplete, not plain, or followed by anything."""
+    """Return a request that opens a WebSocket; None if it is incomplete, not plain, or followed by anything."""
     if len(data) > MAX_REQUEST_BYTES or (found := _REQUEST.fullmatch(data)) is None:
         return None
     path, fields = found[1].decode("ascii"), _fields(found[2])
@@ -351,7 +351,7 @@ class WebSocket(Transport):
 
     def eof_received(self) -> bool:
         if self._post is not None and self._task is not None:
-            # The kernel tells a program that has ended from one that only sends no more by nothing.
+            # A program that has ended and a program that sends no more look the same.
             self._at_eof = True
             self._leave_post()
             return False

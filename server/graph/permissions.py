@@ -12,8 +12,8 @@ from fnmatch import translate
 class Role(IntEnum):
     """Rights of a client; each role includes the roles before it.
 
-    VIEW reads, plans and stops; PROPOSE sends goals, each of which waits for the approval of a client that may OPERATE,
-    which moves the arm and changes the scene; ADMIN configures.
+    VIEW reads, plans and stops; PROPOSE sends goals, which wait for the approval of a client with OPERATE; OPERATE
+    moves the arm and changes the scene; ADMIN configures.
     """
 
     VIEW = 1

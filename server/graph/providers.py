@@ -170,7 +170,7 @@ class Providers(Generic[AnyRequest]):
             self.rules[offer.name] = rule
 
     def _completed(self, offer: Provider[AnyRequest], arguments: object) -> dict[str, Any]:
-        """Complete a request; raises MessageError for one that does not fit, or has too long a list."""
+        """Complete a request; raises MessageError if it does not fit its type or has too long a list."""
         if offer.check_lists is not None:
             offer.check_lists(arguments)
         return self._message_types.complete_arguments(f"{offer.type_name}_{self._parts[0]}", arguments)

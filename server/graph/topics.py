@@ -214,7 +214,7 @@ class Graph:
         return topic is not None and bool(topic.latching)
 
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
-        """Register ``node`` as publisher; raises GraphError for an unknown type, or one that the topic has not."""
+        """Register ``node`` as publisher; raises GraphError for an unknown type, or another type than the topic's."""
         topic = self._topic(name, type_name, node)
         self._add_publisher(topic, node)
         if latch:

@@ -366,10 +366,10 @@ class Monitor:
         self._sources.started = True
         self._notifier.notify_ready("; ".join(self.health().reasons) or "ready")
 
-    def notify_stopping(self, *, starts_anew: bool = False) -> None:
-        """Note the begin of the stop, and notify systemd, which would end a service that starts anew at once."""
+    def notify_stopping(self, *, restarts: bool = False) -> None:
+        """Note the begin of the stop, and notify systemd, which would end a service that restarts at once."""
         self._sources.stopping = True
-        if starts_anew:
+        if restarts:
             self._notifier.notify_status("starting again")
         else:
             self._notifier.notify_stopping()

@@ -103,7 +103,7 @@ class NamedStates:
         return None if spelled is None else (spelled, states[spelled])
 
     def nearest_name(self, name: str, group: str | None = None) -> str | None:
-        """Return the name that is most similar to one that does not exist, None when none is; as :meth:`find`."""
+        """Return the existing name most similar to a missing one, or None; as :meth:`find`."""
         by_key = {_key(known): known for known in self._of(group)}
         alike = difflib.get_close_matches(_key(name), by_key, 1, MIN_SIMILARITY)
         return by_key[alike[0]] if alike else None

@@ -130,7 +130,7 @@ class MoveItParameters(SettingsSection):
     """turn about each axis within which a pose goal of a group with six joints or more is reached [rad]."""
     joint_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
     """a joint goal that lies beyond a limit by no more than this goes to the limit [rad]."""
-    # MoveIt's 0.05 s are all used up when there is no solution; here the answer comes as soon as it is known, and a
+    # MoveIt's 0.05 s are all used up when there is no solution; here the answer comes at once, and a
     # loaded machine may take longer.
     kinematics_solver_timeout: float = Field(default=0.5, ge=0.001, le=MAX_KINEMATICS_TIMEOUT_S)
     """time for inverse kinematics if the request names none [s]."""

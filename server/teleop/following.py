@@ -17,7 +17,7 @@ RETURN_S = 2.0
 # target by up to a third of the error.
 TRACKING_TIME_S = 0.15
 
-# Where the planners are slow it takes so many of their latencies at least: with 0.15 s and a latency of 0.095 s a
+# With slow planners, at least this number of their latencies: with 0.15 s and a latency of 0.095 s a
 # follower swings to 1.17 times the angle of its leader, with two latencies to 1.03 times.
 TRACKING_LATENCIES = 2.0
 

@@ -19,8 +19,8 @@ SAMPLE_TYPE = "sensor_msgs/JointState"
 # A server that takes no sample within this time has left without a word.
 TAKEN_TIMEOUT_S = 5.0
 
-# Samples on their way: the first ones of a slow network are still to be told of when the next leave. Beyond, samples
-# are left out, so that no old one is behind a new one.
+# Samples on their way: on a slow network the next ones leave before the first are acknowledged. Beyond this number,
+# samples are dropped, so that no old sample queues behind a new one.
 IN_FLIGHT = 8
 
 

@@ -17,16 +17,12 @@ class GoalRunner:
     Attributes:
         asked: motions of the goals, oldest first.
         stopped: joints of each stop of all motion; None for all.
-        ahead: motions to plan in advance, with the time left of the motion before [s].
-        forgotten: motions of goals whose turn will not come.
         report: tells of the progress of the active goal.
     """
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
         self.stopped: list[Any] = []
-        self.ahead: list[tuple[object, float]] = []
-        self.forgotten: list[object] = []
         self.report: Callable[[Progress], None] = lambda _progress: None
         self._end: asyncio.Future[Answer] | None = None
 
@@ -52,12 +48,6 @@ class GoalRunner:
 
     def preempt(self, reason: str) -> None:
         self.cancel(reason)
-
-    def plan_ahead(self, following: Goal, left_s: float) -> None:
-        self.ahead.append((following.request.motion, left_s))
-
-    def forget(self, goal: Goal) -> None:
-        self.forgotten.append(goal.request.motion)
 
     def stop(self, joints: Iterable[str] | None = None) -> None:
         self.stopped.append(joints)

@@ -133,36 +133,6 @@ async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
         assert await pool.ask(EASY) is PLAN
 
 
-# Motions in the background.
-
-
-async def in_background(pool: PlannerPool) -> asyncio.Task[Plan | PlanningFailure | None]:
-    """Have a long search be made in the background."""
-    planning = asyncio.create_task(pool.ask_in_background(LONG))
-    await idle(pool, 1)
-    return planning
-
-
-async def test_a_motion_is_planned_in_the_background(pool: PlannerPool) -> None:
-    assert await pool.ask_in_background(EASY) is PLAN
-
-
-async def test_a_motion_in_the_background_gives_way_to_one_that_is_due(pool: PlannerPool, farm: Farm) -> None:
-    planning = await in_background(pool)
-    assert await pool.ask(EASY) is PLAN
-    assert await planning is None
-    assert len(farm.workers) == 2
-
-
-async def test_a_motion_in_the_background_gives_way_to_no_other_there_and_waits_for_none(pool: PlannerPool) -> None:
-    planning = await in_background(pool)
-    assert await pool.ask_in_background(EASY) is None
-    await given_up(planning)
-    due = await under_way(pool, LONG)
-    assert await pool.ask_in_background(EASY) is None
-    await given_up(due)
-
-
 # Deadlines.
 
 RECHECK = RecheckQuestion("arm", STILL, START, 0.0)
@@ -232,23 +202,23 @@ async def test_a_racer_that_crashes_leaves_the_race_to_the_other(pool: PlannerPo
 LARGE = Scene(1, boxes(BRIEF_SCENE_BYTES // OBJECT_BYTES + 1))
 
 
-async def not_raced(pool: PlannerPool, farm: Farm, scene: Scene, *, background: bool) -> bool:
+async def not_raced(pool: PlannerPool, farm: Farm, scene: Scene) -> bool:
     """Tell whether a hard problem is left to one worker, though another is idle and would find a plan."""
     problem = searched(IN_VAIN, HARD, allowed_time_s=10.0 * SEARCH_S)
-    answer = await (pool.ask_in_background(problem, scene) if background else pool.ask(problem, scene))
+    answer = await pool.ask(problem, scene)
     return answer is TIMED_OUT and sorted(len(worker.asked) for worker in farm.workers) == [0, 1]
 
 
 @pytest.mark.parametrize(
-    ("number_of_cores", "scene", "background"),
-    [(1, Scene(1), False), (2, Scene(1), True), (2, LARGE, False)],
-    ids=["on one core", "in the background", "in a large scene that no idle worker has"],
+    ("number_of_cores", "scene"),
+    [(1, Scene(1)), (2, LARGE)],
+    ids=["on one core", "in a large scene that no idle worker has"],
 )
 async def test_nothing_is_raced(
-    pool: PlannerPool, farm: Farm, cores: Callable[[int], None], number_of_cores: int, scene: Scene, background: bool
+    pool: PlannerPool, farm: Farm, cores: Callable[[int], None], number_of_cores: int, scene: Scene
 ) -> None:
     cores(number_of_cores)
-    assert await not_raced(pool, farm, scene, background=background)
+    assert await not_raced(pool, farm, scene)
 
 
 async def test_a_worker_that_has_a_large_scene_joins_a_race_in_it(pool: PlannerPool, farm: Farm) -> None:

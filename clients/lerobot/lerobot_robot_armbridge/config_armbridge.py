@@ -45,7 +45,7 @@ class ArmbridgeConfig(RobotConfig, ServerOptions):
 @CameraConfig.register_subclass("armbridge")
 @dataclass(kw_only=True)
 class ArmbridgeCameraConfig(CameraConfig):
-    """A topic of sensor_msgs/CompressedImage; width and height [pixels] must be those of its images."""
+    """A topic of sensor_msgs/CompressedImage; width and height [pixels] must match its images."""
 
     topic: str = "/camera/image/compressed"
     url: str = "ws://127.0.0.1:9090"

@@ -63,7 +63,7 @@ class Watch(Generic[M]):
         return self.newest(float("inf"))
 
     def after(self, number: int, timeout_s: float) -> Newest[M]:
-        """Wait for a message with a higher number than one that was taken before; 0 for any.
+        """Wait for a message with a higher number than an earlier message; 0 for any.
 
         Raises:
             TimeoutError: none came in time.

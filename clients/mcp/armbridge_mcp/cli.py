@@ -13,7 +13,7 @@ from armbridge_mcp.limits import Region
 from armbridge_mcp.session import Options
 from armbridge_mcp.tools import make_server
 
-# Whoever reaches the port of streamable HTTP has the token's role.
+# Everyone who reaches the port of streamable HTTP has the token's role.
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 
 TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - a name

@@ -1,4 +1,4 @@
-"""Session with the armbridge server: the connection, what is remembered, and the motion that waits for approval."""
+"""Session with the armbridge server: the connection, remembered answers, and the motion that waits for approval."""
 
 from __future__ import annotations
 

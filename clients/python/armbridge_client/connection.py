@@ -465,7 +465,7 @@ class Connection:
         log.info("the server: %s", sentence)
         if number in self._streams and level == "error":
             self._streams[number].fail(refusal(sentence))
-        # A warning refuses no message: a topic's name may only look like that of another topic.
+        # A warning refuses no message: a topic's name may only look like another topic's.
         elif number in self._answers or (number in self._registrations and level == "error"):
             self._complaints[number] = sentence
 

@@ -145,7 +145,7 @@ class Bridge(Node):
             self,
             action_class,
             action.name,
-            execute_callback=accepted,  # rclpy wants one; that of `accepted` is taken
+            execute_callback=accepted,  # rclpy wants a result; it takes the result of `accepted`
             goal_callback=take,
             handle_accepted_callback=accepted,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT,
@@ -183,7 +183,7 @@ class Bridge(Node):
         return result
 
     def _on_message(self, topic: str, serialized: bytes) -> None:
-        # The bytes are those of ROS 2 already: no field is read.
+        # The bytes are ROS 2's already: no field is read.
         self._from_server[topic].publish(serialized)
 
 

@@ -22,7 +22,7 @@ STOPS = frozenset({"/stop", "/arm/stop", "/arm/emergency_stop"})
 
 
 class Server:
-    """Speaks rosbridge. What is subscribed and advertised is sent again on each connection.
+    """Speaks rosbridge. Subscriptions and advertisements are sent again on each connection.
 
     Args:
         url: ``ws://HOST:PORT``.
@@ -51,7 +51,7 @@ class Server:
         self._thread = threading.Thread(target=self._run, name="armbridge", daemon=True)
 
     def start(self) -> None:
-        """Connect; what is registered afterwards is sent at once."""
+        """Connect; later registrations are sent at once."""
         self._thread.start()
 
     def close(self) -> None:

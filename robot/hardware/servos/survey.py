@@ -26,7 +26,7 @@ MOST_TURNS = 16
 def survey(
     family: ServoFamily, bus: ServoBus, servos: ServoMap, *, simulated: bool = False
 ) -> Steps[dict[int, ServoFound]]:
-    """Survey every servo by id, without writing; raises NoReply, and StartupError for one that must not be driven."""
+    """Survey every servo by id, without writing; raises NoReply, or StartupError for a servo not to be driven."""
     models = yield from _identify(family, bus, servos, simulated=simulated)
     found = {}
     for joint in servos.joints:

@@ -1,1 +1,1 @@
-"""Actions that move the arm: those of MoveIt's move_group, and ros2_control's FollowJointTrajectory."""
+"""Actions that move the arm: MoveIt's move_group actions, and ros2_control's FollowJointTrajectory."""

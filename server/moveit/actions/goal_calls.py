@@ -137,7 +137,7 @@ class GoalCalls:
         if _is_given(request["pose"]):
             given["pose"] = request["pose"], self._translator.pose
         if len(given) != 1:
-            got = " and ".join(given) or "none of them"
+            got = " and ".join(given) or "none"
             raise invalid(f"exactly one of the fields named, joints and pose must be given, not {got}")
         return next(iter(given.values()))
 

@@ -104,7 +104,7 @@ class Confirmation:
     async def _decided(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
         self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()
         self._publish_request(goal, planned.summary, planned.duration_s)
-        # Last: whoever hears that the plan waits may decide on it at once.
+        # Last: a client that learns of the waiting plan may decide on it at once.
         waits = f"{goal.request.client} asks for your approval" if _is_proposed(goal) else "waits to be confirmed"
         goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
         try:

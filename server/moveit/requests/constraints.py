@@ -44,7 +44,7 @@ DEFAULT_TOLERANCE_RAD = 0.01
 # From pi on an axis is free, as a rotation vector is never longer.
 FREE_RAD = math.pi
 
-# MoveGroupInterface's default position tolerance, which a servo arm misses anyway. Smaller regions, and those of size
+# MoveGroupInterface's default position tolerance, which a servo arm misses anyway. Smaller regions, down to size
 # 0, are widened to it.
 LEAST_TOLERANCE_M = 1e-4
 
@@ -202,8 +202,8 @@ def _common(first: JointConstraint, second: JointConstraint, where: str) -> Join
 def read_orientation_constraint(message: Message, context: RequestContext, where: str) -> OrientationConstraint:
     """Read the orientation of a link, with the tolerances about its axes.
 
-    They are about the link's axes whatever the ``parameterization``: those of the two kinds differ only where they are
-    wide about several axes.
+    They are about the link's axes whatever the ``parameterization``: the two kinds differ only for tolerances
+    that are wide about several axes.
     """
     link = context.link(message["link_name"])
     pose = {"position": dict.fromkeys("xyz", 0.0), "orientation": message["orientation"]}

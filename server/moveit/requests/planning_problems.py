@@ -1,7 +1,7 @@
 """Requests of MoveIt's clients as problems for the planners: the one place where problems are built.
 
-A moveit_msgs/MotionPlanRequest names one of OMPL's planners or of Pilz's. The goal of Pilz's ``LIN`` and ``CIRC`` is
-that of any request; the path constraint of ``CIRC`` is no constraint but names a point on the circle (``interim``) or
+A moveit_msgs/MotionPlanRequest names one of OMPL's planners or of Pilz's. Pilz's ``LIN`` and ``CIRC`` have the goal
+of any request; the path constraint of ``CIRC`` is no constraint but names a point on the circle (``interim``) or
 its center (``center``):
 https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 """

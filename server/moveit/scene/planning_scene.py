@@ -309,7 +309,7 @@ def _object_to_attach(draft: SceneDraft, message: Message, where: str) -> Collis
     if has_geometry(message):
         return read_collision_object(message, message["header"]["frame_id"], where)
     if known is None:
-        text = f"{where}: the object {name!r} has no shape, and there is none of this name in the scene"
+        text = f"{where}: the object {name!r} has no shape, and the scene has no object of this name"
         raise refused(MoveItErrorCode.INVALID_OBJECT_NAME, text, object=name)
     return known
 

@@ -279,11 +279,11 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
         return f"the scene {name!r} is deleted"
 
     def offer(name: str, type_name: str, work: _Work, rule: Rule) -> None:
-        async def told(request: Message) -> dict[str, Any]:
+        async def reply(request: Message) -> dict[str, Any]:
             return {"success": True, "message": await work(request["name"])}
 
         name = f"/arm/scenes/{name}"
-        graph.services.offer(node, name, f"armbridge_msgs/srv/{type_name}", telling(name, told, log), rule=rule)
+        graph.services.offer(node, name, f"armbridge_msgs/srv/{type_name}", telling(name, reply, log), rule=rule)
 
     graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
     offer("save", "SaveScene", scenes.save, CONFIGURING)

@@ -66,10 +66,10 @@ Ended = Callable[[], bool]
 class SceneState:
     """The planning scene. A message changes it as a whole or, when it is rejected, not at all.
 
-    Changes that take long are read by a thread, one after the other; those that come meanwhile wait for their turn.
+    Changes that take long are read by a thread, one after the other; changes that come meanwhile wait for their turn.
 
-    Messages are complete ones of their type. Positions are those of every movable joint [rad], by which the frames of
-    links are found; None while they are not known.
+    Messages have every field of their type. Positions are the angles of every movable joint [rad], which place the
+    links' frames; None while unknown.
 
     Attributes:
         contents: contents of the scene; another object after every change.
@@ -177,7 +177,7 @@ class SceneState:
         self._commit(*self._changed(self.contents, change, positions_rad))
 
     def with_diff(self, message: Message, positions_rad: Positions) -> Scene:
-        """Return the scene as a moveit_msgs/PlanningScene would make it; the state stays as it is.
+        """Return the scene as a moveit_msgs/PlanningScene would make it; this state does not change.
 
         Fields of the message may be left out.
         """

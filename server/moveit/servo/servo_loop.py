@@ -55,7 +55,7 @@ UNITLESS_TOLERANCE = 1e-3
 
 # From the arm's goals, as they were read, to where velocities take effect: two ticks, and as long again because the arm
 # rounds its corners. With two ticks alone, random sticks on an SO-101 came to 0.6 mm of a table that is kept 5 mm away;
-# with four, none of 16 runs came nearer than 7.8 mm.
+# with four, the nearest of 16 runs came to 7.8 mm.
 LEAD_S = 0.04
 
 # While the planners answer, the arm goes on by the velocities of the answer before. Distances grow with the latency by

@@ -206,12 +206,3 @@ async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_the_
     await settle()
     assert [contact.code for contact in place.contacts] == [MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE]
     assert place.looked == [2, 2, 2]
-
-
-async def test_a_failed_check_counts_as_a_contact(place: Place) -> None:
-    watching(place)
-    place.answer = PlanningFailure(MoveItErrorCode.CRASH, "the planner died")
-    place.change()
-    await settle()
-    assert [contact.code for contact in place.contacts] == [MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE]
-    assert "the planner died" in place.contacts[0].message

@@ -27,7 +27,6 @@ from server.execution.motions import (
     START_TOLERANCE_RAD,
     PathTime,
     Positions,
-    SplicePoint,
     Step,
     deviation_note,
     plan_sequence,
@@ -137,17 +136,6 @@ def test_a_motion_about_to_end_is_replaced_at_its_end() -> None:
     splice_point = splice_point_of(UNDER_WAY, PathTime(0.0, 1.9, 1.0), 0.05, HORIZON_S)
     assert splice_point is not None
     assert splice_point.positions_rad == {"a": 1.0, "b": -0.5}
-
-
-def test_the_next_motion_begins_where_the_lead_ends() -> None:
-    splice_point = splice_point_of(UNDER_WAY, PathTime(0.0, 1.0, 1.0), 0.0, HORIZON_S)
-    assert isinstance(splice_point, SplicePoint)
-    start = splice_point.positions_rad
-    whole = splice_point.splice(smooth_move({"a": (start["a"], 2.0), "b": (start["b"], 0.0)}, 1.0))
-    assert (np.diff(whole.time_s) > 0.0).all()
-    assert whole.duration_s == pytest.approx(splice_point.lead.duration_s + 1.0)
-    np.testing.assert_allclose(whole.positions_rad[-1], [2.0, 0.0])
-    assert splice_point.velocities_rad_s["a"] > 0.0 > splice_point.velocities_rad_s["b"]
 
 
 @given(st.lists(NEAR, min_size=len(JOINTS), max_size=len(JOINTS)))

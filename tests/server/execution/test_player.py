@@ -119,16 +119,13 @@ async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details(s
     assert answer.message == "would touch the wall; stopped half-way"
 
 
-async def test_the_scene_monitor_asks_about_the_rest_of_the_motion(stage: Stage) -> None:
+@pytest.mark.parametrize(("direction", "from_s"), [(PlaybackDirection.FORWARD, 0.25), (PlaybackDirection.BACK, 0.0)])
+async def test_the_scene_monitor_asks_about_the_rest_of_the_motion_and_on_the_way_back_about_all(
+    stage: Stage, direction: PlaybackDirection, from_s: float
+) -> None:
     stage.pass_time(1.0)
-    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace())
-    assert stage.scene_monitor.questions()[0].from_s == 0.25
-
-
-async def test_on_the_way_back_it_asks_about_the_whole_motion(stage: Stage) -> None:
-    stage.pass_time(1.0)
-    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(direction=PlaybackDirection.BACK))
-    assert stage.scene_monitor.questions()[0].from_s == 0.0
+    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(direction=direction))
+    assert stage.scene_monitor.questions()[0].from_s == from_s
 
 
 async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags() -> None:
@@ -212,14 +209,6 @@ async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) 
     stage.goal.cancel("preempted by a test", replaced=True)
     await stage.answer()
     await until(lambda: stage.arm.stops)
-
-
-async def test_an_outgoing_motion_can_be_stopped(stage: Stage) -> None:
-    stage.goal.cancel("preempted by a test", replaced=True)
-    await stage.answer()
-    await stage.player.stop_outgoing()
-    assert len(stage.arm.stops) == 1
-    assert stage.player.outgoing is None
 
 
 async def test_a_braking_motion_is_not_replaced(stage: Stage) -> None:

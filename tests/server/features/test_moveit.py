@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
 from dataclasses import replace
 from typing import Any
 
-from websockets.asyncio.client import connect
-
-from harness.clients import ArmClient, frame_client, values_of
-from harness.server import RunningServer, ServerOnBus
+from harness.clients import ArmClient, values_of
 from planners.pool import PlannerPool
 from protocol.registry import Registry
 from robot.description.model import RobotModel, parse
@@ -37,25 +32,6 @@ RESULT, STATUS = "/moveit_goal_result", "/moveit_goal_status"
 
 # Backlash, droop and one tick of rounding.
 ARRIVED_RAD = 0.06
-
-# To the letter what the Unreal actor of the first setup sends: types in two parts, stamps of zero.
-UNREAL_OPENS = (
-    '{"op":"advertise","topic":"/moveit_goal_named","type":"std_msgs/String"}',
-    '{"op":"advertise","topic":"/moveit_goal_joints","type":"sensor_msgs/JointState"}',
-    '{"op":"advertise","topic":"/moveit_goal_pose","type":"geometry_msgs/PoseStamped"}',
-    '{"op":"subscribe","topic":"/joint_states","type":"sensor_msgs/JointState"}',
-)
-UNREAL_NAMED = '{"op":"publish","topic":"/moveit_goal_named","msg":{"data":"ready"}}'
-UNREAL_POSE_OUT_OF_REACH = (
-    '{"op":"publish","topic":"/moveit_goal_pose","msg":{"header":{"stamp":{"sec":0,"nanosec":0},'
-    '"frame_id":"base_link"},"pose":{"position":{"x":0.9,"y":0.0,"z":0.2},'
-    '"orientation":{"x":0.0,"y":0.0,"z":0.0,"w":1.0}}}}'
-)
-UNREAL_JOINTS = (
-    '{"op":"publish","topic":"/moveit_goal_joints","msg":{"header":{"stamp":{"sec":0,"nanosec":0},"frame_id":""},'
-    '"name":["shoulder_pan","shoulder_lift","elbow_flex","wrist_flex","wrist_roll"],'
-    '"position":[1.5,-0.5,0.5,0.2,0.0],"velocity":[],"effort":[]}}'
-)
 
 
 def to(position_rad: float, scaling: float = 0.3, **options: Any) -> dict[str, Any]:
@@ -88,37 +64,6 @@ async def test_a_planned_trajectory_can_be_executed_and_cancelled_on_its_way(cli
     await client.say("cancel_action_goal", action=name, id=goal)
     assert await result(client, goal) == (CANCELED, -7)
     assert await client.until_mode("holding")
-
-
-async def test_an_actionlib_client_of_ros_1_is_served_in_its_own_spelling(
-    client: ArmClient, served: ServerOnBus
-) -> None:
-    running: RunningServer = served.server
-    async with connect(running.url, max_size=None) as websocket:
-
-        async def say(op: str, topic: str, **fields: Any) -> None:
-            await websocket.send(json.dumps({"op": op, "topic": f"/move_group/{topic}", **fields}))
-
-        async def hear(topic: str) -> Any:
-            async with asyncio.timeout(10.0):
-                while True:
-                    operation = json.loads(await websocket.recv())
-                    if operation.get("topic") == f"/move_group/{topic}":
-                        return operation["msg"]
-
-        await say("subscribe", "status", type="actionlib_msgs/GoalStatusArray")
-        await say("subscribe", "result", type="moveit_msgs/MoveGroupActionResult")
-        await say("advertise", "goal", type="moveit_msgs/MoveGroupActionGoal")
-        # Clients send nothing before the server has shown that it is there.
-        await hear("status")
-        zero = {"secs": 0, "nsecs": 0}
-        await say("publish", "goal", msg={"goal_id": {"id": "one", "stamp": zero}, "goal": to(0.3, 1.0)})
-        told = await hear("result")
-    assert told["status"]["goal_id"]["id"] == "one"
-    assert told["status"]["goal_id"]["stamp"]["secs"] > 0
-    assert (told["status"]["status"], told["result"]["error_code"]["val"]) == (3, 1)
-    point = told["result"]["planned_trajectory"]["joint_trajectory"]["points"][-1]
-    assert set(point["time_from_start"]) == {"secs", "nsecs"}
 
 
 async def test_settings_reach_their_parts() -> None:
@@ -158,39 +103,6 @@ def test_an_arm_has_the_gripper_of_its_description() -> None:
     assert gripper is not None
     assert gripper.joints == (with_gripper.joints["gripper"],)
     assert context_for(without).whole.gripper is None
-
-
-async def test_a_client_of_topics_moves_the_arm_gets_a_suggestion_and_stops(
-    served: ServerOnBus,
-    client: ArmClient,
-) -> None:
-    async with frame_client(f"{served.server.url}/?x=1") as unreal:
-        for frame in UNREAL_OPENS:
-            await unreal.send(frame)
-        await unreal.subscribe(RESULT, "moveit_msgs/MoveItErrorCodes")
-        await unreal.subscribe(STATUS, "diagnostic_msgs/DiagnosticStatus")
-        await unreal.send(UNREAL_NAMED)
-        assert (await unreal.wait_for(RESULT, bool))[0]["val"] == 1
-        assert abs(unreal.messages("/joint_states")[-1]["position"][1] + 0.5) < ARRIVED_RAD
-
-        await unreal.send(UNREAL_POSE_OUT_OF_REACH)
-        refused = (await unreal.wait_for(RESULT, lambda all_: len(all_) == 2))[1]
-        assert refused["val"] == -31
-        assert "cannot reach (0.9, 0, 0.2) m" in refused["message"]
-        assert values_of(unreal.messages(STATUS)[-1])["stamp"] == "0.000000000"
-
-        suggested = json.loads(values_of(unreal.messages(STATUS)[-1])["suggested_goal"])
-        await unreal.publish(suggested["topic"], suggested["msg"])
-        assert (await unreal.wait_for(RESULT, lambda all_: len(all_) == 3))[2]["val"] == 1
-
-        await unreal.send(UNREAL_JOINTS)
-        await unreal.wait_for("/joint_states", lambda states: states[-1]["velocity"][0] > 0.3)
-        await unreal.send({"op": "advertise", "topic": "/stop", "type": "std_msgs/Empty"})
-        await unreal.send({"op": "publish", "topic": "/stop", "msg": {}})
-        stopped = (await unreal.wait_for(RESULT, lambda all_: len(all_) == 4))[3]
-        assert stopped["val"] == -7
-        assert "/stop" in stopped["message"]
-        assert unreal.messages("/joint_states")[-1]["position"][0] < 1.4
 
 
 async def finished(client: ArmClient, count: int) -> dict[str, Any]:

@@ -322,7 +322,7 @@ def test_with_tokens_it_is_served_without_a_warning(caplog: pytest.LogCaptureFix
 def test_an_insecure_address_is_warned_of_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(2):
         check_exposure("0.0.0.0", EVERYWHERE, WITHOUT_TOKENS, insecure=True)
-    assert caplog.text.count("INSECURE: whoever reaches 0.0.0.0 may connect without a token as admin") == 2
+    assert caplog.text.count("INSECURE: anyone at 0.0.0.0 may connect without a token as admin") == 2
 
 
 def test_anonymous_operators_need_the_option_insecure_and_anonymous_viewers_do_not(

@@ -154,7 +154,7 @@ async def test_the_gripper_is_a_goal_of_its_own(door: Door, end: Any, status: in
         (b'{"gripper":{"position":NaN}}', (), 400, "the body is no JSON"),
         (b"[" * 20_000, (), 400, "the body is no JSON"),
         ([1], (), 400, "the body must be a JSON object, not a list of 1"),
-        ({}, (), 400, "exactly one of named, joints, pose, gripper, stop must be given, not none of them"),
+        ({}, (), 400, "exactly one of named, joints, pose, gripper, stop must be given, not none"),
         ({**READY, "stop": True}, (), 400, "not named and stop"),
         ({**READY, "speed": 1}, (), 400, "field speed: unknown here; known: named, joints, pose, group"),
         ({"stop": 1}, (), 400, "field stop: must be true, not 1"),

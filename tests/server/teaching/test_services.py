@@ -15,7 +15,7 @@ from harness.waiting import until
 from robot.messages import ArmState, Mode
 from server.graph.permissions import Role
 from server.teaching.services import Teaching
-from server.teaching.taught_motion import MAX_DURATION_S, MotionFiles
+from server.teaching.taught_motion import MotionFiles
 from tests.helpers.fake_arm import JOINTS
 from tests.helpers.moveit import BENT, ROBOT, ServiceRig, box, diff, pose
 from tests.helpers.rules import server_rules
@@ -137,14 +137,6 @@ async def test_a_lost_arm_ends_the_recording_which_is_kept_and_the_state_says_so
     lesson.teaching.take_state(replace(lesson.state, mode=Mode.DISCONNECTED, reason="unplugged"))
     await until(lambda: "unplugged; the motion 'wave' is saved" in lesson.states[-1]["message"])
     assert (await lesson.call("/teach/list")) == {"names": ["wave"]}
-
-
-async def test_a_recording_ends_at_its_limit(lesson: Lesson) -> None:
-    assert (await lesson.call("/teach/begin", name="wave"))["success"]
-    lesson.hand(shoulder_pan=0.7)
-    late = replace(lesson.state, clock_s=lesson.state.clock_s + MAX_DURATION_S)
-    lesson.teaching.take_state(late)
-    await until(lambda: "600 s at most; the motion 'wave' is saved" in lesson.states[-1]["message"])
 
 
 async def test_a_server_that_ends_saves_what_is_being_recorded(lesson: Lesson) -> None:

@@ -16,7 +16,7 @@ from robot.description.urdf import Joint
 from robot.hardware.config import FeetechConfig
 from robot.messages import ArmConfig, MotionEnded, MotionProgress, Outcome
 from server.errors import RefusedError
-from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress
+from server.execution.player import BRAKING_TIMEOUT_S
 from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, Result
 from server.graph.local_graph import LocalGraph
@@ -161,8 +161,7 @@ LIMITS = TimeLimits(0.0, ALLOWED_S, paused_s=20.0)
 
 
 def begin(arm: SlowArm) -> asyncio.Task[MotionEnded]:
-    clock = asyncio.get_running_loop().time
-    gripper = Gripper(arm.as_arm, [so101().joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, LIMITS), clock=clock)
+    gripper = Grippers(LIMITS, arm).gripper
     return asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
 
 
@@ -177,8 +176,8 @@ async def together(arm: SlowArm, seconds: float) -> None:
 class Grippers:
     """The gripper's actions on a graph, for an arm whose motions end when a test says so."""
 
-    def __init__(self, limits: TimeLimits | None = None) -> None:
-        self.arm, self.graph = SlowArm(), Graph(REGISTRY)
+    def __init__(self, limits: TimeLimits | None = None, arm: SlowArm | None = None) -> None:
+        self.arm, self.graph = arm or SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
         joints, clock = [so101().joints["gripper"]], asyncio.get_running_loop().time
         limits = limits or TimeLimits()
@@ -359,11 +358,7 @@ def test_each_finger_may_be_named_with_the_same_position() -> None:
 
 
 async def test_a_motion_of_the_gripper_is_known_to_the_goals_of_the_arm() -> None:
-    in_progress, arm = MotionsInProgress(), SlowArm()
-    arm.state = replace(arm.state, load=np.zeros(len(arm.state.joint_names)))
-    joints = [so101().joints["gripper"]]
-    gripper = Gripper(arm, joints, GripperLimits(1.0, 1.0, 0.5, TimeLimits()), in_progress)  # type: ignore[arg-type]
-    moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
-    await settle()
+    grippers = Grippers()
+    await grippers.send()
+    in_progress = grippers.gripper._in_progress
     assert in_progress.expected_rad({"gripper": 0.0}, frozenset(("elbow_flex",))) == {"gripper": 1.0}
-    moving.cancel()

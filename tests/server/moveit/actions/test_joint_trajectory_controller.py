@@ -128,19 +128,6 @@ async def test_the_publisher_hears_of_each_refusal_of_a_stream_and_others_of_the
     assert desk.refused == [TOO_LONG_WORDS] * 2
 
 
-async def test_leaving_the_path_tolerance_ends_the_goal(desk: Desk) -> None:
-    tolerance = [{"name": "elbow_flex", "position": 0.05}]
-    await desk.send(ACTION, trajectory=TRAJECTORY, path_tolerance=tolerance)
-    desk.report(MOVING)
-    arm = desk.arm
-    measured = arm.state
-    arm.put(elbow_flex=0.2)
-    lagging = type(measured)(**{**vars(arm.state), "position_rad": measured.position_rad})
-    desk.controller.take_state(lagging)
-    await settle()
-    assert desk.codes == [(GoalStatus.ABORTED, FollowCode.PATH_TOLERANCE_VIOLATED)]
-
-
 async def test_a_trajectory_on_the_topic_preempts_the_current_motion(desk: Desk) -> None:
     await desk.send(ACTION, trajectory=TRAJECTORY)
     await desk.publish(**TRAJECTORY)

@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
-from server.execution.motions import PlannedMotion
+from server.execution.goal import Answer, GoalRequest, GoalState, Progress
+from server.execution.motions import Performed, PlannedMotion
 from server.execution.time_limits import TimeLimits
+from server.graph.actions import GoalStatus
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.actions.move_group import (
     DEFAULT_ATTEMPTS,
@@ -29,6 +31,7 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.requests.planning_problems import PILZ
 from tests.helpers.fake_arm import HOME, settle
+from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, assert_refused, ball, joint, message, outcome
 
 
@@ -55,6 +58,59 @@ async def test_a_goal_is_carried_out_under_both_names(planning_desk: ActionDesk,
     planning_desk.finish()
     await settle()
     assert codes(planning_desk) == [1]
+
+
+async def test_a_goal_gets_each_state_once_and_then_its_result(planning_desk: ActionDesk) -> None:
+    await planning_desk.send("/move_group", request=to(0.3))
+    for state in (GoalState.PLANNING, GoalState.EXECUTING, GoalState.EXECUTING):
+        planning_desk.report(Progress(state, ""))
+    planning_desk.finish()
+    await settle()
+    assert [message["state"] for message in planning_desk.feedback] == ["PLANNING", "MONITOR", "IDLE"]
+    assert [result.status for result in planning_desk.results] == [GoalStatus.SUCCEEDED]
+
+
+async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(planning_desk: ActionDesk) -> None:
+    goal = await planning_desk.send("/move_group", request=to(0.3))
+    assert goal is not None
+    goal.cancel()
+    await settle()
+    assert planning_desk.results[0].status == GoalStatus.CANCELED
+    assert planning_desk.results[0].values["error_code"]["message"] == "cancelled by a client of /move_group"
+
+
+async def test_a_goal_that_is_over_takes_its_motion_along_and_leaves_others_alone(planning_desk: ActionDesk) -> None:
+    first = planning_desk.queue.submit(GoalRequest("/moveit_goal_pose", PlannedMotion((), frozenset({"gripper"}))))
+    goal = await planning_desk.send("/move_group", request=to(0.3))
+    assert goal is not None
+    goal.fail("Action /move_group took more than 3600 s")
+    await settle()
+    assert planning_desk.queue.busy(["shoulder_pan"]) == ""
+    assert not first.answered.done()
+
+
+async def test_a_goal_that_is_over_before_its_turn_never_moves(
+    planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await planning_desk.send("/move_group", request=to(0.3))
+    monkeypatch.setattr(planning_desk, "preempt", lambda _reason: None)
+    goal = await planning_desk.send("/move_group", request=to(0.5))
+    assert goal is not None
+    assert planning_desk.queue.waiting_count == 1
+    goal.fail("over")
+    assert planning_desk.queue.waiting_count == 0
+
+
+def test_a_result_has_start_planned_and_executed_motion_and_time() -> None:
+    first, second = smooth_move({"shoulder_pan": (0.0, 0.2)}, 1.0), smooth_move({"shoulder_pan": (0.2, 0.3)}, 2.0)
+    performed = Performed({"shoulder_pan": 0.0}, (first, second), second, 0.25)
+    written = move_group_result(Answer(MoveItErrorCode.SUCCESS, "there", performed=performed), ROBOT)
+    result = message("moveit_msgs/action/MoveGroup_Result", **written)
+    assert result["error_code"] == {"val": 1, "message": "there", "source": "armbridge"}
+    assert result["trajectory_start"]["joint_state"]["name"] == ["shoulder_pan"]
+    assert len(result["planned_trajectory"]["joint_trajectory"]["points"]) == len(first.time_s)
+    assert len(result["executed_trajectory"]["joint_trajectory"]["points"]) == len(second.time_s)
+    assert result["planning_time"] == 0.25
 
 
 async def test_a_bad_goal_is_answered_while_another_moves(planning_desk: ActionDesk) -> None:

@@ -221,15 +221,6 @@ async def test_a_stream_is_one_line_in_the_log(controller: Controller, caplog: p
     assert len([each for each in caplog.records if TOPIC in each.getMessage()]) == 1
 
 
-async def test_an_empty_trajectory_ends_the_stream_at_rest(controller: Controller) -> None:
-    await controller.stream(1.0)
-    controller.publish()
-    await asyncio.sleep(0.3)
-    at_rest = controller.goals_rad[-1]
-    await asyncio.sleep(0.3)
-    assert (controller.goals_rad[-1] == at_rest).all()
-
-
 FAR = np.array([0.5, 0.0, 0.0, 0.0, 0.0])
 NEAR = np.array([0.1, 0.1, -0.1, 0.1, 0.0])
 

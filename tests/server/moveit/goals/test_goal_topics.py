@@ -219,14 +219,6 @@ async def asked(gate: Gate, *, proposed: bool = False) -> asyncio.Task[Any]:
     return task
 
 
-async def test_false_discards_the_plan(gate: Gate) -> None:
-    task = await asked(gate)
-    gate.say({"data": False})
-    answer = await task
-    assert answer.code is MoveItErrorCode.PREEMPTED
-    assert CONFIRM_TOPIC in answer.message
-
-
 async def test_a_client_that_hears_that_a_plan_waits_can_decide_at_once(gate: Gate) -> None:
     def decide(progress: Progress) -> None:
         assert progress.state is GoalState.PLANNED
@@ -291,15 +283,6 @@ async def test_the_goal_that_waits_is_latched(gate: Gate) -> None:
     task.cancel()
     await asyncio.wait([task])
     assert request()["hardware_id"] == ""
-
-
-async def test_an_invalid_message_confirms_nothing(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
-    task = await asked(gate)
-    with pytest.raises(MessageError):
-        gate.say({"data": "yes"})
-    assert CONFIRM_TOPIC in caplog.text
-    assert not task.done()
-    task.cancel()
 
 
 async def test_the_service_switches_the_mode(gate: Gate) -> None:

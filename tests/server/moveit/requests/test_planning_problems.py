@@ -19,7 +19,6 @@ from server.moveit.parameters import (
 from server.moveit.requests.planning_problems import (
     CIRCULAR,
     MAX_ITEMS,
-    OMPL,
     PILZ,
     STRAIGHT,
     BuiltProblem,
@@ -123,18 +122,6 @@ def test_time_and_attempts_are_bounded_with_a_warning() -> None:
     assert len(read.warnings) == 2
 
 
-def test_an_unknown_pipeline_is_refused_with_those_that_exist() -> None:
-    assert_refused(asked(pipeline_id="chomp"), MoveItErrorCode.FAILURE, "'chomp'", OMPL, PILZ)
-
-
-def test_an_unknown_planner_is_replaced_with_a_warning() -> None:
-    read = asked(planner_id="CHOMP", parameters=MoveItParameters(planner_id="RRT"))
-    assert isinstance(read, BuiltProblem)
-    assert isinstance(read.problem, PlanningProblem)
-    assert read.problem.planner_id == "RRT"
-    assert "'CHOMP'" in read.warnings[0]
-
-
 IGNORED = {
     "trajectory_constraints": {"constraints": [{}]},
     "reference_trajectories": [{}],
@@ -147,12 +134,6 @@ def test_ignored_fields_have_a_warning(field: str) -> None:
     read = asked(**{field: IGNORED[field]})
     assert isinstance(read, BuiltProblem)
     assert field in read.warnings[0]
-
-
-def test_path_constraints_hold_on_the_way() -> None:
-    held = problem(path_constraints={"joint_constraints": [joint("wrist_roll", 0.0, 0.1, 0.1)]})
-    assert held.path_constraints is not None
-    assert held.path_constraints.joints[0].joint == "wrist_roll"
 
 
 def test_an_unknown_planner_of_pilz_fails_and_its_smoothness_is_understood() -> None:

@@ -12,8 +12,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from harness.clients import ArmClient
-from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from server.errors import RefusedError
@@ -86,23 +84,6 @@ async def test_the_scene_has_moveits_names_and_types():
     graph, _ = opened()
     assert graph.topic_types() == TOPICS
     assert graph.services.types() == SERVICES
-
-
-async def test_an_object_blocks_goals_until_it_is_removed(client: ArmClient) -> None:
-    point = {"x": 0.3, "y": 0.1, "z": 0.05}
-    block = box("block", at=pose(**point))
-    assert (
-        await client.call("/apply_planning_scene", scene={"is_diff": True, "world": {"collision_objects": [block]}})
-    )["success"]
-    results = len(client.topics.get("/moveit_goal_result", ()))
-    await client.goal("/moveit_goal_pose", "geometry_msgs/PoseStamped", {"pose": {"position": point}})
-    result = (await client.until("/moveit_goal_result", lambda heard: len(heard) > results))[-1]
-    assert result["val"] == MoveItErrorCode.GOAL_IN_COLLISION
-    assert "block" in result["message"]
-    everything = {"is_diff": True, "world": {"collision_objects": [{"operation": 1}]}}
-    assert (await client.call("/apply_planning_scene", scene=everything))["success"]
-    scene = (await client.call("/get_planning_scene"))["scene"]
-    assert scene["world"]["collision_objects"] == []
 
 
 CUP = box("cup")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
-import math
 
 import pytest
 from hypothesis import given
@@ -184,17 +183,3 @@ def test_a_client_that_has_left_is_forgotten():
     del node
     gc.collect()
     assert len(assumed._assumed) == 0
-
-
-@pytest.mark.parametrize(
-    ("joint_state", "words"),
-    [
-        ({"name": ["gripper"], "position": []}, "name has 1 entries and position 0"),
-        ({"name": ["knee"], "position": [0.0]}, "there is no joint 'knee'"),
-        ({"name": ["gripper"], "position": [math.nan]}, "joint 'gripper' must be a finite number, not nan"),
-    ],
-)
-def test_a_state_that_is_none_is_refused(joint_state, words):
-    with pytest.raises(RefusedError, match=words) as refusal:
-        AssumedStates(ROBOT).after(Node("client"), message("RobotState", joint_state=joint_state))
-    assert refusal.value.failure.code is MoveItErrorCode.INVALID_ROBOT_STATE

@@ -19,12 +19,18 @@ import { JogSender, subscribeServoNode } from "./link/servo-node";
 import { subscribeSpeedLimit } from "./link/speed-limit";
 import { fetchActions, resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
+import { loadPreference } from "./state/preferences";
 import { emptyState } from "./state/state";
 import { Store } from "./state/store";
+import { chosenLanguage, useLanguage } from "./texts/texts";
 import { startView } from "./view/view";
 
 /** Start the page: the panel first, so that STOP is there even if the rest fails. */
-function startPage(): void {
+async function startPage(): Promise<void> {
+  const language = chosenLanguage(loadPreference("language", ""), navigator.languages);
+  document.documentElement.lang = language;
+  // English where the texts of another language do not come.
+  await useLanguage(language).catch(() => undefined);
   const url = serverUrl(location.href);
   const store = new Store(emptyState(url));
   takeTokenFromUrl();
@@ -69,4 +75,4 @@ function startPage(): void {
   exposeToConsole(store, canvas && startView(canvas, store, (...pose) => void sceneEditor.move(...pose)));
 }
 
-startPage();
+void startPage();

@@ -188,7 +188,7 @@ export class JogSender {
     if (!this.isAllowed()) return this.releaseAll();
     this.advanceSteps();
     if (this.arm_kind) this.publish(this.arm_kind, summed(this.commandsOf(this.arm_kind)));
-    this.sendGripper(summed(this.commandsOf("gripper"))["opening"] ?? 0);
+    this.sendGripper(summed(this.commandsOf("gripper")).opening ?? 0);
   }
 
   /** Go on with the steps by the time that their last commands were followed, which ends when they expire. */

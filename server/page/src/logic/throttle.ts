@@ -2,9 +2,9 @@
 export function throttle<Value>(period_ms: number, listener: (value: Value) => void): (value: Value) => void {
   let pending: { value: Value } | null = null;
   let last_ms = -Infinity;
-  let timer: ReturnType<typeof setTimeout> | null = null;
+  let _timer: ReturnType<typeof setTimeout> | null = null;
   const run = (): void => {
-    timer = null;
+    _timer = null;
     if (!pending) return;
     const { value } = pending;
     pending = null;
@@ -15,6 +15,6 @@ export function throttle<Value>(period_ms: number, listener: (value: Value) => v
     pending = { value };
     const due_ms = last_ms + period_ms - performance.now();
     if (due_ms <= 0) run();
-    else timer ??= setTimeout(run, due_ms);
+    else _timer ??= setTimeout(run, due_ms);
   };
 }

@@ -10,11 +10,7 @@ import type { SequencePlayer } from "../link/sequence";
 import type { JogSender } from "../link/servo-node";
 import type { Teaching } from "../link/teaching";
 import type { ServoHistory } from "../logic/servo-history";
-import { denialReason, type Operation } from "../logic/permissions";
-import type { State } from "../state/state";
 import type { PageStore } from "../state/store";
-import { t } from "../texts/texts";
-import { el } from "./dom";
 
 /** Services that every section of the panel uses. */
 export interface PanelContext {
@@ -35,33 +31,4 @@ export interface PanelContext {
   servoHistory: (joint: string) => Promise<ServoHistory | null>;
   /** Asks the server for the record of a goal; a text is its reason for having none. */
   goalRecord: (id: string) => Promise<GoalRecord | string>;
-}
-
-/** Wrap controls in a fieldset that is disabled while the server would deny their operation. */
-export function permissionFieldset(
-  { store }: PanelContext,
-  operation: Operation,
-  ...controls: HTMLElement[]
-): HTMLFieldSetElement {
-  const fieldset = el("fieldset", { class: "gate", attributes: { "data-deed": operation } }, ...controls);
-  applyPermission(fieldset, store.state);
-  return fieldset;
-}
-
-/** Update the fieldsets of the whole page whenever permissions change. */
-export function watchPermissions({ store }: PanelContext): void {
-  // Found in the document each time, as rows of lists come and go with their fieldsets.
-  const applyAll = (state: State): void => {
-    const fieldsets = document.querySelectorAll<HTMLFieldSetElement>("fieldset.gate");
-    for (const fieldset of fieldsets) applyPermission(fieldset, state);
-  };
-  store.watch(["identity", "control"], applyAll);
-  store.subscribe((state) => state.link.connected, (_, state) => applyAll(state));
-}
-
-function applyPermission(fieldset: HTMLFieldSetElement, state: State): void {
-  const offline = state.link.connected ? "" : t("bar.offline.disabled");
-  const reason = offline || denialReason(fieldset.dataset["deed"] as Operation, state);
-  fieldset.disabled = reason !== "";
-  fieldset.title = reason;
 }

@@ -2,13 +2,12 @@ import type { ComponentType, JSX } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import { closePanel, isOpen, openPanel, pinPanel, type Layout } from "../logic/layout";
 import type { PageStore } from "../state/store";
-import { t, type TextKey } from "../texts/texts";
+import { t } from "../texts/texts";
 import { Icon, Shown, SignButton, usePage } from "./ui";
 
 /** Panel of the page. */
 export interface Panel {
-  id: string;
-  title: TextKey;
+  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "log" | "settings";
   /** SVG path of its icon, in a square of 24. */
   icon: string;
   /** On the rail itself, or in its menu. */
@@ -56,7 +55,7 @@ export function Rail({ panels }: { panels: readonly Panel[] }): JSX.Element {
   );
 }
 
-function Tab({ panel: { id, title, icon }, press }: { panel: Panel; press: () => void }): JSX.Element {
+function Tab({ panel: { id, icon }, press }: { panel: Panel; press: () => void }): JSX.Element {
   const { store } = usePage();
   const is_open = isOpen(store.state.layout, id);
   const toggle = (): void => {
@@ -66,13 +65,13 @@ function Tab({ panel: { id, title, icon }, press }: { panel: Panel; press: () =>
   };
   return (
     <button type="button" data-testid={`tab-${id}`} id={`tab-${id}`} aria-controls={`panel-${id}`} aria-expanded={is_open} onClick={toggle}>
-      <Icon path={icon} /><span>{t(title)}</span>
+      <Icon path={icon} /><span>{t(`panel.${id}`)}</span>
     </button>
   );
 }
 
 /** Panel as a card of the dock; its sections exist from the start, also while it is closed. */
-export function Card({ panel: { id, title, sections } }: { panel: Panel }): JSX.Element {
+export function Card({ panel: { id, sections } }: { panel: Panel }): JSX.Element {
   const { store } = usePage();
   const { layout } = store.state;
   const card = useRef<HTMLElement>(null);
@@ -88,11 +87,11 @@ export function Card({ panel: { id, title, sections } }: { panel: Panel }): JSX.
   return (
     <section ref={card} class="card" id={`panel-${id}`} aria-labelledby={heading} hidden={!shown} data-slot={layout.pinned === id ? "pinned" : "shown"}>
       <header class="card-head">
-        <h2 id={heading}>{t(title)}</h2>
-        <button type="button" class="pin" data-testid={`pin-panel-${id}`} title={t("layout.pin")} aria-label={`${t("layout.pin")}: ${t(title)}`} onClick={() => changeLayout(store, pinPanel(store.state.layout))}>
+        <h2 id={heading}>{t(`panel.${id}`)}</h2>
+        <button type="button" class="pin" data-testid={`pin-panel-${id}`} title={t("layout.pin")} aria-label={`${t("layout.pin")}: ${t(`panel.${id}`)}`} onClick={() => changeLayout(store, pinPanel(store.state.layout))}>
           <Icon path={PIN_ICON} />
         </button>
-        <SignButton sign="×" testid={`close-panel-${id}`} label={`${t("layout.close")}: ${t(title)}`} title={t("layout.close")} press={close} />
+        <SignButton sign="×" testid={`close-panel-${id}`} label={`${t("layout.close")}: ${t(`panel.${id}`)}`} title={t("layout.close")} press={close} />
       </header>
       {/* Focusable, so that the keyboard scrolls it. */}
       <div class="panel" data-testid={`panel-${id}`} role="group" tabindex={0} aria-labelledby={heading}>

@@ -1,8 +1,8 @@
 import { effect, untracked, useSignal, type Signal } from "@preact/signals";
-import { createContext, type ComponentChildren, type JSX } from "preact";
+import { createContext, type ComponentChildren, type JSX, type RefObject } from "preact";
 import { useContext, useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { denialReason, type Operation } from "../logic/permissions";
-import type { NumberRange } from "../logic/numbers";
+import { fromUnit, positionText, unitOf, type NumberRange } from "../logic/numbers";
 import { throttle } from "../logic/throttle";
 import { loadPreference, storePreference } from "../state/preferences";
 import type { State } from "../state/state";
@@ -130,11 +130,12 @@ export function Tick({ testid, text, checked, take, kind = "line" }: { testid: s
 }
 
 /** Choices of which one is taken, in a row. */
-export function Radios({ name, label, value, options, take, testid }: SelectProps & { name: string }): JSX.Element {
+export function Radios({ label, value, options, take, testid, titled = false }: SelectProps & { titled?: boolean }): JSX.Element {
   return (
     <div class="chips" role="radiogroup" aria-label={label}>
+      {titled && <span class="measures-title">{label}</span>}
       {options.map(([option, text]) => (
-        <label key={option} class="choice"><input type="radio" name={name} data-testid={`${testid}-${option}`} checked={option === value} onChange={() => take(option)} />{text}</label>
+        <label key={option} class="choice"><input type="radio" name={testid} data-testid={`${testid}-${option}`} checked={option === value} onChange={() => take(option)} />{text}</label>
       ))}
     </div>
   );
@@ -145,10 +146,11 @@ export function TextList({ texts, testid, label, kind }: { texts: readonly strin
   return <ul class={kind} data-testid={testid} aria-label={label} hidden={texts.length === 0}>{texts.map((text, index) => <li key={index}>{text}</li>)}</ul>;
 }
 
-/** Collapsible section of a panel; the browser stores its open state. */
-export function Section({ name, title, open = true, hidden, children }: { name: string; title: string; open?: boolean; hidden?: boolean; children: ComponentChildren }): JSX.Element {
+/** Collapsible section of a panel, which opens by itself when it is forced to; the browser stores its open state. */
+export function Section({ name, title, open = true, force = false, hidden, children }: { name: string; title: string; open?: boolean; force?: boolean; hidden?: boolean; children: ComponentChildren }): JSX.Element {
   const shown = useContext(Shown);
   const [is_open, setOpen] = useState(() => loadPreference(`open-${name}`, String(open)) === "true");
+  useEffect(() => void (force && setOpen(true)), [force]);
   const toggle = ({ currentTarget }: { currentTarget: HTMLDetailsElement }): void => {
     setOpen(currentTarget.open);
     storePreference(`open-${name}`, String(currentTarget.open));
@@ -195,4 +197,106 @@ export function NumberField({ testid, label, range, text, take }: { testid: stri
   // A screen reader speaks an alert whose element was there before.
   useEffect(() => report(""), []);
   return <input ref={input} type="text" class="number" data-testid={testid} aria-label={label} inputmode="decimal" autocomplete="off" spellcheck={false} />;
+}
+
+interface SliderProps {
+  testid: string;
+  label?: string;
+  /** Least and largest value, and step. */
+  range: readonly [number, number, number];
+  value: number;
+  /** Takes each value on the way. */
+  take?: (value: number) => void;
+  /** Takes the value at which the slider is let go. */
+  release?: (value: number) => void;
+  /** Selector of a slider that keeps its place whatever the value is. */
+  busy?: string;
+  dir?: "ltr" | "rtl";
+  id?: string;
+}
+
+export function Slider({ testid, label, range: [min, max, step], value, take, release, busy = ":active", ...rest }: SliderProps): JSX.Element {
+  const slider = useRef<HTMLInputElement>(null);
+  useLayoutEffect(() => {
+    const { current } = slider;
+    if (current === null || !Number.isFinite(value) || current.matches(busy)) return;
+    if (Math.abs(Number(current.value) - value) > step / 2) current.value = String(value);
+  });
+  return (
+    <input
+      ref={slider} type="range" data-testid={testid} aria-label={label} min={min} max={max} step={step} {...rest}
+      onInput={({ currentTarget }) => take?.(Number(currentTarget.value))} onChange={({ currentTarget }) => release?.(Number(currentTarget.value))}
+    />
+  );
+}
+
+/** Input for a JSON file of the user. */
+export function FileInput({ testid, label, take }: { testid: string; label: string; take: (file: File) => Promise<void> }): JSX.Element {
+  const open = (input: HTMLInputElement): void => {
+    const file = input.files?.[0];
+    // The same file can be chosen again.
+    if (file) void take(file).finally(() => void (input.value = ""));
+  };
+  return <label class="scene-upload">{label}<input type="file" data-testid={testid} accept=".json,application/json" onChange={({ currentTarget }) => open(currentTarget)} /></label>;
+}
+
+/** Return a reference to a list whose elements keep the focus when they are moved. */
+export function useKeptFocus<Element extends HTMLElement>(): RefObject<Element | null> {
+  const list = useRef<Element>(null);
+  const focused = document.activeElement;
+  useLayoutEffect(() => {
+    if (focused instanceof HTMLElement && focused !== document.activeElement && list.current?.contains(focused)) focused.focus();
+  });
+  return list;
+}
+
+/** Input for a text, which is taken when it is entered or left; what is being typed outlives updates. */
+export function TextField({ testid, label, value, maxlength, take }: { testid: string; label?: string; value: string; maxlength?: number; take: (text: string) => void }): JSX.Element {
+  const [typed, type] = useState<string | null>(null);
+  const commit = (text: string): void => {
+    type(null);
+    take(text.trim());
+  };
+  return (
+    <input
+      type="text" data-testid={testid} aria-label={label} maxlength={maxlength} autocomplete="off" spellcheck={false} value={typed ?? value}
+      onInput={({ currentTarget }) => type(currentTarget.value)} onChange={({ currentTarget }) => commit(currentTarget.value)}
+    />
+  );
+}
+
+interface MeasureProps {
+  testid: string;
+  /** "prismatic" for a length, "revolute" for an angle, as joints have them. */
+  kind?: "prismatic" | "revolute";
+  name: string;
+  /** Label for screen readers, as "Size x". */
+  label?: string;
+  /** Limits [m or rad]. */
+  lower: number;
+  upper: number;
+  value: number;
+  take: (value: number) => void;
+}
+
+/** Field within Problems for a length or an angle, labelled with its name and the unit that the user has chosen. */
+export function MeasureField({ testid, kind = "prismatic", name, label = name, lower, upper, value, take }: MeasureProps): JSX.Element {
+  const unit = unitOf(kind, usePage().store.state.settings.units);
+  const { scale, suffix, digits } = unit;
+  const text = positionText(value, unit);
+  return (
+    <label class="measure">
+      <span>{`${name} (${suffix.trim()})`}</span>
+      <NumberField
+        testid={testid} label={`${label} (${suffix.trim()})`} range={{ name: label, lower: lower * scale, upper: upper * scale, unit: suffix, digits }}
+        // Without zeros after the last decimal.
+        text={text.includes(".") ? text.replace(/\.?0+$/, "") : text} take={(typed) => take(fromUnit(typed, unit))}
+      />
+    </label>
+  );
+}
+
+/** Line of fields with its title, and their problems below. */
+export function MeasureLine({ title, children }: { title: string; children: ComponentChildren }): JSX.Element {
+  return <div><Problems><div class="measures" role="group" aria-label={title}><span class="measures-title">{title}</span>{children}</div></Problems></div>;
 }

@@ -24,7 +24,7 @@ const SHOWN = [
 const NOT_SHOWN = [
   /\/\*[\s\S]*?\*\//g,
   /(?<=^|\s)\/\/[^\n]*/g,
-  /\bclass(?:Name = |: )(["'`])[^\n]*?\1/g,
+  /\bclass(?:Name = |: |=)(["'`])[^\n]*?\1/g,
   /\b(?:matchMedia|matches|includes|font =) ?\(?(["'`])[^\n]*?\1/g,
 ];
 

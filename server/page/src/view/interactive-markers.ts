@@ -72,8 +72,8 @@ function partOfTranslation(node: Mesh): "arrow" | "grip" | null {
   const group = node.parent;
   const gizmo = group?.parent as { gizmo?: Record<string, unknown>; picker?: Record<string, unknown> } | null | undefined;
   if (!group || !gizmo) return null;
-  if (group === gizmo.gizmo?.["translate"]) return "arrow";
-  return group === gizmo.picker?.["translate"] ? "grip" : null;
+  if (group === gizmo.gizmo?.translate) return "arrow";
+  return group === gizmo.picker?.translate ? "grip" : null;
 }
 
 /** Create what the pointer meets of an arrow along y: a little longer, and nearer to the middle than what is seen. */

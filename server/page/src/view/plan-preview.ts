@@ -29,7 +29,7 @@ export class Label {
     private readonly camera: Camera,
   ) {
     this.element.className = "view-label";
-    this.element.dataset["testid"] = "target-distance";
+    this.element.dataset.testid = "target-distance";
     this.element.setAttribute("role", "status");
     this.element.hidden = true;
     canvas.parentElement?.append(this.element);

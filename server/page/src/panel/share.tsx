@@ -1,8 +1,9 @@
+import type { JSX } from "preact";
+import { useState } from "preact/hooks";
 import { t } from "../texts/texts";
-import type { PanelContext } from "./context";
-import { button, el, section } from "./dom";
+import { AccessCode } from "./access-code";
 import { saveBlob } from "./files";
-import { accessCode } from "./phone";
+import { Button, Section, Tick } from "./ui";
 
 /** Length of the film of the picture's last seconds [ms]. */
 const FILM_MS = 10_000;
@@ -12,34 +13,39 @@ const FRAMES_PER_S = 25;
 /** Kind of the film, which not every browser records. */
 const FILM_TYPE = "video/webm";
 
-/** Create the section that shows the arm to others: a code for a page that may only look, and a film of the last seconds. */
-export function shareSection(context: PanelContext): HTMLElement {
-  const hint = el("p", { class: "hint", text: t("share.hint") });
-  return section("share", t("share.title"), true, hint, accessCode(context, "share", "view", t("share.show_code")), filmControls());
+/** Showing the arm to others: a code for a page that may only look, and a film of the last seconds. */
+export function Share(): JSX.Element {
+  return (
+    <Section name="share" title={t("share.title")}>
+      <p class="hint">{t("share.hint")}</p>
+      <AccessCode name="share" role="view" text={t("share.show_code")} />
+      {typeof MediaRecorder !== "undefined" && MediaRecorder.isTypeSupported(FILM_TYPE) && <FilmControls />}
+    </Section>
+  );
 }
 
-/** Create the switch that keeps the last seconds, and the button that saves them. */
-function filmControls(): HTMLElement {
-  const on = el("input", { type: "checkbox", testid: "film-on" });
-  const save = button(t("share.film.save", { seconds: FILM_MS / 1000 }), "film-save", () => void saveFilm());
-  let film: Film | null = null;
-  const saveFilm = async (): Promise<void> => {
-    save.disabled = true;
+/** Switch that keeps the last seconds, and the button that saves them. */
+function FilmControls(): JSX.Element {
+  const [film, setFilm] = useState<Film | null>(null);
+  const [saving, setSaving] = useState(false);
+  const save = async (): Promise<void> => {
+    setSaving(true);
     const blob = await film?.save();
     if (blob) saveBlob(`armbridge-${new Date().toISOString().replace(/[:.]/g, "-")}.webm`, blob);
-    save.disabled = film === null;
+    setSaving(false);
   };
-  save.disabled = true;
-  on.addEventListener("change", () => {
+  const turn = (on: boolean): void => {
     film?.stop();
     // The canvas of the start may have been replaced by another one.
     const canvas = document.querySelector<HTMLCanvasElement>("#view");
-    film = on.checked && canvas ? new Film(canvas) : null;
-    save.disabled = film === null;
-  });
-  const box = el("div", { class: "buttons" }, el("label", { class: "line" }, on, t("share.film.on")), save);
-  box.hidden = typeof MediaRecorder === "undefined" || !MediaRecorder.isTypeSupported(FILM_TYPE);
-  return box;
+    setFilm(on && canvas ? new Film(canvas) : null);
+  };
+  return (
+    <div class="buttons">
+      <Tick testid="film-on" checked={film !== null} take={turn} text={t("share.film.on")} />
+      <Button testid="film-save" disabled={film === null || saving} press={() => void save()}>{t("share.film.save", { seconds: FILM_MS / 1000 })}</Button>
+    </div>
+  );
 }
 
 interface Take {

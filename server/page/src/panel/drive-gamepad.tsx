@@ -1,24 +1,33 @@
-import { armJoints } from "../logic/joints";
+import type { JSX } from "preact";
+import { useEffect, useState } from "preact/hooks";
 import { scaled, tipAxes } from "../logic/jog";
 import { DeadMan, gamepadCommands, isDeadManHeld } from "../logic/jog-gamepad";
+import { armJoints } from "../logic/joints";
 import { t } from "../texts/texts";
-import { permissionFieldset, type PanelContext } from "./context";
-import { el, section, setText, svg } from "./dom";
-import type { JogControls } from "./drive-controls";
+import type { PanelContext } from "./context";
+import { useControls, type JogControls } from "./drive-controls";
+import { Gate, Section, usePage } from "./ui";
 
 /** Period of reading the gamepad [ms]: it has no events of its sticks. */
 const POLL_PERIOD_MS = 16;
 
-/** Create the section of the gamepad, which moves nothing until it is switched on and a dead-man button is held. */
-export function gamepadSection(context: PanelContext, controls: JogControls): HTMLElement {
-  const { jogSender } = context;
-  const on = el("input", { type: "checkbox", testid: "gamepad" });
-  const state = el("p", { class: "hint", testid: "gamepad-state", role: "status" });
-  const reader = new GamepadReader(context, controls, (text) => setText(state, text));
-  on.addEventListener("change", () => (on.checked ? reader.start() : reader.stop()));
-  jogSender.onReleaseAll(() => reader.lock());
-  const line = el("label", { class: "line" }, permissionFieldset(context, "drive", on), t("drive.gamepad.on"));
-  return section("drive-gamepad", t("drive.gamepad"), false, line, state, gamepadPicture());
+/** Driving by a gamepad, which moves nothing until it is switched on and a dead-man button is held. */
+export function GamepadSection(): JSX.Element {
+  const context = usePage();
+  const controls = useControls();
+  const [text, show] = useState("");
+  const [reader] = useState(() => new GamepadReader(context, controls, show));
+  useEffect(() => context.jogSender.onReleaseAll(() => reader.lock()), []);
+  return (
+    <Section name="drive-gamepad" title={t("drive.gamepad")} open={false}>
+      <label class="line">
+        <Gate to="drive"><input type="checkbox" data-testid="gamepad" onChange={({ currentTarget }) => (currentTarget.checked ? reader.start() : reader.stop())} /></Gate>
+        {t("drive.gamepad.on")}
+      </label>
+      <p class="hint" data-testid="gamepad-state" role="status">{text}</p>
+      <GamepadPicture />
+    </Section>
+  );
 }
 
 /** Reader of the first gamepad with the standard mapping. */
@@ -83,33 +92,21 @@ class GamepadReader {
   }
 }
 
-/** Draw a gamepad with what its parts do. */
-function gamepadPicture(): SVGElement {
-  const picture = svg("svg", { viewBox: "0 0 340 200", class: "gamepad-picture", role: "img", "aria-label": t("drive.gamepad.picture") });
-  const label = (x: number, y: number, text: string): SVGElement => svg("text", { x, y, "text-anchor": "middle" }, text);
+/** Gamepad with what its parts do. */
+function GamepadPicture(): JSX.Element {
   const body = "M80 62 H260 C300 62 325 120 318 165 C312 192 285 188 262 150 H78 C55 188 28 192 22 165 C15 120 40 62 80 62 Z";
-  picture.append(
-    svg("rect", { x: 60, y: 40, width: 70, height: 18, rx: 8, class: "dead-man" }),
-    svg("rect", { x: 210, y: 40, width: 70, height: 18, rx: 8, class: "dead-man" }),
-    label(170, 53, t("drive.gamepad.dead_man")),
-    label(95, 53, "L1"),
-    label(245, 53, "R1"),
-    label(95, 28, `L2 ${t("drive.gamepad.down")}`),
-    label(245, 28, `R2 ${t("drive.gamepad.up")}`),
-    svg("path", { d: body }),
-    svg("circle", { cx: 120, cy: 128, r: 20 }),
-    label(120, 132, "x  y"),
-    svg("circle", { cx: 220, cy: 128, r: 20 }),
-    label(220, 126, t("drive.axis.roll")),
-    label(220, 138, t("drive.axis.pitch")),
-    svg("path", { d: "M68 84 H80 V92 H92 V104 H80 V112 H68 V104 H56 V92 H68 Z" }),
-    label(74, 126, t("drive.axis.yaw")),
-    svg("circle", { cx: 276, cy: 106, r: 9 }),
-    label(276, 110, "A"),
-    svg("circle", { cx: 296, cy: 88, r: 9 }),
-    label(296, 92, "B"),
-    label(282, 128, t("drive.close")),
-    label(282, 76, t("drive.open")),
+  const labels: [number, number, string][] = [
+    [170, 53, t("drive.gamepad.dead_man")], [95, 53, "L1"], [245, 53, "R1"], [95, 28, `L2 ${t("drive.gamepad.down")}`], [245, 28, `R2 ${t("drive.gamepad.up")}`],
+    [120, 132, "x  y"], [220, 126, t("drive.axis.roll")], [220, 138, t("drive.axis.pitch")], [74, 126, t("drive.axis.yaw")],
+    [276, 110, "A"], [296, 92, "B"], [282, 128, t("drive.close")], [282, 76, t("drive.open")],
+  ];
+  return (
+    <svg viewBox="0 0 340 200" class="gamepad-picture" role="img" aria-label={t("drive.gamepad.picture")}>
+      {[60, 210].map((x) => <rect key={x} x={x} y={40} width={70} height={18} rx={8} class="dead-man" />)}
+      <path d={body} />
+      <path d="M68 84 H80 V92 H92 V104 H80 V112 H68 V104 H56 V92 H68 Z" />
+      {[[120, 128, 20], [220, 128, 20], [276, 106, 9], [296, 88, 9]].map(([x, y, r]) => <circle key={x} cx={x} cy={y} r={r} />)}
+      {labels.map(([x, y, text]) => <text key={`${x} ${y}`} x={x} y={y} text-anchor="middle">{text}</text>)}
+    </svg>
   );
-  return picture;
 }

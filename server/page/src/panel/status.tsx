@@ -1,8 +1,9 @@
+import type { JSX } from "preact";
+import { useEffect } from "preact/hooks";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
-import type { ConnectionState, GoalState, Notice, State } from "../state/state";
-import { t, type TextKey } from "../texts/texts";
-import { permissionFieldset, type PanelContext } from "./context";
-import { button, capitalized, el, keyedList, setText } from "./dom";
+import type { GoalState, Notice, State } from "../state/state";
+import { capitalized, t, type TextKey } from "../texts/texts";
+import { Button, Gate, SignButton, usePage } from "./ui";
 
 /** Label and kind of the state pill. */
 export interface Pill {
@@ -73,60 +74,45 @@ function sentence(text: string): string {
   return text === "" || /[.!?…]$/.test(text) ? capitalized(text) : `${capitalized(text)}.`;
 }
 
-/** Create the arm's state in a word and in a sentence, and the button that helps: the only one for its cause. */
-export function statusBar(context: PanelContext): HTMLElement[] {
-  const { store, commands } = context;
-  const attributes = { class: "pill", id: "state-pill", testid: "state-pill", label: t("bar.state") };
-  const state_pill = el("span", { ...attributes, role: "status" });
-  const text = el("span");
-  const code = el("small", { class: "code", testid: "message-code" });
-  // Focusable, as a long sentence scrolls.
-  const readable = { id: "message", testid: "message", role: "status", attributes: { tabindex: "0" } };
-  const message = el("p", readable, text, " ", code);
-  const suggestion = button("", "suggestion", () => {
-    const offered = store.state.goal.suggestion;
-    if (offered) commands.publishSuggestion(offered);
-  });
-  const trigger = (service: string) => (): void => void commands.trigger(service);
-  const reset = button(t("bar.reset_fault"), "reset-fault", trigger("/arm/reset_fault"), t("bar.reset_fault.title"));
-  const hold = button(t("bar.hold"), "hold", trigger("/arm/enable"), t("bar.hold.title"));
-  const confirm = button(t("bar.confirm"), "confirm", () => commands.approveGoal(store.state.goal.id), t("bar.confirm.title"));
-  const discard = button(t("bar.discard"), "discard", () => commands.cancelGoal(store.state.goal.id), t("bar.discard.title"));
-  for (const helping of [reset, hold, confirm]) helping.classList.add("primary");
-  const show = (state: State): void => {
-    const { arm, link, goal } = state;
-    reset.hidden = arm.mode !== "fault" || !link.connected;
-    hold.hidden = arm.mode !== "relaxed" || !link.connected;
-    confirm.hidden = discard.hidden = !isAwaitingConfirmation(goal) || !link.connected;
-    const { label, kind } = statePill(state);
-    setText(state_pill, label);
-    document.title = t("bar.title", { state: label });
-    state_pill.dataset["kind"] = kind;
-    state_pill.dataset["code"] = goal.code === null ? "" : errorCodeName(goal.code);
-    setText(text, statusText(state));
-    setText(code, statusCode(state));
-    message.title = `${statusText(state)} ${statusCode(state)}`.trim();
-    message.dataset["outcome"] = goal.state !== "done" ? "" : goal.code === SUCCESS ? "good" : "bad";
-    suggestion.hidden = goal.suggestion === null;
-    setText(suggestion, t("bar.suggestion", { place: suggestionText(goal) }));
-  };
-  store.watch(["link", "arm", "goal", "pending_request"], show);
-  const confirmation = permissionFieldset(context, "work", confirm, discard);
-  return [state_pill, message, permissionFieldset(context, "drive", suggestion, reset, hold), confirmation];
+/** The arm's state in a word and in a sentence, and the button that helps: the only one for its cause. */
+export function StatusBar(): JSX.Element {
+  const { store, commands } = usePage();
+  const { state } = store;
+  const { arm, goal, link: { connected } } = state;
+  const { label, kind } = statePill(state);
+  useEffect(() => void (document.title = t("bar.title", { state: label })), [label]);
+  const [text, code] = [statusText(state), statusCode(state)];
+  const { suggestion } = goal;
+  const is_waiting = isAwaitingConfirmation(goal) && connected;
+  return (
+    <>
+      <span class="pill" id="state-pill" data-testid="state-pill" aria-label={t("bar.state")} role="status" data-kind={kind} data-code={goal.code === null ? "" : errorCodeName(goal.code)}>{label}</span>
+      {/* Focusable, as a long sentence scrolls. */}
+      <p id="message" data-testid="message" role="status" tabindex={0} title={`${text} ${code}`.trim()} data-outcome={goal.state !== "done" ? "" : goal.code === SUCCESS ? "good" : "bad"}>
+        <span>{text}</span> <small class="code" data-testid="message-code">{code}</small>
+      </p>
+      <Gate to="drive">
+        <Button testid="suggestion" hidden={suggestion === null} press={() => suggestion && commands.publishSuggestion(suggestion)}>{t("bar.suggestion", { place: suggestionText(goal) })}</Button>
+        <Button class="primary" testid="reset-fault" title={t("bar.reset_fault.title")} hidden={arm.mode !== "fault" || !connected} press={() => void commands.trigger("/arm/reset_fault")}>{t("bar.reset_fault")}</Button>
+        <Button class="primary" testid="hold" title={t("bar.hold.title")} hidden={arm.mode !== "relaxed" || !connected} press={() => void commands.trigger("/arm/enable")}>{t("bar.hold")}</Button>
+      </Gate>
+      <Gate to="work">
+        <Button class="primary" testid="confirm" title={t("bar.confirm.title")} hidden={!is_waiting} press={() => commands.approveGoal(goal.id)}>{t("bar.confirm")}</Button>
+        <Button testid="discard" title={t("bar.discard.title")} hidden={!is_waiting} press={() => commands.cancelGoal(goal.id)}>{t("bar.discard")}</Button>
+      </Gate>
+    </>
+  );
 }
 
-/** Create the pill of the connection with its round-trip time. */
-export function connectionPill({ store }: PanelContext): HTMLElement {
-  const pill = el("span", { class: "pill", id: "link-pill", testid: "link-pill", label: t("bar.connection") });
-  store.subscribe((state) => state.link, (link) => showConnection(pill, link));
-  return pill;
-}
-
-function showConnection(element: HTMLElement, { connected, latency_ms, refused }: ConnectionState): void {
+/** Connection with its round-trip time. */
+export function ConnectionPill(): JSX.Element {
+  const { connected, latency_ms, refused } = usePage().store.state.link;
   const latency = latency_ms === null ? t("link.connected") : `${Math.max(1, Math.round(latency_ms))} ms`;
-  setText(element, connected ? latency : refused ? t("link.refused") : t("link.reconnecting"));
-  element.dataset["kind"] = connected ? "idle" : "off";
-  element.title = connected ? t("link.title") : t("bar.offline.disabled");
+  return (
+    <span class="pill" id="link-pill" data-testid="link-pill" aria-label={t("bar.connection")} data-kind={connected ? "idle" : "off"} title={connected ? t("link.title") : t("bar.offline.disabled")}>
+      {connected ? latency : refused ? t("link.refused") : t("link.reconnecting")}
+    </span>
+  );
 }
 
 /** Message of a suggested goal: std_msgs/String, geometry_msgs/PoseStamped or sensor_msgs/JointState. */
@@ -144,15 +130,10 @@ function suggestionText({ suggestion }: GoalState): string {
   return message?.name ? message.name.join(", ") : "";
 }
 
-/** Create the list of notices, which stay until their cause is gone or the user dismisses them. */
-export function noticeList({ store }: PanelContext): HTMLElement {
-  const list = el("ul", { class: "notices", testid: "notices", attributes: { "aria-live": "assertive" } });
+/** Notices, which stay until their cause is gone or the user dismisses them. */
+export function Notices(): JSX.Element {
+  const { store } = usePage();
   const drop = (key: string): void => store.set({ notices: store.state.notices.filter((notice) => notice.key !== key) });
-  const showItems = keyedList<Notice>(list, ({ key }) => key, ({ key }) => {
-    const text = el("span");
-    const element = el("li", {}, text, button("×", `drop-${key}`, () => drop(key), t("bar.dismiss")));
-    return { element, show: (notice) => setText(text, notice.text) };
-  });
-  store.subscribe((state) => state.notices, showItems);
-  return list;
+  const item = ({ key, text }: Notice): JSX.Element => <li key={key}><span>{text}</span><SignButton sign="×" testid={`drop-${key}`} label={t("bar.dismiss")} press={() => drop(key)} /></li>;
+  return <ul class="notices" data-testid="notices" aria-live="assertive">{store.state.notices.map(item)}</ul>;
 }

@@ -57,11 +57,7 @@ export async function startOrientation(take: TakePose): Promise<PoseSource> {
   });
 }
 
-/**
- * Start to track the phone in space by WebXR, with the whole page over the camera's picture: STOP stays in sight.
- *
- * @param onEnd - called when the session has ended, also by the user.
- */
+/** Start to track the phone by WebXR, with the whole page over the camera's picture: STOP stays in sight. */
 export async function startTracking(take: TakePose, onEnd: () => void): Promise<PoseSource> {
   const xr = navigator.xr;
   if (!xr) throw new SourceError("phone.no_sensors");

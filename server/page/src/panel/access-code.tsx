@@ -1,6 +1,6 @@
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import type { PhoneAccess } from "../link/phone";
+import { fetchPhoneAccess, type PhoneAccess } from "../link/phone";
 import { modulePath, phoneAddress, phoneUrls } from "../logic/phone-address";
 import { t } from "../texts/texts";
 import { Button, Gate, Line, Select, usePage } from "./ui";
@@ -10,13 +10,13 @@ const QUIET_ZONE = 4;
 
 /** Button that shows a code with which one device opens the page in a role. */
 export function AccessCode({ name, role, text }: { name: "phone" | "share"; role: string; text: string }): JSX.Element {
-  const { phoneAccess } = usePage();
+  const { connection } = usePage();
   const [note, setNote] = useState("");
   const [shown, setShown] = useState<{ urls: string[]; access: PhoneAccess } | null>(null);
   const show = async (): Promise<void> => {
     setShown(null);
     try {
-      const access = await phoneAccess(role);
+      const access = await fetchPhoneAccess(connection, role);
       const urls = phoneUrls(location.href, access.urls);
       setNote(noteOf(access, urls));
       if (access.success && urls.length > 0) setShown({ urls, access });
@@ -52,7 +52,7 @@ function noteOf({ success, message, token, expires_in_s, encrypted }: PhoneAcces
 }
 
 /** Code and text of an address, with a choice where the server has several. */
-function Address({ name, urls, token }: { name: string; urls: readonly string[]; token: string }): JSX.Element {
+function Address({ name, urls, token }: { name: string; urls: readonly string[]; token: string }): JSX.Element | null {
   const [url, choose] = useState(urls[0] ?? "");
   const [code, setCode] = useState({ path: "", count: 0 });
   const address = phoneAddress(url, token);
@@ -65,12 +65,13 @@ function Address({ name, urls, token }: { name: string; urls: readonly string[];
       setCode({ count, path: modulePath(count, (row, column) => drawn.isDark(row, column)) });
     });
   }, [address]);
+  if (code.count === 0) return null;
   const side = code.count + 2 * QUIET_ZONE;
   return (
     <>
       {urls.length > 1 && <Line text={t("phone.address")}><Select testid={`${name}-url`} label={t("phone.address")} value={url} options={urls.map((each) => [each, each])} take={choose} /></Line>}
       <div class="qr">
-        {code.count > 0 && <svg viewBox={`${-QUIET_ZONE} ${-QUIET_ZONE} ${side} ${side}`} role="img" aria-label={t("phone.code")} data-testid={`${name}-qr`}><path d={code.path} /></svg>}
+        <svg viewBox={`${-QUIET_ZONE} ${-QUIET_ZONE} ${side} ${side}`} role="img" aria-label={t("phone.code")} data-testid={`${name}-qr`}><path d={code.path} /></svg>
       </div>
       <code data-testid={`${name}-address`}>{address}</code>
     </>

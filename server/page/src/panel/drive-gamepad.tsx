@@ -4,9 +4,8 @@ import { scaled, tipAxes } from "../logic/jog";
 import { DeadMan, gamepadCommands, isDeadManHeld } from "../logic/jog-gamepad";
 import { armJoints } from "../logic/joints";
 import { t } from "../texts/texts";
-import type { PanelContext } from "./context";
 import { useControls, type JogControls } from "./drive-controls";
-import { Gate, Section, usePage } from "./ui";
+import { Gate, Section, usePage, type PanelContext } from "./ui";
 
 /** Period of reading the gamepad [ms]: it has no events of its sticks. */
 const POLL_PERIOD_MS = 16;

@@ -1,7 +1,7 @@
 import "./goals.css";
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import type { GoalRecord } from "../link/goal-history";
+import { fetchGoalRecord, type GoalRecord } from "../link/goal-history";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import { goalKind, readAsked, type GoalEntry } from "../logic/goal-history";
 import { noPlan, type ActiveGoal, type GoalState, type State } from "../state/state";
@@ -41,7 +41,7 @@ function ActiveItem({ id, name, state }: ActiveGoal): JSX.Element {
 
 /** Timeline of goals, newest first, each of which opens its record. */
 export function GoalHistory(): JSX.Element {
-  const { goalRecord } = usePage();
+  const { connection } = usePage();
   const state = useSlowState(UPDATE_PERIOD_MS);
   const [places, setPlaces] = useState<Record<string, string>>({});
   const newest = state.goal_history.toReversed();
@@ -50,7 +50,7 @@ export function GoalHistory(): JSX.Element {
   // One request at a time: each answer asks for the next one.
   useEffect(() => {
     if (next === undefined || next_key === undefined) return;
-    void goalRecord(next.goal.id).then((record) => {
+    void fetchGoalRecord(connection, next.goal.id).then((record) => {
       const place = typeof record === "string" ? "" : (askedText(record.asked, state) ?? "");
       const keys = new Set(state.goal_history.map(keyOf));
       setPlaces((known) => ({ ...Object.fromEntries(Object.entries(known).filter(([key]) => keys.has(key))), [next_key]: place }));
@@ -73,12 +73,12 @@ function keyOf({ goal, began_s }: GoalEntry): string {
 
 /** Goal of the timeline with its record, which is fetched when it is opened. */
 function GoalItem({ entry: { goal, began_s }, place }: { entry: GoalEntry; place: string }): JSX.Element {
-  const { goalRecord } = usePage();
+  const { connection } = usePage();
   const [open, setOpen] = useState(false);
   const [record, setRecord] = useState<GoalRecord | string | null>(null);
   const is_done = goal.state === "done";
   useEffect(() => {
-    if (open && is_done) void goalRecord(goal.id).then(setRecord);
+    if (open && is_done) void fetchGoalRecord(connection, goal.id).then(setRecord);
   }, [open, is_done]);
   return (
     <li data-testid={`goal-${goal.id}`} data-outcome={outcomeOf(goal)}>

@@ -6,7 +6,6 @@ import { t } from "../texts/texts";
 import { ControlBar, TokenForm } from "./access";
 import { CamerasPanel } from "./cameras";
 import { CommissioningSection, ProcedureBar } from "./commissioning";
-import type { PanelContext } from "./context";
 import { Card, changeLayout, Rail, SMALL_SCREEN, type Panel } from "./dock";
 import { Drive } from "./drive";
 import { FirstMotion } from "./first-motion";
@@ -19,6 +18,7 @@ import { Plots } from "./plots";
 import { ObjectsSection, SceneBar } from "./scene";
 import { AddObject } from "./scene-add";
 import { RegionSection } from "./scene-region";
+import { Scenarios } from "./scenarios";
 import { SavedScenes } from "./scene-saved";
 import { SequenceSection } from "./sequence";
 import { keepSequences, SavedSequences } from "./sequence-saved";
@@ -29,14 +29,14 @@ import { ConnectionPill, Notices, StatusBar } from "./status";
 import { TeachingSection } from "./teaching";
 import { Tour, TourStart } from "./tour";
 import { TransportBar } from "./transport";
-import { Page, usePage } from "./ui";
+import { Page, usePage, type PanelContext } from "./ui";
 
 /** Every panel with its sections, in the order in which they are offered. */
 const PANELS: readonly Panel[] = [
   { id: "move", place: "rail", icon: "M12 2v5M12 17v5M2 12h5M17 12h5M12 8a4 4 0 1 0 0 8 4 4 0 1 0 0-8", sections: [GroupChoice, Motion, Target, JointValuesSection, Gripper] },
   { id: "drive", place: "rail", icon: "M7 7h10a5 5 0 0 1 0 10c-2 0-2.5-2-5-2s-3 2-5 2A5 5 0 0 1 7 7zM8 10v4M6 12h4M15 12h.01M18 10h.01", sections: [Drive] },
   { id: "sequence", place: "rail", icon: "M4 6h16M4 12h8M4 18h8M16 11l5 4-5 4z", sections: [SequenceSection, SavedSequences, TeachingSection] },
-  { id: "world", place: "rail", icon: "M12 2l9 5v10l-9 5-9-5V7zM3 7l9 5 9-5M12 12v10", sections: [SceneBar, AddObject, ObjectsSection, SavedScenes, RegionSection] },
+  { id: "world", place: "rail", icon: "M12 2l9 5v10l-9 5-9-5V7zM3 7l9 5 9-5M12 12v10", sections: [SceneBar, Scenarios, AddObject, ObjectsSection, SavedScenes, RegionSection] },
   { id: "plots", place: "more", icon: "M3 3v18h18M7 15l4-5 3 3 5-7", sections: [Plots] },
   { id: "goals", place: "more", icon: "M5 21V4h13l-3 4 3 4H5", sections: [ActiveGoals, GoalHistory] },
   { id: "arm", place: "more", icon: "M4 21h9M8 21v-5L5 10l7-5 5 3M17 8l4-2M17 8l3 4", sections: [ServosSection, Health, CommissioningSection] },

@@ -41,7 +41,7 @@ export function Plots(): JSX.Element {
   const [quantities, setQuantities] = useState(() => loadChoice("plot-quantities") ?? ["position", "goal"]);
   // Loaded when the panel is shown first.
   const [chart_class, setChartClass] = useState<{ create: typeof TimeChart } | null>(null);
-  const [charts, setCharts] = useState<readonly TimeChart[]>([]);
+  const charts = useRef<readonly { chart: TimeChart; columns: Column[] }[]>([]);
   const [, resize] = useState(0);
   const [cursor] = useState({ share: 1 });
   const host = useRef<HTMLDivElement>(null);
@@ -93,16 +93,15 @@ export function Plots(): JSX.Element {
   useEffect(() => void (shown && void import("./time-chart").then(({ TimeChart: create }) => setChartClass({ create }))), [shown]);
   // Other charts where others are wanted.
   useLayoutEffect(() => {
-    const created = chart_class === null ? [] : chosen.map((columns) => createChart(chart_class.create, columns));
-    host.current?.replaceChildren(...created.map(({ element }) => element));
-    setCharts(created);
-    return () => created.forEach((chart) => chart.destroy());
+    const created = chart_class === null ? [] : chosen.map((columns) => ({ chart: createChart(chart_class.create, columns), columns }));
+    host.current?.replaceChildren(...created.map(({ chart }) => chart.element));
+    charts.current = created;
+    return () => created.forEach(({ chart }) => chart.destroy());
   }, [chart_class, JSON.stringify(chosen)]);
   useLayoutEffect(() => {
     if (!shown || host.current === null) return;
     host.current.dataset.draws = String(Number(host.current.dataset.draws ?? 0) + 1);
-    charts.forEach((chart, index) => {
-      const columns = chosen[index] ?? [];
+    charts.current.forEach(({ chart, columns }) => {
       const curves = columns.map(({ joint, quantity }) => samples.curve(joint, quantity));
       const [times = [], ...rows] = samples.ring.span(begin_s, end_s, curves, MAX_POINTS);
       const scaled = rows.map((row, at) => row.map((value) => (value === null ? null : value * (columns[at]?.unit.scale ?? 1))));
@@ -114,7 +113,7 @@ export function Plots(): JSX.Element {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const moveCursor = (by: number): void => {
       cursor.share = Math.min(Math.max(cursor.share + by, 0), 1);
-      for (const chart of charts) chart.setCursor(cursor.share);
+      for (const { chart } of charts.current) chart.setCursor(cursor.share);
     };
     const actions: Record<string, () => void> = {
       ArrowLeft: () => (event.shiftKey ? moveCursor(-0.02) : pan(-view.span_s / 10)),

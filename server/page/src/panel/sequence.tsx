@@ -3,8 +3,9 @@ import type { JSX } from "preact";
 import { useState } from "preact/hooks";
 import { setWaypoints } from "../link/sequence";
 import { armGripper, armJoints, currentPositions } from "../logic/joints";
+import { inUnits, type UnitSystem } from "../logic/numbers";
 import { planningGroup } from "../logic/robot-info";
-import { edited, MAX_PAUSE_S, MAX_WAYPOINTS, MIN_SPEED, moved, newWaypoint, poseKey, sequenceDuration_s, type LegCheck, type Waypoint } from "../logic/sequence";
+import { edited, MAX_PAUSE_S, MAX_WAYPOINTS, MIN_SPEED, moved, newWaypoint, openShare, poseKey, sequenceDuration_s, type LegCheck, type Waypoint } from "../logic/sequence";
 import type { JointValues, State } from "../state/state";
 import { selectGoal } from "../state/store";
 import { t } from "../texts/texts";
@@ -107,6 +108,7 @@ function WaypointRow({ waypoint, index }: { waypoint: Waypoint; index: number })
           <Button class="waypoint-picture" testid={`${own}-show`} title={t("sequence.show.title")} aria-label={`${t("sequence.show")}: ${name}`} press={() => selectGoal(store, "joints", joints_rad)}>
             <img class="thumbnail" alt="" width={84} height={63} hidden={!thumbnail} src={thumbnail} />
           </Button>
+          <GripperStrip own={own} index={index} />
           <TextField testid={`${own}-name`} label={t("sequence.name")} maxlength={50} value={name} take={(typed) => edit({ name: typed || String(id) })} />
           <div class="waypoint-tools">
             <span class="handle" data-testid={`${own}-handle`} title={t("sequence.drag")} draggable aria-hidden="true" onDragStart={drag}>⠿</span>
@@ -114,7 +116,7 @@ function WaypointRow({ waypoint, index }: { waypoint: Waypoint; index: number })
             <SignButton sign="↓" testid={`${own}-down`} title={t("sequence.down")} label={`${t("sequence.down")}: ${name}`} disabled={index === waypoints.length - 1} press={() => reorder(index + 1)} />
             <SignButton sign="×" testid={`${own}-remove`} title={t("sequence.remove")} label={`${t("sequence.remove")}: ${name}`} press={() => setWaypoints(store, list().filter((each) => each.id !== id))} />
           </div>
-          <p class="leg-check" data-testid={`${own}-check`}>{checkText(answer)}</p>
+          <p class="leg-check" data-testid={`${own}-check`}>{checkText(answer, state.settings.units)}</p>
         </div>
         <div class="waypoint-fields">
           <label class="measure">
@@ -141,12 +143,26 @@ function WaypointRow({ waypoint, index }: { waypoint: Waypoint; index: number })
   );
 }
 
-function checkText(check: LegCheck | undefined): string {
+function checkText(check: LegCheck | undefined, units: UnitSystem): string {
+  return inUnits(answerText(check), units);
+}
+
+function answerText(check: LegCheck | undefined): string {
   if (check === undefined || check.verdict === "checking") return t("sequence.checking");
   if (check.verdict === "unknown") return t("sequence.unknown", { message: check.message });
   if (check.verdict === "refused") return t("sequence.not_possible", { message: check.message });
   const possible = t("sequence.possible", { seconds: check.duration_s.toFixed(1) });
   return check.message === "" ? possible : `${possible} (${check.message})`;
+}
+
+/** Strip below the picture that is filled as far as the gripper is open there; none where the sequence does not set it. */
+function GripperStrip({ own, index }: { own: string; index: number }): JSX.Element | null {
+  const { state } = usePage().store;
+  const gripper = armGripper(state);
+  const share = gripper && openShare(state.sequence.waypoints, index, gripper);
+  if (share === null) return null;
+  const text = t("sequence.gripper.share", { percent: Math.round(100 * share) });
+  return <div class="gripper-strip" data-testid={`${own}-strip`} role="img" title={text} aria-label={text}><i style={{ width: `${100 * share}%` }} /></div>;
 }
 
 /** Choice of the gripper's position after a leg; null leaves it as it is. */

@@ -1,5 +1,6 @@
 import type { JSX } from "preact";
 import { useContext, useEffect, useRef, useState } from "preact/hooks";
+import { fetchServoHistory } from "../link/servo-history";
 import { HISTORY_S, ServoHistories } from "../logic/servo-history";
 import { amperes, complaints, percent, servoReport, type ServoReport } from "../logic/servo-report";
 import type { ServoState } from "../state/state";
@@ -85,7 +86,7 @@ function conditionText({ values }: ServoState): string {
 
 /** Curves of the last minutes, and the events behind what stands between them. */
 function HistoryLines({ name, histories, children }: { name: string; histories: ServoHistories; children: JSX.Element[] }): JSX.Element {
-  const { store, servoHistory } = usePage();
+  const { connection, store } = usePage();
   const shown = useContext(Shown);
   const [events, setEvents] = useState<readonly string[]>([]);
   const [charts, setCharts] = useState<readonly TimeChart[]>([]);
@@ -99,7 +100,7 @@ function HistoryLines({ name, histories, children }: { name: string; histories: 
     });
     const fetch = async (): Promise<void> => {
       if (!store.state.link.connected || document.visibilityState === "hidden") return;
-      const history = await servoHistory(name);
+      const history = await fetchServoHistory(connection, name);
       if (history === null) return;
       histories.replace(name, history, now_s());
       setEvents(history.events.slice(-MAX_EVENTS).reverse());

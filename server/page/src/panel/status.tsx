@@ -1,5 +1,6 @@
 import type { JSX } from "preact";
 import { useEffect } from "preact/hooks";
+import { inUnits } from "../logic/numbers";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import type { GoalState, Notice, State } from "../state/state";
 import { capitalized, t, type TextKey } from "../texts/texts";
@@ -13,7 +14,7 @@ export interface Pill {
 }
 
 /** Parts of the state that the pill and the sentence depend on. */
-type StatusInput = Pick<State, "link" | "arm" | "goal" | "pending_request">;
+type StatusInput = Pick<State, "link" | "arm" | "goal" | "pending_request" | "settings">;
 
 /** Return the arm's state in a word. */
 export function statePill(state: StatusInput): Pill {
@@ -49,7 +50,11 @@ function courseName(course: string): string {
 }
 
 /** Return the sentence beside the pill: what is the matter and what to do, else the state or result of the goal. */
-export function statusText({ link, arm, goal }: StatusInput): string {
+export function statusText(state: StatusInput): string {
+  return inUnits(serverText(state), state.settings.units);
+}
+
+function serverText({ link, arm, goal }: StatusInput): string {
   if (link.refused) return t("status.token");
   if (!link.connected) return t(arm.mode === "" ? "status.connecting" : "status.offline");
   if (isBeingChecked(arm)) return `${t("status.checking")} ${sentence(arm.reason)}`.trim();

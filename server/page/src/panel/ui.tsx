@@ -1,14 +1,40 @@
 import { effect, untracked, useSignal, type Signal } from "@preact/signals";
 import { createContext, type ComponentChildren, type JSX, type RefObject } from "preact";
 import { useContext, useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
+import type { Authentication } from "../link/authentication";
+import type { Cameras } from "../link/cameras";
+import type { Connection } from "../link/connection";
+import type { ArmCommands, StopCommand } from "../link/commands";
+import type { CommissioningCommands } from "../link/commissioning";
+import type { MoveGroupClient } from "../link/move-group";
+import type { SceneEditor } from "../link/scene-editor";
+import type { SequencePlayer } from "../link/sequence";
+import type { JogSender } from "../link/servo-node";
+import type { Teaching } from "../link/teaching";
 import { denialReason, type Operation } from "../logic/permissions";
 import { fromUnit, positionText, unitOf, type NumberRange } from "../logic/numbers";
 import { throttle } from "../logic/throttle";
 import { loadPreference, storePreference } from "../state/preferences";
 import type { State } from "../state/state";
+import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import type { PanelContext } from "./context";
 import { NumberEntry } from "./number-entry";
+
+/** Services that every section of the panel uses. */
+export interface PanelContext {
+  connection: Connection;
+  store: PageStore;
+  moveGroup: MoveGroupClient;
+  commands: ArmCommands;
+  stopCommand: StopCommand;
+  jogSender: JogSender;
+  commissioning: CommissioningCommands;
+  authentication: Authentication;
+  sceneEditor: SceneEditor;
+  sequencePlayer: SequencePlayer;
+  cameras: Cameras;
+  teaching: Teaching;
+}
 
 /** Services of the page. */
 export const Page = createContext({} as PanelContext);

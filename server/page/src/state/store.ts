@@ -51,11 +51,6 @@ export class Store<State extends object> {
       }
     });
   }
-
-  /** Call the listener at once, and once for every replacement of any of these parts. */
-  watch(parts: readonly (keyof State)[], listener: (state: State) => void): void {
-    this.subscribe((state) => parts.map((part) => state[part]), (_, state) => listener(state));
-  }
 }
 
 /** Store of everything that the page shows. */
@@ -86,11 +81,7 @@ export function selectGoal(
   store.set({ selection: { kind, joints_rad, name }, plan: noPlan() });
 }
 
-/**
- * Select a pose as the goal of the tool.
- *
- * @param orientation - null for a point that may be reached in any orientation.
- */
+/** Select a pose as the goal of the tool; without an orientation the point may be reached in any. */
 export function selectTarget(store: PageStore, position_m: Point, orientation: Orientation | null = null): void {
   const { target } = store.state;
   store.set({

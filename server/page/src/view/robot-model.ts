@@ -19,13 +19,6 @@ export class RobotModel {
   /** Joints that can move by themselves. */
   readonly joint_names: ReadonlySet<string>;
 
-  /**
-   * @param description - description of the robot.
-   * @param meshes - source of its meshes.
-   * @param geometry_kind - kind of geometry to draw.
-   * @param selectMaterial - selects the material of each shape.
-   * @param changed - called when a mesh has been loaded.
-   */
   constructor(
     description: Description,
     meshes: Meshes,

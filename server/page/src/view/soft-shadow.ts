@@ -71,10 +71,6 @@ export class SoftShadow {
   private readonly ground: Mesh<PlaneGeometry, ShaderMaterial>;
   private readonly blur_scene = new Scene();
 
-  /**
-   * @param scene - scene to add the shadow to.
-   * @param light - direction to the light.
-   */
   constructor(
     private readonly scene: Scene,
     light: Vector3,

@@ -7,7 +7,7 @@ import { goalKind, readAsked, type GoalEntry } from "../logic/goal-history";
 import { noPlan, type ActiveGoal, type GoalState, type State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { saveFile } from "./files";
-import { Button, Gate, Section, usePage, useSlowState } from "./ui";
+import { Button, Gate, Section, usePage, useSlowPart } from "./ui";
 
 /** Time between two updates [ms]; a goal in progress has several statuses a second. */
 const UPDATE_PERIOD_MS = 250;
@@ -41,18 +41,18 @@ function ActiveItem({ id, name, state }: ActiveGoal): JSX.Element {
 
 /** Timeline of goals, newest first, each of which opens its record. */
 export function GoalHistory(): JSX.Element {
-  const { connection } = usePage();
-  const state = useSlowState(UPDATE_PERIOD_MS);
+  const { connection, store } = usePage();
+  const history = useSlowPart(UPDATE_PERIOD_MS, (state) => state.goal_history);
   const [places, setPlaces] = useState<Record<string, string>>({});
-  const newest = state.goal_history.toReversed();
+  const newest = history.toReversed();
   const next = newest.slice(0, MAX_PLACES).find((entry) => entry.goal.state === "done" && !(keyOf(entry) in places));
   const next_key = next && keyOf(next);
   // One request at a time: each answer asks for the next one.
   useEffect(() => {
     if (next === undefined || next_key === undefined) return;
     void fetchGoalRecord(connection, next.goal.id).then((record) => {
-      const place = typeof record === "string" ? "" : (askedText(record.asked, state) ?? "");
-      const keys = new Set(state.goal_history.map(keyOf));
+      const place = typeof record === "string" ? "" : (askedText(record.asked, store.state) ?? "");
+      const keys = new Set(store.state.goal_history.map(keyOf));
       setPlaces((known) => ({ ...Object.fromEntries(Object.entries(known).filter(([key]) => keys.has(key))), [next_key]: place }));
     });
   }, [next_key]);

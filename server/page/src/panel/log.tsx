@@ -5,7 +5,7 @@ import { filteredLog, levelName, LOG_LEVELS, logLine } from "../logic/log-filter
 import type { LogEntry } from "../state/state";
 import { t } from "../texts/texts";
 import { copyText } from "./files";
-import { Button, Line, Select, useSlowState } from "./ui";
+import { Button, Line, Select, useSlowPart } from "./ui";
 
 /** Time between two updates [ms]. */
 const UPDATE_PERIOD_MS = 200;
@@ -18,7 +18,7 @@ const COPIED_MS = 2000;
 
 /** The server's log: filtered, the newest last, and still while one reads what is above. */
 export function LogPanel(): JSX.Element {
-  const { log } = useSlowState(UPDATE_PERIOD_MS);
+  const log = useSlowPart(UPDATE_PERIOD_MS, (state) => state.log);
   const [level, setLevel] = useState("20");
   const [filter, setFilter] = useState("");
   // The log at the moment when it was halted; null while the list follows.

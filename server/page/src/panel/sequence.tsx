@@ -9,7 +9,10 @@ import { edited, MAX_PAUSE_S, MAX_WAYPOINTS, MIN_SPEED, moved, newWaypoint, open
 import type { JointValues, State } from "../state/state";
 import { selectGoal } from "../state/store";
 import { t } from "../texts/texts";
-import { Button, Gate, NumberField, Problems, Section, Select, SignButton, TextField, Tick, useKeptFocus, usePage } from "./ui";
+import { Button, Gate, NumberField, Problems, Section, Select, SignButton, TextField, Tick, useKeptFocus, usePage, useSlowState } from "./ui";
+
+/** Time between two looks at the arm, which can be added as a waypoint [ms]. */
+const UPDATE_PERIOD_MS = 100;
 
 /** The sequence: its waypoints, and the buttons that add them and play it. */
 export function SequenceSection(): JSX.Element {
@@ -31,7 +34,7 @@ export function SequenceSection(): JSX.Element {
 
 function AddButtons(): JSX.Element {
   const { store } = usePage();
-  const { state } = store;
+  const state = useSlowState(UPDATE_PERIOD_MS);
   const full = state.sequence.waypoints.length >= MAX_WAYPOINTS;
   const add = (joints_rad: JointValues | null): void => {
     const { sequence, settings } = store.state;

@@ -45,15 +45,20 @@ export const Shown = createContext(true);
 
 /** Return the state, at most once a period, and only while the component can be seen. */
 export function useSlowState(period_ms: number): State {
+  return useSlowPart(period_ms, (state) => ({ ...state }));
+}
+
+/** Return a part of the state, which draws the component again only where it is another one; else as useSlowState. */
+export function useSlowPart<Part>(period_ms: number, select: (state: State) => Part): Part {
   const { store } = usePage();
   const shown = useContext(Shown);
-  const [state, take] = useState(() => untracked(() => ({ ...store.state })));
+  const [part, take] = useState(() => untracked(() => select(store.state)));
   useEffect(() => {
     if (!shown) return;
-    const takeSometimes = throttle(period_ms, take);
-    return effect(() => takeSometimes({ ...store.state }));
+    const takeSometimes = throttle<Part>(period_ms, (newest) => take(() => newest));
+    return effect(() => takeSometimes(select(store.state)));
   }, [shown]);
-  return state;
+  return part;
 }
 
 /** Reason for which an operation is not possible at the moment; empty when it is. */

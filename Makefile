@@ -184,8 +184,7 @@ bench-planning: install-dev
 	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth planning_passages
 
 campaign-planners: install-dev
-	mkdir -p build
-	$(BIN)/python -m tests.processes.planner_campaign $(ARGS) 2>build/campaign-planners.log
+	PLANNER_FAULTS=$${PLANNER_FAULTS:-100} $(PYTEST) tests/processes/planners/test_pool.py -k drawn $(ARGS)
 
 # Leaders of up to 2 rad/s through folded poses at latencies of 5 to 300 ms: 200 others than those of the tests.
 campaign-following: install-dev
@@ -193,7 +192,7 @@ campaign-following: install-dev
 
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev
-	$(BIN)/python -m tests.processes.campaign $(ARGS)
+	CAMPAIGN_SEEDS=$${CAMPAIGN_SEEDS:-200} $(PYTEST) tests/processes/test_campaign.py -k drawn -n 6 $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

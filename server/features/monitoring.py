@@ -7,8 +7,11 @@ import os
 from typing import TYPE_CHECKING
 
 from robot.messages import ArmHealth, ArmState
+from server.config import RecordingSettings
+from server.datasets.marking import EpisodeServices
 from server.features.clients import Clients
 from server.features.context import ServerContext
+from server.graph.topics import Graph
 from server.lifecycle import BackgroundTask, Feature
 from server.monitoring.fault_files import FaultFiles
 from server.monitoring.health import Sources
@@ -22,14 +25,6 @@ from server.moveit.named_states import data_directory
 if TYPE_CHECKING:
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
-from typing import TYPE_CHECKING
-
-from server.config import RecordingSettings
-from server.datasets.marking import EpisodeServices
-from server.graph.topics import Graph
-
-if TYPE_CHECKING:
-    from server.recording.recorder import Recorder
 
 
 class Logs(Feature):

@@ -56,14 +56,9 @@ Change: TypeAlias = Callable[[States], States]
 
 
 class NamedStates:
-    """Store of the states by name; case and blanks of names do not matter. Wrong changes raise ServiceError.
+    """Store of states by name, whose case and blanks do not matter; wrong changes raise ServiceError.
 
-    Args:
-        group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
-
-    Attributes:
-        described: states of the SRDF.
-        saved: states that users saved.
+    There are ``described`` states of the SRDF, for one planning group, and states that users ``saved``.
     """
 
     def __init__(self, robot: RobotModel, group: str, file: NamedStatesFile) -> None:
@@ -277,7 +272,8 @@ class NamedStatesServices:
         self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
         self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save, CONFIGURING)
         self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get, LOOKING)
-        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has, LOOKING)
+        has = "/has_robot_state", "CheckIfRobotStateExistsInWarehouse"
+        self._offer(*has, lambda request: {"exists": states.find(request["name"]) is not None}, LOOKING)
         self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename, CONFIGURING)
         self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
 
@@ -327,9 +323,6 @@ class NamedStatesServices:
                 f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names())}"
             )
         return {"state": state_message(dict(found[1]), self._robot.root_link, time.time())}
-
-    def _has(self, request: Request) -> Request:
-        return {"exists": self._states.find(request["name"]) is not None}
 
     async def _rename(self, request: Request) -> Request:
         await self._states.rename(request["old_name"], request["new_name"])

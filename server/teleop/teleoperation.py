@@ -67,15 +67,7 @@ def read_sample(message: Message, received_s: float) -> LeaderSample:
 
 
 class Leader:
-    """Leader of a following: a topic, or an arm of this server.
-
-    Args:
-        name: of the arm, or of the topic, with which it begins with a slash.
-        max_velocity_rad_s: greatest velocity of joints that are watched for jumps, by the leader's names [rad/s].
-
-    Attributes:
-        joint_names: joints of the latest sample; empty before the first.
-    """
+    """Leader of a following: an arm of this server, or a topic, whose name begins with a slash."""
 
     def __init__(self, name: str, max_velocity_rad_s: Mapping[str, float], clock: Callable[[], float]) -> None:
         self.name = name
@@ -124,12 +116,7 @@ class Leader:
 
 @dataclass
 class _Following:
-    """One follower and its leader, from the call that starts it to its end.
-
-    Attributes:
-        session: None while the first sample is waited for.
-        targets_rad: what the follower is asked to follow at present [rad].
-    """
+    """One follower and its leader, from the call that starts it to its end; no session before the first sample."""
 
     leader: Leader
     node: Node
@@ -220,7 +207,8 @@ class Teleoperation(Feature):
             raise ServiceError(
                 f"leader: must be an arm that leads ({known}) or a topic that begins with /, not {name[:80]!r}"
             )
-        if name.startswith("/") and self._own_topic(name):
+        below = ["", *(f"/{each.name}" for each in self._followers.values() if each.prefix)]
+        if name in {TARGETS_TOPIC, *(f"{each}/joint_states" for each in below)}:
             raise ServiceError(f"leader: must not be {name}, which has the positions of this server's arms")
         leader = Leader(name, self._watched(follower, name), self._clock)
         following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
@@ -301,11 +289,6 @@ class Teleoperation(Feature):
         if not name and len(names) == 1:
             return self._followers[names[0]]
         raise ServiceError(f"follower: must be one of {', '.join(names) or 'none'}, not {name[:80]!r}")
-
-    def _own_topic(self, name: str) -> bool:
-        """Return True for a topic by which an arm would follow itself."""
-        own = (f"{'' if not follower.prefix else '/' + follower.name}" for follower in self._followers.values())
-        return name in {"/joint_states", TARGETS_TOPIC, *(f"{below}/joint_states" for below in own)}
 
     def _watched(self, follower: Follower, leader: str) -> dict[str, float]:
         """Return the greatest velocity of the leader's joints that are named as the follower's [rad/s]."""

@@ -74,12 +74,7 @@ class TimedPool(DirectPool):
 
 
 class ServerStage:
-    """Server without sockets, and a client.
-
-    Args:
-        arm: the arm.
-        settings: of the server.
-    """
+    """Server without sockets, and a client."""
 
     def __init__(self, arm: Arm, settings: Settings = DEFAULTS) -> None:
         self.graph = Graph(Registry.load())

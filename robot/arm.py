@@ -396,15 +396,15 @@ class Arm(ArmClock):
                 self._streams[message.motion_id].commanded = message
         elif isinstance(message, MotionEnded | CommandDone):
             # Held back until the next state: when a future reports a fault or an enabled arm, the state must show it.
-            if self._awaits_state(message):
+            faulty = isinstance(message, MotionEnded) and message.outcome in FAULTS
+            if (
+                message.done
+                if isinstance(message, CommandDone)
+                else faulty and self.state.mode is not Mode.DISCONNECTED
+            ):
                 self._held.append(message)
             else:
                 self._answer(message)
-
-    def _awaits_state(self, message: MotionEnded | CommandDone) -> bool:
-        if isinstance(message, CommandDone):
-            return message.done
-        return message.outcome in FAULTS and self.state.mode is not Mode.DISCONNECTED
 
     def _answer(self, message: MotionEnded | CommandDone) -> None:
         if isinstance(message, MotionEnded):

@@ -19,10 +19,10 @@ from robot.arm import Arm, ArmClock, ArmStream
 from robot.calibration import Calibration
 from robot.errors import OrderRefused
 from robot.faults import Fault
-from robot.hardware.interface import BusCounters
 from robot.messages import (
     ArmHealth,
     ArmState,
+    BusCounters,
     ChangePace,
     CommandDone,
     Mode,
@@ -188,7 +188,14 @@ class ArmGroup(ArmClock):
                     self._arms[other].stop(one)
         if all(one.done() for one in together.values()):
             del self._together[ended]
-            ended.set_result(_joined_end({each: one.result() for each, one in together.items()}))
+            ends = {each: one.result() for each, one in together.items()}
+            # The worst outcome, with each arm's sentence where they differ.
+            outcome = min((end.outcome for end in ends.values()), key=_OUTCOMES_BY_WEIGHT.index)
+            said = {end.message for end in ends.values()}
+            message = (
+                said.pop() if len(said) == 1 else "; ".join(f"{name}: {end.message}" for name, end in ends.items())
+            )
+            ended.set_result(MotionEnded(0, outcome, message))
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         """Return the progress of a motion; of several arms, the progress of the last."""
@@ -264,14 +271,6 @@ def states_of(arm: AnyArm) -> dict[str, ArmState]:
 def moves(arm: AnyArm) -> bool:
     """Return True while a motion is in progress, of any of several arms."""
     return any(state.mode is Mode.MOVING for state in states_of(arm).values())
-
-
-def _joined_end(ends: Mapping[str, MotionEnded]) -> MotionEnded:
-    """Return the end of a motion of several arms: the worst outcome, with each arm's sentence where they differ."""
-    outcome = min((end.outcome for end in ends.values()), key=_OUTCOMES_BY_WEIGHT.index)
-    said = {end.message for end in ends.values()}
-    message = said.pop() if len(said) == 1 else "; ".join(f"{name}: {end.message}" for name, end in ends.items())
-    return MotionEnded(0, outcome, message)
 
 
 def joined_state(

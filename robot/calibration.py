@@ -142,7 +142,10 @@ class Calibration:
         if unknown := [name for name in table if name not in names]:
             raise CalibrationError(str(path), unknown[0], f"the arm has no such joint, but {names}")
         joints = tuple(_joint(str(path), servo, table[servo.joint]) for servo in servos)
-        _check_ids(str(path), joints)
+        owners: dict[int, str] = {}
+        for joint in joints:
+            if (other := owners.setdefault(joint.servo_id, joint.joint)) != joint.joint:
+                raise CalibrationError(str(path), f"{joint.joint}.id", f"{joint.servo_id} is the id of {other} as well")
         return cls(joints)
 
     def with_zero_offsets(self, zero_offset_rad: Mapping[str, float]) -> Calibration:
@@ -302,14 +305,6 @@ def _joint(file: str, servo: ServoSpec, entry: object) -> JointCalibration:
         range_min=range_min,
         range_max=range_max,
     )
-
-
-def _check_ids(file: str, joints: tuple[JointCalibration, ...]) -> None:
-    owners: dict[int, str] = {}
-    for joint in joints:
-        other = owners.setdefault(joint.servo_id, joint.joint)
-        if other != joint.joint:
-            raise CalibrationError(file, f"{joint.joint}.id", f"{joint.servo_id} is the id of {other} as well")
 
 
 def _is_path(name_or_path: str) -> bool:

@@ -18,7 +18,6 @@ from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.faults import Fault, ServoWarning
 from robot.hardware.config import HardwareConfig
-from robot.hardware.interface import BusCounters
 from robot.trajectory import Trajectory, Vector
 
 # Least speed limit: below it a joint moves less than a servo's tick in a period of the control loop.
@@ -64,6 +63,10 @@ class GuardLimits:
     # (1.8-2.6 deg) of real arms [rad].
     goal_tolerance_rad: float = within(0.06, 0.02, 0.3)
     settle_timeout_s: float = within(1.0, 0.1, 10.0)  # time to settle, from the end of the motion on [s]
+    # Temperatures of warning, slower motions and fault, each inclusive; servos protect themselves at 70 degC [degC].
+    warn_temperature_c: float = within(55.0, 30.0, 70.0)
+    slow_temperature_c: float = within(60.0, 30.0, 70.0)
+    stop_temperature_c: float = within(65.0, 30.0, 70.0)
 
 
 # Longest times of the arm's end, counted in ticks, after which its process ends in any state [s]. Braking takes a
@@ -109,10 +112,6 @@ class ArmConfig:
     on_server_lost: EndState = EndState.HOLD  # policy for the arm then, and when the server's process is gone
     on_exit: EndState = EndState.HOLD
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
-    # Temperatures of warning, slower motions and fault; the servos protect themselves at 70 degC [degC].
-    warn_temperature_c: float = within(55.0, 30.0, 70.0)
-    slow_temperature_c: float = within(60.0, 30.0, 70.0)
-    stop_temperature_c: float = within(65.0, 30.0, 70.0)
     guard_limits: GuardLimits = field(default_factory=GuardLimits)
     # Share of the joints' velocity limits that no motion exceeds, until it is changed.
     speed_limit: float = within(1.0, MIN_SPEED_LIMIT, 1.0)
@@ -335,6 +334,17 @@ class ArmState(Frequent):
     torque_enabled: bool = False  # True while torque is on
 
 
+@dataclass
+class BusCounters:
+    """Counters of the bus since it was opened."""
+
+    sent: int = 0  # instructions written
+    replies: int = 0  # valid replies received
+    timeouts: int = 0  # replies that were expected and missing or invalid
+    discarded_bytes: int = 0  # bytes that belonged to no valid reply
+    retries: int = 0  # instructions repeated because the servo gave no valid reply
+
+
 @dataclass(frozen=True)
 class JointHealth:
     """Health of one joint's actuator, as in ``/diagnostics``; NaN for what the hardware does not measure."""
@@ -346,7 +356,7 @@ class JointHealth:
     voltage_v: float = math.nan
     current_a: float = math.nan
     load: float = math.nan
-    torque_enabled: bool | None = None
+    torque_enabled: bool | None = None  # True if its torque was on when it was last read back; None before
     status: int = 0  # bits of StatusFlag
     age_s: float = math.inf  # time since its last good reply [s]
     silent_cycles: int = 0  # cycles in which it did not answer, since the bus was opened

@@ -114,21 +114,6 @@ def bridge(
     return Trajectory(joint_names, time_s, *columns)
 
 
-def rest_to_rest_s(way_rad: float, max_velocity: float, max_acceleration: float) -> float:
-    """Return the duration of :func:`rest_to_rest` for a way, which is not below 0 [rad]; [s]."""
-    if way_rad < SHORTEST_WAY_RAD:
-        return 0.0
-    _, ramp_s, cruise_s = _rest_to_rest_profile(way_rad, max_velocity, max_acceleration)
-    return 2.0 * ramp_s + cruise_s
-
-
-def _rest_to_rest_profile(way_rad: float, max_velocity: float, max_acceleration: float) -> tuple[float, float, float]:
-    """Return the greatest velocity [rad/s], and the times of a ramp and of the way between both ramps [s]."""
-    peak = min(max_velocity, math.sqrt(max_acceleration * way_rad))
-    ramp_s = peak / max_acceleration
-    return peak, ramp_s, way_rad / peak - ramp_s
-
-
 def rest_to_rest(
     joint: str, start_rad: float, end_rad: float, max_velocity: float, max_acceleration: float
 ) -> Trajectory:
@@ -137,7 +122,9 @@ def rest_to_rest(
     if way_rad < SHORTEST_WAY_RAD:
         still = np.zeros((1, 1))
         return Trajectory((joint,), np.zeros(1), np.full((1, 1), end_rad), still, still)
-    peak, ramp_s, cruise_s = _rest_to_rest_profile(way_rad, max_velocity, max_acceleration)
+    peak = min(max_velocity, math.sqrt(max_acceleration * way_rad))
+    ramp_s = peak / max_acceleration
+    cruise_s = way_rad / peak - ramp_s
     ramp_rad = 0.5 * peak * ramp_s
     corners = [
         (0.0, 0.0, 0.0, max_acceleration),

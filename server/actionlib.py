@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeAlias
 
@@ -47,7 +47,7 @@ class Status(IntEnum):
 STATUS_OF_END = {GoalStatus.SUCCEEDED: Status.SUCCEEDED, GoalStatus.CANCELED: Status.PREEMPTED}
 
 
-@dataclass(frozen=True)
+@dataclass
 class Tracked:
     """A goal."""
 
@@ -94,19 +94,11 @@ class TrackedGoals:
         goal = self._goals.get(key)
         return None if goal is None or goal.ended_s is not None else goal
 
-    def update(self, key: str, status: Status, text: str = "") -> Tracked | None:
-        """Tell how a goal goes; returns it, or None when it is not on its way."""
+    def update(self, key: str, status: Status, text: str = "", ended_s: float | None = None) -> Tracked | None:
+        """Note the status of a goal, and the monotonic time of its end [s]; return it, None when it is not active."""
         goal = self.on_its_way(key)
-        if goal is None:
-            return None
-        self._goals[key] = replace(goal, status=status, text=text or goal.text)
-        return self._goals[key]
-
-    def end(self, key: str, status: Status, text: str, now_s: float) -> Tracked | None:
-        """Tell how a goal has ended, at a monotonic time [s]; returns as :meth:`update`."""
-        goal = self.update(key, status, text)
         if goal is not None:
-            goal = self._goals[key] = replace(goal, ended_s=now_s)
+            goal.status, goal.text, goal.ended_s = status, text or goal.text, ended_s
         return goal
 
     def to_cancel(self, goal_id: GoalId) -> list[str]:
@@ -263,7 +255,7 @@ class BridgedAction:
             self._end(key, Status.ABORTED if taken_on else Status.REJECTED, str(result.values), {})
 
     def _end(self, key: str, status: Status, text: str, values: Mapping[str, Any]) -> None:
-        goal = self._tracked.end(key, status, text, self._clock())
+        goal = self._tracked.update(key, status, text, self._clock())
         if goal is not None:
             self._publish("Result", goal, values)
             self.publish_status()

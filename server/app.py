@@ -1,7 +1,5 @@
 """Composition root: makes every part of the server, starts them in order, and stops them in reverse."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from dataclasses import dataclass
@@ -25,10 +23,11 @@ from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.features.arms import (
     ArmControl,
     CommissioningOfArms,
-    Following,
+    PolicyChunks,
     Restart,
-    TaughtMotions,
     resumed,
+    teaching_of,
+    teleoperation_of,
     with_calibration,
 )
 from server.features.clients import Clients
@@ -137,38 +136,40 @@ class App:
         self._recording = Recording(context)
         self._monitoring = Monitoring(context, self._clients, self._recording.recorder, self.bridge, notifier)
         self._collector = CollectorPolicy(keeps_frozen=inherited is not None)
-        self._memory = MemoryKeeper(self._collector, self._nothing_moves)
-        commissioning = CommissioningOfArms(
-            context, self._restart, recalibrated, shared_calibration=inherited is not None
-        )
+        shared = inherited is not None
+        commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
-        goals = (
-            MoveGroup(context),
-            ArmGoals(context),
-            TaughtMotions(context),
-            GoalQueueing(context),
-            Servo(context),
-            Following(context),
-        )
-        # In the order of their start. They stop in reverse: goals and the arm first, which is brought to its end state;
-        # then the clients; then what nothing needs any more.
+        made = (MoveGroup, ArmGoals, teaching_of, GoalQueueing, Servo, teleoperation_of, PolicyChunks)
+        goals = [make(context) for make in made]
+        self.features = self._in_order_of_start(commissioning, parkings, Together("goals", goals, 1.1))
+        feed.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])
+
+    def _in_order_of_start(
+        self, commissioning: CommissioningOfArms, parkings: Parkings, goals: Together
+    ) -> tuple[Feature | Part, ...]:
+        """Return all features and parts in the order of their start.
+
+        They stop in reverse: goals and the arm first, which is brought to its end state; then the clients; then what
+        nothing needs any more.
+        """
+        arm = self._arms.whole.arm
         zenoh = None if self.bridge is None else BackgroundTask("zenoh", self.bridge.run)
-        self.features: tuple[Feature | Part, ...] = (
+        return (
             # The recorder has taken messages since it was made, and is stopped last.
             self._recording,
-            Logs(context),
+            Logs(self._context),
             self._monitoring,
             *([] if zenoh is None else [Part("other machines", stop=zenoh.stop, deadline_s=0.4)]),
             # Restored before anybody can see it, and written when nobody can change it any more.
-            PlanningScene(context),
-            ArmControl(context),
+            PlanningScene(self._context),
+            ArmControl(self._context),
             # The port before the processes: when the port is taken, no process and no arm is needed.
             self._clients,
             Part("planners", self._pool.start, self._pool.close, 0.4),
             # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
-            Part("the arm", self._arms.whole.arm.launch, self._arms.whole.arm.close, ARM_STOP_S, beyond_total=True),
+            Part("the arm", arm.launch, arm.close, ARM_STOP_S, beyond_total=True),
             parkings,
-            Together("goals", goals, 1.1),
+            goals,
             commissioning,
             # Not before the goals: what other machines may command or stop is known by the rules of its names.
             *([] if zenoh is None else [Part("zenoh", start=zenoh.start)]),
@@ -178,13 +179,12 @@ class App:
             # Loaded meanwhile: a client of a ready server need not wait for them.
             Part("the planners' first plans", self._wait_for_planners),
             *parkings.last_clients,
-            BackgroundTask("memory", self._memory.run),
+            BackgroundTask("memory", MemoryKeeper(self._collector, self._nothing_moves).run),
             # Ready without them: a first message may wait 20 ms for its type.
             BackgroundTask("message types", self.graph.message_types.compile_waiting),
             # A start that was refused leaves no file.
             Part("the recording's file", self._recording.open_file),
         )
-        feed.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])
 
     async def run(self) -> NewStart | None:
         """Serve until a signal, and stop what was started; a second signal hurries the stop.

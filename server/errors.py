@@ -1,17 +1,4 @@
-"""Errors of the server room.
-
-ServerError
-├── GraphError          an operation on a topic, service or action that the graph refuses
-├── ServiceError        a service that cannot do what it is asked for
-│   └── FileTooLargeError   a file that has more bytes than are served
-├── UnsuccessfulError   a service that has not succeeded, with its response
-├── RefusedError        a request that cannot be carried out, with the failure that answers it
-├── ConfigurationError  a setting that is wrong or contradicts another
-├── RecordingError      a recording that cannot be read
-└── StartError          a part of the server that cannot start
-"""
-
-from __future__ import annotations
+"""Errors of the server; the text of each is one sentence for the user."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +10,7 @@ Found = TypeVar("Found")
 
 
 class ServerError(Exception):
-    """Base of the server's errors; the text is one sentence for the user."""
+    """Base of the server's errors."""
 
 
 class GraphError(ServerError):

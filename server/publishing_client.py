@@ -1,16 +1,14 @@
 """Rosbridge client that publishes on one topic of a server elsewhere, on one connection after the other."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
-from websockets.asyncio.client import connect
+from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import WebSocketException
 
 from server.lifecycle import stop_signals
@@ -34,16 +32,6 @@ class PublishedTopic:
     token: str | None
 
 
-class Connection(Protocol):
-    """Connection, as far as a client uses it."""
-
-    async def send(self, message: str) -> None:
-        """Send a frame."""
-
-    async def ping(self) -> Awaitable[float]:
-        """Send a ping; its pong shows that the server has read everything before it (RFC 6455, section 5.5.2)."""
-
-
 class PublishingClient(ABC):
     """Client of a server that publishes on one topic."""
 
@@ -60,7 +48,7 @@ class PublishingClient(ABC):
         return False
 
     @abstractmethod
-    async def publish(self, connection: Connection) -> None:
+    async def publish(self, connection: ClientConnection) -> None:
         """Publish messages on a connection until it or the messages end; raises WebSocketException and TimeoutError."""
 
     async def keep_connected(self) -> None:
@@ -85,14 +73,14 @@ class PublishingClient(ABC):
                 await asyncio.sleep(delay_s)
                 delay_s = min(2.0 * delay_s, LAST_DELAY_S)
 
-    async def announce(self, connection: Connection) -> None:
+    async def announce(self, connection: ClientConnection) -> None:
         """Show the token, and advertise the topic."""
         if self._target.token is not None:
             await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
         operation = {"op": "advertise", "topic": self._target.topic, "type": self._type_name}
         await connection.send(json.dumps(operation))
 
-    async def send(self, connection: Connection, message: dict[str, Any]) -> None:
+    async def send(self, connection: ClientConnection, message: dict[str, Any]) -> None:
         """Publish one message."""
         await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
 

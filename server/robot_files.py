@@ -1,7 +1,5 @@
 """Files that the robot's description names, as clients may fetch them."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import xml.etree.ElementTree as ET
@@ -82,28 +80,35 @@ def with_package_urls(urdf: str, package: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
-    nowhere = f"name: {name!r} is no file below {url}"
+def file_below(directory: Path, inner: str, shown: str, where: str, max_bytes: int) -> Path:
+    """Return the file at a path within a directory, which no link may leave.
+
+    Raises ServiceError for a missing file, and FileTooLargeError; ``shown`` and ``where`` name it in their sentences.
+    """
+    nowhere = f"{shown} is no file {where}"
     try:
         root = directory.resolve()
         path = (root / inner).resolve()
-        # Whatever the name says, links included, the file must be where the description is.
-        if not path.is_relative_to(root) or _hidden(path.relative_to(root)) or not path.is_file():
+        if not path.is_relative_to(root) or not path.is_file():
             raise ServiceError(nowhere)
         size_bytes = path.stat().st_size
     # A name with a zero byte is no name of a file.
     except (OSError, ValueError) as error:
         raise ServiceError(f"{nowhere}: {error}") from error
-    if path.suffix.lower() not in SUFFIXES:
-        raise ServiceError(f"name: {name!r} is neither mesh nor texture: those end in {', '.join(sorted(SUFFIXES))}")
-    if size_bytes > MAX_FILE_BYTES:
-        raise FileTooLargeError(f"name: {name!r} has {size_bytes} bytes, the limit is {MAX_FILE_BYTES}")
+    if size_bytes > max_bytes:
+        raise FileTooLargeError(f"{shown} has {size_bytes} bytes, the limit is {max_bytes}")
     return path
 
 
-def _hidden(path: Path) -> bool:
-    """Return True if a file or a folder above it is hidden, as programs' folders in a user's home are."""
-    return any(part.startswith(".") for part in path.parts)
+def _checked(directory: Path, inner: str, name: str, url: str) -> Path:
+    shown, where = f"name: {name!r}", f"below {url}"
+    path = file_below(directory, inner, shown, where, MAX_FILE_BYTES)
+    # Programs have hidden folders in a user's home.
+    if any(part.startswith(".") for part in path.relative_to(directory.resolve()).parts):
+        raise ServiceError(f"{shown} is no file {where}")
+    if path.suffix.lower() not in SUFFIXES:
+        raise ServiceError(f"name: {name!r} is neither mesh nor texture: those end in {', '.join(sorted(SUFFIXES))}")
+    return path
 
 
 def _within(root: Path, package: str, name: str) -> str:

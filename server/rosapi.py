@@ -1,7 +1,5 @@
 """The services of rosapi (``/rosapi/...``): topics, services, actions, nodes, types and parameters."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json
@@ -80,7 +78,7 @@ CHANGING = frozenset(("set_param", "delete_param"))
 Handler: TypeAlias = Callable[[Request], dict[str, Any]]
 
 # Service name below /rosapi -> service type and handler.
-Handlers: TypeAlias = Mapping[str, tuple[str, Handler]]
+Handlers: TypeAlias = dict[str, tuple[str, Handler]]
 
 
 class RosApi:
@@ -91,13 +89,20 @@ class RosApi:
     ) -> None:
         self.parameters = Parameters(params)
         self._graph = graph
+        self._wall_clock = wall_clock
         self._services = graph.services
         self._registry = graph.message_types.registry
         # Foxglove asks for the texts of all topics every three seconds; there are no more types than the registry has.
         self._texts: dict[tuple[str, Dialect], str] = {}
         self._details = functools.lru_cache(MAX_DETAILS)(self._make_details)
-        topics, services, actions = graph.topic_names, graph.services.names, graph.actions.names
-        handlers: Handlers = {
+        handlers = self._of_topics() | self._of_services() | self._of_types() | self.parameters.handlers
+        for name, (type_name, handler) in handlers.items():
+            rule = CONFIGURING if name in CHANGING else LOOKING
+            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
+
+    def _of_topics(self) -> Handlers:
+        graph, topics = self._graph, self._graph.topic_names
+        return {
             "topics": ("rosapi_msgs/srv/Topics", Latest(topics, self._topics)),
             "topics_for_type": (
                 "rosapi_msgs/srv/TopicsForType",
@@ -113,6 +118,13 @@ class RosApi:
                 "rosapi_msgs/srv/Subscribers",
                 lambda request: {"subscribers": _node_names(graph.subscribers(request.name("topic")))},
             ),
+            "nodes": ("rosapi_msgs/srv/Nodes", lambda _: {"nodes": _node_names(graph.nodes())}),
+            "node_details": ("rosapi_msgs/srv/NodeDetails", self._node_details),
+        }
+
+    def _of_services(self) -> Handlers:
+        graph, services, actions = self._graph, self._graph.services.names, self._graph.actions.names
+        return {
             "services": (
                 "rosapi_msgs/srv/Services",
                 Latest(services, lambda _: {"services": _shown(services.types())}),
@@ -135,8 +147,10 @@ class RosApi:
                 Latest(actions, lambda _: {"action_servers": sorted(actions.types())}),
             ),
             "action_type": ("rosapi_msgs/srv/ActionType", _type_answer(actions, "action")),
-            "nodes": ("rosapi_msgs/srv/Nodes", lambda _: {"nodes": _node_names(graph.nodes())}),
-            "node_details": ("rosapi_msgs/srv/NodeDetails", self._node_details),
+        }
+
+    def _of_types(self) -> Handlers:
+        return {
             "message_details": ("rosapi_msgs/srv/MessageDetails", self._details_answer("msg", "")),
             **{
                 f"{kind}_{part.lower()}_details": (
@@ -149,14 +163,10 @@ class RosApi:
             "interfaces": ("rosapi_msgs/srv/Interfaces", self._interfaces),
             "get_time": (
                 "rosapi_msgs/srv/GetTime",
-                lambda _: {"time": Stamp.from_seconds(wall_clock()).as_message()},
+                lambda _: {"time": Stamp.from_seconds(self._wall_clock()).as_message()},
             ),
             "get_ros_version": ("rosapi_msgs/srv/GetROSVersion", lambda request: ROS_VERSIONS[request.dialect]),
-            **self.parameters.handlers,
         }
-        for name, (type_name, handler) in handlers.items():
-            rule = CONFIGURING if name in CHANGING else LOOKING
-            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
 
     def _topics(self, dialect: Dialect) -> dict[str, Any]:
         types = self._graph.topic_names.types(dialect)

@@ -1,23 +1,12 @@
-"""Bounds on waiting: what happens when something does not."""
-
-from __future__ import annotations
+"""Calls after a delay, which tests replace by calls in a time of their own."""
 
 import asyncio
 from collections.abc import Callable
-from typing import Protocol
+
+# Delay [s], and the function to call then; the timer can be cancelled.
+CallLater = Callable[[float, Callable[[], None]], asyncio.TimerHandle]
 
 
-class Timer(Protocol):
-    """Something that is going to happen, unless it is cancelled before."""
-
-    def cancel(self) -> None:
-        """See that it does not happen; nothing happens when it already has."""
-
-
-# Delay [s], and what to do then.
-CallLater = Callable[[float, Callable[[], None]], Timer]
-
-
-def call_later(delay_s: float, action: Callable[[], None]) -> Timer:
-    """Do something after a delay, on the running event loop."""
+def call_later(delay_s: float, action: Callable[[], None]) -> asyncio.TimerHandle:
+    """Call a function after a delay, on the running event loop."""
     return asyncio.get_running_loop().call_later(delay_s, action)

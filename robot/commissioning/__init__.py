@@ -1,1 +1,1 @@
-"""Commissioning of an arm: scan, setup, calibration, verification, diagnosis, and experiments on the servos."""
+"""Commissioning of an arm: scan, setup, calibration, verification and diagnosis."""

@@ -13,7 +13,7 @@ from robot.faults import ADVICE, ServoAlert, advise
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE, Feetech, differences
 from robot.hardware.feetech.registers import MODELS, Register
 from robot.hardware.interface import status_names
-from robot.messages import ArmConfig, GuardLimits
+from robot.messages import GuardLimits
 
 VOLTAGE_DROP_V = 0.4  # a drop along the chain of more than this, without load, is contact resistance
 
@@ -137,8 +137,8 @@ def _temperature(servos: Sequence[ServoRegisters]) -> Finding:
     hottest = max(servos, key=lambda servo: servo[Register.PRESENT_TEMPERATURE])
     degrees = hottest[Register.PRESENT_TEMPERATURE]
     says = f"the hottest is servo {hottest.servo_id} with {degrees} degrees"
-    verdict = Verdict.PROBLEM if degrees >= ArmConfig.stop_temperature_c else Verdict.NOTE
-    warm = says if degrees >= ArmConfig.warn_temperature_c else ""
+    verdict = Verdict.PROBLEM if degrees >= GuardLimits.stop_temperature_c else Verdict.NOTE
+    warm = says if degrees >= GuardLimits.warn_temperature_c else ""
     return _judged(
         "temperature",
         warm,

@@ -66,7 +66,7 @@ class Sweep:
         self.lowest = dict(ticks)
         self.highest = dict(ticks)
         self.present = dict(ticks)
-        self._ends = {servo_id: (_End(-position), _End(position)) for servo_id, position in ticks.items()}
+        self.ends = {servo_id: (_End(-position), _End(position)) for servo_id, position in ticks.items()}
 
     def add(self, ticks: Mapping[int, int]) -> None:
         """Add positions of some servos, by id [ticks]; a joint must turn by less than half a turn between readings."""
@@ -77,17 +77,13 @@ class Sweep:
             self.present[servo_id] = position
             self.lowest[servo_id] = min(self.lowest[servo_id], position)
             self.highest[servo_id] = max(self.highest[servo_id], position)
-            lower_end, upper_end = self._ends[servo_id]
+            lower_end, upper_end = self.ends[servo_id]
             lower_end.add(-position)
             upper_end.add(position)
 
     def width(self, servo_id: int) -> int:
         """Return the width of a servo's range [ticks]."""
         return self.highest[servo_id] - self.lowest[servo_id]
-
-    def came_twice(self, servo_id: int) -> bool:
-        """Return True for a servo that came to both ends of its range at least twice."""
-        return all(end.visits > 1 for end in self._ends[servo_id])
 
 
 def expected_width(servo: ServoSpec) -> int:
@@ -102,18 +98,6 @@ def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
     return width_ticks >= STOPS_SHARE * expected_width(servo)
 
 
-@dataclass(frozen=True)
-class Swept:
-    """All that was measured by hand."""
-
-    sweep: Sweep
-    offsets: Mapping[int, int]  # register HOMING_OFFSET during the sweep, by servo id [ticks]
-    # Position in its middle of each joint without stops, by servo id [ticks], in the sweep's count.
-    middles: Mapping[int, int]
-    # 1 for servos that turn the other way than the format takes them to, by servo id; 0 for others.
-    drive_modes: Mapping[int, int]
-
-
 class Placed(NamedTuple):
     """Range of a servo under its homing offset."""
 
@@ -125,11 +109,6 @@ class Placed(NamedTuple):
 def needs_middle(servo: ServoSpec, sweep: Sweep) -> bool:
     """Return True for a joint whose middle does not follow from its sweep: it has no stops, or did not meet them."""
     return servo.turns_freely and not met_both_stops(servo, sweep.width(servo.servo_id))
-
-
-def calibrate(servos: Sequence[ServoSpec], swept: Swept, *, recentre: bool) -> Calibration:
-    """Compute the calibration: with new homing offsets for the servos where ``recentre`` is True, else with theirs."""
-    return Calibration(tuple(_joint(servo, swept, recentre=recentre) for servo in servos))
 
 
 def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:
@@ -185,18 +164,6 @@ def _centred(servo: ServoSpec, middle: int, offset: int) -> tuple[int, int]:
     return centred, (encoder - centred) % TICKS_PER_TURN - middle
 
 
-def _joint(servo: ServoSpec, swept: Swept, *, recentre: bool) -> JointCalibration:
-    servo_id = servo.servo_id
-    offset, drive_mode = swept.offsets[servo_id], swept.drive_modes.get(servo_id, 0)
-    if not needs_middle(servo, swept.sweep):
-        placed = place(servo, swept.sweep, offset, recentre=recentre)
-    elif servo_id in swept.middles:
-        placed = place_free(servo, swept.middles[servo_id], offset, recentre=recentre)
-    else:
-        raise CalibrationError("sweep", servo.joint, "did not meet two stops, and its middle was not shown")
-    return JointCalibration(servo, servo_id, drive_mode, *placed)
-
-
 # Names of steps; for directions and middles, the joint's name follows.
 HOLD, SWEEP, WRITE = "hold", "sweep", "write"
 DIRECTION, MIDDLE = "direction of ", "middle of "
@@ -249,14 +216,14 @@ class CalibrationSession:
     """Calibration of one arm, from holding it to writing; with ``recentre`` its servos get new homing offsets."""
 
     def __init__(self, servos: Sequence[ServoSpec], motions: Mapping[str, AskedMotion], *, recentre: bool) -> None:
-        self._servos = tuple(servos)
+        self.servos = tuple(servos)
         self._motions = motions
         self.recentre = recentre
         self._sweep: Sweep | None = None
         self._offsets: Mapping[int, int] = {}
         self._asked_from: dict[int, int] = {}
         self._middles: dict[int, int] = {}
-        self._drive_modes: dict[int, int] = {}
+        self._drive_modes: dict[int, int] = {}  # 1 for servos that turn the other way than the format takes them to
         self._to_ask: list[ServoSpec] = []
         self._to_show: list[ServoSpec] = []
         self.findings: list[str] = []  # a sentence each
@@ -275,22 +242,22 @@ class CalibrationSession:
         if self.step.name == HOLD or self._sweep is None:
             return 0.0
         if self.step.name == SWEEP:
-            return _SWEPT * sum(each.done for each in self.ranges()) / len(self._servos)
+            return _SWEPT * sum(each.done for each in self.ranges()) / len(self.servos)
         if self.step.name == WRITE:
             return _WRITING
         left = len(self._to_show) + len(self._to_ask)
-        return _WRITING - (_WRITING - _SWEPT) * left / (2 * len(self._servos))
+        return _WRITING - (_WRITING - _SWEPT) * left / (2 * len(self.servos))
 
     def ranges(self) -> tuple[SweptRange, ...]:
         """Return the range of each joint; none before the sweep."""
         sweep = self._sweep
-        return () if sweep is None else tuple(self._range(servo, sweep) for servo in self._servos)
+        return () if sweep is None else tuple(self._range(servo, sweep) for servo in self.servos)
 
     def _range(self, servo: ServoSpec, sweep: Sweep) -> SweptRange:
         servo_id, width = servo.servo_id, expected_width(servo)
         met = met_both_stops(servo, sweep.width(servo_id))
         share = min(sweep.width(servo_id) / width, 1.0)
-        certain = share >= CERTAIN_SHARE or sweep.came_twice(servo_id)
+        certain = share >= CERTAIN_SHARE or all(end.visits > 1 for end in sweep.ends[servo_id])
         done = certain if met else servo.turns_freely
         note = "" if done else f"{share:.0%} of the expected range"
         if met and not certain:
@@ -310,7 +277,7 @@ class CalibrationSession:
         self.findings, self.calibration = [], None
         self.to_mend = []
         self._middles, self._drive_modes = {}, {}
-        free = ", ".join(spoken(servo.joint) for servo in self._servos if servo.turns_freely)
+        free = ", ".join(spoken(servo.joint) for servo in self.servos if servo.turns_freely)
         also = f" {free.capitalize()} may have no stops: turn it as far as it goes, a turn at most." if free else ""
         self.step = Step(
             SWEEP,
@@ -366,25 +333,30 @@ class CalibrationSession:
                 short[0].joint,
                 f"did not meet both stops ({listed}): move on, or answer {AS_IT_IS!r} where something is in the way",
             )
-        # Refuses what no motion for directions could mend.
-        calibrate(self._servos, self._measured(assumed=True), recentre=self.recentre)
+        # Refuses what no motion for directions could mend. Where the servo keeps its offset, the middle of a free joint
+        # is checked when it is shown.
+        present = self._swept.present
+        self._calibrate(present if self.recentre else dict.fromkeys(present, MIDDLE_TICK))
         for each in short:
             self.findings.append(
                 f"{each.joint} covered {each.note} only: its zero is wrong by half of the missing part"
             )
-        self._to_show = [servo for servo in self._servos if needs_middle(servo, self._swept)]
-        self._to_ask = [servo for servo in self._servos if servo.joint in self._motions]
+        self._to_show = [servo for servo in self.servos if needs_middle(servo, self._swept)]
+        self._to_ask = [servo for servo in self.servos if servo.joint in self._motions]
         self._next()
 
-    def _measured(self, *, assumed: bool = False) -> Swept:
-        """Return the measurements; assumed middles are possible for a free joint."""
-        middles = dict(self._middles)
-        if assumed and self.recentre:
-            middles = {**self._swept.present, **middles}
-        elif assumed:
-            # Where the servo keeps its offset, the middle is checked when it is shown.
-            middles = {**dict.fromkeys(self._swept.present, MIDDLE_TICK), **middles}
-        return Swept(self._swept, self._offsets, middles, self._drive_modes)
+    def _calibrate(self, middles: Mapping[int, int]) -> Calibration:
+        """Compute the calibration; middles are positions of free joints, by servo id [ticks], in the sweep's count."""
+        joints = []
+        for servo in self.servos:
+            servo_id = servo.servo_id
+            offset, drive_mode = self._offsets[servo_id], self._drive_modes.get(servo_id, 0)
+            if not needs_middle(servo, self._swept):
+                placed = place(servo, self._swept, offset, recentre=self.recentre)
+            else:
+                placed = place_free(servo, middles[servo_id], offset, recentre=self.recentre)
+            joints.append(JointCalibration(servo, servo_id, drive_mode, *placed))
+        return Calibration(tuple(joints))
 
     def _take_direction(self, answer: str) -> None:
         servo = self._to_ask[0]
@@ -427,7 +399,7 @@ class CalibrationSession:
         elif self._to_ask:
             self._ask_direction(self._to_ask[0])
         else:
-            self.calibration = calibrate(self._servos, self._measured(), recentre=self.recentre)
+            self.calibration = self._calibrate(self._middles)
             question = "Write the calibration to its file? The servos stay as they are."
             if self.recentre:
                 question = "Write the calibration to the servos and to its file?"

@@ -35,7 +35,6 @@ from robot.hardware.feetech.registers import (
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
-    value_range,
 )
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
@@ -50,7 +49,7 @@ def _by_register(held: Mapping[str | Register, int]) -> dict[Register, int]:
         if name not in Register.__members__ and name not in list(Register):
             raise ValueError(f"there is no register {name}")
         register = name if isinstance(name, Register) else Register[name]
-        lowest, highest = value_range(register)
+        lowest, highest = register.value_range
         if not lowest <= value <= highest:
             raise ValueError(f"{name} must be {lowest} to {highest}, not {value}")
         found[register] = value

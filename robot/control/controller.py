@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot.control.checks import names_refusal, refusal
-from robot.control.guards import Guards, Persistence, Temperatures
+from robot.control.guards import Guards, Persistence
 from robot.control.motion import Motion, Streaming, splice, splice_refusal
 from robot.control.pacing import MAX_TICK_S
 from robot.description.limits import JointBounds
@@ -74,7 +74,6 @@ class ArmController:
         bounds: JointBounds,
         guards: Guards,
         full_torque: Vector,
-        temperatures: Temperatures,
         fault: Fault | None = None,
         *,
         simulated: bool = False,
@@ -85,7 +84,6 @@ class ArmController:
         self.bounds = bounds
         self.guards = guards
         self._full_torque = full_torque
-        self._slow_c = temperatures.slow_c
         self.torque_limit = full_torque.copy()  # share of full duty that each joint may use now, shape (joints,)
         # Goals of the latest tick; the measured positions while the arm is relaxed, shape (joints,) [rad].
         self.goal_rad = self._hold_rad = np.zeros(len(joint_names))
@@ -228,7 +226,11 @@ class ArmController:
         found = self.guards.check(self.goal_rad, measured, self.torque_limit, now_s, yielding)
         ended = self._end_gripped(measured, yielding) if yielding is not None else []
         if self._relieves:
-            self._relieve(measured, now_s)
+            # Limit joints that push for so long that the protection of their servos would latch.
+            thresholds = self.guards.thresholds
+            lasting_s = self._loaded.lasting(np.abs(measured.load) > thresholds.sustained_torque, now_s)
+            limited = np.minimum(self.torque_limit, thresholds.sustained_torque)
+            self.torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self.torque_limit)
         if found is not None:
             ended += self.react(found, measured)
         return ended + self._end_finished(measured, now_s)
@@ -252,7 +254,7 @@ class ArmController:
         motions = self.motions + self._braking
         if not motions and self._hold_rad.tolist() == self.goal_rad.tolist():
             return
-        hot = max(measured.temperature_c.tolist()) >= self._slow_c
+        hot = max(measured.temperature_c.tolist()) >= self.guards.limits.slow_temperature_c
         wanted = self._hold_rad.copy()
         fastest = SLOW_RATE if hot else 1.0
         led = np.zeros(len(self._names), dtype=bool)
@@ -295,13 +297,6 @@ class ArmController:
             ended.append(motion.ended(Outcome.GRIPPED, message))
             self._drop(motion, measured)
         return ended
-
-    def _relieve(self, measured: Measured, now_s: float) -> None:
-        """Limit joints that push for so long that the protection of their servos would latch."""
-        thresholds = self.guards.thresholds
-        lasting_s = self._loaded.lasting(np.abs(measured.load) > thresholds.sustained_torque, now_s)
-        limited = np.minimum(self.torque_limit, thresholds.sustained_torque)
-        self.torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self.torque_limit)
 
     def _end_finished(self, measured: Measured, now_s: float) -> list[MotionEnded]:
         ended = []

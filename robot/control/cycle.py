@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -173,28 +173,20 @@ def arm_health(
 
 
 def _joint_health(arm: ControlCycle, joint: int) -> JointHealth:
-    condition, measured, controller = arm.hardware.condition(joint), arm.measured, arm.controller
-    readings: dict[str, Any] = {"age_s": condition.age_s}
+    measured, controller = arm.measured, arm.controller
+    health = replace(arm.hardware.health(joint), errors=arm.errors.of(joint))
     if measured is not None and controller is not None:
-        readings |= {
-            "position_rad": float(measured.position_rad[joint]),
-            "temperature_c": float(measured.temperature_c[joint]),
-            "voltage_v": float(measured.voltage_v[joint]),
-            "current_a": float(measured.current_a[joint]),
-            "load": float(measured.load[joint]),
-            "torque_enabled": condition.torque_enabled,
-            "status": int(measured.status[joint]),
-            "age_s": float(measured.age_s[joint]),
-            "warnings": condition.warnings + controller.guards.warnings(measured, joint),
-        }
-    elif math.isinf(condition.age_s):
-        readings["warnings"] = (ServoWarning(ServoAlert.NO_ANSWER, "it has not answered yet"),)
-    return JointHealth(
-        joint=arm.hardware.joint_names[joint],
-        hardware_id=condition.hardware_id,
-        silent_cycles=condition.silent_cycles,
-        errors=arm.errors.of(joint),
-        registers=condition.registers,
-        expected=condition.expected,
-        **readings,
-    )
+        return replace(
+            health,
+            position_rad=float(measured.position_rad[joint]),
+            temperature_c=float(measured.temperature_c[joint]),
+            voltage_v=float(measured.voltage_v[joint]),
+            current_a=float(measured.current_a[joint]),
+            load=float(measured.load[joint]),
+            status=int(measured.status[joint]),
+            age_s=float(measured.age_s[joint]),
+            warnings=health.warnings + controller.guards.warnings(measured, joint),
+        )
+    if math.isinf(health.age_s):
+        return replace(health, warnings=(ServoWarning(ServoAlert.NO_ANSWER, "it has not answered yet"),))
+    return replace(health, torque_enabled=None, warnings=())

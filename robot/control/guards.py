@@ -61,15 +61,6 @@ _SENTENCES = {
 
 
 @dataclass(frozen=True)
-class Temperatures:
-    """Temperature thresholds of warning, slower motions and fault, each inclusive [degC]."""
-
-    warn_c: float = 55.0
-    slow_c: float = 60.0
-    stop_c: float = 65.0
-
-
-@dataclass(frozen=True)
 class ActuatorThresholds:
     """Thresholds of the joints, each of shape (joints,), which follow from the strength to which an actuator is set.
 
@@ -125,15 +116,9 @@ class Guards:
     """Guards of one arm; the highest supply of a servo is infinite without such a limit, shape (joints,) [V]."""
 
     def __init__(
-        self,
-        joint_names: tuple[str, ...],
-        temperatures: Temperatures,
-        max_voltage_v: Vector,
-        limits: GuardLimits,
-        thresholds: ActuatorThresholds,
+        self, joint_names: tuple[str, ...], max_voltage_v: Vector, limits: GuardLimits, thresholds: ActuatorThresholds
     ) -> None:
         self._names = joint_names
-        self._temperatures = temperatures
         self.limits = limits
         # No joint nearer to its goal can be stalled or lost.
         self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
@@ -166,12 +151,15 @@ class Guards:
             return self._silence_fault(goal_rad, measured)
         self._fresh = False
         jumped = self._none if last is None else self._jumped(measured, now_s, *last)
-        self._check_errors(goal_rad, measured, torque_limit, now_s)
+        error = np.abs(measured.position_rad - goal_rad)
+        self.stalled = self._stalling(error, measured, torque_limit, now_s)
+        lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
+        self.lost = lost_s >= self.limits.tracking_time_s
         resisting = self._none if yielding is None else yielding
         status_faults = _STATUS_FAULTS if measured.status.any() else ()
         findings = (
             *((measured.status & bit != 0, code) for bit, code in status_faults),
-            (measured.temperature_c >= self._temperatures.stop_c, FaultCode.OVERHEATED),
+            (measured.temperature_c >= self.limits.stop_temperature_c, FaultCode.OVERHEATED),
             (jumped, FaultCode.POSITION_JUMP),
             (self._silent_joints(measured), FaultCode.SERVO_SILENT),
             (self._badly_supplied(measured, now_s), FaultCode.VOLTAGE_LOW),
@@ -187,9 +175,9 @@ class Guards:
         """Return the warnings about one joint."""
         warnings = []
         temperature_c, age_s = measured.temperature_c[joint], measured.age_s[joint]
-        if temperature_c >= self._temperatures.slow_c:
+        if temperature_c >= self.limits.slow_temperature_c:
             warnings.append(ServoWarning(ServoAlert.SLOWED, f"motions run at half speed at {temperature_c:.0f} degC"))
-        elif temperature_c >= self._temperatures.warn_c:
+        elif temperature_c >= self.limits.warn_temperature_c:
             warnings.append(ServoWarning(ServoAlert.WARM, f"warm: {temperature_c:.0f} degC"))
         flags = status_names(int(measured.status[joint]))
         warnings += [ServoWarning(ServoAlert(name), f"the servo complains of {name}") for name in flags]
@@ -205,7 +193,7 @@ class Guards:
             return False
         return (
             not any(measured.status.tolist())
-            and not any(degrees >= self._temperatures.stop_c for degrees in measured.temperature_c.tolist())
+            and not any(degrees >= self.limits.stop_temperature_c for degrees in measured.temperature_c.tolist())
             and not any(volts < self.limits.min_voltage_v for volts in measured.voltage_v.tolist())
         )
 
@@ -226,12 +214,6 @@ class Guards:
 
     def _silent_joints(self, measured: Measured) -> Flags:
         return np.asarray(measured.age_s > self.limits.silent_after_s)
-
-    def _check_errors(self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> None:
-        error = np.abs(measured.position_rad - goal_rad)
-        self.stalled = self._stalling(error, measured, torque_limit, now_s)
-        lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
-        self.lost = lost_s >= self.limits.tracking_time_s
 
     def _stalling(self, error: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> Flags:
         far = error > STALL_ERROR_RAD

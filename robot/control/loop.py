@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import socket
 import time
-from typing import Any, Protocol
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
@@ -18,40 +20,40 @@ from robot.hardware.interface import HardwareInterface
 from robot.messages import ArmConfig, Command, Order
 
 
-class HardwareSource(Protocol):
-    """Source of hardware, which can be opened again when it was lost."""
+def hardware_opener(config: ArmConfig, clock: LoopClock) -> Callable[[], HardwareInterface]:
+    """Build the function that opens an arm's hardware, again when it was lost, and import no other back end.
 
-    def open(self) -> HardwareInterface:
-        """Open the hardware; raise a RobotError when it is missing or cannot be used."""
-
-
-def hardware_source(config: ArmConfig, clock: LoopClock) -> HardwareSource:
-    """Build the source of an arm's hardware, and import no other back end; raises OSError for its log or socket."""
+    Raises OSError for the log or socket of emulated servos; the function raises a RobotError for hardware that is
+    missing or cannot be used.
+    """
     joint_names = config.hardware.joint_names(config.robot)
     bounds = JointBounds.of(config.robot, joint_names)
     match config.hardware:
         case FeetechConfig():
             from robot.hardware.feetech.family import Feetech
-            from robot.hardware.servos.hardware import SerialServos
+            from robot.hardware.servos.hardware import open_servos
 
-            return SerialServos(Feetech(config.hardware.profile), config.hardware, bounds, config.guard_limits, clock)
+            return partial(
+                open_servos, Feetech(config.hardware.profile), config.hardware, bounds, config.guard_limits, clock
+            )
         case EmulatedConfig():
             from robot.emulator.feetech import emulated_feetech_arm
 
-            return emulated_feetech_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return emulated_feetech_arm(config.robot, config.hardware, bounds, config.guard_limits, clock).open
         case DynamixelConfig():
             from robot.hardware.dynamixel.family import Dynamixel
-            from robot.hardware.servos.hardware import SerialServos
+            from robot.hardware.servos.hardware import open_servos
 
-            return SerialServos(Dynamixel(), config.hardware, bounds, config.guard_limits, clock)
+            return partial(open_servos, Dynamixel(), config.hardware, bounds, config.guard_limits, clock)
         case EmulatedDynamixelConfig():
             from robot.emulator.dynamixel import emulated_dynamixel_arm
 
-            return emulated_dynamixel_arm(config.robot, config.hardware, bounds, config.guard_limits, clock)
+            return emulated_dynamixel_arm(config.robot, config.hardware, bounds, config.guard_limits, clock).open
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 
-            return IdealArm(config.hardware, joint_names, bounds, clock)
+            ideal = IdealArm(config.hardware, joint_names, bounds, clock)
+            return lambda: ideal
 
 
 # A step of a sequence is a transaction of 1 to 2 ms; when less time is left until the tick, only the first is taken.
@@ -66,7 +68,7 @@ class ArmLoop:
         self._config = config
         self._simulated = config.hardware.simulated
         self._clock: LoopClock = SimulationClock(time.monotonic()) if self._simulated else LoopClock()
-        self._source: HardwareSource | None = None
+        self._opener: Callable[[], HardwareInterface] | None = None
         self._supervisor = Supervisor(config, self._send, self._clock, scheduling)
 
     def run(self) -> None:
@@ -84,12 +86,12 @@ class ArmLoop:
                 retry_s = min(2.0 * retry_s, LONGEST_RETRY_S)
 
     def _open(self) -> HardwareInterface:
-        if self._source is None:
+        if self._opener is None:
             try:
-                self._source = hardware_source(self._config, self._clock)
+                self._opener = hardware_opener(self._config, self._clock)
             except OSError as error:
                 raise StartupError(f"the emulated servos cannot be made: {error}") from error
-        return self._source.open()
+        return self._opener()
 
     def _drive(self) -> None:
         pacer = Pacer(time.monotonic())

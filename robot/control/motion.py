@@ -182,22 +182,43 @@ SAME_POSITION_RAD = 1e-6
 SAME_SPEED_RAD_S = 1e-4
 
 
-class Playback:
-    """Trajectory being played; acceleration limits have shape (joints,) [rad/s^2].
+class Motion:
+    """Motion in progress: its trajectory is played until its joints have settled within a tolerance, or stopped.
 
-    The path time ``s`` runs at ``rate`` seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
+    The path time ``s`` runs at a rate in seconds a second: 1 while playing, ramped down to 0 to stop, in between for a
     slower motion, below 0 to go back. With q(s) the path, the joints have the velocity rate * q'(s) and the
     acceleration rate^2 * q''(s) + d(rate)/dt * q'(s).
     """
 
-    def __init__(self, trajectory: Trajectory, max_acceleration: Vector, ceiling: float = 1.0) -> None:
-        self.trajectory = trajectory
-        self._max_acceleration = max_acceleration
+    def __init__(
+        self,
+        command: Execute,
+        names: tuple[str, ...],
+        bounds: JointBounds,
+        limits: GuardLimits,
+        goal_tolerance_rad: Vector | None = None,
+        speed_limit: float = 1.0,
+    ) -> None:
+        self.command = command
+        self.trajectory = command.trajectory
+        self.motion_id = command.motion_id  # number of the motion, reported with its end
+        self.joint_names = command.trajectory.joint_names
+        self.gripping = command.gripping  # True when a stall on the way is a grip
+        self._limits = limits
+        # Indices of its joints in the controller's arrays.
+        self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
+        wanted = np.full(len(names), limits.goal_tolerance_rad) if goal_tolerance_rad is None else goal_tolerance_rad
+        self._tolerance_rad = wanted[self.columns]
+        self._max_acceleration = bounds.max_acceleration[self.columns]
+        shares = command.trajectory.peak_speed_rad_s / bounds.max_velocity[self.columns]
+        self._peak_share = float(shares.max(initial=0.0))
+        self.limit_speed(speed_limit)
         self._path_time_s = 0.0
-        self._rate = ceiling
-        self._stopping = False
-        self.ceiling = ceiling  # fastest rate allowed, in (0, 1]
+        self._rate = self.ceiling = self._fastest  # rate now, and the fastest allowed, in (0, 1]
         self.pace = 1.0  # wanted rate, -1 to 1: at 0 the arm waits on its path, below 0 it goes back to its start
+        self._stopping = False
+        self._end_reached_s: float | None = None
+        self._settled_ticks = 0
 
     @property
     def finished(self) -> bool:
@@ -236,8 +257,8 @@ class Playback:
         near = np.abs(position - other_position) <= SAME_POSITION_RAD
         return bool((near & (np.abs(velocity - other_velocity) <= SAME_SPEED_RAD_S)).all())
 
-    def continue_from(self, former: Playback, from_s: float) -> None:
-        """Continue at position and rate of a playback on whose trajectory this one's begins at ``from_s`` [s]."""
+    def continue_from(self, former: Motion, from_s: float) -> None:
+        """Continue at position and rate of a motion on whose trajectory this one's begins at ``from_s`` [s]."""
         self._path_time_s = former._path_time_s - from_s
         self._rate = former._rate
 
@@ -281,35 +302,6 @@ class Playback:
             speed = np.maximum(np.abs(velocity), 1e-6)
             fastest = min(fastest, float(np.min(spare / speed)))
         return fastest
-
-
-class Motion(Playback):
-    """Motion in progress: the playback of a command until its joints have settled within a tolerance, or stopped."""
-
-    def __init__(
-        self,
-        command: Execute,
-        names: tuple[str, ...],
-        bounds: JointBounds,
-        limits: GuardLimits,
-        goal_tolerance_rad: Vector | None = None,
-        speed_limit: float = 1.0,
-    ) -> None:
-        self.command = command
-        self.motion_id = command.motion_id  # number of the motion, reported with its end
-        self.joint_names = command.trajectory.joint_names
-        self.gripping = command.gripping  # True when a stall on the way is a grip
-        self._limits = limits
-        # Indices of its joints in the controller's arrays.
-        self.columns: NDArray[np.intp] = np.array([names.index(name) for name in command.trajectory.joint_names])
-        wanted = np.full(len(names), limits.goal_tolerance_rad) if goal_tolerance_rad is None else goal_tolerance_rad
-        self._tolerance_rad = wanted[self.columns]
-        shares = command.trajectory.peak_speed_rad_s / bounds.max_velocity[self.columns]
-        self._peak_share = float(shares.max(initial=0.0))
-        self.limit_speed(speed_limit)
-        super().__init__(command.trajectory, bounds.max_acceleration[self.columns], self._fastest)
-        self._end_reached_s: float | None = None
-        self._settled_ticks = 0
 
     @property
     def rate(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from robot.calibration import Calibration
 from robot.control.controller import ArmController
 from robot.control.cycle import ControlCycle
-from robot.control.guards import ActuatorThresholds, Guards, Temperatures
+from robot.control.guards import ActuatorThresholds, Guards
 from robot.errors import NoReply, OrderRefused, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Measured, StatusFlag, Steps, Survey, status_names
@@ -38,9 +38,6 @@ class Orders:
         self._config = config
         self._early_fault = fault
         self._report = report
-        self._temperatures = Temperatures(
-            config.warn_temperature_c, config.slow_temperature_c, config.stop_temperature_c
-        )
 
     @property
     def fault(self) -> Fault | None:
@@ -83,13 +80,12 @@ class Orders:
         silent_after_s = max(config.guard_limits.silent_after_s, SILENT_REPLIES * found.reply_latency_s)
         limits = replace(config.guard_limits, silent_after_s=silent_after_s)
         thresholds = ActuatorThresholds.of(limits, found.actuation, hardware.full_torque)
-        guards = Guards(hardware.joint_names, self._temperatures, found.max_voltage_v, limits, thresholds)
+        guards = Guards(hardware.joint_names, found.max_voltage_v, limits, thresholds)
         controller = ArmController(
             hardware.joint_names,
             found.bounds,
             guards,
             hardware.full_torque,
-            self._temperatures,
             self._early_fault,
             simulated=config.hardware.simulated,
             speed_limit=config.speed_limit,
@@ -157,7 +153,10 @@ class Orders:
         if fault is None:
             return "there is no fault"
         yield from self._until_rest(controller)
-        self._check_answers()
+        silent_after_s = controller.guards.limits.silent_after_s
+        for joint, age_s in enumerate(self._readings().age_s.tolist()):
+            if age_s > silent_after_s:
+                raise OrderRefused(f"the servo of joint {hardware.label(joint)} does not answer")
         driven = yield from hardware.driven()
         yield from self._clear_overloads(controller)
         yield POLL_S
@@ -179,11 +178,6 @@ class Orders:
             raise OrderRefused("the arm holds, and a new homing offset would move its goals: relax it first")
         return (yield from self._arm.hardware.write_calibration(calibration))
 
-    @property
-    def survey_due(self) -> bool:
-        """True when something was written to the actuators since they were surveyed."""
-        return self._arm.controller is not None and self._arm.hardware.needs_survey
-
     def survey(self) -> Steps[str]:
         """Survey the actuators of a relaxed arm again; the controller's limits stay as they are."""
         yield from self._arm.hardware.survey()
@@ -200,17 +194,12 @@ class Orders:
             if goal_rad is not None:
                 self._arm.hold(goal_rad)
 
-    def _check_answers(self) -> None:
-        silent_after_s = self._controller().guards.limits.silent_after_s
-        for joint, age_s in enumerate(self._readings().age_s.tolist()):
-            if age_s > silent_after_s:
-                raise OrderRefused(f"the servo of joint {self._arm.hardware.label(joint)} does not answer")
-
     def _check_causes(self, fault: Fault) -> None:
         """Raise OrderRefused while an actuator is hot or reports an error."""
         measured = self._readings()
         readings = zip(measured.status.tolist(), measured.temperature_c.tolist(), strict=True)
-        limit_c = self._temperatures.warn_c if fault.code is FaultCode.OVERHEATED else self._temperatures.stop_c
+        limits = self._config.guard_limits
+        limit_c = limits.warn_temperature_c if fault.code is FaultCode.OVERHEATED else limits.stop_temperature_c
         for joint, (word, temperature_c) in enumerate(readings):
             label, status = self._arm.hardware.label(joint), word & GRAVE_STATUS
             if status:

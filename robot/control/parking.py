@@ -82,10 +82,15 @@ class Parking:
             self.give_up(controller, f"the arm has a fault: {controller.fault}")
         elif now_s > self._until_s:
             self.give_up(controller, f"the arm is not at its rest pose after {PARKING_TIMEOUT_S:g} s")
-        elif self.stage is Stage.GOING_BACK:
-            self._go_back(controller)
         elif not controller.moving:
-            self._finish()
+            if self.stage is Stage.GOING_BACK:
+                self._park(controller)
+            else:
+                self._finish()
+        elif self.stage is Stage.GOING_BACK and all(
+            isinstance(motion, Motion) and motion.fraction == 0.0 for motion in controller.motions
+        ):
+            controller.stop()
 
     def take(self, ended: list[MotionEnded]) -> None:
         """Note the end of the parking motion, if it is among some ends."""
@@ -121,12 +126,6 @@ class Parking:
                 return "the motion in progress has no way back"
             start_rad[motion.columns] = motion.trajectory.sample(0.0)[0]
         return self._mismatch(start_rad)
-
-    def _go_back(self, controller: ArmController) -> None:
-        if not controller.moving:
-            self._park(controller)
-        elif all(isinstance(motion, Motion) and motion.fraction == 0.0 for motion in controller.motions):
-            controller.stop()
 
     def _park(self, controller: ArmController) -> None:
         reason = self._mismatch(controller.goal_rad)

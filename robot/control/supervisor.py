@@ -287,7 +287,7 @@ class Supervisor:
             return
         if self._controller is None:
             self._begin(_Task(CONNECTING, orders.connect(may_enable=self._may_enable), None, now_s))
-        elif orders.survey_due and self._end is None:
+        elif self.arm is not None and self.arm.hardware.needs_survey and self._end is None:
             self._begin(_Task(CHECKING_AGAIN, orders.survey(), None, now_s))
 
     def _torque_left(self) -> str:

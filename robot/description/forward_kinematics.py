@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.description.model import Joint, RobotModel
-from robot.description.urdf import Mimic, origin_transform, rotation_about, unit_axis
+from robot.description.model import RobotModel
+from robot.description.urdf import Mimic, joint_motion, origin_transform, unit_axis
 from robot.trajectory import Vector
 
 
@@ -26,8 +26,8 @@ class ForwardPlacements:
             _Step(
                 joint.parent,
                 link,
-                _leader(joint),
-                joint.type != "prismatic",
+                (joint.mimic or Mimic(joint.name, 1.0, 0.0)) if joint.moves else None,
+                joint.type == "prismatic",
                 unit_axis(elements[joint.name]),
                 origin_transform(elements[joint.name]),
             )
@@ -61,24 +61,13 @@ class _Step:
     parent: str
     child: str
     joint: Mimic | None
-    turns: bool
+    slides: bool
     axis: Vector
     transform_joint_to_parent: Vector
 
 
-def _leader(joint: Joint) -> Mimic | None:
-    if not joint.moves:
-        return None
-    return joint.mimic or Mimic(joint.name, 1.0, 0.0)
-
-
 def _moved(step: _Step, positions_rad: Mapping[str, float]) -> Vector:
-    transform = np.eye(4)
     if step.joint is None:
-        return transform
+        return np.eye(4)
     position = step.joint.multiplier * positions_rad[step.joint.joint] + step.joint.offset
-    if step.turns:
-        transform[:3, :3] = rotation_about(step.axis, position)
-    else:
-        transform[:3, 3] = position * step.axis
-    return transform
+    return joint_motion(step.axis, position, slides=step.slides)

@@ -134,7 +134,9 @@ def parse(
     tree = read_urdf(urdf, sources[0], limits)
     srdf = with_group(srdf, sources[1], tree)
     semantics = read_srdf(srdf, sources[1], tree)
-    if still := {**_passive_positions(tree, semantics), **held}:
+    # Joints that nothing drives stay where they are least turned.
+    passive = (tree.joints[name] for name in semantics.passive_joints)
+    if still := {**{joint.name: min(max(0.0, joint.lower), joint.upper) for joint in passive}, **held}:
         urdf = with_fixed_joints(urdf, {**still, **_following_positions(tree, still)})
         tree = read_urdf(urdf, sources[0], limits)
         semantics = read_srdf(srdf, sources[1], tree)
@@ -157,12 +159,6 @@ def parse(
         default_group=default_group,
         tip_link=semantics.groups[default_group].tip_link,
     )
-
-
-def _passive_positions(tree: Tree, semantics: Semantics) -> dict[str, float]:
-    """Return the positions of the joints that nothing drives: where they are least turned."""
-    joints = (tree.joints[name] for name in semantics.passive_joints)
-    return {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in joints}
 
 
 def _following_positions(tree: Tree, still: Mapping[str, float]) -> dict[str, float]:

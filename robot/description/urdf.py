@@ -335,10 +335,10 @@ def roll_pitch_yaw(rotation: Vector) -> tuple[float, float, float]:
     return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 
 
-def joint_motion(element: ET.Element, position: float) -> Vector:
-    """Return the motion of a URDF <joint> at a position [rad, or m of a prismatic joint], shape (4, 4) [m]."""
-    transform, axis = np.eye(4), unit_axis(element)
-    if element.get("type") == "prismatic":
+def joint_motion(axis: Vector, position: float, *, slides: bool) -> Vector:
+    """Return the motion of a joint about or along its axis at a position [rad or m], shape (4, 4) [m]."""
+    transform = np.eye(4)
+    if slides:
         transform[:3, 3] = position * axis
     else:
         transform[:3, :3] = rotation_about(axis, position)
@@ -347,7 +347,8 @@ def joint_motion(element: ET.Element, position: float) -> Vector:
 
 def shift_origin(element: ET.Element, position: float) -> None:
     """Move the origin of a URDF <joint> by a position [rad, or m of a prismatic joint], which becomes its zero."""
-    transform = origin_transform(element) @ joint_motion(element, position)
+    motion = joint_motion(unit_axis(element), position, slides=element.get("type") == "prismatic")
+    transform = origin_transform(element) @ motion
     origin = element.find("origin")
     if origin is None:
         origin = ET.SubElement(element, "origin")
@@ -361,16 +362,12 @@ def with_fixed_joints(urdf: str, positions: Mapping[str, float]) -> str:
     for element in root.findall("joint"):
         name = element.get("name", "")
         if name in positions:
-            _fix(element, positions[name])
+            shift_origin(element, positions[name])
+            for child in [*element]:
+                if child.tag in OF_MOVING_JOINTS:
+                    element.remove(child)
+            element.set("type", "fixed")
     return ET.tostring(root, encoding="unicode")
-
-
-def _fix(element: ET.Element, position: float) -> None:
-    shift_origin(element, position)
-    for child in [*element]:
-        if child.tag in OF_MOVING_JOINTS:
-            element.remove(child)
-    element.set("type", "fixed")
 
 
 log = logging.getLogger("armbridge.description")
@@ -437,20 +434,16 @@ def _candidates(name: str, directory: Path | None, packages: Sequence[Path]) -> 
         package, _, inner = name.removeprefix(_PACKAGE).partition("/")
         around = () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]
         for folder in (*packages, *around):
-            yield from _in_folder(folder, package, inner)
+            # The folder contains the package, or is it.
+            yield folder / package / inner
+            if folder.name == package or _name_of_package(folder) == package:
+                yield folder / inner
     elif name.startswith(_FILE):
         yield Path(unquote(name.removeprefix(_FILE)))
     elif directory is not None:
         yield directory / name
     elif Path(name).is_absolute():
         yield Path(name)
-
-
-def _in_folder(folder: Path, package: str, inner: str) -> Iterator[Path]:
-    """Yield the places of a package's file, where a folder contains the package or is it."""
-    yield folder / package / inner
-    if folder.name == package or _name_of_package(folder) == package:
-        yield folder / inner
 
 
 def _name_of_package(folder: Path) -> str | None:

@@ -1,5 +1,5 @@
 """Emulated servo buses, for work without an arm: Feetech's STS3215 and Dynamixel's XL430 and XL330.
 
-``armbridge emulate`` or ``python -m robot.emulator`` runs Feetech's on a pseudo terminal; the arm process runs either
-inside itself. docs/simulation.md lists the modelled effects.
+``armbridge emulate`` runs Feetech's on a pseudo terminal, and the arm process either inside itself.
+docs/simulation.md lists the modelled effects.
 """

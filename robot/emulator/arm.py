@@ -22,7 +22,6 @@ from robot.emulator.servo_bus import BAUDRATE, Codec, Faults, Reply, S, ServoBus
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
 from robot.hardware.interface import HardwareInterface
-from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
 from robot.hardware.servos.family import ServoFamily, full_torque
 from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
@@ -69,21 +68,18 @@ class Adapter(ABC):
 
 
 class InProcessPort(Adapter):
-    """Port of an emulated bus for the host; with wire time, ``wait`` lets the time of bus and caller pass [s]."""
+    """Port of an emulated bus without wire time for the host; it never waits, since its time is the caller's."""
 
-    def __init__(
-        self, bus: ServoBus[Any], clock: Callable[[], float], wait: Callable[[float], None] | None = None
-    ) -> None:
+    def __init__(self, bus: ServoBus[Any], clock: Callable[[], float]) -> None:
         super().__init__(EmulatedConfig.port)
         self.port_name = self.port
         self.baudrate = BAUDRATE
         self.is_using = False
-        self.latency_s, self.quiet_s = (0.0, 0.0) if wait is None else (LOCAL_LATENCY_S, QUIET_S)
+        self.latency_s = self.quiet_s = 0.0
         self.discarded_bytes = 0
         self._waiting = b""
         self._bus = bus
         self._clock = clock
-        self._wait = wait
         self._plugged = True
 
     def plug_in(self, *, renamed: bool = False) -> None:  # noqa: ARG002 - only the name of a real port would change
@@ -113,13 +109,9 @@ class InProcessPort(Adapter):
         self._pass_on()
         return len(packet)
 
-    def receive(self, timeout_s: float, /) -> bytes:
-        """Return the bytes that have arrived by now; with wire time, wait for the next ones."""
+    def receive(self, timeout_s: float, /) -> bytes:  # noqa: ARG002 - the time that bytes take passes between ticks
+        """Return the bytes that have arrived by now."""
         self._require_plugged()
-        data = self._arrived()
-        if data or self._wait is None or timeout_s <= 0.0:
-            return data
-        self._wait(self.wait_s(self._clock(), timeout_s))
         return self._arrived()
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
@@ -129,11 +121,10 @@ class InProcessPort(Adapter):
     def _pass_on(self) -> None:
         if not self.frozen and self._waiting:
             data, self._waiting = self._waiting, b""
-            replies = self._bus.receive(data, self._clock(), self.baudrate)
-            if self._wait is None:
-                self._outbox.extend((reply.due_s, reply) for reply in replies)
-            else:
-                self.take(replies)
+            self._queue(self._bus.receive(data, self._clock(), self.baudrate))
+
+    def _queue(self, replies: Sequence[Reply]) -> None:
+        self._outbox.extend((reply.due_s, reply) for reply in replies)
 
     def _arrived(self) -> bytes:
         self._pass_on()

@@ -209,78 +209,61 @@ def check(model: type[C], values: Mapping[str, object], servos: Sequence[Feetech
     raise ValueError(f"{name}: {limit}, not {flaw['input']!r}")
 
 
+# Commands for a list of servos, and for a value of each servo.
+_OF_SERVOS: Mapping[str, Callable[[FeetechServo], object]] = {
+    "unplug": FeetechServo.unplug,
+    "plug": FeetechServo.plug_in,
+    "power_cycle": FeetechServo.power_up,
+    "torque_off": lambda servo: servo.write(Register.TORQUE_ENABLE, bytes([0])),
+    "powers_up_holding": lambda servo: setattr(servo, "powers_up_holding", True),
+    "overload_latches": lambda servo: setattr(servo.protection, "latches", True),
+    "mirror": FeetechServo.mirror,
+}
+_OF_VALUES: Mapping[str, Callable[[FeetechServo, Any], None]] = {
+    "obstacle": lambda servo, ticks: servo.plant.block(None if ticks is None else servo.encoder_ticks(ticks)),
+    "push": lambda servo, permille: setattr(servo.plant, "push_permille", permille),
+    "hand": lambda servo, ticks: setattr(
+        servo.plant, "hand_ticks", None if ticks is None else servo.encoder_ticks(ticks)
+    ),
+    "jump": lambda servo, ticks: setattr(servo.plant, "position_ticks", servo.plant.position_ticks + ticks),
+    "temperature": lambda servo, degrees: setattr(servo.motor, "temperature_c", degrees),
+    "voltage": lambda servo, volts: setattr(servo, "voltage_v", volts),
+    "status": lambda servo, bits: setattr(servo.protection, "forced", bits),
+}
+
+
 def carry_out(command: LiveCommand, names: Iterable[str], emulation: Emulation) -> None:
     """Carry out some of the checked commands in their order."""
+    faults, adapter, servos = emulation.bus.faults, emulation.adapter, emulation.bus.servos
     for name in names:
         value = getattr(command, name)
-        if isinstance(value, list):
-            for servo in value:
-                _change_servo(emulation, servo, name)
-        elif isinstance(value, dict):
-            for servo, one in value.items():
-                _load_servo(servo, name, one)
-        else:
-            _change_all(emulation, name, value)
-
-
-def _change_servo(emulation: Emulation, servo: FeetechServo, name: str) -> None:
-    match name:
-        case "offline":
-            emulation.bus.faults.offline.add(servo.servo_id)
-        case "online":
-            emulation.bus.faults.offline.discard(servo.servo_id)
-        case "unplug":
-            servo.unplug()
-        case "plug":
-            servo.plug_in()
-        case "power_cycle":
-            servo.power_up()
-        case "torque_off":
-            servo.write(Register.TORQUE_ENABLE, bytes([0]))
-        case "powers_up_holding":
-            servo.powers_up_holding = True
-        case "overload_latches":
-            servo.protection.latches = True
-        case "mirror":
-            servo.mirror()
-
-
-def _load_servo(servo: FeetechServo, name: str, value: Any) -> None:
-    match name:
-        case "obstacle":
-            servo.plant.block(None if value is None else servo.encoder_ticks(value))
-        case "push":
-            servo.plant.push_permille = value
-        case "hand":
-            servo.plant.hand_ticks = None if value is None else servo.encoder_ticks(value)
-        case "jump":
-            servo.plant.position_ticks += value
-        case "temperature":
-            servo.motor.temperature_c = value
-        case "voltage":
-            servo.voltage_v = value
-        case "status":
-            servo.protection.forced = value
-
-
-def _change_all(emulation: Emulation, name: str, value: Any) -> None:
-    match name:
-        case "supply":
-            for servo in emulation.bus.servos:
-                servo.voltage_v = value
-        case "heat_rate":
-            for servo in emulation.bus.servos:
-                servo.motor.rate = value
-        case "usb_frame_ms":
-            emulation.adapter.frame_s = value / 1000.0
-        case "frozen":
-            emulation.adapter.frozen = value
-        case "plugged" if value is False:
-            emulation.adapter.unplug()
-        case "plugged":
-            emulation.adapter.plug_in(renamed=value == "renamed")
-        case _:
-            setattr(emulation.bus.faults, name, value)
+        match name:
+            case _ if name in _OF_SERVOS:
+                for servo in value:
+                    _OF_SERVOS[name](servo)
+            case _ if name in _OF_VALUES:
+                for servo, one in value.items():
+                    _OF_VALUES[name](servo, one)
+            case "offline":
+                faults.offline |= {servo.servo_id for servo in value}
+            case "online":
+                faults.offline -= {servo.servo_id for servo in value}
+            case "supply":
+                for servo in servos:
+                    servo.voltage_v = value
+            case "heat_rate":
+                for servo in servos:
+                    servo.motor.rate = value
+            case "usb_frame_ms":
+                adapter.frame_s = value / 1000.0
+            case "frozen":
+                adapter.frozen = value
+            case "plugged" if value is False:
+                adapter.unplug()
+            case "plugged":
+                adapter.plug_in(renamed=value == "renamed")
+            case _:
+                setattr(faults, name, value)
 
 
 def _line(reply: Mapping[str, object]) -> bytes:

@@ -25,7 +25,6 @@ from robot.hardware.dynamixel.family import ALERT, HEADER, PREFIX_BYTES, Dynamix
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
     HARDWARE_ERRORS,
-    LAYOUT,
     MAX_HOMING_OFFSET_IN_POSITION_MODE,
     TABLE,
     TICKS_S2_PER_ACCELERATION_UNIT,
@@ -89,8 +88,8 @@ _PROFILE = (Register.PROFILE_VELOCITY, Register.PROFILE_ACCELERATION)
 # Registers that a power cut clears.
 _RAM = tuple(
     register
-    for register, layout in LAYOUT.items()
-    if layout.area is not Area.EEPROM and register not in (Register.MODEL_NUMBER, Register.FIRMWARE_VERSION)
+    for register in Register
+    if register.area is not Area.EEPROM and register not in (Register.MODEL_NUMBER, Register.FIRMWARE_VERSION)
 )
 
 # Register STATUS_RETURN_LEVEL after power-up, and from which value on a servo answers these instructions; a ping it
@@ -173,9 +172,11 @@ class DynamixelServo(EmulatedServo[Register]):
     def write(self, address: int, data: bytes) -> int:
         """Write whole registers as an instruction does; if one is refused, nothing is written."""
         wanted = self.memory.decode_block(address, data)
-        if address not in LAYOUT or any(address + at not in self.memory.register_at for at in range(len(data))):
+        if address not in TABLE.registers or any(
+            address + at not in self.memory.register_at for at in range(len(data))
+        ):
             return ACCESS_ERROR
-        if sum(LAYOUT[register].size for register in wanted) != len(data):
+        if sum(register.size for register in wanted) != len(data):
             return DATA_LENGTH_ERROR
         for register, value in wanted.items():
             if error := self._refusal(register, value):
@@ -248,7 +249,7 @@ class DynamixelServo(EmulatedServo[Register]):
         self._turns_ticks = math.floor(self.plant.position_ticks / TICKS_PER_TURN) * TICKS_PER_TURN
 
     def _refusal(self, register: Register, value: int) -> int:
-        area, has_register = LAYOUT[register].area, self.model.has_current or register not in _CURRENT_REGISTERS
+        area, has_register = register.area, self.model.has_current or register not in _CURRENT_REGISTERS
         if area is Area.READ_ONLY or not has_register or (area is Area.EEPROM and self.value(Register.TORQUE_ENABLE)):
             return ACCESS_ERROR
         if self.value(Register.BUS_WATCHDOG) == WATCHDOG_TRIPPED and register in _GOALS:
@@ -273,7 +274,7 @@ class DynamixelServo(EmulatedServo[Register]):
                 return self.value(Register.MIN_POSITION_LIMIT), self.value(Register.MAX_POSITION_LIMIT)
             case Register.GOAL_POSITION:
                 return -MOST_EXTENDED_TICKS, MOST_EXTENDED_TICKS
-        return TABLE.value_range(register)
+        return register.value_range
 
     @property
     def _in_position_mode(self) -> bool:
@@ -286,7 +287,10 @@ class DynamixelServo(EmulatedServo[Register]):
         return 0 if self._in_position_mode and abs(offset) > MAX_HOMING_OFFSET_IN_POSITION_MODE else offset
 
     def _thresholds_from_registers(self) -> Thresholds:
-        lowest, highest = self.value(Register.MIN_VOLTAGE_LIMIT), self.value(Register.MAX_VOLTAGE_LIMIT)
+        lowest, highest = (
+            self.value(Register.MIN_VOLTAGE_LIMIT),
+            self.value(Register.MAX_VOLTAGE_LIMIT),
+        )
         return Thresholds(
             voltage_v=((lowest - 0.5) * VOLT_PER_UNIT, (highest + 0.5) * VOLT_PER_UNIT),
             temperature_c=self.value(Register.TEMPERATURE_LIMIT),

@@ -89,14 +89,12 @@ INST_REBOOT = 0x08
 INST_BACKUP = 0x09
 INST_RESET = 0x0A
 INST_CALIBRATE = 0x0B
+_MAINTENANCE = (INST_RESTORE, INST_REBOOT, INST_BACKUP, INST_RESET, INST_CALIBRATE)
 
 # The EPROM ends where the SRAM begins, including addresses that are not documented.
 _EPROM_BYTES = int(Register.TORQUE_ENABLE)
 _WRITABLE = frozenset(range(Register.ID, MEMORY_BYTES)) - {
-    register + offset
-    for register in Register
-    if register.layout.area is Area.READ_ONLY
-    for offset in range(register.layout.size)
+    register + offset for register in Register if register.area is Area.READ_ONLY for offset in range(register.size)
 }
 
 
@@ -152,7 +150,7 @@ class FeetechServo(EmulatedServo[Register]):
             self.memory.set(Register.TORQUE_ENABLE, torque)
             self.make_middle()
         elif torque and not asked:
-            if self.protection.refuses_torque_off:
+            if self.protection.latches and self.protection.latched:
                 self.memory.set(Register.TORQUE_ENABLE, torque)
             self.protection.torque_off()
         self._follow_write(address)
@@ -168,8 +166,15 @@ class FeetechServo(EmulatedServo[Register]):
 
     def maintain(self, code: int) -> bool:
         """Carry out an instruction of the factory's tools; INST_RESET finds no count of turns to clear."""
-        if code in _MAINTENANCE:
-            _MAINTENANCE[code](self)
+        match code:
+            case _ if code == INST_REBOOT:
+                self.power_up()
+            case _ if code == INST_BACKUP:
+                self._backup = self._present_eprom
+            case _ if code == INST_RESTORE:
+                self.restore()
+            case _ if code == INST_CALIBRATE:
+                self.make_middle()
         return code in _MAINTENANCE
 
     def make_middle(self) -> None:
@@ -177,10 +182,6 @@ class FeetechServo(EmulatedServo[Register]):
         self.memory.set(Register.HOMING_OFFSET, round(self.plant.position_ticks) % TICKS_PER_TURN - MIDDLE_TICKS)
         self._stored_eprom = self._present_eprom
         self._follow_registers()
-
-    def back_up(self) -> None:
-        """Back the EPROM up for :meth:`restore`."""
-        self._backup = self._present_eprom
 
     def restore(self) -> None:
         """Restore the EPROM of the latest backup, or the initial one; the id stays."""
@@ -273,17 +274,6 @@ class FeetechServo(EmulatedServo[Register]):
         return FULL_DUTY_PERMILLE
 
 
-_MAINTENANCE: Mapping[int, Callable[[FeetechServo], None]] = MappingProxyType(
-    {
-        INST_RESTORE: FeetechServo.restore,
-        INST_REBOOT: FeetechServo.power_up,
-        INST_BACKUP: FeetechServo.back_up,
-        INST_RESET: lambda _servo: None,
-        INST_CALIBRATE: FeetechServo.make_middle,
-    }
-)
-
-
 class FeetechCodec(Codec):
     """Packets ``FF FF ID LEN INST P.. CHK`` and ``FF FF ID LEN ERR D.. CHK``."""
 
@@ -321,7 +311,7 @@ def emulated_feetech_arm(
     """Build the emulated Feetech servos of an arm; raises OSError where log or control socket cannot be created."""
     population = POPULATIONS[config.population]
     servos = build_servos(config.calibration, start_pose_rad(config), population, as_read=config.resumes)
-    holds = config.driven and (config.resumes or not population.has_shifted)
+    holds = config.driven and (config.resumes or not any(population.offset_shift_ticks))
     log = WriteLog(config.write_log, append=config.resumes) if config.write_log else None
     arm = EmulatedArm(robot, config, Feetech(config.profile), servos, FEETECH, bounds, limits, clock, log, holds=holds)
     if config.control:

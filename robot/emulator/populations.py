@@ -40,11 +40,6 @@ class Population:
     # Mechanical stops of the joint that is calibrated to a whole turn; None for that.
     free_joint_stops_ticks: tuple[int, int] | None = None
 
-    @property
-    def has_shifted(self) -> bool:
-        """True if the servos' zero has shifted since the calibration."""
-        return any(self.offset_shift_ticks)
-
 
 WHOLE_TURN = 0, MAX_TICK
 

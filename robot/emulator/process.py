@@ -30,12 +30,21 @@ from robot.control.pacing import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.emulator.arm import Adapter, weight_of
-from robot.emulator.control import CommandStream, Emulation, LiveCommand, answer, carry_out, check, json_object
+from robot.emulator.control import (
+    COMMANDS_HELP,
+    CommandStream,
+    Emulation,
+    LiveCommand,
+    answer,
+    carry_out,
+    check,
+    json_object,
+)
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.populations import POPULATIONS
 from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
-from robot.errors import DescriptionError
+from robot.errors import CalibrationError, DescriptionError
 
 MAX_AT_S = 86_400.0  # a day; a later time is likely a mistaken unit
 MIN_REPEATED_S = 0.1  # shortest duration of a repeated script [s]: a shorter one would keep the loop that plays it busy
@@ -325,6 +334,29 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--repeat", action="store_true", help="play the script again and again")
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the emulator of ``python -m robot.emulator.process``, and return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m robot.emulator.process",
+        description="Emulate the servo bus of an SO-101 on a pseudo terminal and print the terminal's path.",
+        epilog=f"The control socket or standard input takes:\n\n{COMMANDS_HELP}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_options(parser)
+    parser.add_argument(
+        "--control-fd",
+        type=int,
+        metavar="N",
+        help="inherited socket: announce the port there, take live commands, end when the other side is gone",
+    )
+    options = parser.parse_args(arguments)
+    try:
+        run(options, options.control_fd)
+    except (CalibrationError, ValueError, OSError) as error:
+        parser.error(str(error))
+    return 0
+
+
 def build_bus(
     options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True
 ) -> ServoBus[FeetechServo]:
@@ -509,3 +541,7 @@ def _positions(text: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers") from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -20,19 +20,18 @@ class Memory(Generic[RegisterT]):
     """Bytes of a servo's registers; all are 0 at first."""
 
     def __init__(self, table: RegisterTable[RegisterT], size: int) -> None:
-        self._table = table
         self._bytes = bytearray(size)
         # Decoded once, by address: the bus asks for them at every packet.
         self._values: list[int | None] = [None] * size
         self.register_at = {
-            register + offset: register for register, layout in table.layout.items() for offset in range(layout.size)
+            register + offset: register for register in table.registers for offset in range(register.size)
         }
 
     def value(self, register: RegisterT) -> int:
         """Return the value of a register."""
         value = self._values[register]
         if value is None:
-            value = self._table.decode(register, self.read(register, register.layout.size))
+            value = register.decode(self.read(register, register.size))
             self._values[register] = value
         return value
 
@@ -40,9 +39,9 @@ class Memory(Generic[RegisterT]):
         """Set a register; a value beyond its range saturates."""
         if self._values[register] == value:
             return
-        lowest, highest = self._table.value_range(register)
+        lowest, highest = register.value_range
         value = max(lowest, min(highest, value))
-        self._bytes[register : register + register.layout.size] = self._table.encode(register, value)
+        self._bytes[register : register + register.size] = register.encode(value)
         self._values[register] = value
 
     def read(self, address: int, length: int) -> bytes:
@@ -61,8 +60,8 @@ class Memory(Generic[RegisterT]):
         values = {}
         for at in range(address, address + len(data)):
             register = self.register_at.get(at)
-            if register is not None and register == at and at + register.layout.size <= address + len(data):
-                values[register] = self._table.decode(register, data[at - address :][: register.layout.size])
+            if register is not None and register == at and at + register.size <= address + len(data):
+                values[register] = register.decode(data[at - address :][: register.size])
         return values
 
 
@@ -87,7 +86,7 @@ class Protection:
         self.latches = latches
         self.forced = 0  # errors forced by a command
         self.status = 0  # present errors
-        self._latched = 0
+        self.latched = 0  # errors that outlast their cause
         self._overload_s = self._overcurrent_s = 0.0
 
     def step(
@@ -113,17 +112,12 @@ class Protection:
         if temperature_c > limits.temperature_c:
             detected |= StatusFlag.TEMPERATURE
         if detected:
-            self._latched |= detected & limits.latching
-        self.status = detected | self._latched | self.forced
-
-    @property
-    def refuses_torque_off(self) -> bool:
-        """True while an error is latched that only a power cycle clears."""
-        return self.latches and bool(self._latched)
+            self.latched |= detected & limits.latching
+        self.status = detected | self.latched | self.forced
 
     def latch(self, errors: StatusFlag) -> None:
         """Detect errors that outlast their cause."""
-        self._latched |= errors
+        self.latched |= errors
 
     def torque_off(self) -> None:
         """Clear the latches that switching torque off clears."""
@@ -133,8 +127,8 @@ class Protection:
     def power_up(self) -> None:
         """Clear timers and latches."""
         self._overload_s = self._overcurrent_s = 0.0
-        self.status &= ~self._latched | self.forced
-        self._latched = 0
+        self.status &= ~self.latched | self.forced
+        self.latched = 0
 
 
 class EmulatedServo(ABC, Generic[RegisterT]):

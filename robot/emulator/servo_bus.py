@@ -12,7 +12,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
@@ -113,41 +112,30 @@ class Faults:
     stall_behind_missing: bool = False
     random: random.Random = field(default_factory=lambda: random.Random(0))  # noqa: S311 - repeatable faults, no secret
 
-    def loses_instruction(self) -> bool:
-        """Draw; return True when an instruction is lost."""
-        return self._happens(self.lose_instruction)
-
-    def hold_up_s(self) -> float:
-        """Draw the delay of a reply [s]."""
-        return self.delay_s if self._happens(self.delay) else 0.0
+    def happens(self, probability: float) -> bool:
+        """Draw; return True with a probability."""
+        return probability > 0.0 and self.random.random() < probability
 
     def id_of_reply(self, servo_id: int) -> int:
         """Draw the id that a servo's reply bears."""
-        if not self._happens(self.wrong_id):
+        if not self.happens(self.wrong_id):
             return servo_id
         return self.random.choice([other for other in SERVO_IDS if other != servo_id])
 
     def apply(self, packet: bytes) -> bytes:
         """Apply the other faults of replies to one; return the bytes that arrive."""
-        if self._happens(self.drop):
+        if self.happens(self.drop):
             return b""
-        if self._happens(self.corrupt):
-            packet = self._with_wrong_byte(packet)
-        if self._happens(self.truncate):
+        if self.happens(self.corrupt):
+            at = self.random.randrange(len(packet))
+            packet = packet[:at] + bytes([packet[at] ^ self.random.randrange(1, 256)]) + packet[at + 1 :]
+        if self.happens(self.truncate):
             packet = packet[: self.random.randrange(1, len(packet))]
-        if self._happens(self.duplicate):
+        if self.happens(self.duplicate):
             packet += packet
-        if self._happens(self.noise):
+        if self.happens(self.noise):
             packet = self.random.randbytes(self.random.randint(1, MAX_NOISE_BYTES)) + packet
         return packet
-
-    def _happens(self, probability: float) -> bool:
-        return probability > 0.0 and self.random.random() < probability
-
-    def _with_wrong_byte(self, packet: bytes) -> bytes:
-        at = self.random.randrange(len(packet))
-        wrong = packet[at] ^ self.random.randrange(1, 256)
-        return packet[:at] + bytes([wrong]) + packet[at + 1 :]
 
 
 S = TypeVar("S", bound=EmulatedServo[Any])
@@ -304,7 +292,7 @@ class ServoBus(Generic[S]):
         for instruction in self._parser.feed(data, now_s):
             wire_s = instruction.byte_count * self._byte_s(baudrate)
             self._wire_free_s = max(now_s, self._wire_free_s) + wire_s
-            if not self.faults.loses_instruction():
+            if not self.faults.happens(self.faults.lose_instruction):
                 self._execute(instruction, baudrate)
         return self._on_wire
 
@@ -342,8 +330,11 @@ class ServoBus(Generic[S]):
                 rest = instruction.parameters[block_bytes:]
                 if code == INST_SYNC_READ:
                     yield from self._sync_read(hearers, address, length, rest)
-                else:
-                    _sync_write(hearers, address, length, rest, written)
+                    return
+                for at in range(0, len(rest) - length, length + 1):
+                    for servo in hearers:
+                        if servo.servo_id == rest[at]:
+                            _write(servo, address, rest[at + 1 : at + 1 + length], written)
             return
         for servo in sorted(hearers, key=lambda servo: servo.servo_id):
             if broadcast or instruction.servo_id == servo.servo_id:
@@ -395,12 +386,13 @@ class ServoBus(Generic[S]):
         sent_id = answers[0].servo_id
         servo_id = self.faults.id_of_reply(servo.servo_id if sent_id is None else sent_id)
         packets = [
-            _status_packet(self._codec, servo_id, answer.servo.error | answer.error, answer.data) for answer in answers
+            self._codec.status_packet(servo_id, answer.servo.error | answer.error, answer.data) for answer in answers
         ]
         packet = packets[0] if len(packets) == 1 else superimposed(packets)
         arriving = self.faults.apply(packet)
         self._wire_free_s = start_s + max(len(packet), len(arriving)) * byte_s
-        self._given_s = max(self._given_s, self._wire_free_s + self.faults.hold_up_s())
+        held_up_s = self.faults.delay_s if self.faults.happens(self.faults.delay) else 0.0
+        self._given_s = max(self._given_s, self._wire_free_s + held_up_s)
         self._on_wire.append(Reply(start_s, wire_time_s(1, baudrate), self._wire_free_s, self._given_s, arriving))
 
     def _byte_s(self, baudrate: int) -> float:
@@ -424,19 +416,6 @@ def superimposed(packets: Sequence[bytes]) -> bytes:
         received.append(low & 0xFF ^ 0xFF)
         low >>= BITS_PER_BYTE - 1
     return bytes(received)
-
-
-# An arm at rest repeats its replies, a moving one those to writes.
-@lru_cache(maxsize=64)
-def _status_packet(codec: Codec, servo_id: int, error: int, data: bytes) -> bytes:
-    return codec.status_packet(servo_id, error, data)
-
-
-def _sync_write(hearers: Sequence[S], address: int, length: int, blocks: bytes, written: Written) -> None:
-    for at in range(0, len(blocks) - length, length + 1):
-        for servo in hearers:
-            if servo.servo_id == blocks[at]:
-                _write(servo, address, blocks[at + 1 : at + 1 + length], written)
 
 
 def _write(servo: EmulatedServo[Any], address: int, data: bytes, written: Written) -> int:

@@ -15,14 +15,15 @@ import numpy as np
 from robot.description.limits import JointBounds
 from robot.faults import Fault
 from robot.hardware.config import IdealConfig
-from robot.hardware.interface import Actuation, Condition, Flags, HardwareInterface, Measured, Steps, Survey
+from robot.hardware.interface import Actuation, Flags, HardwareInterface, Measured, Steps, Survey
+from robot.messages import JointHealth
 from robot.trajectory import Vector
 
 RELAX_S = 0.5  # duration of relaxing, so that a client sees the same sequence of states as with servos [s]
 
 
 class IdealArm(HardwareInterface):
-    """Joints that follow their goals with a first-order lag; hardware and its source in one.
+    """Joints that follow their goals with a first-order lag.
 
     In a time dt each joint covers the share 1 - exp(-dt / lag) of the way to its goal, and no more than its velocity
     limit allows.
@@ -46,9 +47,6 @@ class IdealArm(HardwareInterface):
         self._unmeasured = np.full(joints, np.nan)
         self._no_limit = np.full(joints, np.inf)
         self._no_status = np.zeros(joints, dtype=int)
-
-    def open(self) -> HardwareInterface:
-        return self
 
     def survey(self) -> Steps[Survey]:
         yield 0.0
@@ -117,8 +115,8 @@ class IdealArm(HardwareInterface):
         yield 0.0
         return self._goal_rad if hold else None
 
-    def condition(self, joint: int) -> Condition:
-        return Condition("ideal joint", bool(self._on[joint]), 0.0, 0)
+    def health(self, joint: int) -> JointHealth:
+        return JointHealth(self.joint_names[joint], "ideal joint", torque_enabled=bool(self._on[joint]), age_s=0.0)
 
     def label(self, joint: int) -> str:
         return self.joint_names[joint]

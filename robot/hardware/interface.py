@@ -13,8 +13,8 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
 from enum import IntFlag
 from typing import NamedTuple, TypeAlias, TypeVar
 
@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from robot.calibration import Calibration
 from robot.description.limits import JointBounds
 from robot.errors import OrderRefused
-from robot.faults import Fault, ServoWarning
+from robot.faults import Fault
+from robot.messages import BusCounters, JointHealth
 from robot.trajectory import Vector
 
 Result = TypeVar("Result")
@@ -97,31 +98,6 @@ class Survey:
     max_voltage_v: Vector  # highest supply of each; infinite where there is no such limit, shape (joints,) [V]
     actuation: Actuation  # their strength
     reply_latency_s: float  # time that the bus waits for a reply [s]
-
-
-@dataclass
-class BusCounters:
-    """Counters of the bus since it was opened."""
-
-    sent: int = 0  # instructions written
-    replies: int = 0  # valid replies received
-    timeouts: int = 0  # replies that were expected and missing or invalid
-    discarded_bytes: int = 0  # bytes that belonged to no valid reply
-    retries: int = 0  # instructions repeated because the servo gave no valid reply
-
-
-@dataclass(frozen=True)
-class Condition:
-    """Condition of one actuator beyond its readings."""
-
-    hardware_id: str  # its name in diagnostics, as ``servo 3``
-    torque_enabled: bool | None  # True if its torque was on when it was last read back; None before
-    age_s: float  # time since its last good reading, infinite before the first [s]
-    silent_cycles: int  # cycles in which it did not answer
-    warnings: tuple[ServoWarning, ...] = ()  # warnings of the survey
-    registers: Mapping[str, int] = field(default_factory=dict)  # its settings as surveyed, by the name of the register
-    # Values that settings should have which have another, by the name of the register.
-    expected: Mapping[str, int] = field(default_factory=dict)
 
 
 class HardwareInterface(ABC):
@@ -199,8 +175,8 @@ class HardwareInterface(ABC):
         raise OrderRefused(CALIBRATION_NOT_KEPT)
 
     @abstractmethod
-    def condition(self, joint: int) -> Condition:
-        """Return the condition of the joint at an index of the arrays."""
+    def health(self, joint: int) -> JointHealth:
+        """Return the health of the actuator at an index of the arrays, without its latest readings."""
 
     @abstractmethod
     def label(self, joint: int) -> str:

@@ -100,15 +100,16 @@ def usb_id_text(usb_id: UsbId) -> str:
 def _only(port: str, found: Sequence[ListPortInfo]) -> str:
     if len(found) == 1:
         return _stable_name(found[0])
-    boards = " and ".join(f"{_stable_name(info)} ({_describe(info)})" for info in found)
+    numbers = [
+        f"USB serial number {info.serial_number}" if info.serial_number else "no USB serial number" for info in found
+    ]
+    boards = " and ".join(
+        f"{_stable_name(info)} ({usb_id_text((info.vid, info.pid))}, {number})"
+        for info, number in zip(found, numbers, strict=True)
+    )
     raise PortError(
         port, f"could be any of {len(found)} boards: {boards}; name one, as in --serial {_stable_name(found[0])}"
     )
-
-
-def _describe(info: ListPortInfo) -> str:
-    number = f"USB serial number {info.serial_number}" if info.serial_number else "no USB serial number"
-    return f"{usb_id_text((info.vid, info.pid))}, {number}"
 
 
 def _stable_name(info: ListPortInfo) -> str:

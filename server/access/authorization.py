@@ -136,14 +136,6 @@ class Authorizer:
         self._settled: set[str] = set()
         access.note_driver(node)
 
-    def is_urgent(self, operation: Operation) -> bool:
-        """Return True for an operation that stops the arm or cancels a goal."""
-        return is_stop(operation, self._graph) or is_cancel(operation, self._graph)
-
-    def is_cancel(self, operation: Operation) -> bool:
-        """Return True for an operation that cancels a goal."""
-        return is_cancel(operation, self._graph)
-
     def may_publish(self, topic: str) -> bool:
         """Return True for a topic, as the client spells it, on which it is known to be allowed any message."""
         return topic in self._settled
@@ -280,10 +272,6 @@ class Access:
         self.clock = clock
         self._wall_clock = wall_clock
         self._rosauth = RosauthVerifier(self.tokens)
-
-    def authorizer(self, node: Node, graph: Graph) -> Authorizer:
-        """Return the check of a client's operations on a graph."""
-        return Authorizer(node, self, graph)
 
     def lease_of(self, rule: Rule) -> ControlLease:
         """Return the control that a name needs: control of its arm, or of all arms."""

@@ -5,8 +5,6 @@ added), has the purpose serverAuth and names the host in subjectAltName (support
 Android's and desktop browsers ask for no more.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -49,31 +47,18 @@ _MAX_NAME_CHARACTERS = 253
 _MAX_COMMON_NAME_CHARACTERS = 64
 
 
-@dataclass(frozen=True)
 class CertificateFiles:
-    """Files of the local authority and of the server's certificate."""
+    """Files of the local authority, which phones are to trust, and of the server.
 
-    directory: Path
+    ``certificate`` is the server's certificate, followed by the authority's, in PEM.
+    """
 
-    @property
-    def authority(self) -> Path:
-        """Certificate of the authority, in PEM; phones are to trust it."""
-        return self.directory / "armbridge-authority.crt"
-
-    @property
-    def authority_key(self) -> Path:
-        """Key of the authority."""
-        return self.directory / "armbridge-authority.key"
-
-    @property
-    def certificate(self) -> Path:
-        """Certificate of the server, followed by the authority's."""
-        return self.directory / "server.pem"
-
-    @property
-    def key(self) -> Path:
-        """Key of the server."""
-        return self.directory / "server.key"
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.authority = directory / "armbridge-authority.crt"
+        self.authority_key = directory / "armbridge-authority.key"
+        self.certificate = directory / "server.pem"
+        self.key = directory / "server.key"
 
 
 @dataclass(frozen=True)

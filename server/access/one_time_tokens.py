@@ -1,7 +1,5 @@
 """One-time tokens: each lets one connection in, soon after an administrator asked for it, as for a phone's QR code."""
 
-from __future__ import annotations
-
 import hmac
 import logging
 import secrets
@@ -12,6 +10,7 @@ from hashlib import sha256
 from typing import Any
 
 from server.access.authentication import Tokens
+from server.errors import ServiceError
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, Identity, Role
 from server.graph.services import Call, answer
@@ -35,10 +34,6 @@ _ROLES = {role.name.lower(): role for role in Role}
 DEFAULT_ROLE = "operate"
 
 
-class OneTimeTokenError(Exception):
-    """A one-time token that is not issued; the text says why."""
-
-
 @dataclass
 class _Issued:
     digest: bytes
@@ -56,13 +51,13 @@ class OneTimeTokens:
         self._count = 0
 
     def issue(self, asker: Identity | None, role: str) -> str:
-        """Return a new token, or raise OneTimeTokenError for an unknown role or one above the asker's."""
+        """Return a new token, or raise ServiceError for an unknown role or one above the asker's."""
         wanted = _ROLES.get(role or DEFAULT_ROLE)
         if wanted is None:
-            raise OneTimeTokenError(f"field role: must be {', '.join(_ROLES)}, not {role[:40]!r}")
+            raise ServiceError(f"field role: must be {', '.join(_ROLES)}, not {role[:40]!r}")
         if asker is None or wanted > asker.role:
             has = "none" if asker is None else asker.role.name.lower()
-            raise OneTimeTokenError(f"field role: {wanted.name.lower()} is above the role of this client, {has}")
+            raise ServiceError(f"field role: {wanted.name.lower()} is above the role of this client, {has}")
         self._forget()
         waiting = [each for each in self._issued if not each.used]
         if len(waiting) >= MAX_WAITING:
@@ -104,40 +99,33 @@ class OneTimeTokens:
         self._issued = [each for each in self._issued if each.used or now_s < each.until_s]
 
 
-class OneTimeTokenService:
-    """Service that issues one-time tokens, with the addresses of the page for other machines."""
+def offer_one_time_tokens(
+    graph: Graph, one_time_tokens: OneTimeTokens, tokens: Tokens, page_urls: Callable[[], Sequence[str]]
+) -> None:
+    """Offer the service that issues one-time tokens, with the addresses of the page for other machines."""
 
-    def __init__(
-        self,
-        graph: Graph,
-        one_time_tokens: OneTimeTokens,
-        tokens: Tokens,
-        page_urls: Callable[[], Sequence[str]],
-    ) -> None:
-        self._one_time_tokens = one_time_tokens
-        self._tokens = tokens
-        self._page_urls = page_urls
-        graph.services.offer_calls(Node("one-time tokens"), SERVICE, SERVICE_TYPE, self._serve, rule=CONFIGURING)
-
-    def _serve(self, call: Call) -> None:
-        answer(call, lambda request: self._issue(call, request["role"]))
-
-    def _issue(self, call: Call, role: str) -> dict[str, Any]:
-        urls = list(self._page_urls())
+    def issue(call: Call) -> dict[str, Any]:
+        role, urls = call.request["role"], list(page_urls())
         place = {"urls": urls, "encrypted": any(url.startswith("https:") for url in urls)}
-        if not self._tokens.any:
-            return {
-                "success": True,
-                "message": "this server has no tokens: everybody who reaches it may move the arm",
-            } | place
+        if not tokens.any:
+            message = "this server has no tokens: everybody who reaches it may move the arm"
+            return {"success": True, "message": message} | place
         try:
-            token = self._one_time_tokens.issue(call.caller.identity, role)
-        except OneTimeTokenError as error:
+            token = one_time_tokens.issue(call.caller.identity, role)
+        except ServiceError as error:
             return {"success": False, "message": str(error)} | place
         # Without the token, which is in no log.
         log.info("%s has got a one-time token for the role %s", call.caller, role or DEFAULT_ROLE)
         message = f"the token lets one connection in within {VALID_FOR_S:g} s"
         return {"success": True, "message": message, "token": token, "expires_in_s": VALID_FOR_S} | place
+
+    graph.services.offer_calls(
+        Node("one-time tokens"),
+        SERVICE,
+        SERVICE_TYPE,
+        lambda call: answer(call, lambda _request: issue(call)),
+        rule=CONFIGURING,
+    )
 
 
 def _digest(token: str) -> bytes:

@@ -1,9 +1,6 @@
 """Settings of access: tokens and rights of clients."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -28,25 +25,24 @@ class AccessSettings(SettingsSection):
     """Clients that may connect, and their rights; see docs/security.md."""
 
     token: SecretStr | None = None
-    """one token with all rights, 16 to 256 characters; None for no such token."""
+    """one token with all rights, 16 to 256 characters."""
     admin_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may do everything, by name: { ada = "..." }."""
     operate_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may move the arm and change the scene, by name."""
     propose_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
-    """tokens of clients whose goals wait for the approval of a client that may operate, by name."""
+    """tokens of clients whose goals wait for approval, by name."""
     view_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may subscribe, plan and stop the arm, by name."""
     token_file: Path | None = None
-    """TOML file with the five settings above, apart from the configuration; None for no such file."""
+    """TOML file with the five settings above."""
     without_token: Literal["auto", "none", "view", "propose", "operate", "admin"] = "auto"  # noqa: S105 - a role
     """role of a client without a token; auto is admin if no tokens are set, else none."""
     insecure: bool = False
     """serve an address that others can reach, without tokens."""
     allowed_origins: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
-    """pages of other hosts that may connect, as in https://app.example.org; * in it stands for any text, and null is
-    the origin of a page from a file.
-    """
+    """origins of other pages that may connect, as in https://app.example.org; * stands for any text, null for a page
+    from a file."""
     allowed_hosts: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
     """further names of this server, besides the machine's own."""
     topics_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
@@ -74,16 +70,11 @@ class AccessSettings(SettingsSection):
     @field_validator("admin_tokens", "operate_tokens", "propose_tokens", "view_tokens")
     @classmethod
     def _tokens_are_long(cls, value: dict[str, SecretStr]) -> dict[str, SecretStr]:
-        check_tokens({name: token.get_secret_value() for name, token in value.items()})
+        for name, token in value.items():
+            if not _NAME.fullmatch(name):
+                raise ValueError(f"the name {name!r} must be 1 to 64 letters, digits and . _ @ -, the first no sign")
+            check_token(token.get_secret_value(), f"the token of {name} ")
         return value
-
-
-def check_tokens(tokens: Mapping[str, str]) -> None:
-    """Check tokens and their names against the limits."""
-    for name, token in tokens.items():
-        if not _NAME.fullmatch(name):
-            raise ValueError(f"the name {name!r} must be 1 to 64 letters, digits and . _ @ -, the first no sign")
-        check_token(token, f"the token of {name} ")
 
 
 def check_token(token: str, whose: str = "") -> None:

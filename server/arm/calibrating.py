@@ -34,11 +34,7 @@ HOMING_OFFSET = "HOMING_OFFSET"
 
 @dataclass(frozen=True)
 class Recalibrated:
-    """New calibration of the arm, with which the server starts again.
-
-    Attributes:
-        position_rad: positions of the joints under it, by joint [rad].
-    """
+    """New calibration of the arm, with which the server starts again, and the joints' positions under it [rad]."""
 
     arm: str
     file: Path
@@ -56,11 +52,7 @@ def check_state_rate(rate_hz: float) -> None:
 
 
 class CalibrationProcedure:
-    """Calibration of the arm into a file.
-
-    Args:
-        file: calibration to write, and True if the settings name this file.
-    """
+    """Calibration of the arm into a file, with True if the settings name this file."""
 
     def __init__(
         self,
@@ -200,11 +192,7 @@ class CalibrationProcedure:
 
 
 def calibration_file(name: str, description: Description) -> tuple[Path, bool]:
-    """Return the file of a calibration to write, and whether it is the one in use.
-
-    Args:
-        name: id of lerobot; empty for the calibration in use.
-    """
+    """Return the file of a calibration of lerobot to write, and True if it is the calibration in use, named ``""``."""
     if description.hardware.kind != "feetech":
         raise CalibrationError(
             name or description.title, "", f"the arm has {description.hardware.kind} servos, and this is for Feetech's"

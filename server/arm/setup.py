@@ -22,7 +22,7 @@ from robot.hardware.config import (
     IdealConfig,
 )
 from robot.hardware.feetech.profiles import ServoProfile, profile_of
-from robot.messages import ArmConfig
+from robot.messages import ArmConfig, GuardLimits
 from server.config import ArmSettings, EmulatorSettings, Settings
 from server.errors import ConfigurationError
 from server.moveit.parameters import MoveItParameters
@@ -39,12 +39,7 @@ DEFAULT_ROBOT = "so101"
 
 @dataclass(frozen=True)
 class Description:
-    """The arm by its files.
-
-    Attributes:
-        calibration: of the servos; None for an ideal arm, which has none.
-        calibration_file: where the calibration was read; None for a nominal one.
-    """
+    """The arm by its files; an ideal arm has no calibration, and a nominal calibration has no file."""
 
     title: str
     robot: RobotModel
@@ -107,10 +102,12 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
         on_server_lost=arm.on_server_lost,
         on_exit=arm.on_exit,
         on_emergency_stop=arm.on_emergency_stop,
-        warn_temperature_c=arm.warn_temperature_c,
-        slow_temperature_c=arm.slow_temperature_c,
-        stop_temperature_c=arm.stop_temperature_c,
-        guard_limits=arm.guards.limits(),
+        guard_limits=GuardLimits(
+            warn_temperature_c=arm.warn_temperature_c,
+            slow_temperature_c=arm.slow_temperature_c,
+            stop_temperature_c=arm.stop_temperature_c,
+            **arm.guards.model_dump(),
+        ),
         speed_limit=arm.speed_limit,
     )
 

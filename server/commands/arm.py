@@ -1,7 +1,5 @@
 """Commands on a real arm: ``armbridge scan``, ``doctor`` and ``relax``."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -11,7 +9,6 @@ from typing import Any
 
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
-from robot.commissioning.experiments import EXPERIMENTS, Experiment, ServoRig, run_experiment
 from robot.commissioning.scan import (
     BAUDRATES,
     ScanResult,
@@ -131,38 +128,21 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
         _doctor,
         "measure the arm and its bus, judge them, and say what to do",
         "Look at every servo, measure the bus for a few seconds, and print a verdict per check with what "
-        "to do. Then, one by one and only if you agree, ask the arm what no document says; some of these questions "
-        "switch one servo's torque (see --servo) or move it by 2 degrees." + FEETECH_ONLY,
+        "to do. Nothing is written." + FEETECH_ONLY,
     )
     add_robot(parser)
     add_serial(parser)
     add_calibration(parser)
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
     parser.add_argument("--cycles", type=int, default=DEFAULT_CYCLES, metavar="N", help=f"measured ({DEFAULT_CYCLES})")
-    agreement = parser.add_mutually_exclusive_group()
-    agreement.add_argument("--yes", action="store_true", help="agree to every question that needs no hands")
-    agreement.add_argument("--read-only", action="store_true", help="ask no such question, and write nothing")
-    parser.add_argument(
-        "--servo",
-        type=int,
-        metavar="ID",
-        help="servo that may be driven; it must be relaxed (the last one, the gripper: nothing falls)",
-    )
 
 
 def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     if options.cycles < 1:
         raise ConfigurationError(f"--cycles must be at least 1, not {options.cycles}")
     calibration, servos = read_calibration(options), read_hardware(options).servos
-    ids = tuple(servo.servo_id for servo in servos)
-    driven = ids[-1] if options.servo is None else options.servo
-    if driven not in ids:
-        raise ConfigurationError(f"--servo must be one of {', '.join(map(str, ids))}, not {driven}")
     with contextlib.closing(open_bus(options)) as bus:
-        result, findings = examine_bus(bus, servos, calibration, options.cycles, terminal)
-        present = tuple(servo.servo_id for servo in result.servos)
-        if driven in present and not options.read_only:
-            findings += _experiment(ServoRig(bus, driven, present), terminal, yes=options.yes)
+        _, findings = examine_bus(bus, servos, calibration, options.cycles, terminal)
     terminal.tell(as_json(findings) if options.json else _as_text(findings))
     problems = any(finding.verdict is Verdict.PROBLEM for finding in findings)
     return ExitCode.PROBLEMS if problems else ExitCode.DONE
@@ -187,24 +167,6 @@ def _measure(bus: Bus, ids: tuple[int, ...], cycles: int, terminal: Terminal) ->
     attempts = 5  # a single reply may get lost
     silent = [i for i in ids if not measure_reads(bus, i, LONG_READ_ADDRESS, LONG_READ_BYTES, attempts)]
     return [*findings, judge_long_reads(LONG_READ_ADDRESS, LONG_READ_BYTES, silent)]
-
-
-def _experiment(rig: ServoRig, terminal: Terminal, *, yes: bool) -> list[Finding]:
-    findings = []
-    for experiment in EXPERIMENTS:
-        if _agreed(experiment, rig, terminal, yes=yes):
-            terminal.say(f"asking: {experiment.name} ...")
-            findings.append(run_experiment(experiment, rig))
-        else:
-            findings.append(Finding(experiment.name, Verdict.OPEN, "not asked"))
-    return findings
-
-
-def _agreed(experiment: Experiment, rig: ServoRig, terminal: Terminal, *, yes: bool) -> bool:
-    if yes:
-        return not experiment.needs_hands
-    driven = f" (servo {rig.servo_id})" if experiment.switches_torque else ""
-    return terminal.confirm(f"{experiment.name}: {experiment.does}{driven}. Go on?")
 
 
 def as_json(findings: list[Finding]) -> str:

@@ -1,7 +1,5 @@
 """``armbridge calibrate``: the calibration session at a terminal, on a bus that no server uses."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os
@@ -101,7 +99,7 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         offsets = {servo_id: held[Register.HOMING_OFFSET] for servo_id, held in registers.items()}
         motions = {} if options.no_directions else asked_motions(robot_folder.resolve(options.robot).model)
         session = CalibrationSession(hardware.servos, motions, recentre=options.write_servos)
-        return _Conversation(session, bus, hardware.servos, offsets, path, terminal, yes=options.yes).run()
+        return _Conversation(session, bus, offsets, path, terminal, yes=options.yes).run()
 
 
 def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dict[int, Mapping[Register, int]]:
@@ -117,7 +115,6 @@ class _Conversation:
         self,
         session: CalibrationSession,
         bus: Bus,
-        servos: Sequence[ServoSpec],
         offsets: dict[int, int],
         path: Path,
         terminal: Terminal,
@@ -126,8 +123,7 @@ class _Conversation:
     ) -> None:
         self._session = session
         self._bus = bus
-        self._servos = servos
-        self._ids = tuple(servo.servo_id for servo in servos)
+        self._ids = tuple(servo.servo_id for servo in session.servos)
         self._offsets = offsets
         self._path = path
         self._terminal = terminal
@@ -151,7 +147,7 @@ class _Conversation:
                     raise
                 continue
             if act is Act.RELAX:
-                if relax_arm(self._bus, self._servos, terminal) is not ExitCode.DONE:
+                if relax_arm(self._bus, session.servos, terminal) is not ExitCode.DONE:
                     return ExitCode.FAILED
                 ticks = {servo_id: read_telemetry(self._bus, servo_id).position_ticks for servo_id in self._ids}
                 session.begin(ticks, self._offsets)

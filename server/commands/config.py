@@ -1,7 +1,5 @@
 """Commands about the installation: ``armbridge config`` shows the settings, ``systemd-unit`` a unit of the server."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re
@@ -73,78 +71,8 @@ _PARKING_S = 15
 # Words that need no quotes.
 _PLAIN = re.compile(r"[A-Za-z0-9_@/.+=:,-]+")
 
-_UNIT = """\
-# Made by armbridge systemd-unit. Put it to /etc/systemd/system/armbridge.service, then:
-#   systemctl daemon-reload && systemctl enable --now armbridge
-# Changes belong in /etc/systemd/system/armbridge.service.d/*.conf (systemctl edit armbridge).
-
-[Unit]
-Description=armbridge: a robot arm for rosbridge clients
-Wants=network-online.target
-After=network-online.target
-StartLimitIntervalSec=120
-StartLimitBurst=5
-
-[Service]
-Type=notify
-NotifyAccess=main
-ExecStart={command}
-ExecReload=/bin/kill -HUP $MAINPID
-# When the server was killed, its arm process brakes or parks the arm and ends by itself: give it the time.
-ExecStopPost=/bin/sh -c '[ "$$SERVICE_RESULT" = success ] || {{ sleep {after_death_s}; \
-  for i in $$(seq {parking_s}); do pgrep -u "$$(id -u)" -f "robot[.]control[.]loop" >/dev/null && sleep 1; done; \
-  true; }}'
-Restart=on-failure
-RestartSec=2
-# Wrong settings stay wrong.
-RestartPreventExitStatus={usage}
-WatchdogSec=20
-TimeoutStartSec=60
-# The server gets SIGTERM and ends its children in order; processes that remain after the timeout are killed.
-KillMode=mixed
-TimeoutStopSec=30
-
-{user}
-# The group that serial ports belong to.
-SupplementaryGroups={group}
-# Real-time priority for the servo loop, whose memory then stays where it is.
-LimitRTPRIO=1
-LimitMEMLOCK=infinity
-LimitCORE=0
-# Saved states and the planning scene go to /var/lib/armbridge, and recordings should.
-StateDirectory=armbridge
-CacheDirectory=armbridge
-WorkingDirectory=%S/armbridge
-Environment=XDG_DATA_HOME=%S
-Environment=MPLCONFIGDIR=%C/armbridge
-# Tokens, as ARMBRIDGE_ACCESS__TOKEN=...: a file that only root can read.
-EnvironmentFile=-/etc/armbridge/environment
-
-UMask=0077
-NoNewPrivileges=yes
-CapabilityBoundingSet=
-ProtectSystem=strict
-ProtectHome=read-only
-PrivateTmp=yes
-ProtectKernelTunables=yes
-ProtectKernelModules=yes
-ProtectKernelLogs=yes
-ProtectControlGroups=yes
-ProtectHostname=yes
-ProtectProc=invisible
-RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
-RestrictNamespaces=yes
-RestrictSUIDSGID=yes
-LockPersonality=yes
-SystemCallArchitectures=native
-SystemCallFilter=@system-service
-SystemCallErrorNumber=EPERM
-# Not set, for it would take from the server what it needs: PrivateDevices, ProtectClock and DeviceAllow (a serial port
-# that is plugged in later), RestrictRealtime (the servo loop).
-
-[Install]
-WantedBy=multi-user.target
-"""
+# Template of the unit: braces that stay are doubled.
+_UNIT = Path(__file__).with_name("armbridge.service")
 
 
 def add_systemd_unit_parser(subparsers: Subparsers) -> None:
@@ -176,7 +104,7 @@ def server_command(python: Path) -> list[str]:
 def unit(command: list[str], config: Path | None, user: str | None, group: str) -> str:
     """The unit's text."""
     words = [*command, "serve", *([] if config is None else ["--config", str(config.absolute())])]
-    return _UNIT.format(
+    return _UNIT.read_text().format(
         command=" ".join(_quoted(word) for word in words),
         after_death_s=_AFTER_DEATH_S,
         parking_s=_PARKING_S,

@@ -1,7 +1,5 @@
 """Cameras: devices and video files by OpenCV, a test pattern, and the client that publishes their newest images."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import contextlib
@@ -17,9 +15,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from websockets.asyncio.client import ClientConnection
 
 from server.errors import ServerError
-from server.publishing_client import Connection, PublishedTopic, PublishingClient, run_until_signal
+from server.publishing_client import PublishedTopic, PublishingClient, run_until_signal
 
 TEST_DEVICE = "test"
 TEST_WIDTH, TEST_HEIGHT = 640, 480
@@ -248,7 +247,7 @@ class CameraClient(PublishingClient):
         finally:
             await asyncio.to_thread(self.images.close)
 
-    async def publish(self, connection: Connection) -> None:
+    async def publish(self, connection: ClientConnection) -> None:
         """Publish images, one after the other."""
         options, loop = self._options, asyncio.get_running_loop()
         due_s = loop.time()

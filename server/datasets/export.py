@@ -1,7 +1,5 @@
 """Export of recordings: what was recorded, made into the frames and videos of one dataset."""
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence

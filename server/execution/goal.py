@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.arrival import arrival_epoch
+from server.arrival import arrival_epoch, is_stopped
 from server.errors import refused
 from server.execution.motions import Joints, Motion, Performed
 from server.execution.time_limits import ExecutionDeadline
 from server.graph.node import Node
 
 Result = TypeVar("Result")
+
+# A stream that was stopped has ended when the topic is silent for this time: clients publish at 10 Hz and more.
+STREAM_PAUSE_S = 0.5
 
 
 class GoalState(StrEnum):
@@ -106,6 +110,25 @@ class CancelScope:
         return None if task.cancelled() else task.result()
 
 
+class MessageStream:
+    """Stream of messages on a topic that move the arm, which a stop ends until the topic is silent for a moment."""
+
+    def __init__(self, topic: str, clock: Callable[[], float]) -> None:
+        self._topic, self._clock = topic, clock
+        # Time of the latest message, and stop epoch of the stream's first one.
+        self._heard_s, self._epoch = -math.inf, 0
+
+    def check(self, last_stop: int) -> None:
+        """Take a message; raise RefusedError where the arm's last stop has ended the stream."""
+        now_s = self._clock()
+        silence_s, self._heard_s = now_s - self._heard_s, now_s
+        if silence_s > STREAM_PAUSE_S:
+            self._epoch = arrival_epoch()
+        elif is_stopped(last_stop, self._epoch):
+            text = f"the arm was stopped: publish nothing on {self._topic} for {STREAM_PAUSE_S:g} s to move it again"
+            raise refused(MoveItErrorCode.PREEMPTED, text)
+
+
 class GoalPolicy(StrEnum):
     """Treatment of a goal that arrives while another one of its joints is active."""
 
@@ -152,12 +175,7 @@ class GoalRequest:
 
 @dataclass(eq=False)
 class Goal(CancelScope):
-    """Goal of a client.
-
-    Attributes:
-        progress: the latest; None before the first.
-        answered: its answer, once there is one.
-    """
+    """Goal of a client, with its latest progress and its answer, once there is one."""
 
     goal_id: str
     request: GoalRequest

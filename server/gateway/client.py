@@ -1,11 +1,8 @@
 """Client of the graph, without any socket: carries the operations of one client out and queues what it gets."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from protocol.errors import ProtocolError
@@ -31,14 +28,12 @@ from protocol.operations import (
     Unsubscribe,
 )
 from protocol.session import Packed, Refusal
-from server.access.authentication import AuthThrottle
-from server.access.authorization import Access, Authorizer
+from server.access.authorization import Authorizer, is_cancel, is_stop
 from server.errors import GraphError
 from server.gateway.client_context import ClientContext
 from server.gateway.client_requests import ClientActions, ClientServices
 from server.gateway.client_topics import ClientTopics, StrictPublication
-from server.gateway.inbox import Inbox, Scheduling
-from server.gateway.transport import Transport
+from server.gateway.inbox import Inbox
 from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.permissions import Identity, display_name
 
@@ -48,35 +43,19 @@ MAX_FIRST_BYTES = 4096
 _NOT_FIRST = "the first message must be auth, with a token of this server"
 
 
-@dataclass(slots=True, eq=False)
-class AuthContext:
-    """Authentication as a client's connection provides it; wrong tokens count under the IP ``address``."""
-
-    access: Access
-    address: str = ""
-    throttle: AuthThrottle | None = None
-    disconnect: Callable[[str], None] = lambda _reason: None
-    on_authenticated: Callable[[], None] = lambda: None
-
-    def release(self) -> None:
-        """Let go of the connection of a client that has left."""
-        self.disconnect, self.on_authenticated = lambda _reason: None, lambda: None
-
-
 class ClientAuth:
-    """Authentication of one client; a wrong token ends its connection."""
+    """Authentication of one client; a wrong token ends its connection, and counts under its IP address."""
 
-    def __init__(self, context: ClientContext, auth: AuthContext, authorizer: Authorizer) -> None:
-        self._client = context
-        self._auth = auth
+    def __init__(self, context: ClientContext, authorizer: Authorizer) -> None:
+        self._context = context
+        self._access = context.gateway.access
         self._authorizer = authorizer
         self._disconnected = False
         self._identity: Identity | None = None
 
-    def release(self) -> None:
-        """Let go of the connection of a client that has left."""
-        self._auth.access.one_time_tokens.release(self._identity)
-        self._auth.release()
+    def leave(self) -> None:
+        """Forget the one-time token of a client that has left."""
+        self._access.one_time_tokens.release(self._identity)
 
     def check_first_frame(self, frame: str | bytes) -> bool:
         """Check a frame of a client without identity; return True if it may be read."""
@@ -96,27 +75,27 @@ class ClientAuth:
 
     def authenticate(self, operation: Auth) -> None:
         """Give the client the identity of the token that it shows, or disconnect it."""
-        access, node, tell = self._auth.access, self._client.node, self._client.status.tell
+        context, access = self._context, self._access
+        node, tell, connection = context.node, context.status.tell, context.connection
         if not access.tokens.any:
             tell("info", operation, "this server has no tokens; nothing changes")
             return
-        throttle, address = self._auth.throttle, self._auth.address
-        wait = None if throttle is None else throttle.refusal(address)
+        throttle = context.gateway.throttle
+        wait = throttle.refusal(connection.address)
         if wait is not None:
             self._disconnect(wait)
             return
         identity = access.identify(operation)
         if isinstance(identity, str):
-            if throttle is not None:
-                throttle.record_failure(address, operation.token or operation.mac)
+            throttle.record_failure(connection.address, operation.token or operation.mac)
             self._disconnect(f"auth: {identity}")
             return
-        self._auth.access.one_time_tokens.release(self._identity)
+        access.one_time_tokens.release(self._identity)
         self._identity = identity
         former, is_new = node.name, identity != node.identity
         self._authorizer.authenticate(identity)
         node.name = display_name(identity, node.address)
-        self._auth.on_authenticated()
+        connection.limit_messages()
         role = identity.role.name.lower()
         # The same token may come again and again.
         if is_new:
@@ -125,10 +104,10 @@ class ClientAuth:
 
     def _disconnect(self, reason: str) -> None:
         self._disconnected = True
-        self._client.node.identity = None
+        self._context.node.identity = None
         self._authorizer.leave()
-        log.warning("%s: %s; closing", self._client.node, reason)
-        self._auth.disconnect(reason)
+        log.warning("%s: %s; closing", self._context.node, reason)
+        self._context.connection.disconnect(reason)
 
 
 log = logging.getLogger("armbridge.gateway")
@@ -137,19 +116,19 @@ log = logging.getLogger("armbridge.gateway")
 class Client:
     """Client of rosbridge."""
 
-    def __init__(self, context: ClientContext, auth: AuthContext, scheduling: Scheduling, transport: Transport) -> None:
+    def __init__(self, context: ClientContext) -> None:
         self.node = context.node
         self.session = context.session
         self.status = context.status
         self.received_messages = 0
         self._context = context
         self._graph = context.graph
-        self._authorizer = auth.access.authorizer(context.node, context.graph)
+        self._authorizer = Authorizer(context.node, context.gateway.access, context.graph)
         self.topics = ClientTopics(context, self._authorizer)
         self.services = ClientServices(context)
         self.actions = ClientActions(context)
-        self.auth = ClientAuth(context, auth, self._authorizer)
-        self.inbox = Inbox(self, context.session, context.graph.message_types, scheduling, transport, context.clock)
+        self.auth = ClientAuth(context, self._authorizer)
+        self.inbox = Inbox(self, context)
 
     def receive_frame(self, frame: str | bytes) -> None:
         """Take a frame, to be carried out in the client's turn; nothing in it can raise."""
@@ -165,16 +144,11 @@ class Client:
         self._graph.remove(self.node)
         if self.session.dropped:
             log.warning("%s: %d messages were dropped because it read too slowly", self.node, self.session.dropped)
-        self._release()
+        self.auth.leave()
+        # They lead back here: without them all of the client is freed at once, without the garbage collector.
+        del self._context.connection, self._context.status, self.topics.subscriber, self.inbox.client
 
-    def _release(self) -> None:
-        """Let go of what leads back here, so that all of the client is freed at once, without the garbage collector."""
-        self._context.release()
-        self.auth.release()
-        self.topics.release()
-        self.inbox.release()
-
-    # As the inbox's handler.
+    # For the inbox.
 
     @property
     def identified(self) -> bool:
@@ -206,11 +180,11 @@ class Client:
 
     def is_urgent(self, operation: Operation) -> bool:
         """Return True for an operation that stops the arm or cancels a goal."""
-        return self._authorizer.is_urgent(operation)
+        return is_stop(operation, self._graph) or is_cancel(operation, self._graph)
 
     def is_repeated(self, operation: Operation) -> bool:
         """Return True for a cancel: its goal may wait behind other operations of this client."""
-        return self._authorizer.is_cancel(operation)
+        return is_cancel(operation, self._graph)
 
     def repeat(self, operation: Operation) -> None:
         """Cancel again, without an answer."""

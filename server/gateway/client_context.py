@@ -7,14 +7,15 @@ warning is carried out but was most likely not meant so, info confirms a success
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from protocol import dialect
 from protocol.codecs import cbor
 from protocol.codecs.pieces import encoding_cost_bytes
-from protocol.dialect import Dialect
 from protocol.errors import NothingToDoError, OperationError, ProtocolError, describe, one_line, shorten
+from protocol.limits import Limits
 from protocol.operations import (
     Advertise,
     AdvertiseAction,
@@ -31,13 +32,21 @@ from protocol.operations import (
     Unsubscribe,
 )
 from protocol.publication import LARGE_BYTES
-from protocol.registry import Kind, Registry
-from protocol.session import LaterFields, Refusal, SendAtOnce, Session, never_at_once
+from protocol.registry import Kind
+from protocol.send_queue import SendBudget
+from protocol.session import LaterFields, Refusal, Session
 from robot.logs import LogLimiter
+from server.access.authentication import AuthThrottle
+from server.access.authorization import Access
 from server.errors import GraphError
+from server.gateway.turns import Scheduling
 from server.graph.message_types import ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
+
+if TYPE_CHECKING:
+    from server.gateway.connection import Connection
+    from server.gateway.transport import Transport
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -85,19 +94,14 @@ class ClientStatus:
     unknown topics: someone who types JSON by hand would wait for an answer in vain.
     """
 
-    def __init__(self, node: Node, session: Session, clock: Callable[[], float], wake: Callable[[], None]) -> None:
+    def __init__(self, context: ClientContext) -> None:
         self.refused = 0
-        self._node = node
-        self._session = session
-        self._clock = clock
-        self._wake = wake
+        self._context = context
+        self._node = context.node
+        self._session = context.session
         self._last_rejection = ""
         self._unasked_errors_left = MAX_UNASKED_ERRORS
         self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
-
-    def release(self) -> None:
-        """Let go of the connection of a client that has left."""
-        self._wake = _do_nothing
 
     def refuse(self, refusal: Refusal) -> None:
         """Report an operation that is not carried out."""
@@ -110,7 +114,7 @@ class ClientStatus:
         unasked = unasked and self._unasked_errors_left > 0
         self._unasked_errors_left -= unasked
         self._session.status("error", text, refusal.id, unasked=unasked)
-        self._wake()
+        self._context.wake()
 
     def reject(self, operation: Operation, reason: str) -> None:
         """Report an operation that the client may not do; repeated ones are logged once, for they may come fast."""
@@ -120,7 +124,7 @@ class ClientStatus:
             self._log(logging.WARNING, f"{self._node}: refused: {text}")
         self._last_rejection = text
         self._session.status("error", text, operation.id)
-        self._wake()
+        self._context.wake()
 
     def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: Mark = None) -> None:
         """Report an operation that has ended with an error."""
@@ -128,7 +132,7 @@ class ClientStatus:
         text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
         if isinstance(error, NothingToDoError):
             self._session.status("warning", text, id_)
-            self._wake()
+            self._context.wake()
         else:
             self._refuse(Refusal(op, id_, text), unasked=isinstance(error, GraphError))
 
@@ -137,7 +141,7 @@ class ClientStatus:
         if self._session.status_level == "none":
             return
         self._session.status(level, f"{operation.op}: {text}", operation.id)
-        self._wake()
+        self._context.wake()
 
     @property
     def hears_doubts(self) -> bool:
@@ -147,7 +151,7 @@ class ClientStatus:
     def doubt(self, operation: Operation, text: str) -> None:
         """Warn of an operation that is carried out but was most likely not meant so."""
         self._session.status("warning", f"{operation.op}: {text}", operation.id, unasked=self._unasked_errors_left > 0)
-        self._wake()
+        self._context.wake()
 
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
@@ -176,78 +180,72 @@ class ClientStatus:
         self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
 
     def _log(self, level: int, line: str) -> None:
-        self._log_limiter.write(log, level, line, "client", self._clock(), extra={"client": str(self._node)})
+        self._log_limiter.write(log, level, line, "client", self._context.clock(), extra={"client": str(self._node)})
 
 
-def _do_nothing() -> None:
-    """Wake no connection."""
+@dataclass(frozen=True, eq=False)
+class Gateway:
+    """Parts that all clients of a listener share; ``cancels_goals`` ends the goals of a client that leaves."""
+
+    graph: Graph
+    access: Access
+    throttle: AuthThrottle
+    scheduling: Scheduling
+    budget: SendBudget = field(default_factory=SendBudget)
+    limits: Limits = field(default_factory=Limits)
+    ros_version: int = 2
+    cancels_goals: bool = False
 
 
-class MessageTranslator:
-    """Translator between one client and the graph, whose messages are in the dialect of ROS 2."""
+class ClientContext:
+    """Parts of one client that its topics, services, actions and authentication share."""
 
-    def __init__(self, session: Session, registry: Registry) -> None:
-        self._session = session
-        self._registry = registry
+    __slots__ = (
+        "clock", "connection", "gateway", "graph", "left", "node", "send_at_once", "session", "status", "transport",
+    )  # fmt: skip
 
-    @property
-    def dialect(self) -> Dialect:
-        """Dialect of the client."""
-        return self._session.dialect
+    def __init__(
+        self, node: Node, session: Session, gateway: Gateway, transport: Transport, connection: Connection
+    ) -> None:
+        self.node = node
+        self.session = session
+        self.gateway = gateway
+        self.graph = gateway.graph
+        self.clock = gateway.scheduling.turns.clock
+        self.transport = transport
+        self.send_at_once = transport.send_at_once
+        self.connection = connection
+        self.left = False
+        self.status = ClientStatus(self)
+
+    def wake(self) -> None:
+        """Have the connection send the queued messages."""
+        if not self.left:
+            self.connection.wake()
 
     def detect_dialect(self, type_name: object, kind: Kind) -> None:
         """Set the dialect to ROS 1 when the client names a type that exists only there."""
         if (
             isinstance(type_name, str)
             and not type_name.startswith(_ROSAPI)
-            and self._registry.exists_only_in_ros1(type_name, kind)
+            and self.graph.message_types.registry.exists_only_in_ros1(type_name, kind)
         ):
-            self._session.dialect = "ros1"
-
-    def to_client(self, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Translate a complete message for the client, as part of a reply."""
-        speaks_bson, speaks_ros1 = self._session.speaks_bson, self._session.dialect == "ros1"
-        if not (speaks_bson or speaks_ros1) or not self._registry.knows(type_name):
-            return msg
-        if speaks_bson:
-            msg = cbor.packed(self._registry, type_name, msg, numbers=False)
-        return dialect.to_ros1(self._registry, type_name, msg) if speaks_ros1 else msg
+            self.session.dialect = "ros1"
 
     def from_client(self, message: ReceivedMessage) -> ReceivedMessage:
         """Note the dialect of a message of the client, to be translated when it is completed."""
-        message.dialect = self._session.dialect
+        message.dialect = self.session.dialect
         return message
 
-
-class ClientContext:
-    """Parts of one client that its topics, services, actions and authentication share."""
-
-    __slots__ = ("clock", "graph", "left", "node", "send_at_once", "session", "status", "translator", "wake")
-
-    def __init__(
-        self,
-        node: Node,
-        graph: Graph,
-        session: Session,
-        clock: Callable[[], float],
-        wake: Callable[[], None],
-        send_at_once: SendAtOnce = never_at_once,
-    ) -> None:
-        self.node = node
-        self.graph = graph
-        self.left = False
-        self.session = session
-        self.clock = clock
-        self.wake = wake
-        self.send_at_once = send_at_once
-        self.translator = MessageTranslator(session, graph.message_types.registry)
-        self.status = ClientStatus(node, session, clock, wake)
-
-    def release(self) -> None:
-        """Let go of the connection of a client that has left."""
-        self.wake = _do_nothing
-        self.send_at_once = never_at_once
-        self.status.release()
+    def to_client(self, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Translate a complete message for the client, as part of a reply."""
+        registry = self.graph.message_types.registry
+        speaks_bson, speaks_ros1 = self.session.speaks_bson, self.session.dialect == "ros1"
+        if not (speaks_bson or speaks_ros1) or not registry.knows(type_name):
+            return msg
+        if speaks_bson:
+            msg = cbor.packed(registry, type_name, msg, numbers=False)
+        return dialect.to_ros1(registry, type_name, msg) if speaks_ros1 else msg
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation without a message, which is never dropped."""
@@ -279,6 +277,6 @@ class ClientContext:
 
     def _translated(self, fields: dict[str, Any], field: str, type_name: str) -> Mapping[str, Any] | LaterFields:
         def translated() -> Mapping[str, Any]:
-            return {**fields, field: self.translator.to_client(type_name, fields[field])}
+            return {**fields, field: self.to_client(type_name, fields[field])}
 
         return translated if encoding_cost_bytes(fields[field], LARGE_BYTES) >= LARGE_BYTES else translated()

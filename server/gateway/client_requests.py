@@ -1,7 +1,5 @@
 """Services and actions of one client: its offers, and its calls and goals to other providers."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any, Literal
@@ -83,7 +81,7 @@ class ClientServices(_Offers):
 
     def advertise(self, operation: AdvertiseService) -> None:
         """Offer a service."""
-        self._client.translator.detect_dialect(operation.type, "srv")
+        self._client.detect_dialect(operation.type, "srv")
 
         def start(call: Call) -> None:
             self._request(operation.service, call)
@@ -114,7 +112,7 @@ class ClientServices(_Offers):
             raise OperationError(operation.op, "id", "no call of this id waits for a response")
         # rosbridge_library passes on any values that are an object, whatever `result` says (service_response.py).
         if operation.result or isinstance(operation.values, dict):
-            call.succeed(self._client.translator.from_client(message))
+            call.succeed(self._client.from_client(message))
         else:
             call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
 
@@ -137,7 +135,7 @@ class ClientServices(_Offers):
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
         """Call a service, or raise PostponedError while its request is to be completed in the background."""
         name, id_ = _name_and_id(operation)
-        self._client.translator.detect_dialect(operation.type, "srv")
+        self._client.detect_dialect(operation.type, "srv")
         type_name, plans = self._services.type_of(name), self._services.rules.get(name, WORKING).plans
 
         def answer(response: Response) -> None:
@@ -161,20 +159,13 @@ class ClientServices(_Offers):
                 self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
             answer(response)
 
-        if self._calls_in_flight >= self._limits.max_calls_in_flight:
-            answer(Response(ok=False, values=f"{self._calls_in_flight} calls of this client wait, which is the limit"))
-            return
-        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
-            problem = f"calls of this client with {self._values_in_flight} values wait, {VALUES_LIMIT}"
-            answer(Response(ok=False, values=problem))
-            return
-        if plans and self._planning_calls >= (limit := self._max_planning_calls()):
-            problem = f"{self._planning_calls} calls of this client that plan wait, the limit of its role is {limit}"
+        problem = self._problem(plans=plans)
+        if problem is not None:
             answer(Response(ok=False, values=problem))
             return
         self._calls_in_flight += 1
         self._planning_calls += plans
-        arguments, spelling = self._client.translator.from_client(message), self._client.translator.dialect
+        arguments, spelling = self._client.from_client(message), self._client.session.dialect
         try:
             self._services.call(self._node, name, arguments, end, operation.timeout, spelling)
         except PostponedError:
@@ -190,9 +181,17 @@ class ClientServices(_Offers):
         name, _ = _name_and_id(operation)
         self._services.call(self._node, name, operation.args, lambda _response: None, operation.timeout)
 
-    def _max_planning_calls(self) -> int:
+    def _problem(self, *, plans: bool) -> str | None:
+        """Return the limit at which one more call is not made; None below all limits."""
+        if self._calls_in_flight >= self._limits.max_calls_in_flight:
+            return f"{self._calls_in_flight} calls of this client wait, which is the limit"
+        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
+            return f"calls of this client with {self._values_in_flight} values wait, {VALUES_LIMIT}"
         identity = self._node.identity
-        return MAX_PLANNING_CALLS[Role.VIEW if identity is None else identity.role]
+        limit = MAX_PLANNING_CALLS[Role.VIEW if identity is None else identity.role]
+        if plans and self._planning_calls >= limit:
+            return f"{self._planning_calls} calls of this client that plan wait, the limit of its role is {limit}"
+        return None
 
 
 def _name_and_id(operation: CallService) -> tuple[str, Mark]:
@@ -214,7 +213,7 @@ class ClientActions(_Offers):
 
     def advertise(self, operation: AdvertiseAction) -> None:
         """Offer an action."""
-        self._client.translator.detect_dialect(operation.type, "action")
+        self._client.detect_dialect(operation.type, "action")
 
         def start(goal: Goal) -> None:
             self._request(operation, goal)
@@ -245,14 +244,14 @@ class ClientActions(_Offers):
 
     def report_feedback(self, operation: ActionFeedback, message: ReceivedMessage) -> None:
         """Pass feedback on a goal of the client on to its sender."""
-        self._goal(operation).feedback(self._client.translator.from_client(message))
+        self._goal(operation).feedback(self._client.from_client(message))
 
     def finish(self, operation: ActionResult, message: ReceivedMessage) -> None:
         """End a goal of the client with its result."""
         goal = self._goal(operation)
         if operation.result:
             status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
-            goal.finish(status, self._client.translator.from_client(message))
+            goal.finish(status, self._client.from_client(message))
         else:
             values = f"Action {goal.action} failed" if operation.values is None else operation.values
             goal.fail(values, operation.status)
@@ -271,7 +270,7 @@ class ClientActions(_Offers):
 
     def send_goal(self, operation: SendActionGoal, message: ReceivedMessage) -> None:
         """Send a goal."""
-        self._client.translator.detect_dialect(operation.action_type, "action")
+        self._client.detect_dialect(operation.action_type, "action")
         name = qualify(operation.action)
         type_name = self._actions.type_of(name)
 
@@ -298,7 +297,7 @@ class ClientActions(_Offers):
             problem = f"goals of this client with {self._values_in_flight} values are on their way, {VALUES_LIMIT}"
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
             return
-        arguments = self._client.translator.from_client(message)
+        arguments = self._client.from_client(message)
         listener = on_feedback if operation.feedback else None
         goal = self._actions.send_goal(self._node, name, operation.action_type, arguments, on_result, listener)
         if goal is not None and not goal.ended:

@@ -1,7 +1,5 @@
 """Topics of one client: its publications, and its subscriptions with their deliveries."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -58,16 +56,12 @@ class ClientTopics:
         self._node = context.node
         self._session = context.session
         self._graph = context.graph
-        self._subscriber = Subscriber(self._deliver)
-
-    def release(self) -> None:
-        """Let go of the subscriber, which the graph has forgotten."""
-        del self._subscriber
+        self.subscriber = Subscriber(self._deliver)
 
     def advertise(self, operation: Advertise) -> None:
         """Advertise a topic."""
         topic = qualify(operation.topic)
-        self._client.translator.detect_dialect(operation.type, "msg")
+        self._client.detect_dialect(operation.type, "msg")
         self._graph.advertise(self._node, topic, operation.type, latch=self._latches(operation))
         try:
             self._session.publications.add(operation)
@@ -97,7 +91,7 @@ class ClientTopics:
 
     def publish(self, operation: Publish, message: ReceivedMessage) -> None:
         """Publish a message."""
-        received = self._client.translator.from_client(message)
+        received = self._client.from_client(message)
         topic = qualify(operation.topic)
         latch = self._latches(operation)
         lost = self._graph.publish(self._node, topic, received, latch=latch, lifespan_s=LIFESPAN_S)
@@ -143,7 +137,7 @@ class ClientTopics:
 
     def reject(self, operation: Publish, problem: str) -> None:
         """Have the topic's owner answer a message that the client may not publish."""
-        received = self._client.translator.from_client(ReceivedMessage(operation.msg, 0))
+        received = self._client.from_client(ReceivedMessage(operation.msg, 0))
         topic = qualify(operation.topic)
         try:
             self._graph.reject_unauthorized(self._node, topic, received, problem)
@@ -154,8 +148,8 @@ class ClientTopics:
     def subscribe(self, operation: Subscribe) -> None:
         """Subscribe to a topic; messages that were published before the subscription follow at once."""
         topic = qualify(operation.topic)
-        self._client.translator.detect_dialect(operation.type, "msg")
-        earlier = self._graph.subscribe(self._node, topic, operation.type, self._subscriber)
+        self._client.detect_dialect(operation.type, "msg")
+        earlier = self._graph.subscribe(self._node, topic, operation.type, self.subscriber)
         try:
             first = self._session.subscriptions.add(operation)
         except OperationError:

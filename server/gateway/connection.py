@@ -1,7 +1,5 @@
 """Connection of one client: hands received messages to it and sends what it queues; and the traffic of all of them."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging
@@ -10,18 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from protocol.dialect import Dialect
-from protocol.limits import Limits
-from protocol.send_queue import SendBudget
 from protocol.session import Session
-from server.access.authentication import AuthThrottle
-from server.access.authorization import Access
-from server.gateway.client import AuthContext, Client
-from server.gateway.client_context import ClientContext
-from server.gateway.inbox import Scheduling
+from server.gateway.client import Client
+from server.gateway.client_context import ClientContext, Gateway
 from server.gateway.transport import Transport
 from server.graph.node import Node
 from server.graph.permissions import Role, display_name
-from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -72,50 +64,33 @@ class TrafficCounts(NamedTuple):
 
 
 class Connection:
-    """Connection of one client; its URL may override ``takes_goals_along`` and ``ros_version``."""
+    """Connection of one client; its URL may override the end of its goals and the ROS version."""
 
-    def __init__(
-        self,
-        transport: Transport,
-        graph: Graph,
-        limits: Limits,
-        access: Access,
-        auth_throttle: AuthThrottle,
-        scheduling: Scheduling,
-        budget: SendBudget,
-        *,
-        takes_goals_along: bool,
-        ros_version: int = 2,
-    ) -> None:
+    def __init__(self, transport: Transport, gateway: Gateway) -> None:
         self._transport = transport
         # Made when something has to wait: most clients hardly ever hear so much.
-        self._wake: asyncio.Event | None = None
+        self._due: asyncio.Event | None = None
         self._writer: asyncio.Task[None] | None = None
         self.address, port = transport.peer
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
         # Runs while anything waits for the client to read.
         self._watch: asyncio.TimerHandle | None = None
-        self._max_delay_s = limits.max_topic_delay_s
+        self._max_delay_s = gateway.limits.max_topic_delay_s
         query = transport.query
         node = Node(
             display_name(transport.identity, place),
             remote=True,
-            takes_goals_along=goals_end_with_client(query, unless_asked=takes_goals_along),
+            takes_goals_along=goals_end_with_client(query, unless_asked=gateway.cancels_goals),
             identity=transport.identity,
             address=place,
         )
-        dialect: Dialect = "ros1" if query.get("ros", [str(ros_version)]) == ["1"] else "ros2"
-        session = Session(limits, dialect, budget, newest_only=not transport.framed)
-        self._client = Client(
-            ClientContext(node, graph, session, time.monotonic, self._wake_up, transport.send_at_once),
-            AuthContext(access, self.address, auth_throttle, self._disconnect, self._limit_messages),
-            scheduling,
-            transport,
-        )
-        self._background = scheduling.background
+        dialect: Dialect = "ros1" if query.get("ros", [str(gateway.ros_version)]) == ["1"] else "ros2"
+        session = Session(gateway.limits, dialect, gateway.budget, newest_only=not transport.framed)
+        self._client = Client(ClientContext(node, session, gateway, transport, self))
+        self._background = gateway.scheduling.background
         self._max_message_bytes = transport.max_message_bytes
-        self._limit_messages()
+        self.limit_messages()
 
     @property
     def node(self) -> Node:
@@ -198,11 +173,11 @@ class Connection:
             self._flush()
             await self._until_something_is_due(wake)
 
-    def _wake_up(self) -> None:
+    def wake(self) -> None:
         """Send the messages that are due, or wake the writer; disconnect a client that does not read its replies."""
         session = self._client.session
         for encoded in session.send_queue.take_unready():
-            self._background.encode(encoded, self._wake_up)
+            self._background.encode(encoded, self.wake)
         if session.send_queue.overflowed:
             self._give_up()
             return
@@ -233,15 +208,16 @@ class Connection:
     def _give_up(self) -> None:
         if self._closing is None:
             log.warning("%s: does not read its replies; closing", self._client.node)
-            self._disconnect("replies are not read")
+            self.disconnect("replies are not read")
 
     def _wake_writer(self) -> None:
-        if self._wake is None:
-            self._wake = asyncio.Event()
-            self._writer = asyncio.create_task(self._write(self._wake), name=f"write to {self._client.node}")
-        self._wake.set()
+        if self._due is None:
+            self._due = asyncio.Event()
+            self._writer = asyncio.create_task(self._write(self._due), name=f"write to {self._client.node}")
+        self._due.set()
 
-    def _limit_messages(self) -> None:
+    def limit_messages(self) -> None:
+        """Set the size of a message that the client may send, by its role."""
         identity, limit_bytes = self._client.node.identity, self._max_message_bytes
         if identity is None:
             limit_bytes = MAX_UNKNOWN_BYTES
@@ -252,9 +228,10 @@ class Connection:
     def _check_authenticated(self) -> None:
         if self._client.node.identity is None and self._closing is None:
             log.warning("%s: authentication timed out after %g s; closing", self._client.node, AUTH_TIMEOUT_S)
-            self._disconnect(f"the op auth is wanted within {AUTH_TIMEOUT_S:g} s")
+            self.disconnect(f"the op auth is wanted within {AUTH_TIMEOUT_S:g} s")
 
-    def _disconnect(self, reason: str) -> None:
+    def disconnect(self, reason: str) -> None:
+        """End the connection with a reason, after which nothing of the client is carried out."""
         self._client.inbox.close()
         if self._closing is None:
             self._closing = asyncio.create_task(self._close(reason), name=f"close {self._client.node}")

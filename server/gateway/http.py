@@ -30,7 +30,7 @@ from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.permissions import Identity
 from server.installation import DOCS_DIRECTORY, PAGE_DIRECTORY
-from server.robot_files import RobotFiles, package_name, with_package_urls
+from server.robot_files import RobotFiles, file_below, package_name, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -238,23 +238,8 @@ def page_is_built(directory: Path) -> bool:
 
 
 def find_page_file(directory: Path, name: str) -> Path:
-    """Return the path of a file of the page, the page itself for an empty name.
-
-    Raises ServiceError for a file that does not exist or is outside, FileTooLargeError for a large one.
-    """
-    nowhere = f"{('/' + name)!r} is no file of the page"
-    try:
-        root = directory.resolve()
-        path = (root / (name or INDEX)).resolve()
-        if not path.is_relative_to(root) or not path.is_file():
-            raise ServiceError(nowhere)
-        size_bytes = path.stat().st_size
-    # A name with a zero byte is no name of a file.
-    except (OSError, ValueError) as error:
-        raise ServiceError(f"{nowhere}: {error}") from error
-    if size_bytes > MAX_PAGE_FILE_BYTES:
-        raise FileTooLargeError(f"{('/' + name)!r} has {size_bytes} bytes, the limit is {MAX_PAGE_FILE_BYTES}")
-    return path
+    """Return the path of a file of the page, the page itself for an empty name; raises as :func:`file_below`."""
+    return file_below(directory, name or INDEX, repr(f"/{name}"), "of the page", MAX_PAGE_FILE_BYTES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,25 +253,26 @@ class HttpResponse:
     @classmethod
     def of_text(cls, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
         """Return an answer with one sentence of text."""
-        about = {"Content-Type": "text/plain; charset=utf-8", "Cache-Control": "no-store"}
         # A file name may have bytes that are no UTF-8.
-        return cls(status, f"{text}\n".encode(errors="backslashreplace"), {**about, **(headers or {})})
+        body = f"{text}\n".encode(errors="backslashreplace")
+        return cls.of_data(status, body, "text/plain; charset=utf-8", headers)
 
     @classmethod
-    def of_data(cls, status: HTTPStatus, body: bytes, media_type: str) -> HttpResponse:
+    def of_data(
+        cls, status: HTTPStatus, body: bytes, media_type: str, headers: Mapping[str, str] | None = None
+    ) -> HttpResponse:
         """Return an answer with data that are not to be cached."""
-        return cls(status, body, {"Content-Type": media_type, "Cache-Control": "no-store"})
+        return cls(status, body, {"Content-Type": media_type, "Cache-Control": "no-store", **(headers or {})})
 
     @classmethod
-    def of_json(cls, status: HTTPStatus, value: object, headers: Mapping[str, str] | None = None) -> HttpResponse:
+    def of_json(cls, status: HTTPStatus, value: object) -> HttpResponse:
         """Return an answer with a value as JSON."""
-        about = {"Content-Type": BODY_TYPE, "Cache-Control": "no-store"}
-        return cls(status, json.dumps(value).encode() + b"\n", {**about, **(headers or {})})
+        return cls.of_data(status, json.dumps(value).encode() + b"\n", BODY_TYPE)
 
     @classmethod
-    def of_failure(cls, status: HTTPStatus, sentence: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
+    def of_failure(cls, status: HTTPStatus, sentence: str) -> HttpResponse:
         """Return the answer to a posted request that failed."""
-        return cls.of_json(status, {"success": False, "message": sentence}, headers)
+        return cls.of_json(status, {"success": False, "message": sentence})
 
     @classmethod
     def of_file(

@@ -4,8 +4,6 @@ A request is a client of its own, which connects, sends one goal and leaves. Rol
 and stops hold for it as for clients over WebSocket.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math
@@ -78,7 +76,7 @@ class HttpGoals:
             identity=posted.identity,
             address=posted.address,
         )
-        authorizer = self._access.authorizer(node, self._graph)
+        authorizer = Authorizer(node, self._access, self._graph)
         answered: asyncio.Future[HttpResponse] = asyncio.get_running_loop().create_future()
 
         def answer(response: HttpResponse) -> None:

@@ -15,31 +15,24 @@ from typing import TYPE_CHECKING
 
 from protocol.codecs.json import is_light
 from protocol.operations import Operation
-from protocol.session import Packed, Refusal, Session
+from protocol.session import Packed, Refusal
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
+from server.gateway.client_context import ClientContext
 from server.gateway.client_topics import StrictPublication
-from server.gateway.turns import Threads, Turns
-from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
-from server.timers import CallLater, call_later
+from server.graph.message_types import PostponedError, ReceivedMessage
 
 if TYPE_CHECKING:
     from server.gateway.client import Client
-    from server.gateway.transport import Transport
 
 log = logging.getLogger("armbridge.gateway")
 
 # Frames of this size and more are read by a thread: a thousand operations in a frame of 40 kB take 7 ms.
 LONG_FRAME_BYTES = 16_384
 
-# Bounds of one client's inbox, beyond which its socket is not read. A stop behind more than this waits for its turn, so
-# the bound holds several of the largest trajectories that clients send.
+# Operations in one client's inbox beyond which its socket is not read, as beyond `Scheduling.limit_bytes`. A stop
+# behind them waits for its turn.
 MAX_WAITING = 4_096
-MAX_WAITING_BYTES = 16_000_000
-
-# Bytes in the inboxes of all clients, beyond which each client has only what a page sends when it opens.
-MAX_SERVER_WAITING_BYTES = 64_000_000
-LEAST_WAITING_BYTES = 262_144
 
 # Period of the lane for stops after a first stop, and its share of each period [s]: a flood of stops must not hold up
 # other clients.
@@ -51,21 +44,6 @@ READ_AHEAD_S = 0.02
 
 # Messages of different types for which one message is completed in the background, before it is given up.
 MAX_COMPLETIONS = 3
-
-
-@dataclass
-class Scheduling:
-    """Turns, threads and memory, which all clients share."""
-
-    turns: Turns
-    background: Threads
-    call_later: CallLater = call_later
-    waiting_bytes: int = 0
-
-    @property
-    def limit_bytes(self) -> int:
-        """Bound of one client's inbox at present."""
-        return MAX_WAITING_BYTES if self.waiting_bytes <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES
 
 
 @dataclass(slots=True, eq=False)
@@ -81,24 +59,15 @@ class _Waiting:
 class Inbox:
     """Frames and operations of one client that wait."""
 
-    def __init__(
-        self,
-        handler: Client,
-        session: Session,
-        types: MessageTypes,
-        scheduling: Scheduling,
-        transport: Transport,
-        clock: Callable[[], float],
-    ) -> None:
-        self._handler = handler
-        self._session = session
-        self._types = types
-        self._turns = scheduling.turns
-        self._background = scheduling.background
-        self._scheduling = scheduling
-        self._call_later = scheduling.call_later
-        self._transport = transport
-        self._clock = clock
+    def __init__(self, client: Client, context: ClientContext) -> None:
+        self.client = client
+        self._session = context.session
+        self._types = context.graph.message_types
+        self._scheduling = context.gateway.scheduling
+        self._turns = self._scheduling.turns
+        self._call_later = self._scheduling.call_later
+        self._transport = context.transport
+        self._clock = context.clock
         self._waiting: deque[_Waiting] = deque()
         self._waiting_bytes = 0
         # How many of them, and of those in progress, are frames that are still to be read.
@@ -129,10 +98,6 @@ class Inbox:
         self._count(-self._waiting_bytes)
         self._turns.remove(self)
 
-    def release(self) -> None:
-        """Let go of the handler; nothing is carried out after :meth:`close`."""
-        del self._handler
-
     def resume(self) -> None:
         """Go on, after the client has read its replies."""
         if self._may_go_on():
@@ -145,19 +110,19 @@ class Inbox:
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
         received = _Waiting(frame, len(frame), STOP_EPOCHS.present)
         if len(frame) >= LONG_FRAME_BYTES:
-            if until_s is not None and isinstance(frame, str) and self._handler.identified and is_light(frame):
+            if until_s is not None and isinstance(frame, str) and self.client.identified and is_light(frame):
                 self._begin(received, frame, until_s, light=True)
             else:
                 self._add_frame(received, frame)
-        elif not self._unread_frames and isinstance(frame, str) and (strict := self._handler.read_strictly(frame)):
+        elif not self._unread_frames and isinstance(frame, str) and (strict := self.client.read_strictly(frame)):
             if until_s is None:
                 received.item = strict
                 self._add(received)
-            elif not self._handler.publish_strictly(strict):
+            elif not self.client.publish_strictly(strict):
                 self._begin(received, frame, until_s)
         elif until_s is not None:
             self._begin(received, frame, until_s)
-        elif not self._handler.identified or self._unread_frames or not _may_be_urgent(frame):
+        elif not self.client.identified or self._unread_frames or not _may_be_urgent(frame):
             self._add_frame(received, frame)
         else:
             for each in _read_of(received, self._read(frame)):
@@ -218,13 +183,13 @@ class Inbox:
 
     def _put_first(self, read: Sequence[_Waiting]) -> None:
         """Let operations of one frame wait before all others; stops among them go ahead."""
-        left = [each for each in read if not (self._handler.identified and self._take_ahead(each))]
+        left = [each for each in read if not (self.client.identified and self._take_ahead(each))]
         self._waiting.extendleft(reversed(left))
         self._count(sum(each.size_bytes for each in left))
 
     def _add_frame(self, received: _Waiting, frame: str | bytes) -> None:
         """Let a frame wait unread; a stop in a frame of its own goes ahead."""
-        urgent = len(frame) < LONG_FRAME_BYTES and self._handler.identified and _may_be_urgent(frame)
+        urgent = len(frame) < LONG_FRAME_BYTES and self.client.identified and _may_be_urgent(frame)
         if urgent and (operation := self._session.peek(frame)):
             ahead = replace(received, item=operation)
             if self._take_ahead(ahead):
@@ -240,7 +205,7 @@ class Inbox:
     def _take_ahead(self, waiting: _Waiting) -> bool:
         """Take a stop or a cancel into its lane; return False for any other operation, which waits for its turn."""
         operation = waiting.item
-        if waiting.repeated or not isinstance(operation, Operation) or not self._handler.is_urgent(operation):
+        if waiting.repeated or not isinstance(operation, Operation) or not self.client.is_urgent(operation):
             return False
         # Its frame may be long; its message is not, and is completed at once.
         ahead = replace(waiting, size_bytes=0)
@@ -252,7 +217,7 @@ class Inbox:
         else:
             self._next_stop_s = self._clock() + STOP_PERIOD_S
             self._carry_out(ahead, operation)
-        waiting.repeated = self._handler.is_repeated(operation)
+        waiting.repeated = self.client.is_repeated(operation)
         return not waiting.repeated
 
     def _work_off_stops(self) -> None:
@@ -269,10 +234,10 @@ class Inbox:
         self._hold_or_release()
 
     def _read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
-        if not self._handler.admit_frame(frame):
+        if not self.client.admit_frame(frame):
             return ()
         items = self._session.receive_frame(frame, self._clock(), light=light)
-        return items if self._handler.identified or self._handler.admit_first(items) else ()
+        return items if self.client.identified or self.client.admit_first(items) else ()
 
     def _take_step(self) -> None:
         first = self._waiting.popleft()
@@ -280,10 +245,10 @@ class Inbox:
         item = first.item
         # By far the most frequent first.
         if isinstance(item, StrictPublication):
-            if not self._handler.publish_strictly(item):
+            if not self.client.publish_strictly(item):
                 self._put_first(_read_of(first, self._read(item.frame)))
         elif isinstance(item, str | bytes):
-            if len(item) >= LONG_FRAME_BYTES and self._handler.identified:
+            if len(item) >= LONG_FRAME_BYTES and self.client.identified:
                 self._run(lambda: self._session.receive_frame(item, self._clock()), first)
             else:
                 self._unread_frames -= 1
@@ -291,14 +256,14 @@ class Inbox:
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)
         elif first.repeated and isinstance(item, Operation):
-            self._handler.repeat(item)
+            self.client.repeat(item)
         else:
             self._carry_out(first, item)
 
     def _carry_out(self, waiting: _Waiting, item: Operation | Refusal, *, light: bool = False) -> None:
         try:
             with arrived_in(waiting.epoch):
-                self._handler.carry_out(item, waiting.size_bytes, waiting.message, light=light)
+                self.client.carry_out(item, waiting.size_bytes, waiting.message, light=light)
         except PostponedError as postponed:
             self._complete(waiting, postponed)
 
@@ -344,7 +309,7 @@ class Inbox:
 
         def begin() -> None:
             if not self._closed:
-                self._background.run(attempt, finish, give_up)
+                self._scheduling.background.run(attempt, finish, give_up)
 
         wait_s = self._next_job_s - self._clock()
         if wait_s > 0:

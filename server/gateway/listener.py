@@ -3,8 +3,6 @@
 With a certificate, which can be replaced while the server runs, connections are encrypted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno
@@ -29,16 +27,16 @@ from server.gateway.admission import (
     check_exposure,
     host_addresses,
 )
+from server.gateway.client_context import Gateway
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
-from server.gateway.inbox import Scheduling
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import TcpStream, Transport, keep_alive
-from server.gateway.turns import Threads, Turns, call_soon
+from server.gateway.turns import Scheduling, Threads, Turns
 from server.gateway.websocket import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.timers import CallLater, Timer, call_later
+from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -152,7 +150,7 @@ class ClientList:
         self._node = Node("rosbridge_websocket")
         self._clients: dict[Node, dict[str, Any]] = {}
         # Runs while the next publication has to wait.
-        self._pause: Timer | None = None
+        self._pause: asyncio.TimerHandle | None = None
         self._changed = False
 
     def open(self) -> None:
@@ -239,7 +237,6 @@ class Listener:
         *,
         takes_goals_along: bool = False,
     ) -> None:
-        self._graph = graph
         self._settings = settings
         self._host = settings.host
         self._port = settings.port
@@ -251,8 +248,6 @@ class Listener:
         pair = settings.tls_certificate, settings.tls_key
         self._tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
         self._limiter = ConnectionLimiter(settings)
-        self._limits = settings.limits
-        self._takes_goals_along = takes_goals_along
         self._sockets: list[socket.socket] = []
         self._tcp_sockets: list[socket.socket] = []
         # One a listening socket.
@@ -261,8 +256,16 @@ class Listener:
         self._transports: set[Transport] = set()
         self._clients = ClientList(graph)
         self._threads = Threads()
-        self._scheduling = Scheduling(Turns(call_soon, time.monotonic), self._threads)
-        self._budget = SendBudget(settings.max_queued_bytes)
+        self._gateway = Gateway(
+            graph,
+            self._access,
+            self.admission.auth_throttle,
+            Scheduling(Turns(lambda call: asyncio.get_running_loop().call_soon(call), time.monotonic), self._threads),
+            SendBudget(settings.max_queued_bytes),
+            settings.limits,
+            settings.ros_version,
+            takes_goals_along,
+        )
         self.traffic = Traffic()
 
     @property
@@ -388,17 +391,7 @@ class Listener:
         self._threads.close()
 
     async def _serve_client(self, transport: Transport) -> None:
-        connection = Connection(
-            transport,
-            self._graph,
-            self._limits,
-            self._access,
-            self.admission.auth_throttle,
-            self._scheduling,
-            self._budget,
-            takes_goals_along=self._takes_goals_along,
-            ros_version=self._settings.ros_version,
-        )
+        connection = Connection(transport, self._gateway)
         self._clients.add(connection.node, connection.address)
         self.traffic.add(connection)
         try:
@@ -442,7 +435,8 @@ def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
             listening.append(_listen_on(place, port, alone=len(places) == 1))
         except OSError as error:
             if error.errno not in _NOT_HERE:
-                _close(listening)
+                for each in listening:
+                    each.close()
                 raise
             missing = error
         else:
@@ -453,27 +447,15 @@ def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
 
 
 def _listen_on(place: Place, port: int, *, alone: bool) -> socket.socket:
-    # With the protocol named, asyncio treats accepted sockets as TCP, and sends small messages at once.
-    made = socket.socket(place.family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if place.family == socket.AF_INET6:
-            # Beside a socket for IPv4 it must leave that alone; by itself, ``::`` is for both.
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, not alone)
-            made.bind((place.address, port, 0, place.scope_id))
-        else:
-            made.bind((place.address, port))
-        made.listen(BACKLOG)
-        made.setblocking(False)
-    except OSError:
-        made.close()
-        raise
+    is_ipv6 = place.family == socket.AF_INET6
+    address = (place.address, port, 0, place.scope_id) if is_ipv6 else (place.address, port)
+    # Beside a socket for IPv4 it must leave that alone; by itself, ``::`` is for both.
+    dual = is_ipv6 and alone and socket.has_dualstack_ipv6()
+    made = socket.create_server(address, family=place.family, backlog=BACKLOG, dualstack_ipv6=dual)
+    # Connections have it from their listening socket: small messages are sent at once.
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    made.setblocking(False)
     return made
-
-
-def _close(sockets: Sequence[socket.socket]) -> None:
-    for each in sockets:
-        each.close()
 
 
 def _reason(host: str, port: int, error: OSError | UnicodeError, option: str = "--port") -> str:

@@ -12,10 +12,15 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Protocol, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
 
 from protocol.errors import ProtocolError
 from protocol.publication import EncodedMessage
+from server.timers import CallLater, call_later
+
+if TYPE_CHECKING:
+    from server.gateway.inbox import Inbox
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -30,43 +35,31 @@ THREADS = 2
 Done = TypeVar("Done")
 
 
-class Worker(Protocol):
-    """Client with work that waits."""
-
-    def work(self, until_s: float) -> bool:
-        """Work until a time; return True when there is more to do now."""
-
-
-def call_soon(callback: Callable[[], object]) -> object:
-    """Call a function when the running event loop has served its sockets."""
-    return asyncio.get_running_loop().call_soon(callback)
-
-
 class Turns:
     """Turns of all clients of a server."""
 
     def __init__(self, call_soon: Callable[[Callable[[], object]], object], clock: Callable[[], float]) -> None:
         self.call_soon = call_soon
-        self._clock = clock
+        self.clock = clock
         # In order of their turns.
-        self._waiting: dict[Worker, None] = {}
+        self._waiting: dict[Inbox, None] = {}
         # Until when work that has just come may be done at once; None before any has come in this turn of the loop.
         self._round_ends_s: float | None = None
 
-    def add(self, worker: Worker) -> None:
-        """Give a worker a turn, behind those that wait already."""
-        if worker not in self._waiting:
-            self._waiting[worker] = None
+    def add(self, inbox: Inbox) -> None:
+        """Give a client a turn, behind those that wait already."""
+        if inbox not in self._waiting:
+            self._waiting[inbox] = None
             if len(self._waiting) == 1:
                 self.call_soon(self._play_round)
 
-    def remove(self, worker: Worker) -> None:
-        """Give a worker no turn any more."""
-        self._waiting.pop(worker, None)
+    def remove(self, inbox: Inbox) -> None:
+        """Give a client no turn any more."""
+        self._waiting.pop(inbox, None)
 
     def until_s(self) -> float | None:
         """Return until when work that has just come may be done at once [s]; None when it has to wait for its turn."""
-        now_s, ends_s = self._clock(), self._round_ends_s
+        now_s, ends_s = self.clock(), self._round_ends_s
         if ends_s is None:
             ends_s = self._round_ends_s = now_s + ROUND_S
             self.call_soon(self._begin_round)
@@ -76,14 +69,13 @@ class Turns:
         self._round_ends_s = None
 
     def _play_round(self) -> None:
-        ends_s = self._clock() + ROUND_S
+        ends_s = self.clock() + ROUND_S
         while self._waiting:
-            worker = next(iter(self._waiting))
-            del self._waiting[worker]
-            now_s = self._clock()
-            if worker.work(min(ends_s, now_s + TURN_S)):
-                self._waiting[worker] = None
-            if self._clock() >= ends_s:
+            inbox = next(iter(self._waiting))
+            del self._waiting[inbox]
+            if inbox.work(min(ends_s, self.clock() + TURN_S)):
+                self._waiting[inbox] = None
+            if self.clock() >= ends_s:
                 break
         if self._waiting:
             self.call_soon(self._play_round)
@@ -148,3 +140,25 @@ def encode_or_log(encoded: EncodedMessage) -> None:
         encoded.encode()
     except ProtocolError as error:
         log.warning("a message is not delivered: %s", error)
+
+
+# Bounds of one client's inbox [bytes]: several of the largest trajectories that clients send. Beyond a total of all
+# inboxes, each client has only what a page sends when it opens.
+MAX_WAITING_BYTES = 16_000_000
+MAX_SERVER_WAITING_BYTES = 64_000_000
+LEAST_WAITING_BYTES = 262_144
+
+
+@dataclass
+class Scheduling:
+    """Turns, threads and memory, which all clients share."""
+
+    turns: Turns
+    background: Threads
+    call_later: CallLater = call_later
+    waiting_bytes: int = 0
+
+    @property
+    def limit_bytes(self) -> int:
+        """Bound of one client's inbox at present."""
+        return MAX_WAITING_BYTES if self.waiting_bytes <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES

@@ -48,22 +48,23 @@ class Result:
 
 
 class Goal(PendingRequest[Result]):
-    """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts."""
+    """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
+
+    ``names`` are the action's name and its type.
+    """
 
     def __init__(
         self,
-        action: str,
-        type_name: str,
+        names: tuple[str, str],
         request: dict[str, Any],
         message_types: MessageTypes,
-        on_feedback: Callable[[dict[str, Any]], None] | None,
         sender: Node,
+        on_feedback: Callable[[dict[str, Any]], None] | None = None,
         goal_id: bytes | None = None,
     ) -> None:
         super().__init__()
         self.sender = sender
-        self.action = action
-        self.type_name = type_name
+        self.action, self.type_name = names
         self.request = request
         self.goal_id = goal_id or uuid.uuid4().bytes
         self.sender_id: Mark = None
@@ -140,13 +141,11 @@ ALL_GOALS = b64encode(bytes(16)).decode()
 class Actions(Providers[Goal]):
     """All actions, with their goals by id in base64; each has a service ``<action>/_action/cancel_goal``."""
 
-    def __init__(self, message_types: MessageTypes, services: Services, call_later: CallLater) -> None:
+    def __init__(
+        self, message_types: MessageTypes, services: Services, topics: ActionTopics, call_later: CallLater
+    ) -> None:
         super().__init__("action", MAX_ACTIONS, message_types, call_later)
         self._services = services
-        self._topics: ActionTopics | None = None
-
-    def publish_on(self, topics: ActionTopics) -> None:
-        """Publish the statuses and the feedback of all goals from now on."""
         self._topics = topics
 
     def offer(
@@ -169,8 +168,7 @@ class Actions(Providers[Goal]):
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._add(offer, rule)
-        if self._topics is not None:
-            self._topics.open(node, name, offer.type_name)
+        self._topics.open(node, name, offer.type_name)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its actions end; its goals go on, as in ROS, unless it takes them along."""
@@ -200,7 +198,7 @@ class Actions(Providers[Goal]):
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
-        goal = Goal(name, offer.type_name, request, self._message_types, on_feedback, sender, goal_id)
+        goal = Goal((name, offer.type_name), request, self._message_types, sender, on_feedback, goal_id)
         self._start(goal, offer, on_result)
         return goal
 
@@ -224,8 +222,7 @@ class Actions(Providers[Goal]):
     def _start(self, goal: Goal, offer: Provider[Goal], on_result: Callable[[Result], None]) -> None:
         limit_s, key = offer.limit_s, b64encode(goal.goal_id).decode()
         self._keep(goal, offer, key, goal.sender, limit_s, f"Action {goal.action} took more than {limit_s:g} s")
-        if self._topics is not None:
-            self._topics.follow(offer.node, goal)
+        self._topics.follow(offer.node, goal)
         goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
         try:
             offer.start(goal)
@@ -236,8 +233,7 @@ class Actions(Providers[Goal]):
     def _end_requests(self, offer: Provider[Goal]) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         super()._end_requests(offer)
-        if self._topics is not None:
-            self._topics.close(offer.node, offer.name)
+        self._topics.close(offer.node, offer.name)
 
 
 def _cancel_service(action: str) -> str:

@@ -4,8 +4,6 @@ The server's own messages have room of their own, so that nothing that clients l
 A message whose publisher has left has an end; it goes before, when another one needs the room.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, OrderedDict, deque
 from typing import NamedTuple

@@ -3,10 +3,9 @@
 The prefix of an arm that is alone is empty; the parts of one of several arms use the same names in their code.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from protocol.publication import PublishedMessage
 from server.graph.actions import Goal
@@ -14,7 +13,7 @@ from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.services import DEFAULT_LIMITS, LOCAL_TIMEOUT_S, Call, ServiceFunction
+from server.graph.services import LOCAL_TIMEOUT_S, Call, ServiceFunction
 from server.graph.topics import Graph, Subscriber
 
 
@@ -57,46 +56,24 @@ class LocalGraph:
         return self._graph.subscribers(self.resolve(name))
 
     def offer(
-        self,
-        node: Node,
-        name: str,
-        type_name: str,
-        function: ServiceFunction,
-        limits: ListLimits = DEFAULT_LIMITS,
-        *,
-        rule: Rule,
+        self, node: Node, name: str, type_name: str, function: ServiceFunction, *limits: ListLimits, rule: Rule
     ) -> None:
         """Offer a service."""
-        self._graph.services.offer(node, self.resolve(name), type_name, function, limits=limits, rule=self._below(rule))
-
-    def offer_calls(
-        self,
-        node: Node,
-        name: str,
-        type_name: str,
-        start: Callable[[Call], None],
-        timeout_s: float = LOCAL_TIMEOUT_S,
-        limits: ListLimits = DEFAULT_LIMITS,
-        *,
-        rule: Rule,
-    ) -> None:
-        """Offer a service that answers its calls itself."""
-        self._graph.services.offer_calls(
-            node, self.resolve(name), type_name, start, timeout_s, limits, rule=self._below(rule)
+        self._graph.services.offer(
+            node, self.resolve(name), type_name, function, LOCAL_TIMEOUT_S, *limits, rule=self._below(rule)
         )
 
+    def offer_calls(
+        self, node: Node, name: str, type_name: str, start: Callable[[Call], None], *limits: Any, rule: Rule
+    ) -> None:
+        """Offer a service that answers its calls itself, within a time [s] and with limits of its lists."""
+        self._graph.services.offer_calls(node, self.resolve(name), type_name, start, *limits, rule=self._below(rule))
+
     def offer_action(
-        self,
-        node: Node,
-        name: str,
-        type_name: str,
-        start: Callable[[Goal], None],
-        limits: ListLimits | None = None,
-        *,
-        rule: Rule,
+        self, node: Node, name: str, type_name: str, start: Callable[[Goal], None], *limits: ListLimits, rule: Rule
     ) -> None:
         """Offer an action."""
-        self._graph.actions.offer(node, self.resolve(name), type_name, start, limits, rule=self._below(rule))
+        self._graph.actions.offer(node, self.resolve(name), type_name, start, *limits, rule=self._below(rule))
 
     def _below(self, rule: Rule) -> Rule:
         return replace(rule, arm=self._prefix.removeprefix("/"))

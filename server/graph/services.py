@@ -3,8 +3,6 @@
 A caller gets exactly one response: the provider's, or the reason for which there is none.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import inspect
@@ -127,6 +125,22 @@ def failure_told(call: Call) -> Iterator[None]:
     except Exception:  # a bug in a service must not leave its caller waiting
         log.exception("service %s failed", call.service)
         call.fail(f"Service {call.service} failed inside the server")
+
+
+Work: TypeAlias = Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]
+
+
+def telling(name: str, work: Work, log: logging.Logger) -> Work:
+    """Return a service that answers a ServiceError by its fields ``success`` and ``message``, and logs it."""
+
+    async def serve(request: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            return await work(request)
+        except ServiceError as error:
+            log.warning("%s: %s", name, error)
+            return {"success": False, "message": str(error)}
+
+    return serve
 
 
 # A local part may plan a motion meanwhile; the planners' own deadline is shorter.

@@ -7,8 +7,6 @@ rosbridge_server publishes with transient-local durability: with ``latch`` the l
 publisher lives, without it every message for a second (rosbridge_library, internal/publishers.py).
 """
 
-from __future__ import annotations
-
 import difflib
 import logging
 import time
@@ -133,8 +131,7 @@ class Graph:
     ) -> None:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.message_types, call_later)
-        self.actions = Actions(self.message_types, self.services, call_later)
-        self.actions.publish_on(ActionTopics(self, clock))
+        self.actions = Actions(self.message_types, self.services, ActionTopics(self, clock), call_later)
         self._clock = clock
         self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -67,7 +66,7 @@ class Health:
     def response(self, *, good: bool) -> HttpResponse:
         """Return the HTTP response with the health as JSON."""
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
-        return HttpResponse.of_data(status, json.dumps(dataclasses.asdict(self)).encode() + b"\n", "application/json")
+        return HttpResponse.of_json(status, dataclasses.asdict(self))
 
 
 def check_health(sources: Sources) -> Health:

@@ -3,8 +3,6 @@
 Services change the loggers' levels, as ROS 2 nodes have them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

@@ -69,11 +69,7 @@ class TrajectoryTiming:
 
 
 def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTiming | None = None) -> ExternalTrajectory:
-    """Make the motion of a trajectory_msgs/JointTrajectory, read once the state at its start is known.
-
-    Args:
-        timing: None for a trajectory that begins at rest alone, when its turn comes.
-    """
+    """Make the motion of a trajectory_msgs/JointTrajectory; without a timing it begins at rest, when its turn comes."""
     names = tuple(message["joint_names"])
     group = smallest_group(robot, names)
     joints = frozenset(names if group is None else group.joints)
@@ -110,11 +106,8 @@ def _joined_trajectory(
     jumps where this moves within the limits: the first point is reached in time or, where the limits do not allow
     that, later, and the others as much later. Joints of the group that it does not name come to rest.
     https://control.ros.org/rolling/doc/ros2_controllers/joint_trajectory_controller/doc/trajectory.html
-
-    Args:
-        passed_s: time from the trajectory's time 0 to the start, below 0 where it begins later [s].
     """
-    names, time_s, positions, velocities = _read_points(message, robot)[:4]
+    names, time_s, positions, velocities = read_points(message, robot)[:4]
     group = _group_of(robot, names)
     columns, bounds = np.array([group.joints.index(name) for name in names]), JointBounds.of(robot, group.joints)
     first = min(int(np.searchsorted(time_s, passed_s, side="right")), len(time_s) - 1)
@@ -226,7 +219,7 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     Points without velocities are joined by a monotone cubic spline. The last point is at rest, whatever its velocity.
     Efforts are ignored.
     """
-    names, time_s, positions, velocities, accelerations = _read_points(message, robot)
+    names, time_s, positions, velocities, accelerations = read_points(message, robot)
     if time_s[0] > 0.0:
         time_s = np.insert(time_s, 0, 0.0)
         positions = np.vstack(([start_rad[name] for name in names], positions))
@@ -243,7 +236,7 @@ def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mappin
     return Trajectory(names, time_s, positions, velocities, accelerations)
 
 
-def _read_points(
+def read_points(
     message: Message, robot: RobotModel
 ) -> tuple[tuple[str, ...], Vector, Vector, Vector | None, Vector | None]:
     """Read joint names, times, positions, velocities and accelerations; None for the last two where a point lacks them.
@@ -376,12 +369,7 @@ def knot_velocities(time_s: Vector, positions_rad: Vector) -> Vector:
 
 
 def knot_accelerations(time_s: Vector, positions_rad: Vector, velocities_rad_s: Vector) -> Vector:
-    """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2].
-
-    Args:
-        positions_rad: shape (n, joints) [rad].
-        velocities_rad_s: shape (n, joints) [rad/s].
-    """
+    """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2]."""
     accelerations = np.zeros_like(positions_rad)
     spans = np.diff(time_s)[:, np.newaxis]
     slopes = np.diff(positions_rad, axis=0) / spans

@@ -6,13 +6,15 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from websockets.asyncio.client import ClientConnection
+
 from protocol.messages import Stamp
 from robot.arm import Arm
 from robot.messages import ArmState, Mode
 from server.arm.setup import Description, arm_config
 from server.config import Settings
 from server.execution.monitors import ARM_START_TIMEOUT_S
-from server.publishing_client import Connection, PublishedTopic, PublishingClient, run_until_signal
+from server.publishing_client import PublishedTopic, PublishingClient, run_until_signal
 
 SAMPLE_TYPE = "sensor_msgs/JointState"
 
@@ -56,7 +58,7 @@ class LeaderClient(PublishingClient):
         super().__init__(target, SAMPLE_TYPE, tell)
         self._samples = samples
 
-    async def publish(self, connection: Connection) -> None:
+    async def publish(self, connection: ClientConnection) -> None:
         """Publish samples for as long as the connection lasts."""
         taken: Awaitable[float] | None = None
         since_ping = 0

@@ -15,7 +15,7 @@ from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.topics import Graph
 from server.zenoh.called_services import CalledServices
-from server.zenoh.network import ACTION_PARTS, Namespace, Network, SharedNames
+from server.zenoh.network import ACTION_PARTS, Network, SharedNames
 from server.zenoh.offered_services import OfferedServices
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
 from server.zenoh.session import SessionThread
@@ -57,7 +57,7 @@ class Bridge:
         self._settings = settings
         self._max_message_bytes = max_message_bytes
         self._node = Node("zenoh", remote=True, identity=Identity("", Role[settings.role.upper()]))
-        self._authorizer = access.authorizer(self._node, graph)
+        self._authorizer = Authorizer(self._node, access, graph)
         self._thread = SessionThread(lambda: zenoh.open(config))
         self._threads = Threads()
         # None as long as there is no session.
@@ -76,7 +76,9 @@ class Bridge:
             log.info(
                 "zenoh: in the network as %s %s, domain %d", self._settings.mode, session, self._settings.domain_id
             )
-            self._sharing = Sharing(self._network(session), self._settings, self._authorizer)
+            tokens = LivelinessTokens(self._settings.domain_id, session, self._settings.namespace)
+            network = Network(self._thread, self._graph, self._node, tokens, self._max_message_bytes, self._threads)
+            self._sharing = Sharing(network, self._settings, self._authorizer)
             await self._sharing.run()
         finally:
             self._threads.close()
@@ -84,21 +86,6 @@ class Bridge:
                 log.error("zenoh: the network was not left in time")
             self._authorizer.leave()
             self._graph.remove(self._node)
-
-    def _network(self, session: str) -> Network:
-        settings = self._settings
-        return Network(
-            thread=self._thread,
-            loop=asyncio.get_running_loop(),
-            graph=self._graph,
-            node=self._node,
-            session=session,
-            domain_id=settings.domain_id,
-            namespace=Namespace(settings.namespace),
-            tokens=LivelinessTokens(settings.domain_id, session, settings.namespace),
-            max_message_bytes=self._max_message_bytes,
-            background=self._threads,
-        )
 
 
 class Sharing:
@@ -134,7 +121,7 @@ class Sharing:
         self._refreshed_s = clock()
         self._entities: tuple[Entity, ...] = ()
         self._foreign: frozenset[str] = frozenset()
-        self._discovery = Discovery(network.domain_id, network.session, self._is_relevant)
+        self._discovery = Discovery(network.domain_id, network.tokens.session, self._is_relevant)
         network.thread.submit(self._discovery.subscribe)
         self._node = network.declare(lambda session: [session.liveliness().declare_token(network.tokens.node())])
 
@@ -174,7 +161,7 @@ class Sharing:
         self._offered.refresh(entities)
 
     def _is_relevant(self, entity: Entity) -> bool:
-        name = self._network.namespace.to_local(entity.endpoint.name)
+        name = self._network.to_local(entity.endpoint.name)
         if entity.kind is EntityKind.SERVICE:
             return self._call.matches(name)
         if entity.kind is EntityKind.CLIENT:
@@ -185,7 +172,7 @@ class Sharing:
 
     def _is_foreign(self, entity: Entity) -> bool:
         is_topic = entity.kind in (EntityKind.PUBLISHER, EntityKind.SUBSCRIPTION)
-        return is_topic and not self._network.namespace.contains(entity.endpoint.name)
+        return is_topic and not self._network.is_local(entity.endpoint.name)
 
 
 class Discovery:

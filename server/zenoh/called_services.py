@@ -268,7 +268,7 @@ class CalledServices:
     def _endpoints(self, entities: Iterable[Entity]) -> dict[str, Endpoint]:
         network, found = self._network, dict[str, Endpoint]()
         for entity in entities:
-            endpoint, name = entity.endpoint, network.namespace.to_local(entity.endpoint.name)
+            endpoint, name = entity.endpoint, network.to_local(entity.endpoint.name)
             # The other services of an action go with it.
             is_whole = ACTION_PARTS not in name or endpoint.type_name.endswith(SEND_GOAL_TYPE)
             is_called = entity.kind is EntityKind.SERVICE and is_whole and self._names.matches(name)

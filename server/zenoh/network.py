@@ -79,25 +79,6 @@ class SharedNames:
         return self._always(name) or any(each.match(base) for each in self._expressions)
 
 
-class Namespace:
-    """Namespace of this server's names on the network."""
-
-    def __init__(self, namespace: str) -> None:
-        self._namespace = namespace
-
-    def to_network(self, name: str) -> str:
-        """Return the network's name of a name of this server."""
-        return f"{self._namespace}{name}"
-
-    def to_local(self, name: str) -> str:
-        """Return this server's name of a name on the network; names outside of its namespace stay as they are."""
-        return name[len(self._namespace) :] if self.contains(name) else name
-
-    def contains(self, name: str) -> bool:
-        """Return True for a name on the network that is in this server's namespace."""
-        return name.startswith(f"{self._namespace}/")
-
-
 class Declared(Protocol):
     """Entity that is declared on a zenoh session."""
 
@@ -124,19 +105,33 @@ class Declaration:
 
 @dataclass(frozen=True)
 class Network:
-    """Network with an open session, and this server's graph."""
+    """Network with an open session, and this server's graph, whose names have a prefix there."""
 
     thread: SessionThread
-    loop: asyncio.AbstractEventLoop
     graph: Graph
     node: Node
-    session: str
-    domain_id: int
-    namespace: Namespace
     tokens: LivelinessTokens
     max_message_bytes: int
-    background: Threads = field(default_factory=Threads)
+    background: Threads
+    loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
     warnings: LogLimiter = field(default_factory=lambda: LogLimiter(max_keys=MAX_WARNINGS))
+
+    @property
+    def domain_id(self) -> int:
+        """ROS_DOMAIN_ID of the network."""
+        return self.tokens.domain_id
+
+    def to_network(self, name: str) -> str:
+        """Return the network's name of a name of this server."""
+        return f"{self.tokens.namespace}{name}"
+
+    def to_local(self, name: str) -> str:
+        """Return this server's name of a name on the network; names of other namespaces stay the same."""
+        return name[len(self.tokens.namespace) :] if self.is_local(name) else name
+
+    def is_local(self, name: str) -> bool:
+        """Return True for a name on the network that is in this server's namespace."""
+        return name.startswith(f"{self.tokens.namespace}/")
 
     @property
     def registry(self) -> Registry:

@@ -215,7 +215,7 @@ class OfferedServices:
             action = name.partition(ACTION_PARTS)[0]
             provider = graph.actions.provider(action) or graph.services.provider(name)
             if self._names.matches(name) and provider is not network.node:
-                endpoint = network.endpoint(network.namespace.to_network(name), type_name, "srv")
+                endpoint = network.endpoint(network.to_network(name), type_name, "srv")
                 if endpoint is not None:
                     found[name] = endpoint
         return found

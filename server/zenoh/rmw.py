@@ -88,6 +88,9 @@ class LivelinessTokens:
     """Key expressions of one server's liveliness tokens."""
 
     def __init__(self, domain_id: int, session: str, namespace: str) -> None:
+        self.domain_id = domain_id
+        self.session = session
+        self.namespace = namespace
         self._prefix = f"{ADMIN_SPACE}/{domain_id}/{session}/0"
         self._node = f"%/{_mangled(namespace or '/')}/{NODE_NAME}"
         self._entities = 0

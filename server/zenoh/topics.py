@@ -147,7 +147,7 @@ class OutgoingTopics:
     def _endpoint(self, name: str, type_name: str, foreign: frozenset[str]) -> Endpoint | None:
         # A client may publish to another server's topic, by its name there.
         is_foreign = name in foreign and not self._network.is_own_publication(name)
-        network_name = name if is_foreign else self._network.namespace.to_network(name)
+        network_name = name if is_foreign else self._network.to_network(name)
         return self._network.endpoint(network_name, type_name, "msg")
 
 
@@ -274,7 +274,7 @@ class IncomingTopics:
         network, found = self._network, dict[str, Source]()
         for name, type_name in network.graph.topic_types().items():
             if self._names.matches(name) and network.is_own_subscription(name) and not network.is_own_publication(name):
-                own = network.endpoint(network.namespace.to_network(name), type_name, "msg")
+                own = network.endpoint(network.to_network(name), type_name, "msg")
                 if own is not None:
                     announced = self._announced.get(name)
                     # A latched goal is an old one; it must not move the arm of a server that starts.
@@ -287,7 +287,7 @@ class IncomingTopics:
     def _sources(self, entities: Iterable[Entity]) -> dict[str, Source]:
         found = dict[str, Source]()
         for entity in entities:
-            endpoint, name = entity.endpoint, self._network.namespace.to_local(entity.endpoint.name)
+            endpoint, name = entity.endpoint, self._network.to_local(entity.endpoint.name)
             if entity.kind is not EntityKind.PUBLISHER or not self._names.matches(name):
                 continue
             known = found.get(name)

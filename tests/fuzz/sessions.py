@@ -96,13 +96,7 @@ MAX_FRAMES = 200
 
 
 class SessionMaker:
-    """Maker of sessions.
-
-    Args:
-        random: where chance comes from; the same seed makes the same sessions.
-        registry: message types.
-        corpus: sessions of which pieces are taken over.
-    """
+    """Maker of sessions; the same seed makes the same, and pieces of a corpus are taken over."""
 
     def __init__(self, random: Random, registry: Registry, corpus: list[bytes]) -> None:
         self._random = random
@@ -134,12 +128,8 @@ class SessionMaker:
         # Share of what is wrong in the present operation.
         self._wrong = 0.0
 
-    def session(self) -> tuple[bytes, int]:
-        """Make a session.
-
-        Returns:
-            What `run_world` plays, and the number of frames in it.
-        """
+    def session(self) -> bytes:
+        """Make a session, which `run_world` plays."""
         # Most are short; a few are long enough for limits and timers.
         wanted = min(MAX_FRAMES, 1 + int(self._random.expovariate(1 / 40)))
         self._types.clear()
@@ -148,15 +138,10 @@ class SessionMaker:
         parts: list[bytes] = []
         while len(parts) < wanted:
             parts += self._parts_of_one()
-        data = SEPARATOR.join(parts)
-        return data, sum(1 for part in data.split(SEPARATOR) if part)
+        return SEPARATOR.join(parts)
 
-    def stream(self) -> tuple[bytes, int]:
-        """Make a stream of raw TCP, of BSON or of JSON.
-
-        Returns:
-            What `run_stream` plays, and the number of frames in it.
-        """
+    def stream(self) -> bytes:
+        """Make a stream of raw TCP, of BSON or of JSON, which `run_stream` plays."""
         random, count = self._random, self._random.randrange(1, 12)
         if random.random() < 0.5:
             frames = [self._bson(self._operation(), BINARY)[:-1] for _ in range(count)]
@@ -165,14 +150,10 @@ class SessionMaker:
         else:
             frames = [json.dumps(self._operation()).encode() for _ in range(count)]
         data = random.choice((b"", b"", b"\n", b"\0", b" ")).join(frames)
-        return self._damaged(data) if random.random() < 0.3 else data, count
+        return self._damaged(data) if random.random() < 0.3 else data
 
-    def interface_file(self) -> tuple[bytes, int]:
-        """Make an interface file.
-
-        Returns:
-            What `run_interface_file` plays, and the number of its lines.
-        """
+    def interface_file(self) -> bytes:
+        """Make an interface file, which `run_interface_file` reads."""
         random = self._random
         lines = [
             f"{random.choice(DECLARED)}{random.choice(ARRAYS)} {random.choice(DECLARED_NAMES)}"
@@ -182,7 +163,7 @@ class SessionMaker:
             for _ in range(random.randrange(1, 20))
         ]
         data = "\n".join(lines).encode("utf-8", "replace")
-        return self._damaged(data) if random.random() < 0.3 else data, len(lines)
+        return self._damaged(data) if random.random() < 0.3 else data
 
     def _parts_of_one(self) -> list[bytes]:
         """One operation as frames, each with its control byte."""

@@ -2,9 +2,10 @@
 
 import itertools
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeAlias
 
 import cbor2
 import orjson
@@ -15,17 +16,15 @@ from protocol.errors import FrameError
 from protocol.framing import StreamSplitter
 from protocol.interface_files import Generation, read_file
 from protocol.limits import Limits
-from protocol.operations import Operation
 from protocol.publication import Frame
 from protocol.registry import Kind, Registry
-from protocol.session import Packed, Refusal, Session
+from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.gateway.client import AuthContext, Client
-from server.gateway.client_context import ClientContext
-from server.gateway.inbox import Scheduling
-from server.gateway.turns import Turns, encode_or_log
+from server.gateway.client import Client
+from server.gateway.client_context import ClientContext, Gateway
+from server.gateway.turns import Scheduling, Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, Identity, Role
 from server.graph.topics import Graph
@@ -34,6 +33,7 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import AtOnce, UnreadSocket
 
 REGISTRY = Registry.load()
+CORPUS = Path(__file__).parent / "corpus"
 
 # Small limits are reached by small inputs.
 LIMITS = Limits.model_construct(
@@ -92,18 +92,17 @@ class World:
             }
         )
         self.access = Access(settings, self.clock, self.clock, lambda: None)
-        self.throttle = AuthThrottle(self.clock)
-        self.scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
+        scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
+        self.gateway = Gateway(self.graph, self.access, AuthThrottle(self.clock), scheduling)
+        self.sockets: dict[int, UnreadSocket] = {}
         self.clients = [self._enter(number) for number in range(len(CLIENTS))]
-        self.disconnected: set[int] = set()
 
     def _enter(self, number: int) -> Client:
         name, identity = CLIENTS[number]
         node = Node(name, remote=True, identity=identity)
         session = Session(LIMITS, "ros1" if name == ROS1 else "ros2")
-        auth = AuthContext(self.access, name, self.throttle, disconnect=lambda _reason: self.disconnected.add(number))
-        context = ClientContext(node, self.graph, session, self.clock, lambda: None)
-        return Client(context, auth, self.scheduling, UnreadSocket())
+        socket = self.sockets[number] = UnreadSocket(name)
+        return Client(ClientContext(node, session, self.gateway, socket, socket))
 
     def receive(self, control: int, frame: bytes) -> None:
         """Give one client one frame, and what follows from it."""
@@ -115,12 +114,10 @@ class World:
                 encode_or_log(encoded)
         if control & FLUSH:
             self._flush(number, len(frame))
-        for left in self.disconnected | {
-            number for number, client in enumerate(self.clients) if client.session.send_queue.overflowed
-        }:
-            self.clients[left].leave()
-            self.clients[left] = self._enter(left)
-        self.disconnected.clear()
+        for left, client in enumerate(self.clients):
+            if self.sockets[left].closed is not None or client.session.send_queue.overflowed:
+                client.leave()
+                self.clients[left] = self._enter(left)
 
     def _flush(self, number: int, received_bytes: int) -> None:
         """Have one client read what is due."""
@@ -144,11 +141,7 @@ class World:
 
 
 def check_sent(frame: Frame) -> None:
-    """Read a frame as a client does: it is one operation, and its text is JSON as browsers read it.
-
-    Raises:
-        FindError: it is not.
-    """
+    """Read a frame as a client does: it is one operation, and its text is JSON as browsers read it."""
     try:
         if frame.text:
             # Refuses NaN and Infinity, as browsers do.
@@ -175,11 +168,7 @@ class _Errors(logging.Handler):
 
 @contextmanager
 def logged_errors_raised() -> Iterator[None]:
-    """Raise what is logged with a traceback.
-
-    Raises:
-        FindError: something was.
-    """
+    """Raise what is logged with a traceback."""
     handler, log = _Errors(), logging.getLogger("armbridge")
     level, log.level, propagate, log.propagate = log.level, logging.ERROR, log.propagate, False
     log.addHandler(handler)
@@ -191,17 +180,6 @@ def logged_errors_raised() -> Iterator[None]:
         log.propagate = propagate
     for record in handler.found:
         raise FindError(record.getMessage()) from (record.exc_info[1] if record.exc_info else None)
-
-
-def run_session(data: bytes) -> None:
-    """Play frames to a session alone; any exception is a find."""
-    session = Session(LIMITS)
-    now_s = 0.0
-    for control, frame in parts_of(data):
-        now_s += control >> ADVANCE
-        for item in session.receive_frame(frame_of(frame, binary=bool(control & BINARY)), now_s):
-            read = session.unpack(item) if isinstance(item, Packed) else item
-            assert isinstance(read, Operation | Refusal)
 
 
 def run_world(data: bytes) -> None:
@@ -273,3 +251,43 @@ def frame_of(frame: bytes, *, binary: bool) -> str | bytes:
     for byte, escaped in reversed(ESCAPES):
         frame = frame.replace(escaped, byte)
     return frame
+
+
+Run: TypeAlias = Callable[[bytes], None]
+
+
+def problem_of(data: bytes, run: Run = run_world) -> str | None:
+    """Return the kind of find that some bytes are, None for none: the error and where it was raised."""
+    try:
+        run(data)
+    except Exception as error:  # noqa: BLE001 - every one is a find
+        cause = error.__cause__ or error
+        trace = cause.__traceback__
+        while trace is not None and trace.tb_next is not None:
+            trace = trace.tb_next
+        place = "" if trace is None else f" in {trace.tb_frame.f_code.co_qualname}, line {trace.tb_lineno}"
+        return f"{type(error).__name__}: {str(error)[:300]}; {type(cause).__name__}{place}"
+    return None
+
+
+def cut_down(data: bytes, run: Run = run_world) -> bytes:
+    """Leave frames or lines out, as long as the same kind of find remains."""
+    kind = kind_of(problem_of(data, run))
+    separator = SEPARATOR if run is run_world else b"\n"
+    parts = data.split(separator)
+    size = len(parts) // 2
+    while size:
+        start = 0
+        while start < len(parts):
+            shorter = parts[:start] + parts[start + size :]
+            if kind_of(problem_of(separator.join(shorter), run)) == kind:
+                parts = shorter
+            else:
+                start += size
+        size //= 2
+    return separator.join(parts)
+
+
+def kind_of(problem: str | None) -> str:
+    """Return what finds of one kind have in common: the error and where it was raised; empty for no find."""
+    return "" if problem is None else problem.rpartition(";")[2]

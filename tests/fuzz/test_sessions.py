@@ -1,30 +1,41 @@
-"""Sessions that are made up by chance: they can be made again, nothing is found in them, and what is wrong would be."""
+"""What fuzzing found, and sessions that are made up by chance: nothing is found in them, and what is wrong would be.
 
+``FUZZ_BATCHES`` says how many batches are made up, of some 1,500 frames each; what is found is cut down to the frames
+that it needs, and saved in build/fuzz as a file that the corpus may take.
+"""
+
+import hashlib
+import os
 from random import Random
 
 import pytest
 
+from harness.server import ROOT
 from protocol.framing import StreamSplitter
 from protocol.publication import Frame
 from server.gateway.client_topics import ClientTopics
-from tests.fuzz.batches import cut_down, problem_of
 from tests.fuzz.sessions import SessionMaker
 from tests.fuzz.target import (
+    CORPUS,
     REGISTRY,
     SEPARATOR,
     FindError,
+    Run,
     check_sent,
+    cut_down,
     escape,
     frame_of,
     parts_of,
+    problem_of,
     run_interface_file,
     run_stream,
+    run_world,
 )
 
 
 def sessions(seed: int, number: int) -> list[bytes]:
     maker = SessionMaker(Random(seed), REGISTRY, [])
-    return [maker.session()[0] for _ in range(number)]
+    return [maker.session() for _ in range(number)]
 
 
 def test_a_seed_makes_the_same_sessions_again() -> None:
@@ -32,8 +43,28 @@ def test_a_seed_makes_the_same_sessions_again() -> None:
     assert sessions(1, 5) != sessions(2, 5)
 
 
-def test_nothing_is_found_in_some_sessions() -> None:
-    assert [problem for data in sessions(3, 40) if (problem := problem_of(data))] == []
+@pytest.mark.parametrize("run", [run_world, run_stream, run_interface_file])
+def test_no_input_of_the_corpus_is_a_find(run: Run) -> None:
+    inputs = {path.name: path.read_bytes() for path in CORPUS.iterdir()}
+    assert len(inputs) > 10
+    assert {name: problem for name, data in inputs.items() if (problem := problem_of(data, run))} == {}
+
+
+@pytest.mark.parametrize("number", range(int(os.environ.get("FUZZ_BATCHES", "1"))))
+def test_nothing_is_found_in_a_batch(number: int) -> None:
+    maker = SessionMaker(Random(number), REGISTRY, [path.read_bytes() for path in sorted(CORPUS.iterdir())])
+    makers = [(maker.session, run_world)] * 46 + [
+        (maker.stream, run_stream),
+        (maker.interface_file, run_interface_file),
+    ] * 2
+    for make, run in makers:
+        data = make()
+        if problem := problem_of(data, run):
+            find = cut_down(data, run)
+            path = ROOT / "build" / "fuzz" / f"find_{hashlib.sha256(find).hexdigest()[:12]}"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(find)
+            pytest.fail(f"{problem}; saved as {path}")
 
 
 def test_an_error_that_the_server_logs_and_survives_is_a_find_and_cut_down_to_its_frames(
@@ -65,15 +96,7 @@ def test_a_stream_that_is_cut_into_other_frames_when_it_comes_in_pieces_is_a_fin
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     maker = SessionMaker(Random(5), REGISTRY, [])
-    streams = [maker.stream()[0] for _ in range(60)]
-    assert [problem for data in streams if (problem := problem_of(data, run_stream))] == []
+    streams = [maker.stream() for _ in range(60)]
     add = StreamSplitter.add
     monkeypatch.setattr(StreamSplitter, "add", lambda splitter, data: add(splitter, data[:100]))
     assert any(problem_of(data, run_stream) for data in streams)
-
-
-def test_interface_files_are_made_up_and_taken() -> None:
-    maker = SessionMaker(Random(6), REGISTRY, [])
-    files = [maker.interface_file()[0] for _ in range(60)]
-    assert any(b"---" in file for file in files)
-    assert [problem for file in files if (problem := problem_of(file, run_interface_file))] == []

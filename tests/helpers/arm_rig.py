@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from robot.calibration import Calibration
-from robot.control.guards import ActuatorThresholds, Guards, Temperatures
+from robot.control.guards import ActuatorThresholds, Guards
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import Supervisor
 from robot.description.limits import JointBounds, within_calibration
@@ -61,7 +61,7 @@ def guards(
 ) -> Guards:
     limits = limits or GuardLimits()
     thresholds = thresholds or ActuatorThresholds.of(limits, PLAIN, np.ones(6))
-    return Guards(NAMES, Temperatures(), max_voltage_v, limits, thresholds)
+    return Guards(NAMES, max_voltage_v, limits, thresholds)
 
 
 Result = TypeVar("Result")

@@ -11,7 +11,7 @@ from robot.emulator.feetech import FEETECH
 from robot.emulator.servo_bus import Instruction
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus, StatusFrame
-from robot.hardware.feetech.registers import LAYOUT, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, encode
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from tests.helpers.scripted_servos import Script
 
 IDS = (1, 2, 3, 4, 5, 6)
@@ -23,12 +23,12 @@ def read_telemetry(bus: Bus) -> dict[int, StatusFrame]:
 
 def value_of(servo_id: int, register: Register) -> int:
     """A value that no other servo and no other register has."""
-    return (servo_id * 37 + register * 5) % 256 if LAYOUT[register].size == 1 else servo_id * 150 + register
+    return (servo_id * 37 + register * 5) % 256 if register.size == 1 else servo_id * 150 + register
 
 
 def memory_of(servo_id: int, address: int, length: int) -> bytes:
     """Bytes of a register of the scripted servo, followed by bytes that no test checks."""
-    return encode(Register(address), value_of(servo_id, Register(address))).ljust(length, b"\x55")
+    return Register(address).encode(value_of(servo_id, Register(address))).ljust(length, b"\x55")
 
 
 def honest(instruction: Instruction) -> list[tuple[float, bytes]]:

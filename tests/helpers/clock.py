@@ -67,6 +67,10 @@ class SteppedLoop(asyncio.SelectorEventLoop):
         """Let time pass while the loop does something else, as when a callback holds it up."""
         self._now_s += seconds
 
+    async def shutdown_default_executor(self, timeout: float | None = None) -> None:  # noqa: ASYNC109
+        """Wait for threads in real time: by this clock any timeout of theirs is over at once."""
+        await super().shutdown_default_executor()
+
 
 class _SteppingSelector(selectors.DefaultSelector):
     """Selector that has time pass instead of waiting for a timer."""

@@ -53,12 +53,12 @@ class Family:
     def read(self, servo: Any, name: str) -> int:
         """A register as a host reads it."""
         register = self.registers.Register[name]
-        value: int = self.registers.decode(register, servo.read(register, self.registers.LAYOUT[register].size))
+        value: int = register.decode(servo.read(register, register.size))
         return value
 
     def write(self, servo: Any, name: str, value: int) -> None:
         register = self.registers.Register[name]
-        servo.write(register, self.registers.encode(register, value))
+        servo.write(register, register.encode(value))
 
     def word(self, value: int) -> bytes:
         """An address or a length among the parameters."""
@@ -67,12 +67,12 @@ class Family:
     def block(self, name: str) -> bytes:
         """Address and length of a register."""
         register = self.registers.Register[name]
-        return self.word(register) + self.word(self.registers.LAYOUT[register].size)
+        return self.word(register) + self.word(register.size)
 
     def assignment(self, name: str, value: int) -> bytes:
         """Parameters of a write."""
         register = self.registers.Register[name]
-        encoded: bytes = self.registers.encode(register, value)
+        encoded: bytes = register.encode(value)
         return self.word(register) + encoded
 
 

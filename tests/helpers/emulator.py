@@ -12,8 +12,10 @@ from robot.control.pacing import LoopClock
 from robot.emulator.arm import InProcessPort
 from robot.emulator.control import Emulation, answer
 from robot.emulator.process import add_options, build_bus, configure
+from robot.emulator.servo_bus import Reply, ServoBus
 from robot.hardware.feetech.bus import Bus, checksum
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
 
 
 class SteppedClock(LoopClock):
@@ -36,13 +38,27 @@ class SteppedClock(LoopClock):
         return 1.0
 
 
-class SteppedEmulator:
-    """The servos of ``armbridge emulate``, by its options, at the other end of an in-process port.
+class WiredPort(InProcessPort):
+    """Port whose bytes take their time on the wire; who waits for them moves the clock."""
 
-    Args:
-        options: of the command line.
-        wire_time: whether bytes take their time on the wire; who waits for them then moves the clock.
-    """
+    def __init__(self, bus: ServoBus[Any], clock: SteppedClock) -> None:
+        super().__init__(bus, clock)
+        self.latency_s, self.quiet_s = LOCAL_LATENCY_S, QUIET_S
+        self._stepped = clock
+
+    def receive(self, timeout_s: float, /) -> bytes:
+        data = super().receive(timeout_s)
+        if data or timeout_s <= 0.0:
+            return data
+        self._stepped.advance(self.wait_s(self._clock(), timeout_s))
+        return self._arrived()
+
+    def _queue(self, replies: Sequence[Reply]) -> None:
+        self.take(replies)
+
+
+class SteppedEmulator:
+    """Servos of ``armbridge emulate`` at an in-process port; with ``wire_time`` a wait for bytes moves the clock."""
 
     def __init__(self, *options: str, wire_time: bool = True) -> None:
         parser = argparse.ArgumentParser()
@@ -51,7 +67,7 @@ class SteppedEmulator:
         self._resources = ExitStack()
         parsed = parser.parse_args(options)
         self.servo_bus = build_bus(parsed, self._resources, self.clock(), wire_time=wire_time)
-        self.port = InProcessPort(self.servo_bus, self.clock, self.clock.advance if wire_time else None)
+        self.port = (WiredPort if wire_time else InProcessPort)(self.servo_bus, self.clock)
         self._emulation = Emulation(self.servo_bus, self.port)
         configure(parsed, self._emulation)
         self._later: list[tuple[float, dict[str, object]]] = []

@@ -21,13 +21,12 @@ from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
 from server.gateway.admission import ConnectionLimiter
-from server.gateway.client import AuthContext, Client
-from server.gateway.client_context import ClientContext
+from server.gateway.client import Client
+from server.gateway.client_context import ClientContext, Gateway
 from server.gateway.http import HttpHandler
-from server.gateway.inbox import Scheduling
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.gateway.turns import Turns, encode_or_log
+from server.gateway.turns import Scheduling, Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, Identity
 from server.graph.topics import Graph
@@ -52,14 +51,24 @@ class AtOnce:
 
 
 class UnreadSocket:
-    """Socket of a client, as an inbox sees it.
+    """Transport and connection of a client without a socket; ``held`` while it is not read."""
 
-    Attributes:
-        held: True while it is not read.
-    """
-
-    def __init__(self) -> None:
+    def __init__(self, address: str = "") -> None:
+        self.address = address
         self.held = False
+        self.closed: str | None = None
+
+    def send_at_once(self, encoded: EncodedMessage) -> bool:
+        return False
+
+    def wake(self) -> None:
+        """What is queued is collected."""
+
+    def limit_messages(self) -> None:
+        """Messages have any size."""
+
+    def disconnect(self, reason: str) -> None:
+        self.closed = reason
 
     def hold_reading(self) -> None:
         self.held = True
@@ -100,21 +109,26 @@ class InProcess:
             lambda: self.busy,
             arms=dict.fromkeys(arms, lambda: self.busy),
         )
-        self.closed: dict[str, str] = {}
-        self.scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
-        self._limits = limits or Limits()
+        self.throttle = AuthThrottle(self.clock)
+        scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
+        self._gateway = Gateway(self.graph, self.access, self.throttle, scheduling, limits=limits or Limits())
+        self._sockets: dict[str, UnreadSocket] = {}
         self._clients: dict[str, Client] = {}
         self._frames: dict[str, deque[Frame]] = {}
 
     def client(self, name: str) -> Client:
         return self._clients[name] if name in self._clients else self.enter(name, ANYONE)
 
-    def enter(self, name: str, identity: Identity | None, throttle: AuthThrottle | None = None) -> Client:
+    @property
+    def closed(self) -> dict[str, str]:
+        """The reason for which each disconnected client was disconnected."""
+        return {name: socket.closed for name, socket in self._sockets.items() if socket.closed is not None}
+
+    def enter(self, name: str, identity: Identity | None) -> Client:
         """A client that was admitted as somebody, or as nobody yet."""
-        auth = AuthContext(self.access, throttle=throttle, disconnect=lambda reason: self.closed.update({name: reason}))
-        node, session = Node(name, remote=True, identity=identity), Session(self._limits)
-        context = ClientContext(node, self.graph, session, self.clock, lambda: None)
-        self._clients[name] = Client(context, auth, self.scheduling, UnreadSocket())
+        node, session = Node(name, remote=True, identity=identity), Session(self._gateway.limits)
+        socket = self._sockets[name] = UnreadSocket()
+        self._clients[name] = Client(ClientContext(node, session, self._gateway, socket, socket))
         self._frames[name] = deque()
         return self._clients[name]
 

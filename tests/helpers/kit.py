@@ -3,7 +3,7 @@
 from robot.commissioning.setup import ServoLine
 from robot.emulator.feetech import FeetechServo
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import SETTINGS, Register, encode
+from robot.hardware.feetech.registers import SETTINGS, Register
 from tests.helpers.emulator import SteppedEmulator
 
 # Options of the emulator of a kit.
@@ -12,20 +12,15 @@ KIT = ("--population", "kit")
 
 def set_registers(servo: FeetechServo, values: dict[Register, int]) -> None:
     """Set registers of an emulated servo, stored as by another program."""
-    servo.write(Register.LOCK, encode(Register.LOCK, 0))
+    servo.write(Register.LOCK, Register.LOCK.encode(0))
     for register, value in values.items():
-        servo.write(register, encode(register, value))
+        servo.write(register, register.encode(value))
     if Register.LOCK not in values:
-        servo.write(Register.LOCK, encode(Register.LOCK, 1))
+        servo.write(Register.LOCK, Register.LOCK.encode(1))
 
 
 class Kit:
-    """Servos of an emulator with the options :data:`KIT`, of which none is plugged in at first.
-
-    Attributes:
-        emulator: as given.
-        servos: in the order of the chain.
-    """
+    """Servos of an emulator with the options :data:`KIT`, in the order of the chain; none is plugged in at first."""
 
     def __init__(self, emulator: SteppedEmulator) -> None:
         self.emulator = emulator

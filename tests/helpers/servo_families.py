@@ -74,7 +74,7 @@ class Family:
     def put(self, emulator: Any, servo: int, name: str, value: int) -> None:
         """Write a register of an emulated servo without the bus."""
         register = self.registers.Register[name]
-        emulator.servo_bus.servos[servo - 1].write(register, self.registers.encode(register, value))
+        emulator.servo_bus.servos[servo - 1].write(register, register.encode(value))
 
     def limits(self, emulator: Any) -> list[float]:
         return [self.limit(servo) for servo in emulator.servo_bus.servos]
@@ -91,13 +91,13 @@ FEETECH = Family(
     bounds=arm_rig.BOUNDS,
     registers=feetech_registers,
     frame=lambda servo, ticks: StatusFrame(
-        servo, 0, feetech_registers.encode(feetech_registers.Register.PRESENT_POSITION, ticks).ljust(15, b"\0")
+        servo, 0, feetech_registers.Register.PRESENT_POSITION.encode(ticks).ljust(15, b"\0")
     ),
     start=_feetechs,
     in_use=FeetechsInUse,
     unread=feetech.unread_hardware,
     rig=ArmRig,
-    fail=lambda servo: setattr(servo.protection, "_latched", StatusFlag.OVERLOAD),
+    fail=lambda servo: setattr(servo.protection, "latched", StatusFlag.OVERLOAD),
     max_voltage_v=[8.0] * 6,
     limit=lambda servo: servo.value(feetech_registers.Register.TORQUE_LIMIT) / 1000.0,
     lowest_limit="MIN_ANGLE_LIMIT",

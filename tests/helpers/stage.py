@@ -24,14 +24,20 @@ from robot.messages import ArmState, Command, Mode, Order
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.config import Settings
-from server.features.arms import ArmControl, CommissioningOfArms, Following, Restart, TaughtMotions
+from server.features.arms import (
+    ArmControl,
+    CommissioningOfArms,
+    PolicyChunks,
+    Restart,
+    teaching_of,
+    teleoperation_of,
+)
 from server.features.context import context_of
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
 from server.features.parking import Parkings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.teaching.taught_motion import TaughtMotion
-from server.teleop.teleoperation import Teleoperation
 from tests.helpers.arm_rig import ArmRig
 from tests.helpers.moveit import ROBOT, DirectPool
 
@@ -47,6 +53,16 @@ TRAJECTORY = {
     "joint_names": list(ARM_JOINTS),
     "points": [{"positions": [0.1, 0.0, 0.0, 0.0, 0.0], "time_from_start": {"sec": 2, "nanosec": 0}}],
 }
+CHUNK = {
+    "joint_names": [*ARM_JOINTS, "gripper"],
+    "points": [
+        {
+            "positions": [0.01 * step, 0.0, 0.0, 0.0, 0.0, 0.1],
+            "time_from_start": {"sec": 0, "nanosec": 33_000_000 * step},
+        }
+        for step in range(1, 30)
+    ],
+}
 
 
 class TimedPool(DirectPool):
@@ -58,22 +74,20 @@ class TimedPool(DirectPool):
 
 
 class ServerStage:
-    """Server without sockets, and a client.
-
-    Args:
-        arm: the arm.
-        settings: of the server.
-    """
+    """Server without sockets, and a client."""
 
     def __init__(self, arm: Arm, settings: Settings = DEFAULTS) -> None:
         self.graph = Graph(Registry.load())
         served = ServedArm("", settings.arm, Description("", ROBOT, HardwareTable(), None), arm)
         pool = cast("Planners", TimedPool())
         self.context = context_of(settings, self.graph, (served, (served,)), pool)
-        self.teaching, self.following, servo = TaughtMotions(self.context), Following(self.context), Servo(self.context)
+        self.teaching, self.teleoperation = teaching_of(self.context), teleoperation_of(self.context)
+        servo = Servo(self.context)
         self.commissioning = CommissioningOfArms(self.context, Restart(), None, shared_calibration=False)
         queue = GoalQueueing(self.context)
-        goals = MoveGroup(self.context), ArmGoals(self.context), self.teaching, queue, servo, self.following
+        chunks = PolicyChunks(self.context)
+        of_arms = self.teaching, queue, servo, self.teleoperation, chunks
+        goals = MoveGroup(self.context), ArmGoals(self.context), *of_arms
         self._features = ArmControl(self.context), Parkings(self.context), *goals, self.commissioning
         for feature in goals:
             at_once(feature.start())
@@ -85,12 +99,13 @@ class ServerStage:
         executors._context = replace(executors._context, clock=clock)
         for controller in (each for goals_of in goals[1]._goals_of.values() for each in goals_of._controllers):
             controller._context = replace(controller._context, clock=clock)
+            controller._stream._clock = clock
+        for each in chunks._of_arms:
+            each._clock = each._stream._clock = clock
+            if each._gripper is not None:
+                each._gripper._clock = clock
         self.client = Node("client", remote=True)
         self.answers: list[Any] = []
-
-    @property
-    def teleoperation(self) -> Teleoperation:
-        return self.following.teleoperation
 
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on."""
@@ -110,7 +125,7 @@ class ServerStage:
 
     async def save_wave(self) -> None:
         """Save the motion that a replay plays."""
-        await self.teaching.motions.save("wave", WAVE)
+        await self.teaching._motions.save("wave", WAVE)
 
     async def close(self) -> None:
         """End everything."""
@@ -221,6 +236,7 @@ REQUESTS: dict[str, Callable[[ServerStage], None]] = {
     "a verification": verify,
     "a following": follow,
     "a jog": jog,
+    "a chunk": lambda stage: stage.publish("/arm/chunks", "armbridge_msgs/ActionChunk", {"trajectory": CHUNK}),
 }
 
 

@@ -111,7 +111,7 @@ class Third(ServoFamily):
         return 5.0
 
     def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
-        values = TABLE.parse(self.motion, frame.data)
+        values = self.motion.parse(frame.data)
         return Telemetry(
             position_ticks=values[Register.PRESENT_POSITION],
             velocity_ticks_s=values[Register.PRESENT_SPEED],
@@ -163,10 +163,10 @@ class ThirdServos:
             self.set(servo_id, register, value)
 
     def value(self, servo_id: int, register: Register) -> int:
-        return TABLE.decode(register, bytes(self.memory[servo_id][register : register + TABLE.layout[register].size]))
+        return register.decode(bytes(self.memory[servo_id][register : register + register.size]))
 
     def set(self, servo_id: int, register: Register, value: int) -> None:
-        self._write(servo_id, register, TABLE.encode(register, value))
+        self._write(servo_id, register, register.encode(value))
 
     def clearPort(self) -> None:  # noqa: N802 - the SDK's name, as below
         self._input = b""

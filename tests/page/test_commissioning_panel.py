@@ -115,13 +115,6 @@ def until_called(page: OpenPage, procedures: ScriptedProcedures, service: str) -
 SWEEP = {"procedure": "calibrate", "step": "sweep", "instruction": "Move every joint.", "answers": ["done", "again"]}
 
 
-def test_a_calibration_is_begun_with_the_name_that_was_typed(page: OpenPage, procedures: ScriptedProcedures) -> None:
-    page.part("calibration-name").fill(" left ")
-    page.part("calibrate").click()
-    assert until_called(page, procedures, "begin") == {"procedure": "calibrate", "name": "left"}
-    assert page.errors == []
-
-
 def test_the_step_is_shown_with_its_ranges_and_answered_by_the_keyboard(
     page: OpenPage, procedures: ScriptedProcedures
 ) -> None:

@@ -8,14 +8,11 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser
 
-from harness.clients import tip
 from harness.page import DESKTOP, PHONE, SHARED, OpenPage, opened
 from harness.server import RunningServer
 
 Point = tuple[float, float, float]
 
-# The server's own tolerance for a point (0.01 m), and the servos' droop.
-ARRIVED_M = 0.02
 
 # On the ground in the shadow of the stretched arm, and where no shadow falls; both within its reach.
 SHADED_M: Point = (0.2, 0.09, 0.0)
@@ -63,24 +60,6 @@ def test_the_reach_shows_while_a_handle_is_under_the_pointer(page: OpenPage) -> 
     page.wait(lambda: brightness(page, LIT_M) < quiet - 4)
     page.shot("look_reach")
     page.page.mouse.move(20, 300)
-
-
-def test_a_handle_beside_the_gripper_moves_the_target_and_the_arm(page: OpenPage, server: RunningServer) -> None:
-    start = page.state("tool_m")
-    x, y = page.screen_of(tuple(start))
-    mouse = page.page.mouse
-    mouse.move(x, y - 80)
-    mouse.down()
-    mouse.move(x, y - 50, steps=5)
-    mouse.up()
-    wished = page.state("target.position_m")
-    assert wished[:2] == pytest.approx(start[:2], abs=1e-3)
-    assert wished[2] < start[2] - 0.005
-    page.until_state("s.target.reachable === true && s.target.joints_rad !== null")
-    page.part("plan-and-move").click()
-    page.until_text("state-pill", "EXECUTING")
-    page.until_text("state-pill", "IDLE")
-    assert math.dist(tip(server.url), wished) < ARRIVED_M
 
 
 def test_the_ball_at_the_gripper_is_dragged_in_the_plane_of_the_picture(page: OpenPage) -> None:

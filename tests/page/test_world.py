@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser
 
 from harness.clients import call
-from harness.page import PHONE, SHARED, OpenPage, opened
+from harness.page import SHARED, OpenPage
 from harness.server import FAST, RunningServer
 
 # In front of the arm, within its reach.
@@ -256,17 +255,3 @@ def test_a_scenario_is_there_by_one_press_and_is_put_back_by_reset(page: OpenPag
     page.shot("scenario")
     page.part("scenario-empty").click()
     page.until_state("s.objects.length === 0")
-
-
-def test_the_panel_fits_a_phone(browser: Browser, server: RunningServer) -> None:
-    with opened(browser, PHONE, has_touch=True) as page:
-        open_world(page, server)
-        small = page.page.evaluate(
-            """() => [...document.querySelectorAll('#panel-world button, #panel-world input, #panel-world select')]
-                .filter(each => each.offsetParent !== null && !['radio', 'checkbox'].includes(each.type))
-                .map(each => [each.dataset.testid, each.getBoundingClientRect().height])
-                .filter(([, height]) => height < 44)"""
-        )
-        assert small == []
-        assert page.page.evaluate("document.documentElement.scrollWidth") <= PHONE[0]
-        page.shot("world_phone")

@@ -13,6 +13,7 @@ from planners.scene import EMPTY_SCENE
 from tests.helpers import resources
 from tests.helpers.fake_workers import Farm
 from tests.helpers.robots import so101
+from tests.planners.following import Follower
 from tests.planners.scenes import scene
 
 
@@ -45,6 +46,11 @@ def goal_states(robot, collision):
 def planner(robot):
     # By the clock of planner processes, which a busy machine does not hurry.
     return Planner(robot, time.process_time)
+
+
+@pytest.fixture(scope="session")
+def follower(robot, collision):
+    return Follower(robot, collision)
 
 
 @pytest.fixture

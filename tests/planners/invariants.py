@@ -1,8 +1,12 @@
-"""Invariants of every motion, for any request."""
+"""Invariants of every motion, for any request, and refusals of requests as values."""
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from planners.geometry.collision import DEPTH_ACCURACY_M
+from planners.problem import PlanningError, PlanningFailure
 
 # Either of the two lines from the first point to the second runs through the arm's own base.
 BLOCKED_LINES = (
@@ -68,3 +72,12 @@ def assert_touches_nothing(trajectory, collision, start_rad):
         overlaps_m = collision.overlaps_m(q) if collision.in_collision(q) else {}
         for names, overlap_m in overlaps_m.items():
             assert overlap_m <= start_m.get(names, 0.0) + DEPTH_ACCURACY_M, f"{sorted(names)} overlap at {q}"
+
+
+def refusal(check: Callable[..., Any], *arguments: Any, **named: Any) -> PlanningFailure | None:
+    """Return the failure that a check raises, None where it raises none."""
+    try:
+        check(*arguments, **named)
+    except PlanningError as error:
+        return error.failure
+    return None

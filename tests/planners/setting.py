@@ -4,7 +4,6 @@ import numpy as np
 
 from planners.geometry.kinematics import ForwardKinematics
 from planners.problem import Plan, PlanningProblem, RateLimits
-from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import (
     assert_from_rest_to_rest,
     assert_keeps_positions,
@@ -64,9 +63,6 @@ class Setting:
     def tip_m(self, positions_rad):
         q = np.array([positions_rad[name] for name in self.collision.joint_names])
         return tuple(self.collision.tip_positions([q], TIP)[0].tolist())
-
-    def tip_pose(self, positions_rad):
-        return pose_of(self.forward, np.array([positions_rad[name] for name in self.collision.joint_names]), self.tip)
 
 
 def end_of(plan):

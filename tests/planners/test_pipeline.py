@@ -22,6 +22,7 @@ from planners.motions.path_timing import time_along
 from planners.motions.spline import NaturalSpline
 from planners.pipeline import Planner, recheck
 from planners.problem import (
+    IkAnswer,
     IkQuestion,
     JointPathProblem,
     MoveItErrorCode,
@@ -30,6 +31,7 @@ from planners.problem import (
     PlanningProblem,
     RateLimits,
     RecheckQuestion,
+    StateQuestion,
 )
 from planners.scene import Box, Pose, Scene
 from robot.description import model
@@ -40,8 +42,8 @@ from tests.planners.invariants import (
     assert_keeps_rates,
     assert_touches_nothing,
     configurations,
+    refusal,
 )
-from tests.planners.refusals import refusal
 from tests.planners.scenes import thing
 from tests.planners.setting import TIP, Setting, end_of
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
@@ -256,13 +258,6 @@ def ask(robot, collision, motion, from_s=0.0, others=OTHERS, group="arm"):
     return recheck(RecheckQuestion(group, motion, others, from_s), robot, collision)
 
 
-def test_a_motion_is_free_in_an_empty_scene(robot, collision, motion):
-    answer = ask(robot, collision, motion)
-    assert answer.contact is None
-    assert answer.contact_s is None
-    assert ask(robot, collision, motion, motion.duration_s).contact is None
-
-
 def post(*position_m, size_m=(0.05, 0.05, 0.8)):
     return thing(Box(size_m), *position_m, name="post")
 
@@ -281,12 +276,6 @@ def test_the_first_contact_of_the_rest_is_found(robot, collision, motion, put, a
             assert "post" in answer.contact.message
 
 
-def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, put):
-    from_s = 0.5 * motion.duration_s
-    put(collision, post(0.25, 0.0, 0.2, size_m=(0.2, 0.2, 0.8)))
-    assert ask(robot, collision, motion, from_s).contact_s == from_s
-
-
 @pytest.mark.parametrize(
     ("asked", "code"),
     [
@@ -299,3 +288,49 @@ def test_an_obstacle_where_the_arm_is_touches_now(robot, collision, motion, put)
 )
 def test_questions_about_no_motion_are_refused(robot, collision, motion, asked, code):
     assert refusal(ask, robot, collision, motion, **asked).code == code
+
+
+FOLDED_DEEP = {"shoulder_lift": -1.7, "elbow_flex": 1.69, "wrist_flex": 1.2}
+
+
+def tip_m(collision, positions_rad):
+    return collision.tip_positions([np.array([positions_rad[name] for name in collision.joint_names])], TIP)[0]
+
+
+def test_configuration_for_a_point_is_one_by_name_for_every_joint(planner, collision, at_home):
+    answer = planner.answer(IkQuestion("arm", at_home | {"gripper": 0.3}, PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001)))
+    assert isinstance(answer, IkAnswer)
+    (positions_rad,) = answer.positions_rad
+    assert set(positions_rad) == set(at_home)
+    assert positions_rad["gripper"] == 0.3
+    assert np.linalg.norm(tip_m(collision, positions_rad) - (0.25, 0.1, 0.2)) <= 0.001
+    assert answer.deviations[0].position_m <= 0.001
+
+
+def test_configuration_in_contact_is_an_answer_only_if_contacts_do_not_matter(planner, at_home):
+    question = IkQuestion("arm", at_home, JointGoal(FOLDED_DEEP))
+    assert planner.answer(question).code is MoveItErrorCode.GOAL_IN_COLLISION
+    free = planner.answer(IkQuestion("arm", at_home, JointGoal(FOLDED_DEEP), avoid_collisions=False))
+    assert free.positions_rad[0]["elbow_flex"] == 1.69
+
+
+def test_constraints_hold_in_the_answer(planner, at_home):
+    roll = Constraints(joints=(JointConstraint("wrist_roll", 1.0, 0.1, 0.1),))
+    goal = PositionGoal(TIP, (0.25, 0.1, 0.2), 0.001)
+    answer = planner.answer(IkQuestion("arm", at_home, goal, constraints=roll))
+    assert answer.positions_rad[0]["wrist_roll"] == pytest.approx(1.0, abs=0.101)
+
+
+def test_all_that_is_wrong_with_a_state_is_told(planner, at_home):
+    assert planner.answer(StateQuestion("arm", at_home)).problems == ()
+    wrong = at_home | FOLDED_DEEP | {"wrist_roll": 3.0}
+    roll = Constraints(joints=(JointConstraint("wrist_roll", 1.0, 0.1, 0.1),))
+    answer = planner.answer(StateQuestion("arm", wrong, roll))
+    assert not answer.valid
+    assert [problem.code for problem in answer.problems] == [
+        MoveItErrorCode.INVALID_ROBOT_STATE,
+        MoveItErrorCode.START_STATE_IN_COLLISION,
+        MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED,
+    ]
+    assert answer.problems[0].details["joint"] == "wrist_roll"
+    assert answer.problems[1].details["pairs"]

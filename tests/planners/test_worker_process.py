@@ -2,26 +2,34 @@
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+import numpy as np
 import pytest
 import pytest_asyncio
+from hypothesis import given
+from hypothesis import strategies as st
 
 from harness.waiting import given_up
 from planners import pool
 from planners.messages import (
+    OBJECT_BYTES,
+    PART_BYTES,
     Answered,
     Ask,
     Cancel,
     Loaded,
     LoadRobot,
     NewScene,
+    SceneReceiver,
+    SceneSender,
     StillSearching,
     parts,
 )
 from planners.pool import CANCEL_TIMEOUT_S, WorkerProcess
 from planners.problem import MoveItErrorCode, PlanningFailure, Request
-from planners.scene import EMPTY_SCENE, Scene
+from planners.scene import EMPTY_SCENE, Box, Mesh, Pose, Scene, SceneObject
 from tests.helpers.fake_workers import PLAN, SOUND, TIMED_OUT
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.robots import so101
@@ -167,3 +175,34 @@ async def test_a_cancelled_worker_is_ended_unless_it_answers_soon(worked: Worked
     await worked.worker.cancel()
     assert worked.sent[-1] is Cancel
     assert (worked.child.killed, worked.worker.usable) == (killed, not killed)
+
+
+async def test_a_scene_arrives_as_it_was_and_is_sent_once() -> None:
+    receiver, sent = SceneReceiver(), []
+    sender = SceneSender(sent.append, partial(asyncio.sleep, 0))
+    for scene, messages in ((Scene(1, boxes(600)), 6), (Scene(1, boxes(600)), 0), (Scene(2, boxes(1)), 2)):
+        sent.clear()
+        await sender.send(scene)
+        assert len(sent) == messages
+        for message in sent:
+            receiver.take(message)
+        assert receiver.scene() == scene
+
+
+meshes = st.integers(0, 3 * PART_BYTES // 24).map(
+    lambda vertices: Mesh(np.zeros((vertices, 3)), np.zeros((0, 3), dtype=np.int32))
+)
+
+
+@given(st.lists(st.one_of(meshes, st.just(Box((1.0, 1.0, 1.0)))), max_size=20))
+async def test_parts_hold_all_objects_in_order_and_none_could_do_with_fewer(shapes: list[Mesh | Box]) -> None:
+    objects = tuple(SceneObject(str(i), ((shape, Pose()),)) for i, shape in enumerate(shapes))
+    divided = list(parts(objects))
+    assert tuple(each for part in divided for each in part) == objects
+    for part in divided:
+        sizes = [
+            OBJECT_BYTES + (shape.vertices_m.nbytes if isinstance(shape, Mesh) else 0)
+            for each in part
+            for shape, _ in each.shapes
+        ]
+        assert sum(sizes[:-1]) < PART_BYTES

@@ -4,15 +4,12 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from harness.clients import FrameClient, arm_client, frame_client, values_of
 from harness.server import RunningServer
 from robot.description import model
-from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from server.moveit.messages import pose_of, write_pose
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 
 # The last joint moves the hand along its axis instead of about it.
@@ -22,12 +19,6 @@ SLIDING = SEVEN_JOINT_URDF.replace('name="a7" type="revolute"', 'name="a7" type=
 
 # What the lag of an ideal joint leaves over [rad, m].
 ARRIVED = 0.005
-
-# moveit.position_tolerance, and what the lag leaves over.
-POSITION_M = 0.012
-
-# moveit.orientation_tolerance about each of three axes, and the same.
-TURN_RAD = 0.025
 
 
 @pytest.fixture(scope="module", params=[SEVEN_JOINT_URDF, SLIDING], ids=["seven joints turn", "the last one slides"])
@@ -69,23 +60,6 @@ async def arrive(client: FrameClient, topic: str, msg: dict[str, Any]) -> dict[s
 async def test_a_named_goal_is_reached(client: FrameClient, robot: RobotModel) -> None:
     joints = await arrive(client, "/moveit_goal_named", {"data": "bent"})
     assert joints == pytest.approx(dict(robot.named_states["arm"]["bent"]), abs=ARRIVED)
-
-
-async def test_a_goal_of_joints_is_reached(client: FrameClient) -> None:
-    goal = {"a1": 0.4, "a4": 0.9, "a7": 0.1}
-    joints = await arrive(client, "/moveit_goal_joints", {"name": list(goal), "position": list(goal.values())})
-    assert {name: joints[name] for name in goal} == pytest.approx(goal, abs=ARRIVED)
-
-
-async def test_a_goal_of_a_pose_is_reached(client: FrameClient, robot: RobotModel) -> None:
-    placements = ForwardPlacements(robot)
-    reachable = {"a1": 0.3, "a2": 0.6, "a3": 0.2, "a4": 1.0, "a5": 0.1, "a6": 0.7, "a7": 0.05}
-    wanted = placements.transforms(reachable)["tool"]
-    pose = write_pose(pose_of(wanted))
-    joints = await arrive(client, "/moveit_goal_pose", {"header": {"frame_id": "pedestal"}, "pose": pose})
-    reached = placements.transforms(joints)["tool"]
-    np.testing.assert_allclose(reached[:3, 3], wanted[:3, 3], atol=POSITION_M)
-    np.testing.assert_allclose(reached[:3, :3], wanted[:3, :3], atol=TURN_RAD)
 
 
 async def test_its_joints_have_no_servos_to_tell_of(client: FrameClient) -> None:

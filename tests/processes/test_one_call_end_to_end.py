@@ -1,14 +1,8 @@
 """Clients that know services and actions alone, and clients of ROS 1, on a running server with the simulated arm."""
 
-import asyncio
-import json
-import struct
 from collections.abc import AsyncIterator, Iterator
-from typing import Any
 
-import cbor2
 import pytest
-from websockets.asyncio.client import connect
 
 from harness.clients import ArmClient, arm_client
 from harness.server import RunningServer
@@ -70,37 +64,3 @@ async def test_an_action_tells_how_it_goes_to_its_sender_and_on_its_topics(clien
     told = client.topics[f"{NAME}/_action/feedback"]
     assert told[0]["goal_id"] == published[-1]["status_list"][-1]["goal_info"]["goal_id"]
     assert [each["feedback"]["state"] for each in told] == states
-
-
-async def test_an_action_is_cancelled_on_its_way(client: ArmClient) -> None:
-    await client.call(NAME, named="home")
-    goal_id = await client.send_goal(NAME, ACTION_TYPE, {**TURNED, "velocity_scaling": 0.05})
-    await client.until("/joint_states", lambda _all: any(each["state"] == "executing" for each in feedback(client)))
-    await client.say("cancel_action_goal", action=NAME, id=goal_id)
-    result = await client.result(goal_id)
-    assert (result["status"], result["values"]["code_name"]) == (5, "PREEMPTED")
-
-
-def feedback(client: ArmClient) -> list[dict[str, Any]]:
-    return [each for all_ in client.feedback.values() for each in all_]
-
-
-async def test_a_ros1_client_gets_its_log_and_its_serialization(server: RunningServer, client: ArmClient) -> None:
-    url = server.url.replace("?x=1", "?ros=1")
-    async with asyncio.timeout(60.0), connect(url, max_size=None) as old, connect(url, max_size=None) as raw:
-        await old.send(json.dumps({"op": "subscribe", "topic": "/rosout", "type": "rosgraph_msgs/Log"}))
-        subscription = {"op": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/JointState"}
-        await raw.send(json.dumps({**subscription, "compression": "cbor-raw"}))
-        # It says something on the log.
-        await client.call(NAME, named="nowhere at all")
-        async for frame in old:
-            record = json.loads(frame)["msg"]
-            if "nowhere at all" in record["msg"]:
-                break
-        assert (record["level"], record["header"]["seq"] > 0, record["topics"]) == (4, True, [])
-        octets = cbor2.loads(await raw.recv())["msg"]["bytes"]
-        _seq, _secs, _nsecs, length = struct.unpack_from("<4I", octets)
-        (names,) = struct.unpack_from("<I", octets, 16 + length)
-        (first,) = struct.unpack_from("<I", octets, 20 + length)
-        assert names == 6
-        assert octets[24 + length : 24 + length + first] == b"shoulder_pan"

@@ -18,7 +18,7 @@ from tests.helpers.robots import so101
 
 RESULT, ERROR_CODES = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
-SUCCESS, COLLISION_AT_GOAL, INVALID_GROUP, CONTROL_FAILED = 1, -12, -15, -4
+SUCCESS, INVALID_GROUP, CONTROL_FAILED = 1, -15, -4
 TIMEOUT_S = 60.0
 
 # The tips meet between the arms when both reach forward and turn towards each other.
@@ -172,17 +172,6 @@ async def test_a_stop_of_one_arm_lets_the_other_go_on(client: ArmClient) -> None
     assert (await right)["val"] == SUCCESS
 
 
-async def test_a_goal_where_the_other_arm_stands_is_refused_with_its_link(client: ArmClient) -> None:
-    await go(client, "both_arms", named="home")
-    # Each reaches across the middle.
-    assert (await to_joints(client, "right", shoulder_pan=-1.3, shoulder_lift=0.6, elbow_flex=-0.4))["val"] == SUCCESS
-    result = await to_joints(client, "left", shoulder_pan=1.3, shoulder_lift=0.6, elbow_flex=-0.4)
-    assert result["val"] != SUCCESS
-    assert "left_" in result["message"]
-    assert "right_" in result["message"]
-    assert (await go(client, "both_arms", named="home"))["success"]
-
-
 async def test_a_fault_of_one_arm_is_named_and_the_other_moves_on(client: ArmClient, folder: Path) -> None:
     control = EmulatorControl(folder / "left")
     assert (await client.call("/left/arm/emergency_stop"))["success"]
@@ -251,14 +240,6 @@ async def test_each_arm_is_steered_by_its_servo_node(client: ArmClient) -> None:
                 await client.say("publish", topic=topic, msg=jog)
     other = await client.positions()
     assert other["left_shoulder_pan"] == pytest.approx(before["left_shoulder_pan"], abs=0.02)
-
-
-async def test_the_description_has_every_arm_at_its_place(client: ArmClient) -> None:
-    await client.say("subscribe", topic="/robot_description", type="std_msgs/String")
-    urdf = (await client.until("/robot_description", bool))[-1]["data"]
-    assert 'name="left_shoulder_pan"' in urdf
-    assert 'name="right_shoulder_pan"' in urdf
-    assert 'xyz="0.0 0.25 0.0"' in urdf
 
 
 async def test_an_arm_process_that_dies_leaves_the_other_arm_moving(server: RunningServer, client: ArmClient) -> None:

@@ -24,7 +24,7 @@ from robot.errors import PortError, PortLost
 from robot.hardware import port
 from robot.hardware.config import FeetechConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, encode, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
 from robot.hardware.interface import StatusFlag
 from robot.hardware.port import _refusal, resolve_port
 from robot.messages import ArmState, Mode, Order
@@ -170,8 +170,8 @@ def store(servos: SteppedEmulator, register: Register, value: int, *ids: int) ->
     for each in ids:
         # Not acknowledged: a servo replies by its new id, and at its new rate.
         for written, content in ((Register.LOCK, 0), (register, value)):
-            writer.sync_write(written, {each: encode(written, content)})
-    lock = Register.LOCK, encode(Register.LOCK, 1)
+            writer.sync_write(written, {each: written.encode(content)})
+    lock = Register.LOCK, Register.LOCK.encode(1)
     for each in range(1, 7):
         writer.sync_write(lock[0], {each: lock[1]})
 

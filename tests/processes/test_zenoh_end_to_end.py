@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from websockets.asyncio.client import connect
 
-from harness.clients import arm_client, frame_client
+from harness.clients import frame_client
 from harness.server import RunningServer
 from harness.waiting import running, until, wait_until
 from protocol.codecs import json
@@ -22,9 +22,6 @@ STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 ERROR_CODES = "moveit_msgs::msg::dds_::MoveItErrorCodes_"
 SUCCESS, PREEMPTED = 1, -7
 
-# Goals of the gripper [rad], and the final status of an action that has succeeded.
-OPEN, CLOSED = {"command": {"position": 1.0}}, {"command": {"position": 0.2}}
-SUCCEEDED = 4
 
 # A server ends within a second, and on a starved machine by its arm's clock.
 END_TIMEOUT_S = 60.0
@@ -127,18 +124,6 @@ async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: L
     assert results[0]["val"] == SUCCESS, results[0]
 
 
-async def test_a_client_of_another_server_moves_the_gripper_by_an_action(ready_arm: Lab) -> None:
-    action, gripper = "/arm1/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand"
-    async with arm_client(ready_arm.viewer.url) as client:
-        async with asyncio.timeout(30.0):
-            while action not in (await client.call("/rosapi/action_servers"))["action_servers"]:
-                await asyncio.sleep(0.05)
-        results = [await client.result(await client.send_goal(action, gripper, goal)) for goal in (OPEN, CLOSED)]
-        assert client.feedback
-    assert [result["status"] for result in results] == [SUCCEEDED, SUCCEEDED]
-    assert results[1]["values"]["reached_goal"]
-
-
 async def test_a_client_of_another_server_stops_the_arm_by_a_topic_that_is_listed_nowhere(ready_arm: Lab) -> None:
     machine = ready_arm.machine
     states = machine.hear("/arm1/joint_states", JOINT_STATE)
@@ -159,12 +144,6 @@ async def call(url: str, service: str) -> Any:
     async with connect(url) as websocket, asyncio.timeout(30.0):
         await websocket.send(f'{{"op": "call_service", "service": "{service}"}}')
         return json.decode(await websocket.recv())
-
-
-async def test_a_client_of_another_server_calls_a_service_of_the_arm(lab: Lab) -> None:
-    answer = await call(lab.viewer.url, "/arm1/arm/stop")
-    assert answer["result"] is True
-    assert answer["values"] == {"success": True, "message": "the arm does not move"}
 
 
 async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(lab: Lab) -> None:

@@ -1,9 +1,11 @@
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.dialect import declared_in_ros1, from_ros1, spell_type, to_ros1
-from protocol.errors import InterfaceError
+from protocol.errors import InterfaceError, MessageError
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from tests.helpers.messages import made_up
@@ -165,3 +167,34 @@ def test_every_field_of_rosapi_has_its_counterpart_in_ros1():
         newer = OUTCOME if name.partition("_msgs/srv/")[2].startswith(PARAMETERS) else ()
         kept = {field: value for field, value in message.items() if field not in newer}
         assert from_ros1(REGISTRY, name, spelled) == kept, name
+
+
+LEVELS = [(10, 1), (20, 2), (30, 4), (40, 8), (50, 16)]
+
+
+def record(**fields: Any) -> dict[str, Any]:
+    return complete(REGISTRY, "rcl_interfaces/Log", fields, NOW)
+
+
+@pytest.mark.parametrize(("ours", "theirs"), LEVELS)
+def test_each_level_has_its_number_in_either_generation(ours: int, theirs: int) -> None:
+    spelled = to_ros1(REGISTRY, "rcl_interfaces/Log", record(level=ours))
+    assert spelled["level"] == theirs
+    assert from_ros1(REGISTRY, "rcl_interfaces/Log", {"level": theirs}) == {"level": ours}
+
+
+@pytest.mark.parametrize(("level", "theirs"), [(0, 1), (5, 1), (25, 2), (49, 8), (255, 16)])
+def test_a_level_between_two_counts_as_the_lower_one(level: int, theirs: int) -> None:
+    assert to_ros1(REGISTRY, "rcl_interfaces/Log", record(level=level))["level"] == theirs
+
+
+def test_the_levels_are_those_of_both_definitions() -> None:
+    ours = [constant.value for constant in REGISTRY.message("rcl_interfaces/Log").constants]
+    theirs = [constant.value for constant in REGISTRY.ros1.message("rosgraph_msgs/Log").constants]
+    assert list(zip(ours, theirs, strict=True)) == LEVELS
+
+
+@pytest.mark.parametrize("message", [[], {"header": 7}, {"header": {"stamp": []}}, {"level": "high"}])
+def test_what_cannot_be_understood_is_left_for_the_validation(message: object) -> None:
+    with pytest.raises(MessageError):
+        complete(REGISTRY, "rcl_interfaces/Log", from_ros1(REGISTRY, "rcl_interfaces/Log", message), NOW)

@@ -4,15 +4,10 @@ from hypothesis import strategies as st
 
 from protocol.errors import (
     MAX_QUOTED_CHARACTERS,
-    MessageError,
     describe,
     one_line,
     shorten,
 )
-
-
-def test_a_message_error_about_the_whole_message_names_no_field():
-    assert str(MessageError("std_msgs/msg/String", "42")) == "message: wanted std_msgs/msg/String, got 42"
 
 
 @pytest.mark.parametrize(

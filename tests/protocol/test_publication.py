@@ -96,14 +96,6 @@ def decoded(frame, encoding):
     return json.loads(frame.data) if encoding == "none" else cbor2.loads(frame.data)
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_every_encoding_carries_op_and_topic_as_spelled_and_is_text_or_binary(encoding):
-    frame = frame_of(published(), "chatter", encoding)
-    assert list(decoded(frame, encoding)) == ["op", "topic", "msg"]
-    assert decoded(frame, encoding)["topic"] == "chatter"
-    assert frame.text == (encoding in ("none", "png"))
-
-
 @pytest.mark.parametrize("dialect", ["ros2", "ros1"])
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_subscribers_that_want_the_same_share_the_same_bytes(encoding, dialect):

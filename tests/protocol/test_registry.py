@@ -4,7 +4,7 @@ import pytest
 
 from protocol import registry
 from protocol.errors import InterfaceError
-from protocol.registry import ArrayBounds, Registry
+from protocol.registry import Registry
 from tests.helpers.resources import shared_data
 
 # The reference has them as they were before 2025.
@@ -31,10 +31,6 @@ def test_the_ros1_table_adds_seven_messages_for_each_action():
             assert table[f"{package}/msg/{name}{suffix}"]["kind"] == "msg"
 
 
-def field(registry, type_name, field_name):
-    return next(field for field in registry.message(type_name).fields if field.name == field_name)
-
-
 @pytest.mark.parametrize(
     "name", ["std_msgs/string", "Std_msgs/String", "String", "", "/", "a/b/c/d", "std_msgs/srv/String", "std_msgs/"]
 )
@@ -53,42 +49,10 @@ def test_a_name_shared_by_message_and_action_is_the_message_in_two_parts(registr
     assert registry.canonical("control_msgs/GripperCommand") == "control_msgs/msg/GripperCommand"
 
 
-def test_arrays_are_free_fixed_or_bounded(registry):
-    free = field(registry, "sensor_msgs/JointState", "position").array
-    fixed = field(registry, "unique_identifier_msgs/UUID", "uuid").array
-    bounded = field(registry, "shape_msgs/SolidPrimitive", "dimensions").array
-    assert (free, free.fixed) == (ArrayBounds(0, None), False)
-    assert (fixed, fixed.fixed) == (ArrayBounds(16, 16), True)
-    assert (bounded, bounded.fixed) == (ArrayBounds(0, 3), False)
-
-
-def test_defaults_come_in_the_type_of_their_field(registry):
-    assert field(registry, "geometry_msgs/Quaternion", "w").default == 1.0
-    assert field(registry, "rcl_interfaces/ParameterDescriptor", "read_only").default is False
-    assert field(registry, "sensor_msgs/NavSatStatus", "status").default == -2
-    assert field(registry, "std_msgs/String", "data").default is None
-
-
 def test_a_field_type_that_cannot_be_read_is_refused_by_name():
     table = {"a/msg/B": {"kind": "msg", "fields": [["data", "float64[x]"]], "consts": []}}
     with pytest.raises(InterfaceError, match="field data"):
         Registry(table).message("a/B")
-
-
-@pytest.mark.parametrize("name", ["std_srvs/SetBool", "std_srvs/srv/SetBool"])
-def test_a_service_has_a_request_and_a_response_that_are_message_types(registry, name):
-    service = registry.service(name)
-    assert service.name == "std_srvs/srv/SetBool"
-    assert service.request is registry.message("std_srvs/srv/SetBool_Request")
-    assert [field.name for field in service.response.fields] == ["success", "message"]
-
-
-@pytest.mark.parametrize("name", ["control_msgs/GripperCommand", "control_msgs/action/GripperCommand"])
-def test_an_action_has_three_members_that_are_message_types(registry, name):
-    action = registry.action(name)
-    assert action.name == "control_msgs/action/GripperCommand"
-    assert action.goal is registry.message("control_msgs/action/GripperCommand_Goal")
-    assert [field.name for field in action.feedback.fields] == [field.name for field in action.result.fields]
 
 
 @pytest.mark.parametrize("generation", ["ros2", "ros1"])
@@ -125,14 +89,6 @@ def test_a_type_that_exists_only_in_ros1_tells_that_a_client_speaks_it(registry,
 @pytest.mark.parametrize(("name", "known"), [("std_msgs/String", True), ("std_srvs/srv/Empty", False), ("time", False)])
 def test_a_type_is_known_as_a_message_or_not(registry, name, known):
     assert registry.knows(name) is known
-
-
-def test_the_message_of_a_feedback_topic_is_derived_from_its_action(registry):
-    message = registry.message("control_msgs/action/GripperCommand_FeedbackMessage")
-    assert [(field.name, field.base) for field in message.fields] == [
-        ("goal_id", "unique_identifier_msgs/msg/UUID"),
-        ("feedback", "control_msgs/action/GripperCommand_Feedback"),
-    ]
 
 
 @pytest.mark.parametrize("name", ["std_srvs/srv/SetBool_FeedbackMessage", "no/action/Such_FeedbackMessage"])

@@ -51,37 +51,6 @@ def received_data(frames):
 # What comes from the client
 
 
-@pytest.mark.parametrize(
-    ("frame", "text"),
-    [
-        ("", "not JSON"),
-        ("hello", "not JSON"),
-        (b"\xff\xfe", "invalid UTF-8 at position 0"),
-        ("[" * 100_000, "not JSON"),
-        ("[" * 500 + "]" * 500, "nested deeper than the limit of 64"),
-        ("\ud800", "surrogate"),
-        ("42", "wanted an object"),
-        ("[1]", "wanted an object"),
-        ("null", "wanted an object"),
-        ("{}", "field op"),
-        ('{"op":["publish"]}', "field op"),
-        ('{"op":"fly"}', "got 'fly'"),
-        ('{"op":"publish"}', "publish: field topic"),
-    ],
-)
-def test_an_unreadable_frame_is_refused_in_one_line(frame, text):
-    (refusal,) = read(Session(), frame)
-    assert isinstance(refusal, Refusal)
-    assert text in refusal.text
-    assert "\n" not in refusal.text
-
-
-@pytest.mark.parametrize("mark", ["x", 7, 0.8234, None])
-def test_a_refusal_carries_op_and_id(mark):
-    refusal = receive(Session(), op="subscribe", topic=3, id=mark)
-    assert (refusal.op, refusal.id) == ("subscribe", mark)
-
-
 @pytest.mark.parametrize("mark", [{}, [1], True, "x" * 10_000])
 def test_a_refusal_carries_no_id_that_could_not_be_sent_back(mark):
     assert receive(Session(), op="subscribe", topic="/a", id=mark).id is None
@@ -167,14 +136,6 @@ def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(
     assert received_data(sent(session)) == ["third", "fourth"]
 
 
-def test_a_throttle_without_a_queue_drops_what_comes_too_early_and_does_not_count_it():
-    session = subscribed(throttle_rate=100)
-    for step in range(10):
-        session.deliver(message(step), step * 0.03)
-    assert received_data(sent(session, 1.0)) == [0, 4, 8]
-    assert session.dropped == 0
-
-
 # What is packed
 
 
@@ -253,22 +214,6 @@ def test_a_fragment_size_of_null_changes_nothing():
 # Kinds of frames
 
 
-def test_a_client_that_sends_bson_is_answered_in_bson_and_one_that_sends_json_again_in_json():
-    session = Session()
-    (operation,) = read(session, bson.encode({"op": "subscribe", "topic": "/a"}))
-    session.subscriptions.add(operation)
-    session.deliver(message("x"), 1.0)
-    session.reply({"op": "service_response", "values": {"n": 1}})
-    told, answered = (encoded.frames[0] for encoded in session.data_to_send(1.0))
-    assert not told.text
-    assert not answered.text
-    assert bson.decode(told.data) == {"op": "publish", "topic": "/a", "msg": {"data": "x"}}
-    assert bson.decode(answered.data) == {"op": "service_response", "values": {"n": 1}}
-    read(session, PUBLISH)
-    session.deliver(message("x"), 1.0)
-    assert session.data_to_send(1.0)[0].frames[0].text
-
-
 # Bounds
 
 
@@ -300,19 +245,6 @@ def test_the_data_fetched_at_a_time_is_bounded():
     fetched = session.data_to_send(1.0)
     assert sum(encoded.size_bytes for encoded in fetched) <= SEND_BUDGET_BYTES + 2000
     assert session.send_queue.next_due(1.0) == 1.0
-
-
-@pytest.mark.parametrize(("wanted", "told"), [("none", 0), ("error", 1), ("warning", 2), ("info", 3)])
-def test_a_client_is_told_of_its_level_and_of_what_is_worse(wanted, told):
-    session = Session()
-    session.status_level = wanted
-    for level in ("error", "warning", "info"):
-        session.status(level, "as it is", 7)
-    assert session.send_queue.empty == (not told)
-    statuses = [json.loads(frame) for frame in sent(session)]
-    expected = [{"op": "status", "level": level, "msg": "as it is", "id": 7} for level in ("error", "warning", "info")]
-    assert statuses == expected[:told]
-    assert session.send_queue.empty
 
 
 def test_a_client_that_lags_is_warned_once_it_reads_and_not_too_often():

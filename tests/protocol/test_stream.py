@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from protocol.errors import FrameError
 from protocol.framing import StreamSplitter
-from protocol.session import Refusal, Session
 from tests.protocol.test_framing import operations, pieces
 
 LIMIT = 10_000
@@ -51,13 +50,6 @@ def test_garbage_gives_the_same_frames_and_the_same_end_byte_by_byte(data):
     one_by_one, later_end = frames_of(*(data[at : at + 1] for at in range(len(data))), limit=100)
     assert at_once == one_by_one
     assert (end is None) == (later_end is None)
-
-
-@given(st.binary(max_size=300))
-def test_a_session_refuses_whatever_garbage_gives_and_raises_nothing(data):
-    session = Session()
-    for frame in frames_of(data)[0]:
-        assert all(isinstance(item, Refusal) for item in session.receive_frame(frame, 0.0))
 
 
 def test_an_object_that_is_as_long_as_its_own_brace_says_is_told_from_json():

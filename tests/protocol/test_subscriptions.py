@@ -8,20 +8,6 @@ from protocol.errors import NothingToDoError, OperationError
 from protocol.operations import Advertise, Subscribe, qualify
 from protocol.subscriptions import Registrations, Subscription, Subscriptions
 
-
-@pytest.fixture
-def table():
-    return Registrations("advertise", "unadvertise", limit=3)
-
-
-def test_one_entry_too_many_is_refused_and_changes_nothing(table):
-    for mark in (1, 2, 3):
-        table.add(Advertise(topic="/a", type="t", id=mark))
-    with pytest.raises(OperationError, match="advertise: this client has 3, the limit is 3"):
-        table.add(Advertise(topic="/b", type="t", id=1))
-    assert list(table) == ["/a"]
-
-
 actions = st.tuples(st.booleans(), st.sampled_from(["a", "/a", "/b"]), st.sampled_from([None, 1, "1"]))
 
 
@@ -68,11 +54,6 @@ def merged(*operations):
 def test_throttle_and_queue_of_several_ids_are_the_least_of_each():
     both = (subscribe(id=1, throttle_rate=200, queue_length=5), subscribe(id=2, throttle_rate=100, queue_length=9))
     assert merged(*both) == merged(*reversed(both)) == (0.1, 5)
-
-
-def test_a_topic_is_delivered_as_its_first_subscription_spelled_it():
-    table = subscriptions(subscribe("a", id=1), subscribe("/a", id=2))
-    assert table.get("/a").spelled_topic == "a"
 
 
 def test_the_least_fragment_size_that_is_given_serves_all():

@@ -13,8 +13,17 @@ from robot.arm import Arm
 from robot.arm_group import ArmGroup, joined_health, joined_state
 from robot.errors import OrderRefused
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import BusCounters
-from robot.messages import ArmHealth, ArmState, CommandDone, Mode, MotionEnded, MotionProgress, Order, Outcome
+from robot.messages import (
+    ArmHealth,
+    ArmState,
+    BusCounters,
+    CommandDone,
+    Mode,
+    MotionEnded,
+    MotionProgress,
+    Order,
+    Outcome,
+)
 from robot.trajectory import Trajectory
 from tests.helpers.fake_arm import FakeArm
 

@@ -1,9 +1,8 @@
-"""docs/architecture.md: each of its examples is added to a server as the page describes, and called by a client."""
-
-from __future__ import annotations
+"""ARCHITECTURE.md: each of its examples is added to a server as the page describes, and called by a client."""
 
 import re
 import sys
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -19,7 +18,7 @@ from server.lifecycle import Feature
 from tests.helpers.gateway import InProcess
 from tests.helpers.rules import started
 
-PAGE = (ROOT / "docs" / "architecture.md").read_text()
+PAGE = (ROOT / "ARCHITECTURE.md").read_text()
 BLOCKS = dict(re.findall(r"```python\n# (\S+)\n(.*?)```", PAGE, re.DOTALL))
 
 
@@ -39,7 +38,7 @@ def feature(path: str, app: App, monkeypatch: pytest.MonkeyPatch) -> Any:
 def called(app: App, service: str) -> dict[str, Any]:
     """Return the values of a service's response to a client."""
     world = InProcess()
-    world.graph, world.access = app.graph, app._context.access
+    world._gateway = replace(world._gateway, graph=app.graph, access=app._context.access)
     world.say("client", op="call_service", service=service, id="1")
     (response,) = world.heard("client")
     values: dict[str, Any] = response["values"]

@@ -50,7 +50,7 @@ from robot.hardware.servos.survey import limits_warnings
 
 HEADER = b"\xff\xff\xfd\x00"
 _HEADER_IN_BODY = b"\xff\xff\xfd"
-_STUFFED = b"\xff\xff\xfd\xfd"
+STUFFED = b"\xff\xff\xfd\xfd"
 
 PREFIX_BYTES = 7  # header, id and LEN: what LEN does not count
 LENGTH_OVERHEAD = 3  # INST and CRC; a status packet has ERR as well
@@ -61,31 +61,19 @@ ALERT = 0x80
 
 MAX_PACKET_BYTES = 1024  # longest packet of the SDK
 
-CRC_POLYNOMIAL = 0x8005
-
-
-def _crc_of_byte(byte: int) -> int:
-    crc = byte << 8
-    for _ in range(8):
-        crc = (crc << 1 ^ CRC_POLYNOMIAL if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc
-
-
-_CRC_TABLE = tuple(_crc_of_byte(byte) for byte in range(256))
+PROTOCOL = 2.0
+_SDK = PacketHandler(PROTOCOL)
 
 
 def crc16(data: bytes) -> int:
-    """Compute the CRC of a packet's bytes before it: polynomial 0x8005, initial value 0, not reflected."""
-    crc = 0
-    for byte in data:
-        crc = crc << 8 & 0xFF00 ^ _CRC_TABLE[crc >> 8 ^ byte]
-    return crc
+    """Compute the CRC of a packet's bytes before it."""
+    return _SDK.updateCRC(0, data, len(data))
 
 
 def packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Build a whole packet."""
     body = bytes([instruction]) + parameters
-    body = body.replace(_HEADER_IN_BODY, _STUFFED)
+    body = body.replace(_HEADER_IN_BODY, STUFFED)
     head = HEADER + bytes([servo_id]) + (len(body) + LENGTH_OVERHEAD - 1).to_bytes(2, "little") + body
     return head + crc16(head).to_bytes(2, "little")
 
@@ -108,11 +96,6 @@ def instruction_packet(servo_id: int, instruction: int, parameters: Sequence[int
 def status_bytes(data_length: int, replies: int = 1) -> int:
     """Count the bytes of ``replies`` status packets with ``data_length`` bytes of data each, without stuffing."""
     return replies * (data_length + STATUS_OVERHEAD_BYTES)
-
-
-def stuffed_bytes(received: bytes) -> int:
-    """Count the stuffed bytes among those received."""
-    return received.count(_STUFFED)
 
 
 def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
@@ -143,7 +126,7 @@ def _frame_at(received: bytes, at: int) -> tuple[StatusFrame | None, int]:
         return None, at + 1
     if crc16(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
         return None, at + 1
-    body = whole[PREFIX_BYTES:-2].replace(_STUFFED, _HEADER_IN_BODY)
+    body = whole[PREFIX_BYTES:-2].replace(STUFFED, _HEADER_IN_BODY)
     return StatusFrame(whole[len(HEADER)], body[1], body[2:]), end
 
 
@@ -181,8 +164,6 @@ _SURVEYED = (
 )
 
 
-PROTOCOL = 2.0
-
 # Longest delay of a reply, register RETURN_DELAY_TIME of 254; the factory's 250 is hardly less.
 LONGEST_RETURN_DELAY_S = 254 * 2e-6
 
@@ -198,7 +179,7 @@ class Bus(ServoBus):
     _reply_bytes = staticmethod(status_bytes)
 
     def _added_bytes(self, received: bytes) -> int:
-        return stuffed_bytes(received)
+        return received.count(STUFFED)
 
     def _answer_delay_s(self, replies: int) -> float:
         return replies * LONGEST_RETURN_DELAY_S

@@ -60,9 +60,6 @@ class Register(RegisterEnum):
     PRESENT_TEMPERATURE = 146, 1, READ_ONLY
 
 
-LAYOUT = {register: register.layout for register in Register}
-
-
 @dataclass(frozen=True)
 class Model:
     """Model of a servo."""
@@ -141,7 +138,6 @@ def status_of(hardware_error: int) -> StatusFlag:
 
 
 TABLE = RegisterTable(Register)
-value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 
 # Blocks of measurements: what changes at every tick, and all up to the temperature. The two trajectory registers in
 # between (136 to 143) are not used.

@@ -26,7 +26,6 @@ from robot.hardware.servos.bus import StatusFrame as StatusFrame
 HEADER = b"\xff\xff"
 
 STATUS_OVERHEAD_BYTES = 6  # bytes of a status packet besides its data: header, id, LEN, ERR, checksum
-SOUND_SUM = 0xFF  # low byte of the sum of all that follows the header: the checksum is the inverse of what precedes it
 LENGTH_OVERHEAD = 2  # bytes that follow LEN besides the data: ERR and checksum
 MAX_INSTRUCTION_BYTES = 250  # the SDK's limit
 INSTRUCTION_OVERHEAD_BYTES = 6  # bytes of an instruction besides its parameters: header, id, LEN, INST, checksum
@@ -58,29 +57,6 @@ def parse_status_frames(received: bytes, expected_ids: Sequence[int], data_lengt
     different one, and it is in turn: of two frames in the wrong order either may have a disturbed id, so both are left
     out. Noise between frames is skipped.
     """
-    frames = _parse_clean(received, expected_ids, data_length)
-    return _parse_disturbed(received, expected_ids, data_length) if frames is None else frames
-
-
-def _parse_clean(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame] | None:
-    """Parse the replies of all servos in turn; return None if anything else could be among or in them."""
-    size = status_bytes(data_length)
-    # As many headers as replies: none is hidden in the data.
-    if len(received) != size * len(expected_ids) or received.count(HEADER) != len(expected_ids):
-        return None
-    frames = {}
-    for at, servo_id in zip(range(0, len(received), size), expected_ids, strict=True):
-        packet = received[at : at + size]
-        header, body = packet[:2], packet[2:]
-        if header != HEADER or body[0] != servo_id or body[1] != data_length + LENGTH_OVERHEAD:
-            return None
-        if sum(body) & 0xFF != SOUND_SUM:
-            return None
-        frames[servo_id] = StatusFrame(servo_id, body[2], body[3:-1])
-    return frames
-
-
-def _parse_disturbed(received: bytes, expected_ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
     frames: dict[int, StatusFrame] = {}
     contradicted: set[int] = set()
     at = received.find(HEADER)

@@ -129,7 +129,7 @@ PHASE_MULTI_TURN = 0x10  # Register PHASE, bit 4: positions count on beyond one 
 NO_LIMITS = (0, 0)  # registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT of a servo without limits
 
 _GOAL_AT = Register.GOAL_POSITION - GOAL_ADDRESS
-_GOAL_END = _GOAL_AT + TABLE.layout[Register.GOAL_POSITION].size
+_GOAL_END = _GOAL_AT + Register.GOAL_POSITION.size
 
 
 class Feetech(ServoFamily):
@@ -194,7 +194,7 @@ class Feetech(ServoFamily):
     def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:  # noqa: ARG002
         """Return the angle limits, to which a servo clamps its goals."""
         limits = self.position_limits_ticks(values)
-        return TABLE.value_range(Register.GOAL_POSITION) if limits == NO_LIMITS else limits
+        return Register.GOAL_POSITION.value_range if limits == NO_LIMITS else limits
 
     def max_voltage_v(self, values: Values) -> float:
         return values[Register.MAX_VOLTAGE] * VOLT_PER_UNIT

@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 from robot.description.servo_table import ProfileSpec
 from robot.errors import DescriptionError
-from robot.hardware.feetech.registers import AMPERE_PER_UNIT, LAYOUT, Area, Register, value_range
+from robot.hardware.feetech.registers import AMPERE_PER_UNIT, EPROM, Register
 
 RETURN_DELAY_UNIT_US = 2
 
@@ -111,14 +111,14 @@ def meaning(register: Register, value: int) -> str:
 
 
 def _registers(named: Mapping[str, int], key: str) -> dict[Register, int]:
-    settings = {register.name: register for register in LAYOUT if LAYOUT[register].area is Area.EEPROM}
+    settings = {register.name: register for register in EPROM}
     found = {}
     for name, value in named.items():
         register = settings.get(name.upper())
         place = f"hardware.profile.{key}.{name}:"
         if register is None:
             raise DescriptionError(place, f"there is no such setting; a servo has {', '.join(settings)}")
-        lowest, highest = value_range(register)
+        lowest, highest = register.value_range
         if not lowest <= value <= highest:
             raise DescriptionError(place, f"must be {lowest} to {highest}, not {value}")
         found[register] = value

@@ -67,8 +67,6 @@ class Register(RegisterEnum):
     PRESENT_CURRENT = 69, 2, READ_ONLY, 15
 
 
-LAYOUT = {register: register.layout for register in Register}
-
 # Register MODEL_NUMBER of the servos whose registers are these: Feetech's STS series.
 MODELS: Mapping[str, int] = MappingProxyType({"sts3215": 777, "sts3250": 2825})
 
@@ -90,14 +88,13 @@ FREE_SPEED_RAD_S = 5.5  # its speed without load at 7.4 V (Feetech's data sheet)
 TICKS_S2_PER_ACCELERATION_UNIT = 100  # the acceleration register counts in steps of 100 ticks/s^2
 
 TABLE = RegisterTable(Register)
-value_range, encode, decode = TABLE.value_range, TABLE.encode, TABLE.decode
 
 # Identity and EPROM, all below the SRAM, in one transaction; its even length keeps it apart from the telemetry's.
 SETTINGS = tuple(register for register in Register if register < Register.TORQUE_ENABLE)
 SETTINGS_BLOCK = Block(int(Register.FIRMWARE_MAJOR), Register.TORQUE_ENABLE - Register.FIRMWARE_MAJOR, SETTINGS)
 
 # Settings that can be written and outlive a power cut.
-EPROM = tuple(register for register in SETTINGS if register.layout.area is EEPROM)
+EPROM = tuple(register for register in SETTINGS if register.area is EEPROM)
 
 # Commands that a servo holds.
 CONTROL = TABLE.block(Register.TORQUE_ENABLE, Register.LOCK)
@@ -135,8 +132,8 @@ def goal_block(goal_ticks: int, velocity_ticks_s: int, acceleration: int = 254) 
     streamed goal.
     """
     return (
-        encode(Register.ACCELERATION, acceleration)
-        + encode(Register.GOAL_POSITION, goal_ticks)
-        + encode(Register.GOAL_TIME, 0)
-        + encode(Register.GOAL_VELOCITY, velocity_ticks_s)
+        Register.ACCELERATION.encode(acceleration)
+        + Register.GOAL_POSITION.encode(goal_ticks)
+        + Register.GOAL_TIME.encode(0)
+        + Register.GOAL_VELOCITY.encode(velocity_ticks_s)
     )

@@ -11,15 +11,15 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 from scservo_sdk import INST_READ, INST_SYNC_READ, INST_SYNC_WRITE, INST_WRITE
 
 from robot.errors import NoReply, PortLost, StartupError
-from robot.hardware.interface import BusCounters, Steps
+from robot.hardware.interface import Steps
 from robot.hardware.port import QUIET_S, BusPort, open_port, wire_time_s
-from robot.hardware.servos.registers import Block, RegisterTable
+from robot.hardware.servos.registers import Block, RegisterEnum, RegisterTable
+from robot.messages import BusCounters
 
 ATTEMPTS = 3  # attempts before a servo counts as silent: single packets get lost while others draw current
 STEP_ATTEMPTS = 5  # attempts of a sequence: five lost packets in a row mean that no servo is there
@@ -121,20 +121,20 @@ class ServoBus(ABC):
         """Return a servo's model number; raises NoReply for a servo that is missing or badly connected."""
         return self.read(servo_id, self.registers.model_number, attempts)
 
-    def read(self, servo_id: int, register: IntEnum, attempts: int = ATTEMPTS) -> int:
+    def read(self, servo_id: int, register: RegisterEnum, attempts: int = ATTEMPTS) -> int:
         """Read one register; a silent servo costs up to 9 ms an attempt."""
-        size = self.registers.layout[register].size
+        size = register.size
         for attempt in range(attempts):
+            self.counters.retries += attempt > 0
             self._await_quiet()
             length = self._read_length(size)
             packet = self._packet(servo_id, INST_READ, self._words(register, length))
             frame = self._exchange(packet, (servo_id,), length).get(servo_id)
             if frame is not None:
-                return self.registers.decode(register, frame.data[:size])
-            self._count_retry(attempt, attempts)
+                return register.decode(frame.data[:size])
         raise NoReply(servo_id, attempts)
 
-    def write(self, servo_id: int, register: IntEnum, value: int, attempts: int = ATTEMPTS) -> int:
+    def write(self, servo_id: int, register: RegisterEnum, value: int, attempts: int = ATTEMPTS) -> int:
         """Write one register and return the number of the error that the servo reports, 0 for none.
 
         An acknowledgement does not repeat the value: values that matter for safety must be read back. Without one the
@@ -148,8 +148,8 @@ class ServoBus(ABC):
         self._await_quiet()
         return self._exchange(self._sync_read_packet(ids, address, length), ids, length)
 
-    def _write_packet(self, servo_id: int, register: IntEnum, value: int) -> list[int]:
-        data = self.registers.encode(register, value)
+    def _write_packet(self, servo_id: int, register: RegisterEnum, value: int) -> list[int]:
+        data = register.encode(value)
         return self._packet(servo_id, INST_WRITE, [*self._words(register), *data])
 
     def _sync_read_packet(self, ids: Sequence[int], address: int, length: int) -> list[int]:
@@ -179,20 +179,12 @@ class ServoBus(ABC):
     def ask(self, servo_id: int, packet: list[int], attempts: int) -> StatusFrame:
         """Send an instruction whose reply carries no data, until the servo replies; raises NoReply."""
         for attempt in range(attempts):
+            self.counters.retries += attempt > 0
             self._await_quiet()
             frame = self._exchange(packet, (servo_id,), 0).get(servo_id)
             if frame is not None:
                 return frame
-            self._count_retry(attempt, attempts)
         raise NoReply(servo_id, attempts)
-
-    def count_retry(self) -> None:
-        """Count an instruction that is repeated because the servo gave no valid reply."""
-        self.counters.retries += 1
-
-    def _count_retry(self, attempt: int, attempts: int) -> None:
-        if attempt + 1 < attempts:
-            self.count_retry()
 
     def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
         self._send(packet)
@@ -265,45 +257,36 @@ class ServoBus(ABC):
         self._disturbed = False
 
 
-def read(bus: ServoBus, servo_id: int, register: IntEnum) -> Steps[int]:
+def read(bus: ServoBus, servo_id: int, register: RegisterEnum) -> Steps[int]:
     """Read one register, as a sequence; raises NoReply."""
     for attempt in range(STEP_ATTEMPTS):
-        yield from _before(bus, attempt)
+        yield 0.0
+        bus.counters.retries += attempt > 0
         with contextlib.suppress(NoReply):
             return bus.read(servo_id, register, attempts=1)
     raise NoReply(servo_id, STEP_ATTEMPTS)
 
 
-def read_block(bus: ServoBus, servo_id: int, address: int, length: int) -> Steps[StatusFrame]:
-    """Read a block of bytes of one servo, as a sequence; raises NoReply."""
+def read_registers(bus: ServoBus, servo_id: int, block: Block[Any]) -> Steps[dict[Any, int]]:
+    """Read the registers of a block of one servo, as a sequence; raises NoReply."""
     for attempt in range(STEP_ATTEMPTS):
-        yield from _before(bus, attempt)
-        frame = bus.sync_read((servo_id,), address, length).get(servo_id)
+        yield 0.0
+        bus.counters.retries += attempt > 0
+        frame = bus.sync_read((servo_id,), block.address, block.length).get(servo_id)
         if frame is not None:
-            return frame
+            return block.parse(frame.data)
     raise NoReply(servo_id, STEP_ATTEMPTS)
 
 
-def read_registers(bus: ServoBus, servo_id: int, block: Block[Any]) -> Steps[dict[Any, int]]:
-    """Read the registers of a block of one servo, as a sequence; raises NoReply."""
-    frame = yield from read_block(bus, servo_id, block.address, block.length)
-    return bus.registers.parse(block, frame.data)
-
-
-def write_verified(bus: ServoBus, servo_id: int, register: IntEnum, value: int) -> Steps[None]:
+def write_verified(bus: ServoBus, servo_id: int, register: RegisterEnum, value: int) -> Steps[None]:
     """Write a register until it reads back; raises StartupError for a servo that keeps another value, and NoReply."""
     error = 0
     for attempt in range(STEP_ATTEMPTS):
-        yield from _before(bus, attempt)
+        yield 0.0
+        bus.counters.retries += attempt > 0
         with contextlib.suppress(NoReply):
             error = bus.write(servo_id, register, value, attempts=1)
         if (yield from read(bus, servo_id, register)) == value:
             return
     reported = f", and reports error {error}" if error else ""
     raise StartupError(f"servo {servo_id} does not take {value} in register {register.name} ({register}){reported}")
-
-
-def _before(bus: ServoBus, attempt: int) -> Steps[None]:
-    yield 0.0
-    if attempt:
-        bus.count_retry()

@@ -14,7 +14,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -25,7 +24,7 @@ from robot.errors import OrderRefused
 from robot.faults import ServoWarning
 from robot.hardware.interface import CALIBRATION_NOT_KEPT, Actuation, StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame
-from robot.hardware.servos.registers import Block, RegisterTable, Telemetry
+from robot.hardware.servos.registers import Block, RegisterEnum, RegisterTable, Telemetry
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
 
@@ -36,14 +35,14 @@ Values: TypeAlias = Mapping[Any, int]
 class Limit(NamedTuple):
     """Register that limits a servo's torque, and its value."""
 
-    register: IntEnum
+    register: RegisterEnum
     value: int
 
 
 class Watchdog(NamedTuple):
     """Watchdog with which a servo stops where it is when the bus falls silent."""
 
-    register: IntEnum  # its register; 0 disarms it
+    register: RegisterEnum  # its register; 0 disarms it
     armed: int  # value that arms it
     tripped: int  # value that it has after it has stopped the servo
     silence_s: float  # time without an instruction that trips it [s]
@@ -66,7 +65,7 @@ class Difference:
 
     joint: str
     servo_id: int
-    register: IntEnum
+    register: RegisterEnum
     calibrated: int
     in_servo: int
 
@@ -89,7 +88,7 @@ class ServoFamily(ABC):
     counts_turns: ClassVar[bool] = False  # True for servos that count turns until they lose their supply
     jump_rad: ClassVar[float] = 0.46  # way that no servo makes in a cycle of 10 ms (46 rad/s) [rad]
     watchdog: ClassVar[Watchdog | None] = None  # watchdog of its servos; None without one
-    error_register: ClassVar[IntEnum | None] = None  # register with the error that a reply announces; None without one
+    error_register: ClassVar[RegisterEnum | None] = None  # register with the error that a reply announces
     latched_status: ClassVar[StatusFlag] = StatusFlag.OVERLOAD  # status flags that last until :meth:`clear_error`
     torque_on_clears_errors: ClassVar[bool] = False  # True for servos that must be driven again to be free of an error
     assumes_no_offsets: ClassVar[bool] = False  # True if a calibration without homing offsets means offsets of 0
@@ -221,17 +220,13 @@ class ServoMap:
             for joint, speed in zip(self.joints, bounds.max_velocity, strict=True)
         }
         self.full_torque = full_torque(calibration, limits or GuardLimits())  # shares of full duty, shape (joints,)
-        self._encode, self._goal = family.registers.encode, family.registers.goal_position
+        self._goal: RegisterEnum = family.registers.goal_position
         self._around_goal = {servo: family.around_goal(speed) for servo, speed in self.speed_ticks_s.items()}
         self._counts_turns = family.counts_turns
         self._middle_ticks = {joint.servo_id: (joint.range_min + joint.range_max) / 2.0 for joint in self.joints}
         self._offset_rad = [joint.rad_from_ticks(0.0) for joint in self.joints]
         self._rad_per_tick = [joint.rad_s_from_ticks_s(1.0) for joint in self.joints]
         self._sign = [math.copysign(1.0, scale) for scale in self._rad_per_tick]
-
-    def limit_torque(self, max_torque: Vector) -> None:
-        """Lower :attr:`full_torque` to the shares of full duty that the servos are set to give, shape (joints,)."""
-        self.full_torque = np.minimum(self.full_torque, max_torque)
 
     def by_servo(self, values: Vector) -> dict[int, float]:
         """Return the values of an array, shape (joints,), by servo id."""
@@ -255,7 +250,7 @@ class ServoMap:
     def goal_block(self, servo_id: int, goal_ticks: int) -> bytes:
         """Build the block at the family's ``goal_address`` for a goal in the servo's own turns [ticks]."""
         head, tail = self._around_goal[servo_id]
-        return head + self._encode(self._goal, goal_ticks) + tail
+        return head + self._goal.encode(goal_ticks) + tail
 
     def goal_blocks(self, goal_rad: Vector, turns_ticks: Mapping[int, int]) -> dict[int, bytes]:
         """Build all servos' blocks for goals, shape (joints,) [rad], less their turns by id [ticks]."""

@@ -20,7 +20,7 @@ from robot.description.limits import JointBounds
 from robot.errors import NoReply, PortLost, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import DynamixelConfig, FeetechConfig
-from robot.hardware.interface import Condition, Flags, HardwareInterface, Measured, Steps, Survey
+from robot.hardware.interface import Flags, HardwareInterface, Measured, Steps, Survey
 from robot.hardware.port import resolve_port
 from robot.hardware.servos import torque
 from robot.hardware.servos.bus import ServoBus, StatusFrame
@@ -28,7 +28,7 @@ from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMa
 from robot.hardware.servos.registers import Block, Telemetry
 from robot.hardware.servos.survey import calibration_refusal, change_refusal, survey
 from robot.hardware.servos.torque import ServoTorque
-from robot.messages import GuardLimits
+from robot.messages import GuardLimits, JointHealth
 from robot.trajectory import Vector
 
 MISSES_UNTIL_LAST = 2  # misses in a row after which a servo is asked behind the others
@@ -206,29 +206,6 @@ TELEMETRY_EVERY = 10  # supply and temperature are read ten times a second where
 CYCLES_BETWEEN = 16  # cycles between register checks: each of six servos is checked about once a second
 
 
-class SerialServos:
-    """Servos of an arm on a serial port, as a hardware source."""
-
-    def __init__(
-        self,
-        family: ServoFamily,
-        config: FeetechConfig | DynamixelConfig,
-        bounds: JointBounds,
-        guard_limits: GuardLimits,
-        clock: Callable[[], float],
-    ) -> None:
-        self._family = family
-        self._config = config
-        self._bounds = bounds
-        self._guard_limits = guard_limits
-        self._clock = clock
-
-    def open(self) -> HardwareInterface:
-        """Open the port; see :func:`robot.hardware.port.open_port` for the errors."""
-        bus = self._family.bus.open(resolve_port(self._config.port), self._config.baud)
-        return ServoHardware(self._family, bus, self._config.calibration, self._bounds, self._guard_limits, self._clock)
-
-
 class ServoHardware(HardwareInterface):
     """Servos of one arm on an open bus, in the calibration's order; emulated ones have no cable and supply to check."""
 
@@ -275,8 +252,7 @@ class ServoHardware(HardwareInterface):
         self._shares = []
         found = [self._found[servo] for servo in self.servos.ids]
         actuation = self._family.actuation(self.servos.joints, self._found)
-        self.servos.limit_torque(actuation.max_torque)
-        self.full_torque = self.servos.full_torque
+        self.full_torque = self.servos.full_torque = np.minimum(self.full_torque, actuation.max_torque)
         own_limits = {servo: self._torque.goal_limits_ticks(servo) for servo in self.servos.ids}
         bounds = self._bounds.within_servos(self._calibration, own_limits)
         self._soft_ticks.update(self.servos.ticks_range(bounds))
@@ -335,7 +311,7 @@ class ServoHardware(HardwareInterface):
         frame = self.bus.sync_read((servo,), block.address, block.length).get(servo)
         if frame is None:
             return None
-        return self._checks.check(servo, self.bus.registers.parse(block, frame.data), stamp_s)
+        return self._checks.check(servo, block.parse(frame.data), stamp_s)
 
     def driven(self) -> Steps[Flags]:
         driven = np.zeros(len(self.servos.ids), dtype=bool)
@@ -384,10 +360,11 @@ class ServoHardware(HardwareInterface):
         servos = {change.servo_id for change in changes}
         return f"{len(changes)} registers of {len(servos)} servos were written" if changes else "nothing had to change"
 
-    def condition(self, joint: int) -> Condition:
+    def health(self, joint: int) -> JointHealth:
         servo = self.servos.ids[joint]
         found = self._found.get(servo)
-        return Condition(
+        return JointHealth(
+            joint=self.joint_names[joint],
             hardware_id=f"servo {servo}",
             torque_enabled=self._checks.torque_on.get(servo),
             age_s=self._tracker.age_s(servo, self._clock()),
@@ -435,6 +412,18 @@ class ServoHardware(HardwareInterface):
         if shares != self._shares:
             self._shares, self._limits = shares, self._torque.limits(self.servos.by_servo(torque_share))
         return self._limits
+
+
+def open_servos(
+    family: ServoFamily,
+    config: FeetechConfig | DynamixelConfig,
+    bounds: JointBounds,
+    guard_limits: GuardLimits,
+    clock: Callable[[], float],
+) -> ServoHardware:
+    """Open the servos of an arm on a serial port; see :func:`robot.hardware.port.open_port` for the errors."""
+    bus = family.bus.open(resolve_port(config.port), config.baud)
+    return ServoHardware(family, bus, config.calibration, bounds, guard_limits, clock)
 
 
 class RegisterChecks:

@@ -18,37 +18,46 @@ class Area(Enum):
 TWOS_COMPLEMENT = -1  # sign of a register in two's complement, in place of the bit of sign and magnitude
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Storage of a register, little endian."""
+class RegisterEnum(IntEnum):
+    """Registers of a family: a member is the address of a register's first byte, and stored little endian."""
 
     size: int  # bytes, 1, 2 or 4
     area: Area
-    sign: int | None = None  # bit that marks a negative value, TWOS_COMPLEMENT, or None for an unsigned register
-
-    @property
-    def value_range(self) -> tuple[int, int]:
-        """Lowest and highest value."""
-        bits = 8 * self.size
-        if self.sign == TWOS_COMPLEMENT:
-            return -(1 << bits - 1), (1 << bits - 1) - 1
-        if self.sign is None:
-            return 0, (1 << bits) - 1
-        highest = (1 << self.sign) - 1
-        return -highest, highest
-
-
-class RegisterEnum(IntEnum):
-    """Registers of a family: a member is the address of a register's first byte, and has its layout."""
-
-    layout: Layout
+    sign: int | None  # bit that marks a negative value, TWOS_COMPLEMENT, or None for an unsigned register
+    value_range: tuple[int, int]  # lowest and highest value
 
     def __new__(cls, address: int, size: int = 1, area: Area = Area.RAM, sign: int | None = None) -> Self:
         """Make a member, of address, size, memory area and sign."""
         register = int.__new__(cls, address)
         register._value_ = address
-        register.layout = Layout(size, area, sign)
+        register.size, register.area, register.sign = size, area, sign
+        if sign is None:
+            register.value_range = 0, (1 << 8 * size) - 1
+        elif sign == TWOS_COMPLEMENT:
+            register.value_range = -(1 << 8 * size - 1), (1 << 8 * size - 1) - 1
+        else:
+            register.value_range = 1 - (1 << sign), (1 << sign) - 1
         return register
+
+    def encode(self, value: int) -> bytes:
+        """Encode a value as the bytes of the register; raises ValueError for a value that it cannot hold."""
+        lowest, highest = self.value_range
+        if not lowest <= value <= highest:
+            raise ValueError(f"{self.name} holds {lowest} to {highest}, not {value}")
+        if self.sign == TWOS_COMPLEMENT:
+            return value.to_bytes(self.size, "little", signed=True)
+        raw = value if self.sign is None or value >= 0 else -value | 1 << self.sign
+        return raw.to_bytes(self.size, "little")
+
+    def decode(self, data: bytes) -> int:
+        """Decode the bytes of the register; raises ValueError for another number of them."""
+        if len(data) != self.size:
+            raise ValueError(f"{self.name} has {self.size} bytes, not {len(data)}")
+        raw = int.from_bytes(data, "little", signed=self.sign == TWOS_COMPLEMENT)
+        if self.sign is None or self.sign == TWOS_COMPLEMENT:
+            return raw
+        magnitude = raw & ((1 << self.sign) - 1)
+        return -magnitude if raw >> self.sign & 1 else magnitude
 
 
 RegisterT = TypeVar("RegisterT", bound=RegisterEnum)
@@ -62,59 +71,30 @@ class Block(Generic[RegisterT]):
     length: int  # bytes
     registers: tuple[RegisterT, ...]  # within, in the order of their addresses
 
+    def parse(self, data: bytes) -> dict[RegisterT, int]:
+        """Decode the registers of the block; raises ValueError for another number of bytes."""
+        if len(data) != self.length:
+            raise ValueError(f"the block from {self.registers[0].name} has {self.length} bytes, not {len(data)}")
+        starts = {register: register - self.address for register in self.registers}
+        return {register: register.decode(data[start : start + register.size]) for register, start in starts.items()}
+
 
 class RegisterTable(Generic[RegisterT]):
     """Registers of a family in the order of their addresses, those that every servo has by their names."""
 
     def __init__(self, registers: type[RegisterT]) -> None:
-        self.layout = {register: register.layout for register in registers}
-        self._ranges = {register: layout.value_range for register, layout in self.layout.items()}
+        self.registers = tuple(registers)
         self.model_number = registers["MODEL_NUMBER"]
         self.torque_enable = registers["TORQUE_ENABLE"]
         self.goal_position = registers["GOAL_POSITION"]
         self.present_position = registers["PRESENT_POSITION"]
         self.homing_offset = registers["HOMING_OFFSET"]
 
-    def value_range(self, register: RegisterT) -> tuple[int, int]:
-        """Return the lowest and highest value that a register can hold."""
-        return self._ranges[register]
-
-    def encode(self, register: RegisterT, value: int) -> bytes:
-        """Encode a value as the bytes of its register; raises ValueError for a value that it cannot hold."""
-        layout, (lowest, highest) = self.layout[register], self._ranges[register]
-        if not lowest <= value <= highest:
-            raise ValueError(f"{register.name} holds {lowest} to {highest}, not {value}")
-        if layout.sign == TWOS_COMPLEMENT:
-            return value.to_bytes(layout.size, "little", signed=True)
-        raw = value if layout.sign is None or value >= 0 else -value | 1 << layout.sign
-        return raw.to_bytes(layout.size, "little")
-
-    def decode(self, register: RegisterT, data: bytes) -> int:
-        """Decode the bytes of a register; raises ValueError for another number of them."""
-        layout = self.layout[register]
-        if len(data) != layout.size:
-            raise ValueError(f"{register.name} has {layout.size} bytes, not {len(data)}")
-        raw = int.from_bytes(data, "little", signed=layout.sign == TWOS_COMPLEMENT)
-        if layout.sign is None or layout.sign == TWOS_COMPLEMENT:
-            return raw
-        magnitude = raw & ((1 << layout.sign) - 1)
-        return -magnitude if raw >> layout.sign & 1 else magnitude
-
     def block(self, first: RegisterT, last: RegisterT | None = None) -> Block[RegisterT]:
         """Return the block of all registers from the first to the last one; of the first alone without a last one."""
         last = first if last is None else last
-        within = tuple(register for register in self.layout if first <= register <= last)
-        return Block(int(first), last + self.layout[last].size - first, within)
-
-    def parse(self, block: Block[RegisterT], data: bytes) -> dict[RegisterT, int]:
-        """Decode the registers of a block; raises ValueError for another number of bytes."""
-        if len(data) != block.length:
-            raise ValueError(f"the block from {block.registers[0].name} has {block.length} bytes, not {len(data)}")
-        starts = {register: register - block.address for register in block.registers}
-        return {
-            register: self.decode(register, data[start : start + self.layout[register].size])
-            for register, start in starts.items()
-        }
+        within = tuple(register for register in self.registers if first <= register <= last)
+        return Block(int(first), last + last.size - first, within)
 
 
 # Six hundred are created a second, and a frozen one takes three times as long.

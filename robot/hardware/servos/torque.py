@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import replace
-from enum import IntEnum
 
 from robot.errors import NoReply, StartupError
 from robot.hardware.interface import Steps
 from robot.hardware.servos.bus import STEP_ATTEMPTS, ServoBus, read, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMap
+from robot.hardware.servos.registers import RegisterEnum
 
 # Largest distance from the goal when torque comes on; more means that the arm moved or the goal was not taken.
 TORQUE_ON_WITHIN_TICKS = 30
@@ -80,9 +80,9 @@ def switch_off(bus: ServoBus, ids: Sequence[int]) -> Steps[list[int]]:
 
 def write_limits(bus: ServoBus, limits: Mapping[int, Limit]) -> None:
     """Write torque limits by servo id, which are not acknowledged, in one packet a register."""
-    blocks: dict[IntEnum, dict[int, bytes]] = {}
+    blocks: dict[RegisterEnum, dict[int, bytes]] = {}
     for servo, (register, value) in limits.items():
-        blocks.setdefault(register, {})[servo] = bus.registers.encode(register, value)
+        blocks.setdefault(register, {})[servo] = register.encode(value)
     for register, data in blocks.items():
         bus.sync_write(register, data)
 
@@ -220,7 +220,7 @@ class ServoTorque:
             for _ in range(REST_READINGS):
                 yield REST_INTERVAL_S
                 for servo, frame in self._bus.sync_read(ids, position.address, position.length).items():
-                    readings[servo].append(table.decode(table.present_position, frame.data))
+                    readings[servo].append(table.present_position.decode(frame.data))
             moving = next((servo for servo, ticks in readings.items() if not _at_rest(ticks)), -1)
             if moving < 0:
                 return

@@ -21,9 +21,8 @@ from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
-from server.arrival import arrival_epoch, is_stopped
 from server.errors import GraphError, RefusedError, refused
-from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
 from server.execution.time_limits import TimeLimits
@@ -48,9 +47,6 @@ STATE_TYPE = "control_msgs/JointTrajectoryControllerState"
 
 # Name of the same action in ROS-Industrial's drivers.
 INDUSTRIAL_ACTION = "/joint_trajectory_action"
-
-# A stream that was stopped has ended when the topic is silent for this time: clients publish at 10 Hz and more.
-STREAM_PAUSE_S = 0.5
 
 # A trajectory whose stamp is this near to now starts now: networks and clocks differ by some tens of milliseconds.
 SAME_STAMP_S = 0.1
@@ -83,11 +79,7 @@ class TrajectoryRefusedError(RefusedError):
 
 @dataclass(frozen=True)
 class SegmentTolerances:
-    """Tolerances of a goal.
-
-    Attributes:
-        time_s: time after the end by which the goal tolerances must be met, on the arm's clock [s].
-    """
+    """Tolerances of a goal; it must be met at most ``time_s`` after the end of the motion, by the arm's clock."""
 
     path: Tolerances
     goal: Tolerances
@@ -113,9 +105,7 @@ class TrajectoryContext:
 class JointTrajectoryController:
     """The actions, the topic for trajectories, and the topics of the controller's state.
 
-    Args:
-        name: of the controller, before ``_controller``; None for the group's name.
-        industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
+    Its name stands before ``_controller``; ``industrial`` offers the action as `INDUSTRIAL_ACTION` too.
     """
 
     def __init__(
@@ -135,10 +125,9 @@ class JointTrajectoryController:
         # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
         self._refused: object = None
         self._failed: object = None
-        # Time of the topic's latest message, and stop epoch of the first message of its stream.
-        self._heard_s, self._stream_epoch = -math.inf, 0
         name = group.name if name is None else name
         self._topic = f"/{name}_controller/joint_trajectory"
+        self._stream = MessageStream(self._topic, context.clock)
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = self._node = Node(f"{group.name} controller")
@@ -218,7 +207,7 @@ class JointTrajectoryController:
             self._queue.cancel_all(f"stopped by an empty trajectory on {self._topic}", self._group.joints)
             return
         try:
-            self._check_not_stopped()
+            self._stream.check(self._arm.part(self._group.joints).last_stop)
             motion = self._motion(trajectory, streamed=True)
         except RefusedError as error:
             if publisher is not self._refused:
@@ -242,16 +231,6 @@ class JointTrajectoryController:
                 repeated=self._failed is publisher,
             )
         )
-
-    def _check_not_stopped(self) -> None:
-        """Refuse messages of a stream that a stop has ended, until the topic was silent for a moment."""
-        now_s = self._context.clock()
-        silence_s, self._heard_s = now_s - self._heard_s, now_s
-        if silence_s > STREAM_PAUSE_S:
-            self._stream_epoch = arrival_epoch()
-        elif is_stopped(self._arm.part(self._group.joints).last_stop, self._stream_epoch):
-            text = f"the arm was stopped: publish nothing on {self._topic} for {STREAM_PAUSE_S:g} s to move it again"
-            raise refused(MoveItErrorCode.PREEMPTED, text)
 
     def _motion(self, trajectory: Message, *, streamed: bool) -> ExternalTrajectory:
         """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
@@ -277,11 +256,7 @@ class JointTrajectoryController:
 
 
 class TrajectoryGoal:
-    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result.
-
-    Attributes:
-        executing: True while its motion is in progress.
-    """
+    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result."""
 
     def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
         self._goal = goal

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import math
 import time
@@ -14,7 +15,7 @@ import numpy as np
 from planners.interface import Planners
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose, Scene
-from robot.trajectory import rest_to_rest_s
+from robot.trajectory import rest_to_rest
 from server.errors import RefusedError, ServiceError
 from server.execution.motions import PlannedMotion, Positions
 from server.graph.list_limits import ListLimits
@@ -85,15 +86,12 @@ class GoalChecks:
         async with self._turn:
             for answer, message in itertools.zip_longest(answers, poses):
                 await asyncio.sleep(0)
-                desired = None if message is None else self._desired_pose(message, present_rad)
+                desired = None
+                if message is not None:
+                    with contextlib.suppress(RefusedError):
+                        desired = self._translator.pose_in_root(message, present_rad)
                 results.append(goal_check(self._planning, present_rad, answer, tip, desired))
         return {"results": results}
-
-    def _desired_pose(self, message: Message, present_rad: Positions) -> Pose | None:
-        try:
-            return self._translator.pose_in_root(message, present_rad)
-        except RefusedError:
-            return None
 
 
 def _problem(
@@ -150,11 +148,7 @@ def goal_check(
     tip: str,
     desired: Pose | None,
 ) -> dict[str, Any]:
-    """Return the armbridge_msgs/GoalCheck of one goal.
-
-    Args:
-        desired: the goal pose in the root link; None for a joint goal.
-    """
+    """Return the armbridge_msgs/GoalCheck of one goal; its pose is in the root link, and None for a joint goal."""
     if isinstance(answer, PlanningFailure):
         return _refused(answer)
     end_rad, angle_rad = answer.positions_rad[0], 0.0
@@ -164,11 +158,13 @@ def goal_check(
     parameters = planning.parameters.configured
     # The slowest joint's, when nothing is in the way.
     duration_s = max(
-        rest_to_rest_s(
-            abs(end_rad[joint.name] - start_rad[joint.name]),
+        rest_to_rest(
+            joint.name,
+            start_rad[joint.name],
+            end_rad[joint.name],
             parameters.max_velocity_scaling * joint.max_velocity,
             parameters.max_acceleration_scaling * joint.max_acceleration,
-        )
+        ).duration_s
         for joint in planning.robot.movable_joints
     )
     return {

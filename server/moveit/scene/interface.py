@@ -34,7 +34,7 @@ from server.moveit.scene.collision_objects import (
 from server.moveit.scene.geometry_files import GeometryFiles
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
-from server.timers import CallLater, Timer, call_later
+from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
 
@@ -97,11 +97,9 @@ NO_ATTACHED_OBJECT: Message = AttachedCollisionObject(_EMPTY, (), _NO_POSTURE, 0
 
 
 def scene_message(contents: SceneContents, robot: RobotModel, state: Message, components: int) -> dict[str, Any]:
-    """Write a moveit_msgs/PlanningScene with every field; those that were not requested are empty.
+    """Write a moveit_msgs/PlanningScene with all fields, filled for the requested moveit_msgs/PlanningSceneComponents.
 
-    Args:
-        state: its moveit_msgs/RobotState without attached objects.
-        components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
+    As in MoveIt, a sum of 0 stands for everything. ``state`` is its moveit_msgs/RobotState without attached objects.
     """
     requested = components or EVERYTHING
     settings, links = requested & SCENE_SETTINGS, requested & LINK_PADDING_AND_SCALING
@@ -243,7 +241,7 @@ class MonitoredScenePublisher:
         self._published = state.contents
         self._period_s = 1.0 / rate_hz
         self._published_at_s = clock() - self._period_s
-        self._timer: Timer | None = None
+        self._timer: asyncio.TimerHandle | None = None
         graph.advertise(self._node, MONITORED_TOPIC, "moveit_msgs/PlanningScene")
         self._latch()
         state.on_change(self._schedule)

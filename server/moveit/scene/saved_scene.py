@@ -18,13 +18,13 @@ from protocol.codecs.pieces import encoded_pieces, json_notation
 from protocol.errors import MessageError
 from robot import files
 from robot.description.model import RobotModel
-from server.answers import telling
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
+from server.graph.services import telling
 from server.graph.topics import Graph
 from server.moveit.messages import Message
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
@@ -32,7 +32,7 @@ from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
 from server.named_files import NamedFiles, read_json
-from server.timers import CallLater, Timer, call_later
+from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
 
@@ -70,7 +70,7 @@ class SavedScene:
         self._call_later = call_later
         self._kept = state.contents
         self._delay_s = DELAY_S
-        self._timer: Timer | None = None
+        self._timer: asyncio.TimerHandle | None = None
         self._writing: asyncio.Task[None] | None = None
         self._failing = False
         self._open = False

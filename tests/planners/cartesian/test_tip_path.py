@@ -11,7 +11,7 @@ from planners.goals import Constraints, JointConstraint
 from planners.problem import Arc, CartesianProblem, Line, MoveItErrorCode
 from planners.scene import Pose
 from tests.helpers.resources import examples
-from tests.planners.refusals import refusal
+from tests.planners.invariants import refusal
 
 START = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.1]))
 QUARTER_ABOUT_Z = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))

@@ -1,8 +1,26 @@
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
-from planners.motions.curve import TICK_S, Curve, averaged, averaging_start, from_moving, polyline, window_ticks
+from planners.motions.curve import (
+    TICK_S,
+    Curve,
+    averaged,
+    averaging_start,
+    brake,
+    connect,
+    from_moving,
+    least_time_s,
+    line,
+    polyline,
+    reduced,
+    same_point,
+    whole_ticks,
+    window_ticks,
+)
 from planners.problem import RateLimits
+from tests.helpers.resources import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
 
 NAMES = ("a", "b")
@@ -77,3 +95,118 @@ def test_a_moving_start_is_met_in_position_and_velocity():
     np.testing.assert_allclose(trajectory.velocities_rad_s[0], MOVING, atol=1e-12)
     assert_keeps_rates(trajectory, LIMITS)
     assert_keeps_jerk(trajectory, LIMITS)
+
+
+ABC = ("a", "b", "c")
+ABC_LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
+
+coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda value: round(value, 6))
+points = st.tuples(*[coordinates] * 3).map(np.array)
+velocities = st.tuples(*[st.floats(-0.99, 0.99)] * 3).map(lambda share: np.array(share) * ABC_LIMITS.velocity_rad_s)
+
+
+def least_time_of_one_s(velocity, acceleration):
+    """Least time from rest to rest over a distance of one."""
+    if velocity**2 / acceleration > 1.0:
+        return 2.0 * np.sqrt(1.0 / acceleration)
+    return 1.0 / velocity + velocity / acceleration
+
+
+@given(st.lists(points, min_size=1, max_size=6).map(np.array))
+@examples(60)
+def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits(corners):
+    trajectory = polyline(corners, ABC_LIMITS).sampled(ABC)
+    assert_well_formed(trajectory)
+    if not same_point(corners[0], corners[-1]):
+        assert_from_rest_to_rest(trajectory, corners[0], corners[-1])
+    assert_keeps_rates(trajectory, ABC_LIMITS)
+
+
+@given(points)
+def test_a_line_takes_the_least_time_of_its_tightest_joint(goal):
+    if same_point(goal, np.zeros(3)):
+        return
+    curve = line(np.zeros(3), goal, ABC_LIMITS)
+    # Joints keep to the line, so the tightest velocity and acceleration may be those of different joints.
+    share = np.maximum(np.abs(goal), 1e-9)
+    bound_s = least_time_of_one_s(
+        np.min(ABC_LIMITS.velocity_rad_s / share), np.min(ABC_LIMITS.acceleration_rad_s2 / share)
+    )
+    assert bound_s - 1e-9 <= TICK_S * curve.duration_ticks <= bound_s + 3.0 * TICK_S
+
+
+@pytest.mark.parametrize("distance_rad", [1e-7, 1e-6, 1e-5, 1e-3])
+def test_tiny_moves_are_timed_and_end_exactly(distance_rad):
+    start, goal = np.array([0.1, 0.2, 0.3]), np.array([0.1 + distance_rad, 0.2, 0.3])
+    trajectory = line(start, goal, ABC_LIMITS).sampled(ABC)
+    assert_well_formed(trajectory)
+    assert_from_rest_to_rest(trajectory, start, goal)
+    assert 0.0 < trajectory.duration_s < 0.05
+
+
+def test_a_polyline_stops_in_every_corner_and_waits_there():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0]])
+    stopping, waiting = (polyline(corners, ABC_LIMITS, wait) for wait in (0, 300))
+    assert waiting.duration_ticks == stopping.duration_ticks + 300
+    at_corner = np.flatnonzero(np.all(waiting.positions_rad == corners[1], axis=1))
+    np.testing.assert_array_equal(waiting.velocities_rad_s[at_corner], np.zeros((2, 3)))
+
+
+def test_repeated_points_change_nothing():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.2, 1.0, 1.0]])
+    expected, got = (polyline(each, ABC_LIMITS) for each in (corners, np.repeat(corners, 3, axis=0)))
+    np.testing.assert_array_equal(got.positions_rad, expected.positions_rad)
+    np.testing.assert_array_equal(got.ticks, expected.ticks)
+
+
+@given(points, velocities, points)
+@examples(100)
+def test_a_moving_start_is_left_smoothly_and_within_the_limits(start, velocity, goal):
+    curve = from_moving(start, velocity, goal, ABC_LIMITS)
+    if curve is None:
+        return
+    np.testing.assert_array_equal(curve.positions_rad[[0, -1]], [start, goal])
+    np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [velocity, np.zeros(3)])
+    assert_keeps_rates(curve.sampled(ABC), ABC_LIMITS)
+
+
+@given(points, velocities)
+def test_braking_brings_each_joint_to_rest_within_the_limits_as_soon_as_it_can(start, velocity):
+    curve = brake(start, velocity, ABC_LIMITS)
+    np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [velocity, np.zeros(3)])
+    assert_keeps_rates(curve.sampled(ABC), ABC_LIMITS)
+    nearest = start + 0.5 * velocity * np.abs(velocity) / ABC_LIMITS.acceleration_rad_s2
+    assert np.all(np.abs(curve.positions_rad[-1] - nearest) <= TICK_S * ABC_LIMITS.velocity_rad_s)
+
+
+positions = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
+shares = st.tuples(*[st.floats(-0.99, 0.99)] * 3).map(np.array)
+
+
+def accelerations(curve):
+    return np.diff(curve.velocities_rad_s, axis=0) / (TICK_S * np.diff(curve.ticks))[:, None]
+
+
+@given(positions, shares, positions, shares)
+@examples(200)
+def test_ramps_join_two_states_within_the_limits(p0, v0, p1, v1):
+    v0, v1 = v0 * ABC_LIMITS.velocity_rad_s, v1 * ABC_LIMITS.velocity_rad_s
+    curve = connect(p0, v0, p1, v1, int(whole_ticks(least_time_s(p0, v0, p1, v1, reduced(ABC_LIMITS)))), ABC_LIMITS)
+    assume(curve is not None)
+    np.testing.assert_array_equal(curve.positions_rad[[0, -1]], [p0, p1])
+    np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [v0, v1])
+    assert np.all(np.abs(accelerations(curve)) <= ABC_LIMITS.acceleration_rad_s2 * (1.0 + 1e-6))
+    assert np.all(np.abs(curve.velocities_rad_s) <= ABC_LIMITS.velocity_rad_s * (1.0 + 1e-6))
+    mean = 0.5 * (curve.velocities_rad_s[1:] + curve.velocities_rad_s[:-1])
+    np.testing.assert_allclose(
+        np.diff(curve.positions_rad, axis=0), mean * (TICK_S * np.diff(curve.ticks))[:, None], atol=1e-9
+    )
+
+
+def test_a_joint_that_would_overshoot_cannot_take_a_time_between():
+    # Moving at 1 rad/s it is there at once or, turning back twice, much later.
+    p0, p1, v = np.zeros(1), np.array([0.1]), np.array([1.0])
+    limits = RateLimits(np.array([3.0]), np.array([1.0]))
+    assert connect(p0, v, p1, v, 1000, limits) is not None
+    assert connect(p0, v, p1, v, 4000, limits) is None
+    assert connect(p0, v, p1, v, 60000, limits) is not None

@@ -22,11 +22,7 @@ ECHO = "tests.helpers.echo_child"
 
 
 class Echo:
-    """A child that answers what it is sent, and what it has said.
-
-    Args:
-        refused: message that its server fails to serve.
-    """
+    """A child that answers what it is sent, and what it has said; its server fails to serve the refused message."""
 
     def __init__(self, refused: str = "") -> None:
         self.received: list[Any] = []
@@ -180,7 +176,7 @@ def test_a_folder_of_the_same_name_in_the_working_directory_is_not_imported(
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "__init__.py").write_text("raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
-    process = processes.start_module("robot.emulator", ["--help"], ())
+    process = processes.start_module("robot.emulator.process", ["--help"], ())
     assert process.wait(20.0) == 0
     assert sys.executable
 

@@ -52,25 +52,6 @@ async def two(server: RunningServer) -> AsyncIterator[Two]:
         await person.call("/arm/release_control")
 
 
-async def test_an_approved_goal_moves_the_arm_and_the_person_may_drive_meanwhile(two: Two) -> None:
-    for name, approved in (("ready", True), ("home", False)):
-        waiting = asyncio.create_task(two.agent.call("/moveit_goal", named=name))
-        request = await two.request()
-        values = values_of(request)
-        assert (values["client"][:5], values["proposed"]) == ("agent", "true")
-        # The agent controls nothing, so that nobody waits for it.
-        assert (await two.person.call("/arm/take_control"))["success"]
-        assert not waiting.done()
-        if approved:
-            await two.approve(request["hardware_id"])
-            assert (await waiting)["success"]
-        else:
-            cancel = ("/moveit_goal_cancel", "std_msgs/String", {"data": request["hardware_id"]})
-            await two.person.goal(*cancel)
-            assert (await waiting)["code_name"] == "PREEMPTED"
-        await two.person.until(APPROVAL, lambda all_: not all_[-1]["hardware_id"])
-
-
 async def test_the_agent_cannot_approve_its_own_goal_nor_move_the_arm_in_another_way(
     two: Two, server: RunningServer
 ) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot.control.checks import START_TOLERANCE_RAD
 from robot.control.controller import GRIP_TORQUE_SHARE, SLOW_RATE, SQUEEZE_RAD, STEP_MARGIN, ArmController
-from robot.control.guards import ActuatorThresholds, Temperatures
+from robot.control.guards import ActuatorThresholds
 from robot.description.limits import JointBounds
 from robot.faults import Fault, FaultCode
 from robot.hardware.interface import Actuation
@@ -48,7 +48,7 @@ class Rig:
         full_torque = np.array([0.8] * 5 + [0.5])
         thresholds = None if actuation is None else ActuatorThresholds.of(LIMITS, actuation, full_torque)
         checks = guards(thresholds=thresholds)
-        self.controller = ArmController(NAMES, BOUNDS, checks, full_torque, Temperatures(), simulated=simulated)
+        self.controller = ArmController(NAMES, BOUNDS, checks, full_torque, simulated=simulated)
         self.controller.hold(np.array(hold_rad or [0.0] * 6))
         self.controller.step(reading(self.controller.goal_rad), self.now_s)
         self.goals = [self.controller.goal_rad]

@@ -9,7 +9,6 @@ import pytest
 
 from robot.control.controller import ArmController
 from robot.control.cycle import SAME_ERROR_S, ControlCycle, ErrorCounts
-from robot.control.guards import Temperatures
 from robot.control.pacing import PERIOD_S
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
@@ -33,7 +32,7 @@ class Rig:
         for name in CALLS:
             setattr(self.arm, name, self._kept(name, getattr(self.arm, name)))
         self.cycle = ControlCycle(self.arm, self.clock)
-        self.cycle.controller = ArmController(NAMES, BOUNDS, guards(), np.ones(6), Temperatures())
+        self.cycle.controller = ArmController(NAMES, BOUNDS, guards(), np.ones(6))
         self.tick()
 
     def _kept(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:

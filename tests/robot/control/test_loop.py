@@ -9,7 +9,7 @@ import time
 import pytest
 
 from robot.channel import Channel
-from robot.control.loop import ArmLoop, hardware_source
+from robot.control.loop import ArmLoop, hardware_opener
 from robot.control.pacing import MAX_TICK_S, Pacer, Scheduling
 from robot.description.limits import within_calibration
 from robot.errors import PortError, PortNotFound
@@ -39,7 +39,7 @@ NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
     ],
 )
 def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> None:
-    opened = hardware_source(config, SteppedClock()).open()
+    opened = hardware_opener(config, SteppedClock())()
     assert opened.joint_names == NAMES
     measured = opened.read()
     assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
@@ -54,9 +54,9 @@ def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> 
     ],
 )
 def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened(config: ArmConfig, error: type[PortError]) -> None:
-    source = hardware_source(config, SteppedClock())
+    open_hardware = hardware_opener(config, SteppedClock())
     with pytest.raises(error, match=r"/dev/none|0000:0001"):
-        source.open()
+        open_hardware()
 
 
 def test_sequences_go_on_when_every_tick_is_late() -> None:
@@ -82,8 +82,8 @@ def test_the_ideal_arm_loads_no_serial_library() -> None:
     program = (
         "import sys; from robot.description.robot_folder import built_in; from robot.messages import ArmConfig; "
         "from robot.hardware.config import IdealConfig; from robot.control.pacing import LoopClock; "
-        "from robot.control.loop import hardware_source; "
-        "hardware_source(ArmConfig(built_in('so101').model, IdealConfig()), LoopClock()).open(); "
+        "from robot.control.loop import hardware_opener; "
+        "hardware_opener(ArmConfig(built_in('so101').model, IdealConfig()), LoopClock())(); "
         "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk'} & set(sys.modules)))"
     )
     printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)

@@ -13,7 +13,6 @@ from robot.control.motion import (
     SETPOINT_LASTS_S,
     SETTLED_TICKS,
     Motion,
-    Playback,
     Streaming,
     VelocityTracking,
     splice_refusal,
@@ -30,9 +29,15 @@ MAX_ACCELERATION = np.array([6.0, 5.0])
 MOVES = {"shoulder_pan": (0.0, 1.2), "elbow_flex": (0.5, -0.4)}
 
 
-def play(stop_after_s: float, duration_s: float = 2.0) -> tuple[Playback, np.ndarray]:
+def playing(trajectory: Trajectory) -> Motion:
+    unlimited = np.full(2, 100.0)
+    bounds = JointBounds(-unlimited, unlimited, unlimited, MAX_ACCELERATION)
+    return Motion(Execute(1, trajectory), tuple(MOVES), bounds, GuardLimits())
+
+
+def play(stop_after_s: float, duration_s: float = 2.0) -> tuple[Motion, np.ndarray]:
     """Play until nothing moves; the goals of all ticks."""
-    playback = Playback(smooth_move(MOVES, duration_s), MAX_ACCELERATION)
+    playback = playing(smooth_move(MOVES, duration_s))
     goals = [playback.advance(0.0)]
     for tick in itertools.count(1):
         if tick * PERIOD_S >= stop_after_s:
@@ -71,7 +76,7 @@ def test_a_stop_stays_on_the_path_and_within_the_acceleration_limits(stop_after_
 @example([(0.75, 15), (-1.0, 4), (1.0, 3)], 1.5)
 @given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 80)), min_size=1, max_size=8), st.floats(1.3, 4.0))
 def test_at_any_pace_the_arm_stays_on_the_path_within_limits(paces: list[tuple[float, int]], duration_s: float) -> None:
-    playback = Playback(smooth_move(MOVES, duration_s), MAX_ACCELERATION)
+    playback = playing(smooth_move(MOVES, duration_s))
     goals = [playback.advance(0.0)]
     for pace, ticks in paces:
         playback.pace = pace
@@ -83,7 +88,7 @@ def test_at_any_pace_the_arm_stays_on_the_path_within_limits(paces: list[tuple[f
 
 
 def test_the_way_back_ends_at_rest_where_the_path_began_and_is_not_the_end() -> None:
-    playback = Playback(smooth_move(MOVES, 2.0), MAX_ACCELERATION)
+    playback = playing(smooth_move(MOVES, 2.0))
     for _ in range(100):
         playback.advance(PERIOD_S)
     playback.pace = -1.0
@@ -106,7 +111,7 @@ def test_a_path_that_begins_in_motion_is_gone_back_without_a_jerk_at_its_start()
         whole.velocities_rad_s[half],
         whole.accelerations_rad_s2[half],
     )
-    playback = Playback(cut, MAX_ACCELERATION)
+    playback = playing(cut)
     for _ in range(60):
         playback.advance(PERIOD_S)
     playback.pace = -1.0

@@ -24,7 +24,7 @@ from robot.emulator.process import UsbAdapter
 from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
-from robot.hardware.feetech.registers import Register, encode
+from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import Measured, StatusFlag
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION
@@ -134,7 +134,7 @@ def test_no_part_of_a_refused_command_is_carried_out(emulation, command):
 @pytest.fixture
 def servo(emulation):
     servo = emulation.bus.servos[2]
-    servo.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, 2048))
+    servo.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(2048))
     servo.write(Register.TORQUE_ENABLE, bytes([1]))
     return servo
 
@@ -162,9 +162,9 @@ def test_torque_and_goal_of_a_servo_after_commands(command, servo, commands, tor
 
 @pytest.mark.parametrize(("name", "offset", "at", "goal"), [("obstacle", -40, 2100, 2400), ("hand", 40, 1900, 2048)])
 def test_an_obstacle_or_a_hand_is_at_a_present_position_until_it_ends(command, servo, name, offset, at, goal):
-    servo.write(Register.HOMING_OFFSET, encode(Register.HOMING_OFFSET, offset))
+    servo.write(Register.HOMING_OFFSET, Register.HOMING_OFFSET.encode(offset))
     command(**{name: {"3": at}})
-    servo.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, goal))
+    servo.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(goal))
     run(servo, 1.0)
     assert servo.present_ticks == at
     command(**{name: {"3": None}})

@@ -12,7 +12,7 @@ from robot.emulator.dynamixel import (
 )
 from robot.emulator.plant import Plant
 from robot.hardware.dynamixel.family import ALERT
-from robot.hardware.dynamixel.registers import MODELS, OperatingMode, Register, decode, encode
+from robot.hardware.dynamixel.registers import MODELS, OperatingMode, Register
 from tests.helpers.emulated_family import run
 
 
@@ -27,11 +27,11 @@ def servo_at(
 
 
 def write(servo: DynamixelServo, register: Register, value: int) -> int:
-    return servo.write(register, encode(register, value))
+    return servo.write(register, register.encode(value))
 
 
 def read(servo: DynamixelServo, register: Register) -> int:
-    return decode(register, servo.read(register, len(encode(register, 0))))
+    return register.decode(servo.read(register, len(register.encode(0))))
 
 
 def holding(**kind: int) -> DynamixelServo:
@@ -89,7 +89,7 @@ def test_the_eeprom_is_locked_while_torque_is_on() -> None:
 
 def test_half_a_register_cannot_be_written_and_nothing_of_the_write_is_taken() -> None:
     servo = servo_at()
-    data = encode(Register.PROFILE_ACCELERATION, 7) + encode(Register.PROFILE_VELOCITY, 8)
+    data = Register.PROFILE_ACCELERATION.encode(7) + Register.PROFILE_VELOCITY.encode(8)
     assert servo.write(Register.PROFILE_ACCELERATION, data[:6]) == DATA_LENGTH_ERROR
     assert read(servo, Register.PROFILE_ACCELERATION) == 0
     assert servo.write(Register.PROFILE_ACCELERATION, data) == 0

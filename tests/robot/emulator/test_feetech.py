@@ -12,11 +12,8 @@ from robot.emulator.feetech import (
 )
 from robot.emulator.plant import Plant
 from robot.hardware.feetech.registers import (
-    LAYOUT,
     Area,
     Register,
-    decode,
-    encode,
 )
 from robot.hardware.interface import StatusFlag
 from tests.helpers.emulated_family import run
@@ -33,11 +30,11 @@ def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
 
 
 def put(servo, register, value):
-    servo.write(register, encode(register, value))
+    servo.write(register, register.encode(value))
 
 
 def get(servo, register):
-    return decode(register, servo.read(register, LAYOUT[register].size))
+    return register.decode(servo.read(register, register.size))
 
 
 @pytest.mark.parametrize(("goal", "reached"), [(100, 800), (4000, 3300)])
@@ -135,7 +132,7 @@ def test_only_one_is_torque_on(value):
 @given(st.integers(0, 255), st.binary(max_size=100))
 def test_no_write_changes_what_is_read_only_or_adds_memory(address, data):
     servo = FeetechServo(Plant(2048.0, 0.0, 4095.0), {})
-    read_only = [register for register in Register if LAYOUT[register].area is Area.READ_ONLY]
+    read_only = [register for register in Register if register.area is Area.READ_ONLY]
     before = {register: servo.value(register) for register in read_only}
     servo.write(address, data)
     assert {register: servo.value(register) for register in read_only} == before

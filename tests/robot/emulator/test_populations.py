@@ -7,7 +7,7 @@ from robot.emulator.feetech import FeetechServo, build_servos
 from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import LEROBOT
-from robot.hardware.feetech.registers import Register, encode
+from robot.hardware.feetech.registers import Register
 from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration, so101
@@ -63,7 +63,7 @@ def servos_of(population: str) -> list[FeetechServo]:
 
 
 def put(servo: FeetechServo, register: Register, value: int) -> None:
-    servo.write(register, encode(register, value))
+    servo.write(register, register.encode(value))
 
 
 def test_lerobots_servos_have_its_registers_and_an_open_eprom():

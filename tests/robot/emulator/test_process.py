@@ -15,7 +15,6 @@ import pytest
 import serial
 
 from robot.calibration import MAX_TICK, Calibration, save
-from robot.emulator.__main__ import main
 from robot.emulator.arm import InProcessPort
 from robot.emulator.control import Emulation, LiveCommand, answer, check
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
@@ -30,13 +29,14 @@ from robot.emulator.process import (
     build_bus,
     build_rehearsal,
     configure,
+    main,
     push,
     read_script,
     stall,
     sweep,
 )
 from robot.emulator.servo_bus import Faults, Reply, ServoBus
-from robot.hardware.feetech.registers import Register, encode
+from robot.hardware.feetech.registers import Register
 from tests.helpers.robots import nominal_calibration
 
 
@@ -318,8 +318,8 @@ def played(
 def hold_the_elbow_at(goal_ticks: int) -> Callable[[ServoBus[FeetechServo]], None]:
     def hold(bus: ServoBus[FeetechServo]) -> None:
         elbow = bus.servos[ELBOW]
-        elbow.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, goal_ticks))
-        elbow.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, 800))
+        elbow.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(goal_ticks))
+        elbow.write(Register.TORQUE_LIMIT, Register.TORQUE_LIMIT.encode(800))
         elbow.write(Register.TORQUE_ENABLE, bytes([1]))
 
     return hold
@@ -443,7 +443,7 @@ def test_a_joint_stalls_at_the_obstacle_and_goes_on_when_it_is_taken_away() -> N
     for now_s, servos in played(stall(NOMINAL), NOMINAL, hold_the_elbow_at(2047)):
         elbow = servos[ELBOW]
         if abs(now_s - start - 1.0) < TICK_S / 2:
-            elbow.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, 2373))
+            elbow.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(2373))
         ticks[round(now_s, 2)] = elbow.present_ticks
     (obstacle,) = stall(NOMINAL)[0].command["obstacle"].values()
     assert ticks[start + 2.5] == obstacle < 2373 - 60

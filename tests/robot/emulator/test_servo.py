@@ -20,7 +20,7 @@ from robot.emulator.plant import (
     Plant,
 )
 from robot.emulator.servo import Memory
-from robot.hardware.feetech.registers import TABLE, Register, decode
+from robot.hardware.feetech.registers import TABLE, Register
 from robot.hardware.interface import StatusFlag
 from tests.helpers.emulated_family import OF_BOTH_FAMILIES, Family, run
 
@@ -102,7 +102,7 @@ def test_a_value_is_always_that_of_the_bytes(writes: list[tuple[int, bytes]]) ->
     for address, data in writes:
         memory.write(address, data)
         for register in Register:
-            assert memory.value(register) == decode(register, memory.read(register, register.layout.size))
+            assert memory.value(register) == register.decode(memory.read(register, register.size))
 
 
 def test_a_value_beyond_the_range_of_its_register_shows_as_the_largest() -> None:

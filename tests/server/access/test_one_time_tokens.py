@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import logging
 from typing import Any
 
@@ -10,11 +8,11 @@ from server.access.one_time_tokens import (
     MAX_WAITING,
     SERVICE,
     VALID_FOR_S,
-    OneTimeTokenError,
     OneTimeTokens,
-    OneTimeTokenService,
+    offer_one_time_tokens,
 )
 from server.access.settings import AccessSettings
+from server.errors import ServiceError
 from server.graph.permissions import ANYONE, Identity, Role
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import InProcess
@@ -43,12 +41,12 @@ def test_it_expires(issued: OneTimeTokens, clock: FakeClock) -> None:
 
 @pytest.mark.parametrize("asker", [Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE)])
 def test_nobody_gives_more_than_they_have(issued: OneTimeTokens, asker: Identity) -> None:
-    with pytest.raises(OneTimeTokenError, match="admin is above the role of this client"):
+    with pytest.raises(ServiceError, match="admin is above the role of this client"):
         issued.issue(asker, "admin")
 
 
 def test_a_client_without_identity_gets_none(issued: OneTimeTokens) -> None:
-    with pytest.raises(OneTimeTokenError, match="above the role of this client, none"):
+    with pytest.raises(ServiceError, match="above the role of this client, none"):
         issued.issue(None, "view")
 
 
@@ -71,22 +69,12 @@ def test_every_token_is_compared_in_constant_time(issued: OneTimeTokens, monkeyp
     assert len(compared) == 3
 
 
-def test_files_are_read_with_it_while_its_connection_is_open(issued: OneTimeTokens, clock: FakeClock) -> None:
-    token = issued.issue(ADMIN, "operate")
-    assert issued.reader(token) is None
-    identity = issued.use(token)
-    clock.advance(10 * VALID_FOR_S)
-    assert issued.reader(token) == Identity("one-time-1", Role.VIEW)
-    issued.release(identity)
-    assert issued.reader(token) is None
-
-
 class World(InProcess):
     """A server that issues one-time tokens."""
 
     def __init__(self, urls: list[str], **settings: Any) -> None:
         super().__init__(access=AccessSettings.model_validate(settings))
-        OneTimeTokenService(self.graph, self.access.one_time_tokens, self.access.tokens, lambda: urls)
+        offer_one_time_tokens(self.graph, self.access.one_time_tokens, self.access.tokens, lambda: urls)
 
     def ask(self, client: str, role: str = "") -> dict[str, Any]:
         self.say(client, op="call_service", service=SERVICE, args={"role": role}, id="asked")

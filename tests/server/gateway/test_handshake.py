@@ -1,7 +1,5 @@
 """Requests that are read in one step: websockets reads the same in them, and gives the same answer."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
-from server.gateway.websocket import MAX_REQUEST_BYTES, accept, read_upgrade
+from server.gateway.websocket import MAX_UPGRADE_BYTES, accept, read_upgrade
 
 KEY = "dGhlIHNhbXBsZSBub25jZQ=="
 PLAIN = {
@@ -44,10 +42,6 @@ def by_websockets(data: bytes) -> tuple[Request | None, bytes]:
     return event, protocol.data_to_send()[0]
 
 
-def without_date(answer: bytes) -> bytes:
-    return re.sub(rb"Date: [^\r]*", b"Date:", answer)
-
-
 def assert_like_websockets(data: bytes) -> None:
     ours = read_upgrade(data)
     if ours is not None:
@@ -55,7 +49,8 @@ def assert_like_websockets(data: bytes) -> None:
         assert theirs is not None
         assert (ours.method, ours.path, ours.protocol) == (theirs.method, theirs.path, theirs.protocol)
         assert list(ours.headers.raw_items()) == list(theirs.headers.raw_items())
-        assert without_date(accept(ours)) == without_date(answer)
+        # A switch of protocols needs no date (RFC 9110, 6.6.1).
+        assert accept(ours) == re.sub(rb"Date: [^\r]*\r\n", b"", answer)
 
 
 # Values that matter, right and wrong, and any other.
@@ -85,16 +80,7 @@ REQUESTS = st.builds(
     lambda kept, more, line, end: request([*((name, PLAIN[name]) for name in kept), *more], line) + end,
     st.permutations(sorted(PLAIN)).flatmap(lambda names: st.sampled_from([names, names[1:]])),
     st.lists(field(), max_size=4),
-    st.sampled_from(
-        [
-            "GET / HTTP/1.1",
-            "GET /a?token=b%20c HTTP/1.1",
-            "GET /\t HTTP/1.1",
-            "POST / HTTP/1.1",
-            "GET / HTTP/1.0",
-            "GET",
-        ]
-    ),
+    st.sampled_from([*(f"{part} HTTP/1.1" for part in ("GET /", "GET /a?token=b%20c", "GET /\t", "POST /")), "GET"]),
     st.sampled_from([b"", b"\x81\x80\x00\x00\x00\x00", b"\r\n"]),
 )
 
@@ -141,11 +127,10 @@ def test_a_request_as_clients_send_it_is_read_in_one_step(sent: bytes) -> None:
         plain(Transfer_Encoding="chunked"),
         plain(X="\xe9"),
         plain(X="a\r\n folded"),
-        request([*PLAIN.items(), ("host", "elsewhere")]),
         request([*PLAIN.items(), *((f"X-{number}", "") for number in range(64))]),
         request(list(PLAIN.items()), "HEAD / HTTP/1.1"),
         request(list(PLAIN.items()), "GET http://localhost/ HTTP/1.1"),
-        plain(X="x" * MAX_REQUEST_BYTES),
+        plain(X="x" * MAX_UPGRADE_BYTES),
     ],
 )
 def test_any_other_request_is_left_to_websockets(sent: bytes) -> None:

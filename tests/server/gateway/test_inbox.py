@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,15 +21,13 @@ from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
 from server.arrival import arrival_epoch
 from server.gateway.client_topics import StrictPublication, StrictTopic
 from server.gateway.inbox import (
-    LEAST_WAITING_BYTES,
     LONG_FRAME_BYTES,
     MAX_WAITING,
     STOP_PERIOD_S,
     STOP_TURN_S,
     Inbox,
-    Scheduling,
 )
-from server.gateway.turns import ROUND_S, TURN_S, Turns
+from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, Scheduling, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import UnreadSocket
@@ -94,7 +93,14 @@ class Handler:
         self.changed_topics: set[str] = set()
         self.session = Session()
         self.socket = UnreadSocket()
-        self.inbox = Inbox(self, self.session, TYPES, world.scheduling, self.socket, world.clock)
+        context = SimpleNamespace(
+            session=self.session,
+            graph=SimpleNamespace(message_types=TYPES),
+            gateway=SimpleNamespace(scheduling=world.scheduling),
+            transport=self.socket,
+            clock=world.clock,
+        )
+        self.inbox = Inbox(self, context)
 
     def admit_frame(self, frame: str | bytes) -> bool:
         return True
@@ -152,11 +158,6 @@ class Handler:
 @pytest.fixture
 def world() -> World:
     return World()
-
-
-def test_what_comes_while_nothing_waits_is_carried_out_at_once(world: World) -> None:
-    world.client().publish("/a")
-    assert world.done == ["/a"]
 
 
 def test_a_frame_of_many_operations_is_carried_out_a_turn_at_a_time(world: World) -> None:
@@ -238,15 +239,6 @@ def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing_
     assert world.done.count("/a") == 10
     assert "/goal" not in world.done[world.done.index("/stop") :]
     assert world.done.count("/goal") + world.done.count("no /goal") == 10
-
-
-def test_a_goal_that_waits_when_its_clients_stop_comes_moves_nothing(world: World) -> None:
-    client = world.client(step_s=2 * ROUND_S)
-    client.publish("/a")
-    client.publish("/goal", "/stop")
-    client.publish("/goal")
-    world.run()
-    assert world.done == ["/a", "/stop", "no /goal", "/goal"]
 
 
 def test_a_goal_that_waits_when_another_clients_stop_comes_moves_nothing(world: World) -> None:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from base64 import b64encode
 from typing import Any
 
@@ -7,10 +5,11 @@ import pytest
 
 from protocol.registry import Registry
 from server.errors import GraphError
-from server.graph.actions import MAX_GOAL_S, Actions, Goal, GoalStatus, Result
+from server.graph.actions import MAX_GOAL_S, Goal, GoalStatus, Result
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.services import Response, Services
+from server.graph.services import Response
+from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
 
 INTERFACES = MessageTypes(Registry.load())
@@ -22,9 +21,8 @@ class Sent:
     def __init__(self) -> None:
         self.feedback: list[dict[str, Any]] = []
         self.results: list[Result] = []
-        self.goal = Goal(
-            "/grip", "control_msgs/action/GripperCommand", {}, INTERFACES, self.feedback.append, Node("a client")
-        )
+        names = "/grip", "control_msgs/action/GripperCommand"
+        self.goal = Goal(names, {}, INTERFACES, Node("a client"), self.feedback.append)
         self.goal.when_ended(self.results.append)
 
 
@@ -71,9 +69,8 @@ class World:
 
     def __init__(self) -> None:
         self.clock = FakeClock()
-        message_types = MessageTypes(REGISTRY)
-        self.services = Services(message_types, self.clock.call_later)
-        self.actions = Actions(message_types, self.services, self.clock.call_later)
+        graph = Graph(REGISTRY, self.clock, call_later=self.clock.call_later)
+        self.services, self.actions = graph.services, graph.actions
         self.results: list[Result] = []
         self.feedback: list[dict[str, Any]] = []
 

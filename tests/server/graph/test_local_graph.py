@@ -1,20 +1,14 @@
 """The view of the graph below a prefix, by which one of several arms has the names of a single one."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
-from inspect import Parameter, signature
 from typing import Any
-
-import pytest
 
 from protocol.registry import Registry
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL, STOPPING
-from server.graph.services import Services
 from server.graph.topics import Graph, Subscriber
 
 
@@ -46,16 +40,6 @@ def test_what_is_published_elsewhere_is_not_heard_below_the_prefix() -> None:
     assert heard == []
     graph.publish(Node("client"), "/left/stop", {})
     assert len(heard) == 1
-
-
-@pytest.mark.parametrize("offer", ["offer", "offer_calls"])
-def test_an_offer_has_the_same_defaults_below_the_prefix(offer: str) -> None:
-    whole, below = signature(getattr(Services, offer)).parameters, signature(getattr(LocalGraph, offer)).parameters
-    # A part of the server has to say what its callers need.
-    assert {name: below[name].default for name in below if name != "rule"} == {
-        name: whole[name].default for name in below if name != "rule"
-    }
-    assert below["rule"].default is Parameter.empty
 
 
 def test_rules_below_the_prefix_are_those_of_the_arm() -> None:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import asyncio
 import logging
 import time
@@ -15,8 +13,8 @@ from harness.waiting import until
 from protocol.registry import Registry
 from robot import logs as changed
 from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode, ServoAlert, ServoWarning
-from robot.hardware.interface import BusCounters, StatusFlag
-from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from robot.hardware.interface import StatusFlag
+from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.monitoring.ros_topics import (

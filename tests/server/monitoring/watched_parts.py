@@ -1,14 +1,11 @@
 """Parts of a server as operations look at them, made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from robot.faults import Fault, FaultCode
-from robot.hardware.interface import BusCounters
-from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.gateway.connection import Traffic
 from server.monitoring.health import Sources
 from server.monitoring.monitor import GoalCounters

@@ -1,6 +1,3 @@
-from __future__ import annotations
-
-import asyncio
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -10,12 +7,13 @@ import pytest
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
+from server.gateway.turns import Threads
 from server.graph.message_types import BYTES_AT_ONCE, MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network
-from server.zenoh.network import Declaration, Namespace, Network, SharedNames
+from server.zenoh.network import Declaration, Network, SharedNames
 from server.zenoh.rmw import LivelinessTokens
 from server.zenoh.session import SessionThread
 from tests.conformance.cases import INTERFACES
@@ -33,8 +31,7 @@ async def alone() -> Network:
 
     thread = SessionThread(never)  # type: ignore[arg-type]
     node = Node("zenoh", remote=True)
-    loop, tokens = asyncio.get_running_loop(), LivelinessTokens(0, "us", "")
-    return Network(thread, loop, Graph(REGISTRY), node, "us", 0, Namespace(""), tokens, 10_000_000)
+    return Network(thread, Graph(REGISTRY), node, LivelinessTokens(0, "us", ""), 10_000_000, Threads())
 
 
 async def test_the_number_of_different_warnings_is_limited(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
@@ -98,13 +95,13 @@ def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:
         ("", "/joint_states", "/joint_states"),
     ],
 )
-def test_names_lose_the_namespace_of_this_server_and_no_other_on_their_way_in(
-    namespace: str, there: str, here: str
+async def test_names_lose_the_namespace_of_this_server_and_no_other_on_their_way_in(
+    alone: Network, namespace: str, there: str, here: str
 ) -> None:
-    found = Namespace(namespace)
+    found = replace(alone, tokens=LivelinessTokens(0, "us", namespace))
     assert found.to_local(there) == here
-    assert found.contains(there) == there.startswith(f"{namespace}/")
-    if found.contains(there):
+    assert found.is_local(there) == there.startswith(f"{namespace}/")
+    if found.is_local(there):
         assert found.to_network(here) == there
 
 

@@ -130,16 +130,6 @@ async def test_a_server_that_is_killed_in_mid_motion_leaves_a_parked_arm(parking
     assert parking.parked
 
 
-async def test_the_way_is_planned_anew_where_the_arm_has_come_to_rest(parking: Parked) -> None:
-    parking.until_known()
-    async with arm_client(parking.server.url) as client:
-        await begin_to_move(client)
-        await client.call("/arm/stop")
-    parking.until_known(2)
-    parking.kill()
-    assert parking.parked
-
-
 async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(parking: Parked) -> None:
     parking.until_known()
     async with arm_client(parking.server.url) as client:
@@ -174,20 +164,6 @@ def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     wait_until(lambda: not runs(pid), SOON_S)
     assert "must not wait" in parking.text
     assert parking.relaxed
-
-
-def test_an_arm_without_a_rest_pose_is_relaxed_at_the_end(tmp_path: Path) -> None:
-    folder = tmp_path / "arm"
-    folder.mkdir()
-    for file in (built_in("so101").folder).iterdir():
-        if file.is_file():
-            (folder / file.name).write_bytes(file.read_bytes())
-    srdf = folder / "so101.srdf"
-    srdf.write_text(srdf.read_text().replace('name="rest"', 'name="folded"'))
-    with parked_server(tmp_path, ARM__ROBOT=str(folder)) as parking:
-        assert "cannot be parked: its SRDF has no state 'rest'" in parking.text
-        assert parking.server.end(signal.SIGTERM, SOON_S)[0] == 0
-        assert parking.sunk
 
 
 async def test_the_arm_is_parked_when_the_last_client_has_left(tmp_path: Path) -> None:

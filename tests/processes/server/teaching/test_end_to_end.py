@@ -158,15 +158,6 @@ async def test_a_replay_brakes_when_something_comes_into_its_way(arm: ServerOnBu
         await remove_crate(client)
 
 
-async def test_a_stop_ends_a_replay(arm: ServerOnBus) -> None:
-    async with teacher(arm) as client:
-        ended = await taught(client, arm, "stopped")
-        sent = await begun_slowly(client, arm, "stopped", ended["duration_s"])
-        assert (await client.call("/arm/stop"))["success"]
-        values = (await asyncio.wait_for(client.result(sent), HAND_TIMEOUT_S))["values"]
-        assert values["error_code"]["val"] == -7
-
-
 async def begun_slowly(client: ArmClient, arm: ServerOnBus, name: str, duration_s: float) -> str:
     """Begin a replay at a tenth of its speed; returns its goal when it follows the taught path."""
     await ready(client, arm)

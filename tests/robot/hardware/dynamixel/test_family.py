@@ -15,6 +15,7 @@ from robot.emulator.dynamixel import DYNAMIXEL, REBOOT_S
 from robot.errors import NoReply, StartupError
 from robot.faults import FaultCode, ServoAlert
 from robot.hardware.dynamixel.family import (
+    STUFFED,
     WATCHDOG,
     Bus,
     Dynamixel,
@@ -23,15 +24,12 @@ from robot.hardware.dynamixel.family import (
     packet,
     parse_status_frames,
     status_bytes,
-    stuffed_bytes,
 )
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
     TICKS_S_PER_VELOCITY_UNIT,
     OperatingMode,
     Register,
-    decode,
-    encode,
     status_of,
 )
 from robot.hardware.interface import StatusFlag, run_to_end
@@ -74,7 +72,7 @@ def surveyed(dynamixels: SteppedDynamixels) -> dict[int, ServoFound]:
 
 
 def set_register(dynamixels: SteppedDynamixels, servo: int, register: Register, value: int) -> None:
-    assert dynamixels.servo(servo).write(register, encode(register, value)) == 0
+    assert dynamixels.servo(servo).write(register, register.encode(value)) == 0
 
 
 def test_a_servo_of_another_model_is_refused(dynamixels: SteppedDynamixels) -> None:
@@ -176,8 +174,8 @@ def test_servos_that_hold_have_watchdog_profile_and_limits(torque: ServoTorque, 
 
 def test_limits_of_the_servo_itself_are_kept(dynamixels: SteppedDynamixels) -> None:
     for servo, register, value in ((3, Register.PWM_LIMIT, 500), (6, Register.CURRENT_LIMIT, 600)):
-        dynamixels.servo(servo).write(register, encode(register, value))
-    dynamixels.servo(3).write(Register.GOAL_PWM, encode(Register.GOAL_PWM, 500))
+        dynamixels.servo(servo).write(register, register.encode(value))
+    dynamixels.servo(3).write(Register.GOAL_PWM, Register.GOAL_PWM.encode(500))
     enable(DynamixelsInUse(dynamixels).hardware._torque, dynamixels)
     assert dynamixels.servo(3).value(Register.GOAL_PWM) == 500
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 600
@@ -194,9 +192,9 @@ def test_a_firmware_without_watchdog_is_driven_without(dynamixels: SteppedDynami
 def test_a_servo_stopped_by_its_watchdog_stays_there(torque: ServoTorque, dynamixels: SteppedDynamixels) -> None:
     enable(torque, dynamixels)
     servo = dynamixels.servo(5)
-    servo.write(Register.PROFILE_VELOCITY, encode(Register.PROFILE_VELOCITY, 10))
+    servo.write(Register.PROFILE_VELOCITY, Register.PROFILE_VELOCITY.encode(10))
     goal = servo.value(Register.GOAL_POSITION) - 1500
-    servo.write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, goal))
+    servo.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(goal))
     dynamixels.run(1.0)
     assert servo.value(Register.BUS_WATCHDOG) == -1
     stopped = servo.plant.position_ticks
@@ -407,7 +405,7 @@ def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
 
 def test_a_stuffed_byte_is_no_noise(bus: Bus, dynamixels: SteppedDynamixels) -> None:
     # FF FF FD FF little endian needs one.
-    dynamixels.servo(3).write(Register.GOAL_POSITION, encode(Register.GOAL_POSITION, -131073))
+    dynamixels.servo(3).write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(-131073))
     assert bus.read(3, Register.GOAL_POSITION) == -131073
     assert bus.counters.discarded_bytes == 0
 
@@ -419,8 +417,8 @@ def test_a_value_that_is_not_taken_is_told_with_the_servos_error(bus: Bus) -> No
 
 
 def test_negative_positions_are_in_twos_complement() -> None:
-    assert encode(Register.GOAL_POSITION, -1) == b"\xff\xff\xff\xff"
-    assert decode(Register.PRESENT_POSITION, b"\x00\xf0\xff\xff") == -4096
+    assert Register.GOAL_POSITION.encode(-1) == b"\xff\xff\xff\xff"
+    assert Register.PRESENT_POSITION.decode(b"\x00\xf0\xff\xff") == -4096
 
 
 @pytest.mark.parametrize(
@@ -500,7 +498,7 @@ HEADERS = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55, 0x12]), max_size=24)
 def test_any_data_arrives_as_they_were_sent(data: bytes, error: int) -> None:
     received = DYNAMIXEL.status_packet(3, error, data)
     assert parse_status_frames(received, (3,), len(data)) == {3: StatusFrame(3, error, data)}
-    assert len(received) - stuffed_bytes(received) == status_bytes(len(data))
+    assert len(received) - received.count(STUFFED) == status_bytes(len(data))
 
 
 @given(HEADERS)

@@ -25,14 +25,11 @@ from robot.hardware.feetech.registers import (
     CONTROL_ADDRESS,
     CONTROL_BYTES,
     EPROM,
-    LAYOUT,
     SETTINGS,
     SETTINGS_BLOCK,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
-    decode,
-    encode,
     parse_telemetry,
 )
 from robot.hardware.interface import status_names
@@ -47,7 +44,7 @@ from tests.helpers.scripted_servos import ScriptedPort
 
 def test_the_same_data_can_be_written_elsewhere_and_other_data_there(bus):
     for limit in (300, 400):
-        data = {1: encode(Register.TORQUE_LIMIT, limit)}
+        data = {1: Register.TORQUE_LIMIT.encode(limit)}
         bus.sync_write(Register.TORQUE_LIMIT, data)
         bus.sync_write(Register.GOAL_POSITION, data)
         assert (bus.read(1, Register.TORQUE_LIMIT), bus.read(1, Register.GOAL_POSITION)) == (limit, limit)
@@ -322,7 +319,7 @@ def test_a_cut_reply_whose_checksum_fits_by_chance_shows_its_neighbours_header()
     ],
 )
 def test_the_sign_stands_in_each_registers_own_bit(register, data, value):
-    assert decode(register, data) == value
+    assert register.decode(data) == value
 
 
 def test_a_telemetry_block_of_another_length_is_refused():
@@ -344,9 +341,9 @@ def test_telemetry_is_read_as_its_registers_are(block):
     }
     for register, value in values.items():
         at = register - TELEMETRY_ADDRESS
-        assert value == decode(register, block[at : at + LAYOUT[register].size])
+        assert value == register.decode(block[at : at + register.size])
     current = Register.PRESENT_CURRENT - TELEMETRY_ADDRESS
-    assert parsed.current_a == decode(Register.PRESENT_CURRENT, block[current : current + 2]) * AMPERE_PER_UNIT
+    assert parsed.current_a == Register.PRESENT_CURRENT.decode(block[current : current + 2]) * AMPERE_PER_UNIT
     assert AMPERE_PER_UNIT == 0.0065
 
 

@@ -18,7 +18,7 @@ from robot.faults import ServoAlert
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech, differences, read_differences, write_to_servos
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, nearest_profile, profile_of
-from robot.hardware.feetech.registers import GOAL_ADDRESS, SETTINGS, Register, encode, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, SETTINGS, Register, goal_block
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Limit, ServoFound, ServoMap
 from robot.hardware.servos.hardware import CYCLES_BETWEEN
@@ -141,7 +141,7 @@ def test_torque_limits_that_servos_have_lost_are_written_again(emulator: Stepped
     servos.enable()
     servos.hardware.write_torque_shares(servos.hardware.full_torque)
     for servo in emulator.servo_bus.servos:
-        servo.write(Register.TORQUE_LIMIT, encode(Register.TORQUE_LIMIT, 200))
+        servo.write(Register.TORQUE_LIMIT, Register.TORQUE_LIMIT.encode(200))
     for _ in range(len(IDS) * len(FAMILY.read_back) * CYCLES_BETWEEN):
         assert servos.hardware.check(0.0) is None
     servos.hardware.write_torque_shares(servos.hardware.full_torque)

@@ -5,6 +5,7 @@ import math
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,9 +32,9 @@ from robot.hardware.servos.hardware import (
     EMPTY_READS_PER_SERVO,
     MISSES_UNTIL_LAST,
     MISSES_UNTIL_SILENT,
-    SerialServos,
     ServoHardware,
     ServoTracker,
+    open_servos,
 )
 from robot.messages import GuardLimits, Mode
 from tests.helpers.servo_families import DYNAMIXEL, IDS, Family
@@ -109,13 +110,13 @@ def test_the_condition_has_torque_silence_and_the_surveys_warnings(family: Famil
     emulator = family.emulator()
     family.put(emulator, 2, family.lowest_limit, 1000)
     servos = family.in_use(emulator)
-    assert servos.hardware.condition(1).torque_enabled is None
+    assert servos.hardware.health(1).torque_enabled is None
     servos.enable()
     for _ in range(6 * len(family.driver.read_back) * CYCLES_BETWEEN):
         servos.hardware.check(0.0)
     emulator.servo_bus.faults.offline = {2}
     servos.read()
-    condition = servos.hardware.condition(1)
+    condition = servos.hardware.health(1)
     assert (condition.hardware_id, condition.torque_enabled, condition.silent_cycles) == ("servo 2", True, 1)
     assert condition.age_s > 0.0
     (warning,) = condition.warnings
@@ -233,21 +234,20 @@ def plugged_in() -> Iterator[UsbAdapter]:
 def test_an_adapter_is_looked_for_each_time_that_it_is_opened(monkeypatch: pytest.MonkeyPatch, family: Family) -> None:
     monkeypatch.setattr(list_ports, "comports", Adapter.comports)
     config = FeetechConfig(family.calibration, "auto")
-    source = SerialServos(family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
+    opener = partial(open_servos, family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
     with pytest.raises(PortNotFound):
-        source.open()
+        opener()
     with plugged_in() as terminal:
         monkeypatch.setattr(Adapter, "device", terminal.port)
-        with contextlib.closing(source.open()) as hardware:
+        with contextlib.closing(opener()) as hardware:
             assert hardware.joint_names == tuple(joint.joint for joint in family.calibration.joints)
 
 
 def test_a_port_is_opened_with_the_baud_rate_of_its_configuration(family: Family) -> None:
     with plugged_in() as terminal:
         config = DynamixelConfig(family.calibration, terminal.port, 57_600)
-        source = SerialServos(family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
-        with contextlib.closing(source.open()) as hardware:
-            assert isinstance(hardware, ServoHardware)
+        opened = open_servos(family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
+        with contextlib.closing(opened) as hardware:
             assert hardware.bus._port.baudrate == 57_600
 
 

@@ -21,9 +21,9 @@ from robot.control.pacing import PERIOD_S
 from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Vector
 from server.arrival import arrived_in
+from server.execution.goal import STREAM_PAUSE_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
-from server.moveit.actions.joint_trajectory_controller import STREAM_PAUSE_S
 from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME

@@ -1,0 +1,409 @@
+"""The door for action chunks: the topic and the action ``/arm/chunks``, and the answers to chunks.
+
+A chunk is the joint targets that a learned policy sends for the next second or so. Its motion is checked whole before
+it begins, is followed up to the first contact, and takes the place of the chunk before it without a stop.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planners.problem import MoveItErrorCode
+from protocol.messages import Stamp
+from protocol.publication import PublishedMessage
+from robot.arm_group import AnyArm
+from robot.control.checks import refusal
+from robot.description.limits import JointBounds
+from robot.description.model import Group, RobotModel
+from robot.trajectory import Trajectory, Vector
+from server.chunks.gripper import GripperTargets
+from server.chunks.targets import Blend, MotionLimits, Targets, blended, deviation_rad, follow
+from server.errors import GraphError, RefusedError, refused
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
+from server.execution.motions import ExternalTrajectory, Positions, SplicePoint
+from server.graph.actions import Goal
+from server.graph.list_limits import ListLimits
+from server.graph.local_graph import LocalGraph
+from server.graph.node import Node
+from server.graph.permissions import GOAL
+from server.graph.topics import Subscriber
+from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
+from server.moveit.actions.gripper import Gripper
+from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
+from server.moveit.messages import Message, error_code
+from server.moveit.trajectories import read_points, read_seconds, smallest_group
+
+log = logging.getLogger("armbridge.chunks")
+
+NAME = "/arm/chunks"
+TYPE = "armbridge_msgs/ActionChunk"
+ACTION_TYPE = "armbridge_msgs/action/FollowActionChunk"
+ANSWER = "/arm/chunks/answer"
+ANSWER_TYPE = "armbridge_msgs/ActionChunkAnswer"
+
+# Policies send 50 to 100 targets. With positions and velocities of eight joints.
+MAX_POINTS = 500
+CHUNK_LIMITS = ListLimits({"trajectory_msgs/msg/JointTrajectory.points": MAX_POINTS}, 24 * MAX_POINTS)
+
+# A target may be so far from where the arm will be at its time: at 2 rad/s and 10 Hz targets are 0.2 rad apart [rad].
+MAX_JUMP_RAD = 0.3
+
+# A target so far beyond a joint's limits is moved to the limit; the chunk ends before one further away [rad].
+MOVED_TO_LIMIT_RAD = 0.1
+
+# Clocks of two machines that are synchronised differ by less [s].
+MAX_AHEAD_S = 0.1
+
+# A motion that would touch something ends so much earlier, further with each attempt [s].
+CUTS_S = (0.1, 0.2, 0.4)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Chunk as it came.
+
+    Attributes:
+        targets: of all named joints, within their limits.
+        moved_rad: greatest distance by which a target was moved to a limit [rad].
+        end: index of the first target that is not followed, and the reason; None where all are.
+    """
+
+    chunk_id: str
+    targets: Targets
+    blend: Blend
+    weight: float
+    moved_rad: float
+    end: tuple[int, str] | None
+
+
+def read_chunk(message: Message, robot: RobotModel, joints: frozenset[str], now_s: float, wall_s: float) -> Chunk:
+    """Read an armbridge_msgs/ActionChunk; raises RefusedError.
+
+    Args:
+        joints: joints that it may name.
+        now_s: present time, monotonic [s].
+        wall_s: present time [s since the epoch].
+    """
+    trajectory = message["trajectory"]
+    blends = [each.value for each in Blend]
+    if (blend := message["blend"] or Blend.REPLACE.value) not in blends:
+        raise _invalid(f"blend must be one of {', '.join(blends)}, not {blend[:80]!r}")
+    if not 0.0 <= (weight := message["weight"]) <= 1.0:
+        raise _invalid(f"weight must be 0 to 1, not {weight:g}")
+    names, times_s, positions, _, _ = read_points(trajectory, robot)
+    if others := sorted(set(names) - joints):
+        raise _invalid(f"trajectory.joint_names has {others[0]!r}, which is no joint of this arm: {sorted(joints)}")
+    stamp_s = read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp")
+    age_s = wall_s - stamp_s if stamp_s else 0.0
+    if age_s < -MAX_AHEAD_S:
+        text = (
+            f"trajectory.header.stamp is {-age_s:.3g} s in the future (limit {MAX_AHEAD_S} s): set both clocks by NTP"
+        )
+        raise _invalid(text)
+    if times_s[-1] <= age_s:
+        text = f"the last target was due {age_s - times_s[-1]:.3g} s ago: trajectory.header.stamp is {age_s:.3g} s old"
+        raise _invalid(text)
+    bounds = JointBounds.of(robot, names)
+    within = np.clip(positions, bounds.lower_rad, bounds.upper_rad)
+    moved = np.abs(positions - within)
+    beyond = np.flatnonzero((moved > MOVED_TO_LIMIT_RAD).any(axis=1))
+    end = None
+    if beyond.size:
+        first = int(beyond[0])
+        column = int(np.argmax(moved[first]))
+        unit = robot.joints[names[column]].unit
+        reason = (
+            f"it takes {names[column]} to {positions[first, column]:.3f} {unit}, beyond its limits "
+            f"{bounds.lower_rad[column]:.3f} to {bounds.upper_rad[column]:.3f} {unit}"
+        )
+        if first == 0 or times_s[first - 1] <= age_s:
+            raise _invalid(f"target {first}: {reason}")
+        end = first, reason
+        times_s, within, moved = times_s[:first], within[:first], moved[:first]
+    targets = Targets(names, now_s - age_s + times_s, within)
+    return Chunk(message["id"], targets, Blend(blend), weight, float(moved.max()), end)
+
+
+def _invalid(message: str) -> RefusedError:
+    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message)
+
+
+class ChunkMotion:
+    """Motion of the arm's joints of a chunk, from targets that are blended with the targets of the chunk before.
+
+    Attributes:
+        made: number of motions that were made: one, and one more for each cut.
+        end: index of the chunk's first target that is not followed, and the reason; None where all are.
+        change_rad: greatest distance of the motion from the chunk's targets [rad].
+        positions_rad: positions in which the motion ends [rad].
+        until_s: monotonic time of the last target that is followed [s].
+    """
+
+    def __init__(self, chunk: Chunk, targets: Targets, group: Group, robot: RobotModel, speed_limit: float) -> None:
+        self._chunk, self._targets, self._robot = chunk, targets, robot
+        self._joints, self._bounds = group.joints, JointBounds.of(robot, group.joints)
+        self._limits = MotionLimits.of(robot, group.joints, speed_limit)
+        self._begins_s, self._contact_s = 0.0, 0.0
+        self._cuts = list(CUTS_S)
+        self.made = 0
+        self.end = chunk.end
+        self.change_rad = chunk.moved_rad
+        self.positions_rad: Positions = {}
+        self.until_s = targets.end_s
+
+    @property
+    def targets(self) -> Targets:
+        """Targets that are followed, up to a contact."""
+        return self._targets.until(self.until_s)
+
+    @property
+    def motion(self) -> ExternalTrajectory:
+        """The motion, for the queue of goals."""
+        return ExternalTrajectory(self._make, frozenset(self._joints), cut=self._cut)
+
+    def _make(self, held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
+        still = np.zeros(len(self._joints))
+        start = np.array([held_rad[name] for name in self._joints]), still, still
+        if point is not None:
+            start = point.lead.sample(point.lead.duration_s)
+        if self.until_s <= at_s:
+            raise _invalid(f"the last target was due {at_s - self.until_s:.3g} s ago")
+        targets = self._of_all_joints(start[0])
+        check_jump(targets, dict(zip(self._joints, start[0].tolist(), strict=True)), at_s, self._robot)
+        # A chunk that begins at rest has its history where the arm stands.
+        if point is None:
+            later = targets.time_s > at_s
+            targets = replace(
+                targets,
+                time_s=np.concatenate(([at_s], targets.time_s[later])),
+                positions_rad=np.vstack((start[0], targets.positions_rad[later])),
+            )
+        motion = follow(targets, start, at_s, self._limits)
+        if reason := refusal(motion, self._joints, self._bounds, start[0], in_motion=True):
+            raise _invalid(reason)
+        self.made += 1
+        self._begins_s = at_s - (0.0 if point is None else point.lead.duration_s)
+        self.change_rad = max(self._chunk.moved_rad, self._change_rad(motion, at_s))
+        self.positions_rad = dict(zip(self._joints, motion.positions_rad[-1].tolist(), strict=True))
+        return motion
+
+    def _of_all_joints(self, start_rad: Vector) -> Targets:
+        """Return targets of all joints of the group; joints that the chunk does not name stand still."""
+        targets = self.targets
+        columns = [
+            targets.positions_rad[:, targets.joint_names.index(name)]
+            if name in targets.joint_names
+            else np.full(len(targets.time_s), start_rad[index])
+            for index, name in enumerate(self._joints)
+        ]
+        return Targets(self._joints, targets.time_s, np.stack(columns, axis=-1))
+
+    def _change_rad(self, motion: Trajectory, at_s: float) -> float:
+        names = tuple(name for name in self._joints if name in self._chunk.targets.joint_names)
+        return float(
+            deviation_rad(self._chunk.targets.of_joints(names), motion.of_joints(names), at_s).max(initial=0.0)
+        )
+
+    def _cut(self, details: Mapping[str, Any]) -> ExternalTrajectory | None:
+        """Return the motion that ends before a contact; None where the answer reports none, or no target is left."""
+        if "contact_s" not in details or not self._cuts:
+            return None
+        # A later attempt may find the same contact a little earlier.
+        contact_s = self._begins_s + details["contact_s"]
+        self.until_s = min(self.until_s, contact_s) - self._cuts.pop(0)
+        index = int(np.searchsorted(self._chunk.targets.time_s, self.until_s, side="right"))
+        self.end = index, str(details.get("reason", "the arm would touch something there"))
+        return self.motion if self.until_s > self._begins_s else None
+
+
+def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: RobotModel) -> None:
+    """Refuse targets that are far from where the joints are at a time."""
+    wanted = targets.at(np.array([max(at_s, float(targets.time_s[0]))]))[0]
+    away = np.array([abs(value - present_rad[name]) for name, value in zip(targets.joint_names, wanted, strict=True)])
+    worst = int(np.argmax(away))
+    if away[worst] > MAX_JUMP_RAD:
+        name = targets.joint_names[worst]
+        unit = robot.joints[name].unit
+        text = (
+            f"the first target takes joint {name} to {wanted[worst]:.3f} {unit}, {away[worst]:.2f} {unit} from where "
+            f"it is (limit {MAX_JUMP_RAD} {unit}): move the arm there by a goal first"
+        )
+        raise _invalid(text)
+
+
+@dataclass
+class _Followed:
+    """Chunk whose motion the arm follows."""
+
+    publisher: object
+    motion: ChunkMotion
+    over: bool = False
+
+
+class ActionChunks:
+    """The topic, the action and the answers of one arm."""
+
+    def __init__(
+        self,
+        graph: LocalGraph,
+        arm: AnyArm,
+        joints: frozenset[str],
+        context: TrajectoryContext,
+        gripper: Gripper | None,
+    ) -> None:
+        self._graph, self._arm, self._joints = graph, arm, joints
+        self._planning, self._queue, self._time_limits = context.planning, context.queue, context.time_limits
+        self._robot, self._clock = context.planning.robot, context.clock
+        self._followed: _Followed | None = None
+        self._gripper = None if gripper is None else GripperTargets(gripper, context.clock)
+        self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
+        self._stream = MessageStream(graph.resolve(NAME), context.clock)
+        node = self._node = Node("chunks")
+        graph.advertise(node, ANSWER, ANSWER_TYPE)
+        graph.offer_action(node, NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
+        check = CHUNK_LIMITS.check(graph.message_types.registry, "armbridge_msgs/msg/ActionChunk")
+        graph.subscribe(node, NAME, TYPE, Subscriber(self._take, check_lists=check, rule=GOAL))
+
+    async def close(self) -> None:
+        """End the following of the gripper."""
+        if self._gripper is not None:
+            await self._gripper.close()
+
+    def _take(self, published: PublishedMessage) -> None:
+        message = published.msg
+        try:
+            self._stream.check(self._arm.last_stop)
+            self._submit(NAME, message, published.publisher, lambda _answer: None, lambda _answer, _code: None)
+        except RefusedError as error:
+            self._publish(refused_answer(message, error))
+            raise GraphError("topic", self._graph.resolve(NAME), error.failure.message) from error
+
+    def _start(self, goal: Goal) -> None:
+        message = goal.request["chunk"]
+
+        def end(answer: Message, code: MoveItErrorCode) -> None:
+            goal.finish(goal_status(code), {"answer": answer})
+
+        try:
+            number = self._submit(goal.action, message, goal.sender, lambda each: goal.feedback({"answer": each}), end)
+        except RefusedError as error:
+            answer = refused_answer(message, error)
+            self._publish(answer)
+            end(answer, error.failure.code)
+        else:
+            cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
+
+    def _submit(
+        self,
+        source: str,
+        message: Message,
+        publisher: object,
+        on_begin: Callable[[Message], None],
+        on_end: Callable[[Message, MoveItErrorCode], None],
+    ) -> str:
+        """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
+        now_s, former = self._clock(), self._followed
+        chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
+        if former is not None and not former.over and former.publisher is not publisher:
+            raise refused(
+                MoveItErrorCode.CONTROL_FAILED,
+                f"the arm follows the chunks of {former.publisher}: they must end before another client's are followed",
+            )
+        motion = self._motion(chunk, None if former is None or former.over else former.motion.targets, now_s)
+        followed, begun = _Followed(publisher, motion), 0
+
+        def take_progress(progress: Progress) -> None:
+            nonlocal begun
+            if progress.state is GoalState.EXECUTING and motion.made > begun:
+                begun = motion.made
+                self._follow_with_gripper(chunk, motion)
+                answer = self._answer(chunk, motion, MoveItErrorCode.SUCCESS, begun_message(motion))
+                self._publish(answer)
+                on_begin(answer)
+
+        def take_answer(answer: Answer) -> None:
+            followed.over = True
+            replaced = answer.code is MoveItErrorCode.PREEMPTED
+            end = self._answer(chunk, motion, answer.code, answer.message)
+            if answer.code is not MoveItErrorCode.SUCCESS and not (replaced and self._followed is not followed):
+                # The arm holds, and so does its gripper.
+                if self._gripper is not None:
+                    self._gripper.end(answer.message)
+                self._publish(end)
+            on_end(end, answer.code)
+
+        self._followed = followed
+        goal = self._queue.submit(
+            GoalRequest(
+                source,
+                motion.motion,
+                client=publisher,
+                policy=GoalPolicy.PREEMPT,
+                on_progress=take_progress,
+                on_answer=take_answer,
+                streamed=True,
+            )
+        )
+        return goal.goal_id
+
+    def _motion(self, chunk: Chunk, former: Targets | None, now_s: float) -> ChunkMotion:
+        """Make the motion of the arm's joints, after the targets that the arm follows now; may raise RefusedError."""
+        current = self._planning.current
+        names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
+        group = smallest_group(self._robot, names)
+        if not names or group is None:
+            raise _invalid(f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's")
+        targets, present_rad = chunk.targets.of_joints(names), current.positions_rad()
+        if former is not None and former.joint_names == names:
+            present_rad = dict(zip(names, former.at(np.array([now_s]))[0].tolist(), strict=True))
+        else:
+            former = None
+        if present_rad is not None:
+            check_jump(targets, present_rad, now_s, self._robot)
+        field = "the time to the last target"
+        self._time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
+        targets = blended(former, targets, chunk.blend, chunk.weight, now_s)
+        return ChunkMotion(chunk, targets, group, self._robot, current.speed_limit(group.joints))
+
+    def _follow_with_gripper(self, chunk: Chunk, motion: ChunkMotion) -> None:
+        finger = self._fingers[:1]
+        if self._gripper is not None and set(finger) <= set(chunk.targets.joint_names):
+            self._gripper.follow(chunk.targets.of_joints(finger).until(motion.until_s))
+
+    def _answer(self, chunk: Chunk, motion: ChunkMotion, code: MoveItErrorCode, message: str) -> Message:
+        until_s = time.time() + motion.until_s - self._clock() if motion.made else 0.0
+        held = motion.positions_rad if motion.end is not None and motion.made else {}
+        return {
+            "id": chunk.chunk_id,
+            "error_code": error_code(code),
+            "message": message,
+            "followed_until": Stamp.from_seconds(until_s).as_message(),
+            "change": motion.change_rad,
+            "refused_from": -1 if motion.end is None else motion.end[0],
+            "joint_names": list(held),
+            "nearest": list(held.values()),
+        }
+
+    def _publish(self, answer: Message) -> None:
+        self._graph.publish(self._node, ANSWER, answer)
+
+
+def begun_message(motion: ChunkMotion) -> str:
+    """Describe in words how far a chunk is followed."""
+    parts = [f"followed, changed by at most {motion.change_rad:.3f} rad"]
+    if motion.end is not None:
+        index, reason = motion.end
+        parts.append(f"refused from target {index}: {reason}; the arm holds before it")
+    return "; ".join(parts)
+
+
+def refused_answer(message: Message, error: RefusedError) -> Message:
+    """Return the answer to a chunk that nothing of is followed."""
+    return {"id": message["id"], "error_code": error_code(error.failure.code), "message": error.failure.message}

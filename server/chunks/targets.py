@@ -1,0 +1,217 @@
+"""Targets of a policy over time, the blending of overlapping chunks, and the motion that follows targets within limits.
+
+Pure logic: times are arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization
+from ruckig import Trajectory as Profile
+
+from robot.description.model import RobotModel
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, Trajectory, Vector, bridge
+
+# Time between two samples of the motion; the cubics between them are exact while the jerk does not change [s].
+SAMPLE_S = 0.02
+
+# Windows over which targets are averaged, the first that keeps the limits; 0 for none [samples]. A policy sends 30 Hz:
+# its noise of 0.05 rad asks for 80 rad/s^2.
+WINDOWS = (0, 3, 5, 9, 17, 33)
+
+# Share of the acceleration limit that averaged targets may use: the rest closes the way to them.
+ACCELERATION_SHARE = 0.7
+
+# A distance from the targets shrinks to a third in this time [s], and never faster than with this share of the
+# acceleration limit.
+CLOSING_S = 0.06
+CLOSING_SHARE = 0.5
+
+# The arm brakes towards the last target so much earlier than a joint at full braking would have to [s].
+BRAKES_EARLIER_S = 0.04
+BRAKING_SHARE = 0.75
+
+
+class Blend(StrEnum):
+    """Ways to join a chunk with the one before it, where both have targets."""
+
+    REPLACE = "replace"  # the new chunk counts
+    ENSEMBLE = "ensemble"  # the mean of both, with the weight of the new chunk
+    REAL_TIME = "real_time"  # from the former chunk to the new one, by the weights of real-time chunking
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Positions of some joints over time, straight between the points."""
+
+    joint_names: tuple[str, ...]
+    time_s: Vector  # monotonic, increasing, shape (n,) [s]
+    positions_rad: Vector  # shape (n, joints) [rad]
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last point [s]."""
+        return float(self.time_s[-1])
+
+    def at(self, time_s: Vector) -> Vector:
+        """Return the positions at some times, shape (m, joints) [rad]; those before and after are held."""
+        columns = [np.interp(time_s, self.time_s, column) for column in self.positions_rad.T]
+        return np.stack(columns, axis=-1)
+
+    def until(self, end_s: float) -> Targets:
+        """Return the targets up to a time after the first point [s]."""
+        kept = self.time_s < end_s
+        time_s = np.append(self.time_s[kept], end_s)
+        return Targets(self.joint_names, time_s, np.vstack((self.positions_rad[kept], self.at(np.array([end_s])))))
+
+    def of_joints(self, joint_names: tuple[str, ...]) -> Targets:
+        """Return the targets of some of the joints, in their order."""
+        columns = [self.joint_names.index(name) for name in joint_names]
+        return Targets(joint_names, self.time_s, self.positions_rad[:, columns])
+
+
+def blended(former: Targets | None, new: Targets, blend: Blend, weight: float, now_s: float) -> Targets:
+    """Return the targets of two chunks of the same joints from now on, after the former ones.
+
+    Args:
+        weight: weight of the new chunk in an ensemble, 0 to 1.
+    """
+    if former is None or former.end_s < new.time_s[0]:
+        return new
+    first_s = max(now_s, float(new.time_s[0]))
+    time_s = np.concatenate(([first_s], new.time_s[new.time_s > first_s]))
+    share = np.where(time_s > former.end_s, 1.0, _share_of_new(time_s, blend, weight, first_s, former.end_s))
+    positions = share[:, np.newaxis] * new.at(time_s) + (1.0 - share[:, np.newaxis]) * former.at(time_s)
+    past = former.time_s < first_s
+    return Targets(
+        new.joint_names,
+        np.concatenate((former.time_s[past], time_s)),
+        np.vstack((former.positions_rad[past], positions)),
+    )
+
+
+def _share_of_new(time_s: Vector, blend: Blend, weight: float, first_s: float, end_s: float) -> Vector:
+    if blend is Blend.REPLACE:
+        return np.ones_like(time_s)
+    if blend is Blend.ENSEMBLE:
+        return np.full_like(time_s, weight)
+    # Black, Galliker, Levine, "Real-Time Execution of Action Chunking Flow Policies", 2025, equation 5: weight of the
+    # former chunk, which falls from 1 now to 0 at its end.
+    left = np.clip((end_s - time_s) / max(end_s - first_s, SAMPLE_S), 0.0, 1.0)
+    share: Vector = 1.0 - left * np.expm1(left) / math.expm1(1.0)
+    return share
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of the joints of a motion, each of shape (joints,), in rad and s."""
+
+    velocity: Vector
+    acceleration: Vector
+    jerk: Vector
+
+    @classmethod
+    def of(cls, robot: RobotModel, joint_names: tuple[str, ...], speed_limit: float) -> MotionLimits:
+        """Return the limits of the robot's joints, with a share of their velocities."""
+        joints = [robot.joints[name] for name in joint_names]
+        acceleration = np.array([joint.max_acceleration for joint in joints])
+        jerk = [math.inf if joint.max_jerk is None else joint.max_jerk for joint in joints]
+        return cls(
+            speed_limit * np.array([joint.max_velocity for joint in joints]),
+            acceleration,
+            np.minimum(acceleration / TIME_TO_FULL_ACCELERATION_S, jerk),
+        )
+
+
+def follow(targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, limits: MotionLimits) -> Trajectory:
+    """Return the motion that follows targets within limits from a state of the joints, and comes to rest at the last.
+
+    The targets are averaged over the shortest window with which they keep the limits, without a delay; the motion comes
+    to them as fast as the limits allow.
+
+    Args:
+        start: position, velocity and acceleration, each of shape (joints,) [rad, s].
+        at_s: time of the start, before the last target [s].
+    """
+    names, count = targets.joint_names, max(math.ceil((targets.end_s - at_s) / SAMPLE_S), 0)
+    positions, velocities = _averaged(targets, at_s, count, limits)
+    brakes = _braking_sample(velocities, limits)
+    states = [start]
+    for sample in range(brakes):
+        states.append(_towards(states[-1], (positions[sample], velocities[sample + 1]), limits))
+    tail = bridge(
+        names,
+        states[-1],
+        (targets.positions_rad[-1], np.zeros(len(names))),
+        (limits.velocity, limits.acceleration),
+        0.0,
+    )
+    time_s = np.concatenate((SAMPLE_S * np.arange(brakes), tail.time_s + SAMPLE_S * brakes))
+    head = (np.array([state[each] for state in states[:-1]]).reshape(-1, len(names)) for each in range(3))
+    rest = tail.positions_rad, tail.velocities_rad_s, tail.accelerations_rad_s2
+    return Trajectory(names, time_s, *(np.vstack(both) for both in zip(head, rest, strict=True)))
+
+
+def deviation_rad(targets: Targets, motion: Trajectory, at_s: float) -> Vector:
+    """Return the greatest distance of each joint of a motion from its target, shape (joints,) [rad]."""
+    wanted = targets.at(at_s + motion.time_s)
+    greatest: Vector = np.abs(motion.positions_rad - wanted).max(axis=0)
+    return greatest
+
+
+def _averaged(targets: Targets, at_s: float, count: int, limits: MotionLimits) -> tuple[Vector, Vector]:
+    """Return positions and velocities of averaged targets, each of shape (count + 1, joints)."""
+    margin = 2 * (WINDOWS[-1] // 2) + 2
+    past = min(margin, max(math.floor((at_s - float(targets.time_s[0])) / SAMPLE_S), 0))
+    sampled = targets.at(at_s + SAMPLE_S * np.arange(-past, count + 1, dtype=np.float64))
+    # Before the first target and beyond the last the joints go on as they come there: the motion itself begins and
+    # brakes within the limits.
+    sampled = np.pad(sampled, ((margin - past, margin), (0, 0)), mode="reflect", reflect_type="odd")
+    inside = slice(margin, margin + count + 1)
+    for window in WINDOWS:
+        positions = sampled
+        if window:
+            kernel = np.convolve(np.full(window, 1.0 / window), np.full(window, 1.0 / window))
+            positions = np.stack([np.convolve(column, kernel, mode="same") for column in sampled.T], axis=-1)
+        velocities = np.gradient(positions, SAMPLE_S, axis=0)
+        accelerations = np.gradient(velocities, SAMPLE_S, axis=0)
+        kept = positions[inside], velocities[inside]
+        jerks = np.diff(accelerations[inside.start - 1 : inside.stop], axis=0) / SAMPLE_S
+        if (
+            (np.abs(kept[1]) <= limits.velocity).all()
+            and (np.abs(accelerations[inside]) <= ACCELERATION_SHARE * limits.acceleration).all()
+            and (np.abs(jerks) <= limits.jerk).all()
+        ):
+            break
+    return kept
+
+
+def _braking_sample(velocities: Vector, limits: MotionLimits) -> int:
+    """Return the last sample from which every joint can brake before the last target."""
+    brakes_s = BRAKES_EARLIER_S + BRAKING_SHARE * (np.abs(velocities) / limits.acceleration).max(axis=1)
+    left_s = SAMPLE_S * np.arange(len(velocities) - 1, -1, -1)
+    return int(np.flatnonzero(left_s >= brakes_s).max(initial=0))
+
+
+def _towards(
+    state: tuple[Vector, Vector, Vector], target: tuple[Vector, Vector], limits: MotionLimits
+) -> tuple[Vector, Vector, Vector]:
+    """Return the state a sample later of joints that follow a target: its position now, its velocity a sample later."""
+    joints, (position, velocity, acceleration) = len(state[0]), state
+    error = target[0] - position
+    braking = np.sqrt(2.0 * CLOSING_SHARE * limits.acceleration * np.abs(error))
+    closing = np.copysign(np.minimum(np.abs(error) / CLOSING_S, braking), error)
+    given, profile = InputParameter(joints), Profile(joints)
+    given.per_dof_control_interface = [ControlInterface.Velocity] * joints
+    given.per_dof_synchronization = [Synchronization.No] * joints
+    given.current_position, given.current_velocity = position.tolist(), velocity.tolist()
+    given.current_acceleration = np.clip(acceleration, -limits.acceleration, limits.acceleration).tolist()
+    given.target_velocity = np.clip(target[1] + closing, -limits.velocity, limits.velocity).tolist()
+    given.max_acceleration, given.max_jerk = limits.acceleration.tolist(), limits.jerk.tolist()
+    Ruckig(joints).calculate(given, profile)
+    position, velocity, acceleration = map(np.array, profile.at_time(SAMPLE_S))
+    return position, velocity, acceleration

@@ -1,0 +1,140 @@
+"""Commands that publish on a running server: ``armbridge camera``, and ``leader`` for an arm that another follows."""
+
+import argparse
+import asyncio
+from pathlib import Path
+from typing import Any
+
+from robot import logs
+from server.commands.options import (
+    CALIBRATION_HELP,
+    SERIAL_HELP,
+    Subparsers,
+    add_command,
+    add_connect,
+    add_robot,
+    add_token_file,
+    number,
+    read_token,
+)
+from server.commands.terminal import ExitCode, Terminal
+from server.errors import ConfigurationError
+
+CAMERA_TOPIC = "/camera/image/compressed"
+MAX_FPS = 60
+DEFAULT_FPS = 15
+MIN_WIDTH, MAX_WIDTH = 16, 4096
+# Above 95 JPEG files grow, and show no more (Pillow's documentation of the format).
+MAX_QUALITY = 95
+DEFAULT_QUALITY = 80
+
+
+def add_camera_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    parser = add_command(
+        subparsers,
+        "camera",
+        _camera,
+        "publish a camera's images on a running server",
+        "Publish the images of a camera as sensor_msgs/CompressedImage on a running server, which records them"
+        " like everything else (docs/recording.md). Images that a slow network cannot take are dropped. It connects"
+        " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], except for the device test.",
+    )
+    parser.add_argument(
+        "device", metavar="DEVICE", help="number or path of a camera, a video file, or test for a test pattern"
+    )
+    add_connect(parser)
+    parser.add_argument("--topic", default=CAMERA_TOPIC, help=f"of the images ({CAMERA_TOPIC})")
+    parser.add_argument(
+        "--fps", type=number(int, 1, MAX_FPS), default=DEFAULT_FPS, metavar="N", help=f"images a second ({DEFAULT_FPS})"
+    )
+    parser.add_argument(
+        "--width",
+        type=number(int, MIN_WIDTH, MAX_WIDTH),
+        metavar="PIXELS",
+        help="width to scale images to (the camera's)",
+    )
+    parser.add_argument(
+        "--quality",
+        type=number(int, 1, MAX_QUALITY),
+        default=DEFAULT_QUALITY,
+        metavar="N",
+        help=f"of JPEG, 1 to {MAX_QUALITY} ({DEFAULT_QUALITY})",
+    )
+    add_token_file(parser, "access.operate_tokens")
+
+
+def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    # Imported when it is needed: --help answers without the server's libraries.
+    from server.datasets.camera import CameraOptions, open_source, publish_camera
+    from server.publishing_client import PublishedTopic
+
+    token = read_token(options)
+    target = PublishedTopic(options.connect, options.topic, token)
+    chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
+    source = open_source(options.device, options.width)
+    count, by_signal = asyncio.run(publish_camera(target, chosen, source, terminal.say))
+    terminal.tell(f"{count} images published on {options.topic}")
+    if by_signal or source.finite:
+        return ExitCode.DONE
+    terminal.say(f"armbridge: the camera {options.device} gives no more images; is it plugged in?")
+    return ExitCode.FAILED
+
+
+LEADER_TOPIC = "/leader/joint_states"
+DEFAULT_RATE_HZ, MAX_RATE_HZ = 100, 100
+
+
+def add_leader_parser(subparsers: Subparsers) -> None:
+    """Describe the command."""
+    parser = add_command(
+        subparsers,
+        "leader",
+        _leader,
+        "stream a relaxed arm to a server, whose arm follows it",
+        "Read an arm that is moved by hand, and publish its joints on a running server, whose arm follows "
+        "them after /teleop/start with this topic as its leader (docs/teleoperation.md). The arm never gets torque. It "
+        "connects again when the server comes back, and ends with Ctrl+C. Without --serial the arm is emulated.",
+    )
+    add_connect(parser)
+    parser.add_argument("--serial", metavar="PORT", help=f"{SERIAL_HELP} (an emulated arm)")
+    add_robot(parser, None)
+    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    parser.add_argument("--topic", default=LEADER_TOPIC, help=f"of the joints ({LEADER_TOPIC})")
+    parser.add_argument(
+        "--rate",
+        type=number(int, 1, MAX_RATE_HZ),
+        default=DEFAULT_RATE_HZ,
+        metavar="HZ",
+        help=f"samples a second ({DEFAULT_RATE_HZ})",
+    )
+    parser.add_argument(
+        "--emulator-control", type=Path, metavar="PATH", help="Unix socket that takes commands to the emulated servos"
+    )
+    add_token_file(parser, "access.operate_tokens")
+
+
+def _leader(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    # Imported when it is needed: --help answers without the server's libraries.
+    from server.config_loader import load
+    from server.publishing_client import PublishedTopic
+    from server.teleop.leader_client import publish_leader
+
+    token = read_token(options)
+    given: dict[str, Any] = {
+        "serial": options.serial,
+        "robot": options.robot,
+        "calibration": options.calibration,
+        "joint_state_rate_hz": float(options.rate),
+        "start_enabled": False,
+    }
+    emulator = {} if options.emulator_control is None else {"control": options.emulator_control}
+    logs.configure("WARNING", "plain")
+    if options.serial is not None and options.calibration is None:
+        raise ConfigurationError("--calibration: without one nobody knows where the joints of the leader are")
+    settings = load(
+        None, {"arm": {key: value for key, value in given.items() if value is not None}, "emulator": emulator}
+    )
+    target = PublishedTopic(options.connect, options.topic, token)
+    by_signal = asyncio.run(publish_leader(target, settings, terminal.say))
+    return ExitCode.DONE if by_signal else ExitCode.FAILED

@@ -1,0 +1,430 @@
+"""Chunks on the topic and the action: followed, joined, refused and held before contact.
+
+Server, supervisor and controller are the real ones, in stepped time; the joints are ideal.
+"""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from contextvars import Context
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
+from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
+from robot.control.pacing import PERIOD_S
+from robot.stop_epochs import STOP_EPOCHS
+from robot.trajectory import Vector
+from server.arrival import arrived_in
+from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME, TYPE
+from server.chunks.gripper import SETTLES_S
+from server.graph.node import Node
+from server.graph.topics import Subscriber
+from tests.helpers import stage as stage_module
+from tests.helpers.arm_rig import BOUNDS, NAMES
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import box, diff, planner
+from tests.helpers.moveit import point as frame_point
+from tests.helpers.stage import ARM_JOINTS, DEFAULTS, RigArm, inline_threads
+
+pytestmark = pytest.mark.stepped_time
+
+COLUMNS = [NAMES.index(name) for name in ARM_JOINTS]
+GRIPPER = NAMES.index("gripper")
+HZ = 30.0
+FAR_S = 1_000.0
+
+
+def seconds(duration_s: float) -> dict[str, int]:
+    whole = int(duration_s // 1.0)
+    return {"sec": whole, "nanosec": round((duration_s - whole) * 1e9)}
+
+
+def chunk(
+    positions_rad: Any, names: tuple[str, ...] = ARM_JOINTS, stamp_s: float = 0.0, **fields: Any
+) -> dict[str, Any]:
+    """Return a chunk of targets at 30 Hz, the first a period after its stamp."""
+    points = [
+        {"positions": list(row), "time_from_start": seconds((index + 1) / HZ)}
+        for index, row in enumerate(np.asarray(positions_rad).tolist())
+    ]
+    header = {"stamp": seconds(stamp_s)}
+    return {"trajectory": {"header": header, "joint_names": list(names), "points": points}, **fields}
+
+
+def ramp(count: int = 30, to_rad: float = 0.4, from_rad: float = 0.0) -> Vector:
+    """Return targets of the arm's joints: the first one moves, the others stand."""
+    targets = np.zeros((count, len(ARM_JOINTS)))
+    targets[:, 0] = np.linspace(from_rad, to_rad, count)
+    return targets
+
+
+class Policy:
+    """Server with an arm, and a policy that publishes chunks.
+
+    Attributes:
+        goals_rad: goals of all joints, one each tick, each of shape (joints,).
+        answers: to chunks.
+        refusals: of the policy's messages.
+    """
+
+    def __init__(self) -> None:
+        self.arm = RigArm(DEFAULTS)
+        self.stage = self.arm.stage
+        self.goals_rad: list[Vector] = []
+        self.answers: list[dict[str, Any]] = []
+        self.refusals: list[str] = []
+        self._tick = self.arm.rig.tick
+        self.arm.rig.tick = self._note  # type: ignore[method-assign]
+        take = Subscriber(lambda each: self.answers.append(dict(each.msg)))
+        self.stage.graph.subscribe(Node("listener"), ANSWER, ANSWER_TYPE, take)
+
+    def _note(self) -> None:
+        self._tick()
+        controller = self.arm.rig.supervisor._controller
+        assert controller is not None
+        self.goals_rad.append(controller.goal_rad.copy())
+
+    def publish(self, message: dict[str, Any], sender: Node | None = None) -> None:
+        """Publish a chunk, as in a frame that arrives now."""
+
+        def arrive() -> None:
+            node = sender or self.stage.client
+            with arrived_in(STOP_EPOCHS.present):
+                if node not in self.stage.graph.publishers(NAME):
+                    self.stage.graph.advertise(node, NAME, TYPE)
+                self.stage.graph.publish(node, NAME, message)
+
+        try:
+            Context().run(arrive)
+        except Exception as error:  # noqa: BLE001 - any refusal is for the client
+            self.refusals.append(str(error))
+
+    @property
+    def arm_rad(self) -> Vector:
+        return np.array(self.goals_rad)[:, COLUMNS]
+
+    @property
+    def codes(self) -> list[int]:
+        return [answer["error_code"]["val"] for answer in self.answers]
+
+    def assert_within_limits(self) -> None:
+        velocity = np.diff(self.arm_rad, axis=0) / PERIOD_S
+        assert (np.abs(velocity) <= BOUNDS.max_velocity[COLUMNS] * VELOCITY_TOLERANCE).all()
+        change = np.abs(np.diff(velocity, axis=0)) / PERIOD_S
+        assert (change <= BOUNDS.max_acceleration[COLUMNS] * ACCELERATION_TOLERANCE).all()
+
+    def add_walls(self, y_m: float = 0.2) -> None:
+        solid = {"type": 1, "dimensions": [0.5, 0.02, 0.4]}
+        walls = [box(f"wall {y}", at=frame_point(0.2, y, 0.2), primitives=[solid]) for y in (-y_m, y_m)]
+        self.stage.context.planning.scene_state.apply_diff(diff(world={"collision_objects": walls}), HOME)
+
+
+@pytest.fixture
+async def policy(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Policy]:
+    inline_threads(monkeypatch)
+    made = Policy()
+    loop = asyncio.get_running_loop()
+    # The wall clock goes with that of the arm.
+    monkeypatch.setattr(time, "time", lambda: FAR_S + loop.time())
+    running = asyncio.create_task(made.arm.run())
+    await asyncio.sleep(0.1)
+    made.goals_rad.clear()
+    yield made
+    await made.stage.close()
+    running.cancel()
+
+
+def now_s() -> float:
+    return FAR_S + asyncio.get_running_loop().time()
+
+
+async def test_a_chunk_is_answered_at_once_and_followed_to_its_end(policy: Policy) -> None:
+    policy.publish(chunk(ramp(), id="first"))
+    await asyncio.sleep(0.2)
+    (answer,) = policy.answers
+    assert answer["id"] == "first"
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert answer["refused_from"] == -1
+    assert answer["change"] < 0.1
+    until = answer["followed_until"]
+    assert until["sec"] + 1e-9 * until["nanosec"] == pytest.approx(FAR_S + 0.1 + 1.0, abs=0.02)
+    await asyncio.sleep(1.5)
+    np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
+    policy.assert_within_limits()
+    assert len(policy.answers) == 1
+
+
+@pytest.mark.parametrize("blend", ["", "replace", "ensemble", "real_time"])
+async def test_overlapping_chunks_are_joined_without_a_stop_or_a_jump(policy: Policy, blend: str) -> None:
+    speed = 0.5
+    for number in range(10):
+        start = speed * 0.3 * number
+        wobble = 0.01 if number % 2 else -0.01
+        policy.publish(chunk(ramp(24, start + speed * 0.8 + wobble, start + wobble), blend=blend, weight=0.5))
+        await asyncio.sleep(0.3)
+    assert set(policy.codes) == {MoveItErrorCode.SUCCESS}
+    assert len(policy.answers) == 10
+    policy.assert_within_limits()
+    velocity = np.diff(policy.arm_rad[60:280, 0]) / PERIOD_S
+    assert velocity.min() > 0.1
+
+
+@pytest.mark.parametrize("planning_s", [0.06, 0.2])
+async def test_slow_planners_never_stop_a_stream_of_chunks(
+    policy: Policy, monkeypatch: pytest.MonkeyPatch, planning_s: float
+) -> None:
+    monkeypatch.setattr(stage_module, "PLANNING_S", planning_s)
+    for number in range(8):
+        start = 0.15 * number
+        policy.publish(chunk(ramp(24, start + 0.4, start)))
+        await asyncio.sleep(0.3)
+    policy.assert_within_limits()
+    assert set(policy.codes) == {MoveItErrorCode.SUCCESS}
+    velocity = np.diff(policy.arm_rad[100:230, 0]) / PERIOD_S
+    assert velocity.min() > 0.2
+
+
+async def test_targets_are_followed_at_the_times_of_their_stamp(policy: Policy) -> None:
+    began_s = asyncio.get_running_loop().time()
+    # The observation is 0.2 s old: the first targets are over.
+    policy.publish(chunk(ramp(60, 0.8), stamp_s=now_s() - 0.2))
+    await asyncio.sleep(1.5)
+    wanted = np.interp(np.arange(len(policy.arm_rad)) * PERIOD_S + 0.2, np.arange(1, 61) / HZ, ramp(60, 0.8)[:, 0])
+    assert began_s == pytest.approx(0.1, abs=0.02)
+    assert np.abs(policy.arm_rad[100:, 0] - wanted[100:]).max() < 0.02 * 0.4
+
+
+def hostile(change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+    message = chunk(ramp())
+    change(message)
+    return message
+
+
+def put(index: int, positions: list[float]) -> Callable[[dict[str, Any]], None]:
+    return lambda message: message["trajectory"]["points"][index].update(positions=positions)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (put(3, [float("nan"), 0, 0, 0, 0]), "points[3].positions has a value that is not a finite number"),
+        (put(3, [0.0, 0.0]), "points[3].positions has 2 values for 5 joints"),
+        (lambda each: each["trajectory"].update(joint_names=["hand", *ARM_JOINTS[1:]]), "unknown joint 'hand'"),
+        (lambda each: each["trajectory"]["points"][2].update(time_from_start=seconds(0.01)), "must be after the time"),
+        (lambda each: each["trajectory"].update(points=[]), "points has 0 entries"),
+        (lambda each: each.update(blend="melt"), "blend must be one of replace, ensemble, real_time, not 'melt'"),
+        (lambda each: each.update(weight=1.5), "weight must be 0 to 1, not 1.5"),
+        (put(0, [3.0, 0, 0, 0, 0]), "target 0: it takes shoulder_pan to 3.000 rad, beyond its limits"),
+        (
+            lambda each: each["trajectory"].update(points=each["trajectory"]["points"] * 20),
+            "at most 500 elements in all, got 600",
+        ),
+        (
+            lambda each: each["trajectory"]["header"].update(stamp=seconds(FAR_S + 60.0)),
+            "header.stamp is 59.7 s in the future (limit 0.1 s)",
+        ),
+        (
+            lambda each: each["trajectory"]["header"].update(stamp=seconds(FAR_S - 60.0)),
+            "the last target was due 59.3 s ago",
+        ),
+    ],
+)
+async def test_a_bad_chunk_is_refused_in_one_sentence_and_the_one_before_it_goes_on(
+    policy: Policy, change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    policy.publish(chunk(ramp()))
+    await asyncio.sleep(0.2)
+    policy.publish(hostile(change))
+    assert len(policy.refusals) == 1, words
+    assert words in policy.refusals[0]
+    await asyncio.sleep(1.5)
+    np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
+
+
+async def test_a_first_target_far_from_the_arm_is_refused_by_its_distance(policy: Policy) -> None:
+    policy.publish(chunk(ramp(from_rad=0.5, to_rad=0.9)))
+    await asyncio.sleep(0.3)
+    assert f"0.50 rad from where it is (limit {MAX_JUMP_RAD} rad)" in policy.refusals[0]
+    assert policy.codes == [MoveItErrorCode.INVALID_MOTION_PLAN]
+    assert not np.diff(policy.arm_rad, axis=0).any()
+
+
+async def test_targets_a_little_beyond_a_limit_are_moved_to_it_and_the_answer_says_how_far(policy: Policy) -> None:
+    lower, upper = BOUNDS.lower_rad[COLUMNS[0]], BOUNDS.upper_rad[COLUMNS[0]]
+    assert lower < 0.0 < upper
+    for begins in np.arange(0.0, upper, 0.25):
+        policy.publish(chunk(ramp(15, min(begins + 0.25, upper) + 0.05, begins)))
+        await asyncio.sleep(0.5)
+    await asyncio.sleep(1.0)
+    assert policy.arm_rad[:, 0].max() <= upper + 0.002
+    assert policy.arm_rad[-1, 0] == pytest.approx(upper, abs=0.003)
+    assert policy.answers[-1]["change"] >= 0.05
+
+
+async def test_a_chunk_is_followed_up_to_a_target_far_beyond_a_limit(policy: Policy) -> None:
+    targets = ramp()
+    targets[20:, 0] = 9.0
+    policy.publish(chunk(targets))
+    await asyncio.sleep(1.5)
+    (answer,) = policy.answers
+    assert answer["refused_from"] == 20
+    assert "refused from target 20: it takes shoulder_pan to 9.000 rad, beyond its limits" in answer["message"]
+    held = dict(zip(answer["joint_names"], answer["nearest"], strict=True))
+    assert held["shoulder_pan"] == pytest.approx(targets[19, 0], abs=1e-5)
+    assert policy.arm_rad[-1, 0] == pytest.approx(held["shoulder_pan"], abs=1e-5)
+
+
+async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: Policy) -> None:
+    policy.add_walls()
+    policy.publish(chunk(ramp(60, 1.4)))
+    await asyncio.sleep(3.0)
+    (answer,) = policy.answers
+    assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert 5 < answer["refused_from"] < 60
+    assert "the arm holds before it" in answer["message"]
+    stands_rad = policy.arm_rad[-1, 0]
+    assert 0.1 < stands_rad < ramp(60, 1.4)[answer["refused_from"], 0]
+    assert answer["nearest"][0] == pytest.approx(stands_rad, abs=1e-5)
+    policy.assert_within_limits()
+
+
+async def test_a_chunk_from_where_the_arm_holds_before_an_object_is_followed(policy: Policy) -> None:
+    policy.add_walls()
+    policy.publish(chunk(ramp(45, 2.4)))
+    await asyncio.sleep(0.8)
+    here = policy.arm_rad[-1, 0]
+    policy.publish(chunk(ramp(30, here - 0.3, here)))
+    await asyncio.sleep(1.5)
+    assert policy.refusals == []
+    assert policy.arm_rad[-1, 0] == pytest.approx(here - 0.3, abs=1e-3)
+
+
+async def test_an_object_that_comes_into_the_way_is_not_reached(policy: Policy) -> None:
+    policy.publish(chunk(ramp(60, 1.4)))
+    await asyncio.sleep(0.3)
+    policy.add_walls()
+    await asyncio.sleep(3.0)
+    # The first answer, and one that says where the arm holds now.
+    assert policy.answers[0]["refused_from"] == -1
+    assert policy.answers[-1]["refused_from"] > 0
+    assert 0.05 < policy.arm_rad[-1, 0] < 0.6
+    policy.assert_within_limits()
+
+
+@pytest.mark.parametrize("after_s", np.arange(0.0, 0.35, 0.023).tolist())
+async def test_a_stop_at_any_moment_ends_the_chunks_until_they_pause(policy: Policy, after_s: float) -> None:
+    async def stream() -> None:
+        for number in range(12):
+            start = policy.arm_rad[-1, 0] if policy.goals_rad else 0.0
+            policy.publish(chunk(ramp(24, start + 0.3, start), id=str(number)))
+            await asyncio.sleep(0.1)
+
+    streaming = asyncio.create_task(stream())
+    await asyncio.sleep(0.4 + after_s)
+    policy.stage.call("/arm/stop")
+    await asyncio.sleep(0.4)
+    at_rest = len(policy.goals_rad)
+    await streaming
+    await asyncio.sleep(0.5)
+    assert (np.array(policy.goals_rad[at_rest:]) == policy.goals_rad[at_rest]).all()
+    assert "the arm was stopped: publish nothing on" in policy.refusals[-1]
+
+
+async def test_a_second_policy_is_refused_while_the_chunks_of_the_first_are_followed(policy: Policy) -> None:
+    policy.publish(chunk(ramp()))
+    await asyncio.sleep(0.2)
+    policy.publish(chunk(ramp(30, -0.4)), Node("other"))
+    assert "the arm follows the chunks of client" in policy.refusals[0]
+    await asyncio.sleep(1.5)
+    np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
+    policy.publish(chunk(ramp(30, 0.2, 0.4)), Node("other"))
+    await asyncio.sleep(1.5)
+    np.testing.assert_allclose(policy.arm_rad[-1], ramp(30, 0.2)[-1], atol=1e-5)
+
+
+async def test_the_gripper_follows_its_targets_at_their_times_and_then_holds(policy: Policy) -> None:
+    opens = np.column_stack((ramp(), np.linspace(HOME["gripper"], HOME["gripper"] + 0.5, 30)))
+    policy.publish(chunk(opens, (*ARM_JOINTS, "gripper")))
+    await asyncio.sleep(0.6)
+    wanted = np.interp(0.6, np.arange(1, 31) / HZ, opens[:, -1])
+    assert policy.goals_rad[-1][GRIPPER] == pytest.approx(wanted, abs=0.1)
+    await asyncio.sleep(0.5 + SETTLES_S + 0.5)
+    assert policy.goals_rad[-1][GRIPPER] == pytest.approx(HOME["gripper"] + 0.5, abs=0.01)
+    np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
+
+
+async def test_a_stop_holds_the_gripper_as_well(policy: Policy) -> None:
+    opens = np.column_stack((ramp(), np.linspace(HOME["gripper"], HOME["gripper"] + 0.5, 30)))
+    policy.publish(chunk(opens, (*ARM_JOINTS, "gripper")))
+    await asyncio.sleep(0.4)
+    policy.stage.call("/arm/stop")
+    await asyncio.sleep(0.3)
+    stands = policy.goals_rad[-1]
+    await asyncio.sleep(1.0)
+    assert (policy.goals_rad[-1] == stands).all()
+
+
+async def test_the_action_gives_the_answer_as_feedback_and_its_end_as_result(policy: Policy) -> None:
+    feedback: list[dict[str, Any]] = []
+    policy.stage.graph.actions.send_goal(
+        policy.stage.client,
+        NAME,
+        "armbridge_msgs/action/FollowActionChunk",
+        {"chunk": chunk(ramp(), id="one")},
+        policy.stage.answers.append,
+        on_feedback=feedback.append,
+    )
+    await asyncio.sleep(2.0)
+    assert [each["answer"]["id"] for each in feedback] == ["one"]
+    (result,) = policy.stage.answers
+    assert result.values["answer"]["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
+
+
+async def test_a_stream_of_chunks_is_one_line_in_the_log(policy: Policy, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    for number in range(6):
+        policy.publish(chunk(ramp(24, 0.1 * number + 0.3, 0.1 * number)))
+        await asyncio.sleep(0.2)
+    await asyncio.sleep(1.5)
+    assert len([each for each in caplog.records if NAME in each.getMessage()]) == 1
+
+
+async def until_quiet(policy: Policy) -> None:
+    at = None
+    while at is None or not (policy.goals_rad[-1] == at).all():
+        at = policy.goals_rad[-1]
+        await asyncio.sleep(0.3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+async def test_no_chunk_of_any_kind_takes_the_arm_into_contact_or_beyond_its_limits(policy: Policy, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    policy.add_walls(float(rng.uniform(0.12, 0.25)))
+    sent = 0
+    for _ in range(14):
+        here = policy.goals_rad[-1][COLUMNS] if policy.goals_rad else np.zeros(len(COLUMNS))
+        count = int(rng.integers(2, 60))
+        speed = rng.uniform(-2.5, 2.5, len(COLUMNS)) * (rng.random(len(COLUMNS)) < 0.6)
+        noise = rng.normal(0.0, float(rng.choice([0.0, 0.01, 0.05])), (count, len(COLUMNS)))
+        targets = here + np.arange(1, count + 1)[:, np.newaxis] / HZ * speed + noise
+        blend = str(rng.choice(["replace", "ensemble", "real_time"]))
+        policy.publish(
+            chunk(targets, stamp_s=now_s() - float(rng.uniform(0.0, 0.3)), blend=blend, weight=0.6, id=str(sent))
+        )
+        sent += 1
+        await asyncio.sleep(float(rng.uniform(0.05, 0.8)))
+    await until_quiet(policy)
+    # Each chunk has its answer; a chunk that is cut on its way has one more.
+    assert {answer["id"] for answer in policy.answers} == set(map(str, range(sent)))
+    policy.assert_within_limits()
+    checker = planner()
+    checker.set_scene(policy.stage.context.planning.scene_state.scene)
+    for goal_rad in policy.goals_rad[::5]:
+        state = checker.answer(StateQuestion("arm", dict(zip(NAMES, goal_rad.tolist(), strict=True))))
+        assert isinstance(state, StateAnswer)
+        touching = [each.message for each in state.problems if "wall" in each.message]
+        assert touching == []

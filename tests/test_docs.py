@@ -1,7 +1,6 @@
 """Commands, settings, sentences and links of README and docs; programs are run by tests/processes/test_docs.py."""
 
 import ast
-import json
 import math
 import os
 import re
@@ -262,14 +261,10 @@ def test_no_page_takes_the_default_speed_for_a_limit() -> None:
     assert lowered == [], "set arm.speed_limit beside it"
 
 
-def test_the_number_and_the_packages_of_message_types_are_those_of_the_registry() -> None:
+def test_the_number_of_message_types_is_that_of_the_registry() -> None:
     names = list(Registry.load().type_names())
     page = (ROOT / "docs" / "protocol.md").read_text()
     assert set(re.findall(r"knows (\d+) types of ROS 2", page)) == {str(len(names))}
-    _, packages = page.split("## Packages that need no adding")
-    tables = (ROOT / "protocol" / "interfaces").glob("ros*.json")
-    known = {name.split("/")[0] for table in tables for name in json.loads(table.read_text()) if "/" in name}
-    assert set(re.findall(r"`([a-z0-9_]+)`", packages.split("\n\n")[1])) == known
 
 
 def test_the_speed_and_the_remedies_of_the_readme_and_the_pages_are_those_of_the_code() -> None:

@@ -212,11 +212,7 @@ class JoinedBeat:
 
 
 class Arms:
-    """All arms of a server.
-
-    Args:
-        feed: takes each arm's state as soon as it comes; the joint state of several arms at the rate of one arm.
-    """
+    """All arms of a server; several have a joint state together at the rate of one arm."""
 
     def __init__(self, files: Mapping[str, ArmFiles], feed: StateFeed, arm_process: StartedChild | None = None) -> None:
         self._feed = feed

@@ -199,7 +199,7 @@ class GoalExecutor:
         goal.report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
         ask = functools.partial(self._context.pool.ask, moving, scene)
-        plan = await goal.unless_cancelled(_in_time(ask, outgoing.until_s - self._context.clock()))
+        plan = await goal.unless_cancelled(_in_time(ask, HORIZON_S - SENDING_S))
         if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
@@ -246,35 +246,45 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
-        outgoing, asked_s = self._player.outgoing, self._context.clock()
-        if outgoing is None or not request.spliced:
-            return None
-        if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
-            return None
-        horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, HORIZON_S)
-        point = outgoing.splice_point(asked_s, horizon_s)
-        if point is None:
-            return None
-        held_rad = self._held_rad()
-        motion = request.trajectory({**held_rad, **point.positions_rad}, asked_s + horizon_s, point)
-        whole = point.splice(motion)
-        goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        planned = PlannedSequence(Performed({**held_rad, **point.start_rad}, (whole,)))
-        checked = CheckedMotion(
-            _group_of(self._context.robot, whole), whole, self._scene.scene.version, planned.summary
-        )
-        goal.defer_replacement()
-        await goal.unless_cancelled(self._scene_monitor.check(lambda: self._questions(checked)(0.0)))
-        self._check_s = self._context.clock() - asked_s
-        return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
+        answer, in_time = None, False
+        while answer is None and not in_time and not goal.reason:
+            outgoing, asked_s = self._player.outgoing, self._context.clock()
+            if outgoing is None or not request.spliced:
+                return None
+            if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
+                return None
+            horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, outgoing.until_s - asked_s)
+            point = outgoing.splice_point(asked_s, horizon_s)
+            if point is None or horizon_s <= SENDING_S:
+                return None
+            held_rad = self._held_rad()
+            motion = request.trajectory({**held_rad, **point.positions_rad}, asked_s + horizon_s, point)
+            whole = point.splice(motion)
+            goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+            planned = PlannedSequence(Performed({**held_rad, **point.start_rad}, (whole,)))
+            group, version = _group_of(self._context.robot, whole), self._scene.scene.version
+            checked = CheckedMotion(group, whole, version, planned.summary)
+            goal.defer_replacement()
+            await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
+            self._check_s = self._context.clock() - asked_s
+            # Else the arm has passed the point by now, or will have: the next point is further ahead.
+            in_time = self._check_s + SENDING_S <= horizon_s
+            if in_time and not goal.reason:
+                answer = await self._play_spliced(goal, planned, checked, point)
+        return answer
 
     async def _play_given(self, goal: Goal, motion: ExternalTrajectory) -> Answer:
         """Play a trajectory, up to a first contact where it may be cut."""
         while True:
             answer = await _answered(self._play_external(goal, motion))
-            if goal.reason or motion.cut is None or (shorter := motion.cut(answer.details)) is None:
-                return answer
+            shorter = None if goal.reason or motion.cut is None else motion.cut(answer.details)
+            if shorter is None:
+                break
             motion = shorter
+        if answer.code is not MoveItErrorCode.SUCCESS and not goal.replaced:
+            # Nothing takes the place of the motion before.
+            await self._player.stop_outgoing()
+        return answer
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         if (answer := await self._splice_external(goal, request)) is not None:

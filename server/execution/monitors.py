@@ -140,9 +140,8 @@ Questions: TypeAlias = Sequence[RecheckQuestion | ConcurrencyQuestion]
 class SceneMonitor:
     """Monitor of one motion at a time.
 
-    Args:
-        retry_for_s: time during which a planner that does not answer in time is asked again [s]; as long as the arm
-            may be silent, for a busy machine keeps both from the cores.
+    A planner that does not answer in time is asked again for as long as the arm may be silent: a busy machine keeps
+    both from the cores.
     """
 
     def __init__(

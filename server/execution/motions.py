@@ -178,6 +178,10 @@ async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | Carte
 # The next motion leaves the present one so far ahead: planning takes a few milliseconds, on a busy machine some tens.
 HORIZON_S = 0.16
 
+# A motion whose goal was replaced goes on for so long at most until a given trajectory takes its place: where other
+# programs use every core, a check for contacts takes some tenths.
+OUTGOING_S = 0.5
+
 # The part of it that is reserved for the way to the arm process and its next tick.
 SENDING_S = 0.03
 

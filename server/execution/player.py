@@ -21,7 +21,7 @@ from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace,
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
-from server.execution.motions import HORIZON_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
+from server.execution.motions import OUTGOING_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
 from server.execution.time_limits import ArmClock
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
@@ -222,9 +222,9 @@ class Player:
 
     def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
         path_time = self._path_time(motion.trajectory, ended)
-        self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + HORIZON_S - SENDING_S)
+        self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + OUTGOING_S - SENDING_S)
         # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
-        asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
+        asyncio.get_running_loop().call_later(OUTGOING_S, self._arm.stop, ended)
         return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
 
     def _path_time(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> PathTime:
@@ -268,11 +268,7 @@ class MotionInProgress:
 
 
 class MotionsInProgress:
-    """Motions of all goals, by which motions of some joints are planned around motions of others.
-
-    Attributes:
-        turn: held by the goal that is being planned, so that the next one knows where its motions end.
-    """
+    """Motions of all goals, by which motions of some joints are planned around others, one goal at a ``turn``."""
 
     def __init__(self) -> None:
         self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}

@@ -84,12 +84,7 @@ class Restart:
 
 
 class CommissioningOfArms(Feature):
-    """Commissioning of each arm.
-
-    Args:
-        recalibrated: calibration with which this server has started again; None for a first start.
-        shared_calibration: True where other servers use the arms' calibration too, so that none is written.
-    """
+    """Commissioning of each arm, which publishes a calibration with which this server has started again."""
 
     name = "commissioning"
 

@@ -56,14 +56,9 @@ Change: TypeAlias = Callable[[States], States]
 
 
 class NamedStates:
-    """Store of the states by name; case and blanks of names do not matter. Wrong changes raise ServiceError.
+    """Store of states by name, whose case and blanks do not matter; wrong changes raise ServiceError.
 
-    Args:
-        group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
-
-    Attributes:
-        described: states of the SRDF.
-        saved: states that users saved.
+    There are ``described`` states of the SRDF, for one planning group, and states that users ``saved``.
     """
 
     def __init__(self, robot: RobotModel, group: str, file: NamedStatesFile) -> None:

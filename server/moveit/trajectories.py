@@ -106,9 +106,6 @@ def _joined_trajectory(
     jumps where this moves within the limits: the first point is reached in time or, where the limits do not allow
     that, later, and the others as much later. Joints of the group that it does not name come to rest.
     https://control.ros.org/rolling/doc/ros2_controllers/joint_trajectory_controller/doc/trajectory.html
-
-    Args:
-        passed_s: time from the trajectory's time 0 to the start, below 0 where it begins later [s].
     """
     names, time_s, positions, velocities = read_points(message, robot)[:4]
     group = _group_of(robot, names)

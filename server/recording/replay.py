@@ -130,12 +130,7 @@ class Recording:
 
 
 class _Unpacker:
-    """Unpacks the records of a file into messages.
-
-    Attributes:
-        topics: topics found so far, by channel.
-        damaged: True if the file ended before its end, or with octets that are no record.
-    """
+    """Unpacks the records of a file into messages; ``damaged`` by an early end or octets that are no record."""
 
     def __init__(self, path: Path) -> None:
         self.topics: dict[int, RecordedTopic] = {}
@@ -207,12 +202,7 @@ LOOP_PAUSE_S = 0.1
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Options of a replay.
-
-    Attributes:
-        rate: seconds of the recording per second.
-        delay_s: time for clients to connect before the replay begins [s].
-    """
+    """Options of a replay: seconds of the recording per second, and time for clients to connect before [s]."""
 
     path: Path
     server: ServerSettings

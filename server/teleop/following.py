@@ -149,14 +149,7 @@ class TrackingLimits:
 
 
 def tracking_velocity(error_rad: float, leader_rad_s: float, limits: TrackingLimits, latency_s: float) -> float:
-    """Return the velocity with which a joint follows [rad/s].
-
-    It is the leader's velocity and a part that closes the error, never faster than the joint can brake within it.
-
-    Args:
-        error_rad: from the joint's goal to its target [rad].
-        leader_rad_s: velocity of the target [rad/s].
-    """
+    """Return the leader's velocity plus a part that closes the error [rad/s], within which the joint can brake."""
     tracking_time_s = max(TRACKING_TIME_S, TRACKING_LATENCIES * latency_s)
     braking = math.sqrt(2.0 * ACCELERATION_SHARE * limits.acceleration_rad_s2 * abs(error_rad))
     closing = math.copysign(min(abs(error_rad) / tracking_time_s, braking), error_rad)

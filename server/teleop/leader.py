@@ -52,13 +52,9 @@ class LeaderPose:
 
 
 class JitterBuffer:
-    """Samples of the last moments, with the delay that their jitter asks for.
+    """Samples of the last moments, with the delay that their jitter asks for; without any, the latest is followed.
 
     The clock of a leader elsewhere has any offset to this one; the offset is taken from the samples that came fastest.
-
-    Args:
-        max_velocity_rad_s: greatest velocity of each joint that is watched for jumps [rad/s].
-        max_delay_s: greatest delay; 0 to follow the latest sample, as of an arm of this server [s].
     """
 
     def __init__(self, max_velocity_rad_s: Mapping[str, float], max_delay_s: float = MAX_DELAY_S) -> None:

@@ -119,12 +119,7 @@ class FollowingContext:
 
 
 class FollowingSession:
-    """Following of one follower, until it ends.
-
-    Args:
-        show: called with the state, when it changes and some times a second.
-        show_targets: called with the targets at every tick of following [rad].
-    """
+    """Following of one follower, until it ends; shows its state, and its targets at every tick [rad]."""
 
     def __init__(
         self,

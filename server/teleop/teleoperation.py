@@ -67,15 +67,7 @@ def read_sample(message: Message, received_s: float) -> LeaderSample:
 
 
 class Leader:
-    """Leader of a following: a topic, or an arm of this server.
-
-    Args:
-        name: of the arm, or of the topic, with which it begins with a slash.
-        max_velocity_rad_s: greatest velocity of joints that are watched for jumps, by the leader's names [rad/s].
-
-    Attributes:
-        joint_names: joints of the latest sample; empty before the first.
-    """
+    """Leader of a following: an arm of this server, or a topic, whose name begins with a slash."""
 
     def __init__(self, name: str, max_velocity_rad_s: Mapping[str, float], clock: Callable[[], float]) -> None:
         self.name = name
@@ -124,12 +116,7 @@ class Leader:
 
 @dataclass
 class _Following:
-    """One follower and its leader, from the call that starts it to its end.
-
-    Attributes:
-        session: None while the first sample is waited for.
-        targets_rad: what the follower is asked to follow at present [rad].
-    """
+    """One follower and its leader, from the call that starts it to its end; no session before the first sample."""
 
     leader: Leader
     node: Node

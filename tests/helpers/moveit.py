@@ -176,7 +176,9 @@ def near(pose: Pose, position_m: tuple[float, float, float], tolerance_m: float 
     return all(abs(a - b) <= tolerance_m for a, b in zip(pose.position_m, position_m, strict=True))
 
 
-def planning_of(arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, **parameters: Any) -> PlanningContext:
+def planning_of(
+    arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, graph: Graph | None = None, **parameters: Any
+) -> PlanningContext:
     """Return the context of planning for an arm in an empty scene."""
     scene = SceneState(robot)
     return PlanningContext(
@@ -188,7 +190,7 @@ def planning_of(arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, **
         current=CurrentState(arm, robot),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(MoveItParameters(**parameters)),
-        display=DisplayTopics(Graph(REGISTRY), robot),
+        display=DisplayTopics(graph or Graph(REGISTRY), robot),
     )
 
 
@@ -223,37 +225,15 @@ class DirectPool:
         return refusal if isinstance(refusal, PlanningFailure) else planner().answer(request)
 
 
-class Assumed:
-    """Assumed start states of clients."""
-
-    def __init__(self) -> None:
-        self.by_node: dict[Node, dict[str, float]] = {}
-
-    def of(self, node: Node) -> dict[str, float] | None:
-        return self.by_node.get(node)
-
-
 class ServiceRig:
     """All of it, and a client."""
 
-    def __init__(self, robot: RobotModel = ROBOT, parameters: MoveItParameters | None = None) -> None:
+    def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
-        self.arm, self.assumed, self.pool = FakeArm(), Assumed(), DirectPool()
-        self.current = CurrentState(self.arm, ROBOT)
+        self.arm, self.pool = FakeArm(), DirectPool()
         self.client = Node("client", remote=True)
-        self.scene_state = SceneState(robot)
-        display = DisplayTopics(self.graph, robot)
-        self.context = PlanningContext(
-            robot=robot,
-            pool=self.pool,
-            forward=ForwardPlacements(robot),
-            frames=Frames(robot, self.scene_state),
-            scene_state=self.scene_state,
-            current=self.current,
-            assumed=self.assumed,
-            parameters=PlannerParameters(parameters or MoveItParameters()),
-            display=display,
-        )
+        self.context = planning_of(self.arm, pool=self.pool, graph=self.graph)
+        self.scene_state, self.current = self.context.scene_state, self.context.current
         offer_services(self.graph, self.context)
 
     async def call(self, service: str, **request: Any) -> Any:

@@ -55,12 +55,7 @@ MOVE_GROUP_STATES = {
 
 @dataclass(frozen=True)
 class PlanningGoal:
-    """Contents of a goal.
-
-    Attributes:
-        requests: moveit_msgs/MotionPlanRequest of each motion, in their order.
-        scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
-    """
+    """Contents of a goal: its moveit_msgs/MotionPlanRequests, and a moveit_msgs/PlanningScene to plan in, or None."""
 
     requests: Sequence[Message]
     plan_only: bool

@@ -55,12 +55,7 @@ class OneArm:
 
 
 class GoalTranslator:
-    """Translator of goal messages for one robot.
-
-    Args:
-        parameters: of planning; also the first group, its link, frame and tolerances of the goals.
-        only: the one of several arms that the messages are for; None for all.
-    """
+    """Translator of goal messages for one robot, or for one of several arms: ``only``, which is None for all."""
 
     def __init__(
         self,

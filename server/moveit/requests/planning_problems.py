@@ -120,12 +120,7 @@ class ProblemBuilder:
         velocity_scaling: float = 0.0,
         acceleration_scaling: float = 0.0,
     ) -> PlanningProblem:
-        """Build the problem of a goal that comes with nothing else: all else is as configured.
-
-        Args:
-            velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one. The arm's speed
-                limit holds besides.
-        """
+        """Build the problem of a goal that comes with nothing else: as configured where a scaling, of 0 to 1, is 0."""
         parameters = self._parameters.configured
         return PlanningProblem(
             group=group.name,

@@ -116,12 +116,7 @@ class SceneState:
         return SceneChange(lambda draft: apply_attached_object(draft, message, "attached_object"), elements)
 
     def submit(self, change: SceneChange, positions_rad: Positions, done: Done, ended: Ended = lambda: False) -> None:
-        """Apply a change in its turn: at once if it is small and none waits.
-
-        Args:
-            done: called once it is applied or refused.
-            ended: returns True once the change is no longer to be applied; it is then refused.
-        """
+        """Apply a change in its turn, at once if it is small and none waits; refuse it if its request has ``ended``."""
         if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
             done(self._refusal(change, positions_rad))
             return

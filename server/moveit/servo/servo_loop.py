@@ -181,9 +181,7 @@ class ServoListener:
 class ServoSession:
     """Servo loop of one group of joints. It controls the arm from a command until the arm has come to rest.
 
-    Args:
-        planning: frames, and positions of all joints, also of arms that are not steered.
-        ask: has the planners answer; None for the planners of `planning`.
+    Without ``ask`` the planners of ``planning`` answer.
     """
 
     def __init__(

@@ -22,6 +22,7 @@ from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME,
 from server.chunks.gripper import SETTLES_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
+from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import box, diff, planner
@@ -171,6 +172,21 @@ async def test_overlapping_chunks_are_joined_without_a_stop_or_a_jump(policy: Po
     assert velocity.min() > 0.1
 
 
+@pytest.mark.parametrize("planning_s", [0.06, 0.2])
+async def test_slow_planners_never_stop_a_stream_of_chunks(
+    policy: Policy, monkeypatch: pytest.MonkeyPatch, planning_s: float
+) -> None:
+    monkeypatch.setattr(stage_module, "PLANNING_S", planning_s)
+    for number in range(8):
+        start = 0.15 * number
+        policy.publish(chunk(ramp(24, start + 0.4, start)))
+        await asyncio.sleep(0.3)
+    policy.assert_within_limits()
+    assert set(policy.codes) == {MoveItErrorCode.SUCCESS}
+    velocity = np.diff(policy.arm_rad[100:230, 0]) / PERIOD_S
+    assert velocity.min() > 0.2
+
+
 async def test_targets_are_followed_at_the_times_of_their_stamp(policy: Policy) -> None:
     began_s = asyncio.get_running_loop().time()
     # The observation is 0.2 s old: the first targets are over.
@@ -273,6 +289,17 @@ async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: P
     assert 0.1 < stands_rad < ramp(60, 1.4)[answer["refused_from"], 0]
     assert answer["nearest"][0] == pytest.approx(stands_rad, abs=1e-5)
     policy.assert_within_limits()
+
+
+async def test_a_chunk_from_where_the_arm_holds_before_an_object_is_followed(policy: Policy) -> None:
+    policy.add_walls()
+    policy.publish(chunk(ramp(45, 2.4)))
+    await asyncio.sleep(0.8)
+    here = policy.arm_rad[-1, 0]
+    policy.publish(chunk(ramp(30, here - 0.3, here)))
+    await asyncio.sleep(1.5)
+    assert policy.refusals == []
+    assert policy.arm_rad[-1, 0] == pytest.approx(here - 0.3, abs=1e-3)
 
 
 async def test_an_object_that_comes_into_the_way_is_not_reached(policy: Policy) -> None:

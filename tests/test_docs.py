@@ -330,7 +330,7 @@ def test_the_limits_in_tables_are_those_of_the_settings_and_constants_that_stand
 # Constructions over which readers stumbled, each with its remedy: say the noun, the verb, the number.
 STUMBLES = re.compile(
     r"\b(told|tells|anew|in hand|those of|that of|ones? that|none of|but for|of which|whoever|so many|has it that|"
-    r"as it is|what is)\b",
+    r"as it is|what is|at all|(?:is|are) to be|may be had)\b",
     re.IGNORECASE,
 )
 QUESTIONS = ("What ", "Whether ", "Who", "Where ", "Which ", "Why ", "How ")

@@ -147,6 +147,8 @@ def verifier() -> RosauthVerifier:
 def test_a_proof_made_with_a_token_identifies_its_owner(verifier: RosauthVerifier) -> None:
     assert verifier.identify(proof(), NOW_S) == ADA
     assert verifier.identify(proof(SCREENS, rand="s"), NOW_S) == SCREEN
+    # The level that a client gives itself does not count.
+    assert verifier.identify(proof(SCREENS, level="admin"), NOW_S) == SCREEN
 
 
 @pytest.mark.parametrize(
@@ -170,11 +172,6 @@ def test_a_proof_of_which_a_field_was_changed_does_not_count(verifier: RosauthVe
     assert "field mac" in str(verifier.identify(proof().model_copy(update={field: changed}), NOW_S))
 
 
-def test_a_proof_is_good_once(verifier: RosauthVerifier) -> None:
-    verifier.identify(proof(), NOW_S)
-    assert "used before" in str(verifier.identify(proof(), NOW_S + 1.0))
-
-
 def test_a_replayed_proof_in_which_fields_lend_one_another_characters_does_not_count(verifier: RosauthVerifier) -> None:
     shown = proof(rand="random")
     assert verifier.identify(shown, NOW_S) == ADA
@@ -187,10 +184,6 @@ def test_a_replayed_proof_does_not_count_at_its_last_moment_either(verifier: Ros
     late = proof(t=1_000_005)
     assert verifier.identify(late, NOW_S) == ADA
     assert "used before" in str(verifier.identify(late, NOW_S + 10.0))
-
-
-def test_the_level_that_a_client_gives_itself_does_not_count(verifier: RosauthVerifier) -> None:
-    assert verifier.identify(proof(SCREENS, level="admin"), NOW_S) == SCREEN
 
 
 def test_wrong_proofs_are_not_kept_and_right_ones_no_longer_than_they_are_good(verifier: RosauthVerifier) -> None:

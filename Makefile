@@ -166,10 +166,11 @@ build/cosmic_ray/.installed:
 	build/cosmic_ray/bin/python -m pip --disable-pip-version-check install --quiet $(COSMIC_RAY)
 	touch $@
 
-lint: install-dev
+lint: install-dev $(PAGE)/node_modules/.package-lock.json
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	cd $(PAGE) && npm run lint
 
 check: test test-processes lint
 

@@ -196,7 +196,7 @@ class JoinedBeat:
         self._told_s = -math.inf
 
     def takes(self, name: str, now_s: float) -> bool:
-        """Return True if the state that an arm has sent is to be passed on with the states of the others.
+        """Return True if an arm's state is due to be passed on with the states of the others.
 
         It is when each arm that is not silent has sent one, or some are late. A busy machine brings the states of one
         arm in bursts, which are passed on once.

@@ -156,7 +156,7 @@ class CalibrationProcedure:
         dialogue.tell("writing", "The calibration is being written to the servos.")
         done = await dialogue.until(self._arm.order(Order.WRITE_CALIBRATION, calibration), ORDER_TIMEOUT_S + SILENT_S)
         if not done.done or calibration is None:
-            # Some servos may have it already: it is to be written again, not swept again under other offsets.
+            # Some servos may have it already: write it again, and do not sweep again under other offsets.
             raise OrderRefused(
                 f"some servos did not take the calibration: {done.message}. Its file was not written; calibrate again"
             )

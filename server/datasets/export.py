@@ -102,7 +102,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
         raise ExportError("no episode can be exported: " + ("; ".join(problems) or "none is left"))
     options.output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.output.parent, prefix=f".{options.output.name}-") as folder:
-        # A dataset is there whole or not at all.
+        # A dataset is complete or absent.
         root = Path(folder) / "dataset"
         root.mkdir()
         cameras = _write_videos(root, sources, options, registry, tell)

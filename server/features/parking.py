@@ -79,9 +79,7 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
             return RestPose(name, group, robot.named_states[group][name])
     if settings.park_state is not None:
         known = sorted({state for states in robot.named_states.values() for state in states})
-        raise ConfigurationError(
-            f"arm.park_state: the SRDF has no state {name!r}, but {', '.join(known) or 'none at all'}"
-        )
+        raise ConfigurationError(f"arm.park_state: the SRDF has no state {name!r}, but {', '.join(known) or 'none'}")
     return None
 
 
@@ -91,8 +89,8 @@ class Parking:
     Attributes:
         name: of one of several arms; empty for a lone arm.
         leads: True for an arm that is moved by hand.
-        parks_on_exit: True for an arm that is to be parked at the end of the server.
-        parks_when_lost: True for an arm that is to be parked without the server.
+        parks_on_exit: True for an arm that parks at the end of the server.
+        parks_when_lost: True for an arm that parks without the server.
     """
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
@@ -106,7 +104,7 @@ class Parking:
         self._keeps = False
         self._parked: set[asyncio.Task[CommandDone]] = set()
         if self._pose is None and EndState.PARK in (settings.on_exit, settings.on_server_lost):
-            log.warning("%s Where it is to be parked at the end, it is relaxed.", self._no_pose)
+            log.warning("%s Instead of being parked at the end, it is relaxed.", self._no_pose)
         context.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
 
     def _serve(self, _request: Message) -> Awaitable[Message]:
@@ -386,7 +384,7 @@ class LastClient:
 
 
 class Parkings(Feature):
-    """Parking of each arm. At the end of the server each arm that is to be parked gets its way to the rest pose."""
+    """Parking of each arm. At the end of the server each arm that parks gets its way to the rest pose."""
 
     name = "the way to the rest pose"
     deadline_s = PREPARING_S

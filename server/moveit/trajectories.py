@@ -78,7 +78,7 @@ def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTimin
         if timing is None:
             return external_trajectory(message, robot, held_rad)
         last = message["points"][-1]["time_from_start"]
-        # The first point of a trajectory with one point at time 0 is to be reached as fast as the limits allow.
+        # The first point of a trajectory with one point at time 0 is reached as fast as the limits allow.
         immediate = timing.bridged and len(message["points"]) == 1 and not any(last.values())
         if point is None and not timing.stamped and not immediate:
             try:

@@ -88,7 +88,7 @@ class JitterBuffer:
 
     @property
     def at_once(self) -> bool:
-        """True where each sample is to be followed as soon as it comes."""
+        """True if the follower takes each sample as soon as it comes."""
         return self._max_delay_s == 0.0
 
     @property

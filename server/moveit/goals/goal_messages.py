@@ -255,7 +255,7 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")
     if "free_rad" in details:
         return _joints(details["free_rad"], robot, "the nearest configuration that was found")
-    # The end of a part of a path is no goal to be published: the path is to be followed up to there.
+    # The end of a part of a path is no goal to publish: the path must be followed up to there.
     if "free_m" in details and "free_fraction" not in details:
         found = _point(details["free_m"], message, robot.root_link, "the nearest point that was found")
         # The sentence of a point out of reach ends with the nearest point that can be reached.

@@ -60,7 +60,7 @@ Ended = Callable[[], bool]
 
 
 class SceneState:
-    """The planning scene. A message changes it as a whole or, when it is rejected, not at all.
+    """The planning scene. A message changes it as a whole, or not when it is rejected.
 
     Changes that take long are read by a thread, one after the other; changes that come meanwhile wait for their turn.
 

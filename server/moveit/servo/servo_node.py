@@ -194,7 +194,7 @@ class CommandGate:
         self._presses = dict.fromkeys(self._presses, self._heard_epoch)
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
-        """Return the reason for not following a command; empty if it is to be followed."""
+        """Return the reason for not following a command; empty if it is followed."""
         left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
         if self.owner is not None and left:
             # The selection of a client ends with its control.

@@ -105,11 +105,6 @@ class ControlCycle:
             self._writing = True
 
 
-def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
-    """Build the state of an arm whose hardware is not open."""
-    return ArmState(time.time(), Mode.DISCONNECTED, joint_names, reason=reason, fault=fault, clock_s=clock_s)
-
-
 def arm_state(
     arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock_s: float
 ) -> ArmState:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robot.control.controller import RELAXING, ArmController
-from robot.control.cycle import ControlCycle, arm_health, arm_state, disconnected
+from robot.control.cycle import ControlCycle, arm_health, arm_state
 from robot.control.orders import Orders
 from robot.control.pacing import PERIOD_S, LoopClock, Pacer, Scheduling
 from robot.control.parking import Parking, Stage
@@ -24,6 +25,7 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     TORQUE_LEFT_ON,
     ArmConfig,
+    ArmState,
     ChangePace,
     Command,
     CommandDone,
@@ -164,7 +166,8 @@ class Supervisor:
         self._interrupt(reason)
         self.arm = self._orders = None
         self._reason = reason
-        self._send(disconnected(self._joint_names, reason, self._fault, self._clock()), True)
+        lost_s, fault, names = self._clock(), self._fault, self._joint_names
+        self._send(ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s), True)
 
     def handle(self, message: object) -> None:
         """Handle one message of the server."""

@@ -262,18 +262,14 @@ def moveit_limits(path: Path) -> dict[str, JointLimits]:
     for name, entry in joints.items():
         if not isinstance(entry, dict):
             raise DescriptionError(str(path), f"joint_limits.{name} must be a mapping, not {entry!r}")
-        own = {key: _rate(path, name, entry, key) for switch, key in MOVEIT_LIMITS if entry.get(switch)}
+        own = {key: _yaml_number(path, name, entry, key) for switch, key in MOVEIT_LIMITS if entry.get(switch)}
+        for key, value in own.items():
+            if value <= 0.0:
+                raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be above 0, not {value:g}")
         if entry.get("has_position_limits"):
             own |= {field: _yaml_number(path, name, entry, key) for key, field in MOVEIT_POSITION_LIMITS}
         limits[str(name)] = JointLimits(**own)
     return limits
-
-
-def _rate(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:
-    value = _yaml_number(path, name, entry, key)
-    if value <= 0.0:
-        raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be above 0, not {value:g}")
-    return value
 
 
 def _yaml_number(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:

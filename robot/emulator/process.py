@@ -32,7 +32,7 @@ from robot.description.robot_folder import RobotFolder
 from robot.emulator.arm import Adapter, weight_of
 from robot.emulator.control import (
     COMMANDS_HELP,
-    CommandStream,
+    Controller,
     Emulation,
     LiveCommand,
     answer,
@@ -416,17 +416,23 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
         resources.callback(adapter.unplug)
         configure(options, Emulation(bus, adapter))
         take_priority()  # servos do not wait for a busy computer
-        ends = (STDIN, STDOUT) if control_descriptor is None else (control_descriptor, control_descriptor)
-        serve(bus, adapter, Control(*ends, essential=control_descriptor is not None), rehearsal)
+        if control_descriptor is None:
+            controller = Controller(STDIN, STDOUT)
+            controller.write(adapter.port.encode() + b"\n")
+        else:
+            controller = Controller(control_descriptor, control_descriptor)
+            controller.write(json.dumps({"port": adapter.port}).encode() + b"\n")
+        serve(bus, adapter, controller, rehearsal, essential=control_descriptor is not None)
 
 
-def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
+def serve(
+    bus: ServoBus[FeetechServo], adapter: UsbAdapter, controller: Controller, rehearsal: Rehearsal, *, essential: bool
+) -> None:
     """Serve the bus until an essential controller has ended; the rehearsal starts with the first byte from a host."""
     emulation = Emulation(bus, adapter)
-    control.announce(adapter.port)
     last_heard_s = time.monotonic()
-    while control.wanted or time.monotonic() - last_heard_s < LINGER_S:
-        watched = [*adapter.descriptors, *control.descriptors]
+    while not (essential and controller.gone) or time.monotonic() - last_heard_s < LINGER_S:
+        watched = adapter.descriptors if controller.gone else [*adapter.descriptors, controller.reader]
         ready, _, _ = select.select(watched, [], [], adapter.wait_s(time.monotonic(), TICK_S))
         now_s = time.monotonic()
         if ready:
@@ -440,47 +446,8 @@ def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, re
         adapter.deliver(now_s)
         for due in rehearsal.commands_due(now_s):
             _play(due, emulation)
-        if any(descriptor in ready for descriptor in control.descriptors):
-            control.handle(emulation)
-
-
-class Control:
-    """Connection to a person, or to a controlling process, which is essential: its end ends the emulator."""
-
-    def __init__(self, reader: int, writer: int, *, essential: bool) -> None:
-        self.essential = essential
-        self._reader = reader
-        self._writer = writer
-        self._stream = CommandStream()
-        self._gone = False
-
-    @property
-    def descriptors(self) -> list[int]:
-        """File descriptors to wait on for commands."""
-        return [] if self._gone else [self._reader]
-
-    @property
-    def wanted(self) -> bool:
-        """True until the end of an essential controller."""
-        return not (self._gone and self.essential)
-
-    def announce(self, port: str) -> None:
-        """Announce the bus's port: to a controlling process in JSON, to a person as plain text."""
-        self._say(json.dumps({"port": port}).encode() + b"\n" if self.essential else port.encode() + b"\n")
-
-    def handle(self, emulation: Emulation) -> None:
-        """Carry out and answer the commands that have arrived."""
-        try:
-            data = os.read(self._reader, READ_BYTES)
-        except OSError:
-            data = b""
-        for line in self._stream.feed(data, emulation):
-            self._say(line)
-        self._gone = not data or self._stream.overlong
-
-    def _say(self, line: bytes) -> None:
-        with contextlib.suppress(OSError):
-            os.write(self._writer, line)
+        if not controller.gone and controller.reader in ready:
+            controller.handle(emulation)
 
 
 def _play(due: TimedCommand, emulation: Emulation) -> None:

@@ -247,7 +247,7 @@ async def main(started):
     await child.wait(20)
     print(json.dumps([received[0], child.pid, running, child.ending]))
 
-asyncio.run(main(StartedChild.forked(echo)))
+asyncio.run(main(StartedChild("", body=echo)))
 """
 
 
@@ -273,7 +273,7 @@ def test_a_forked_child_that_nobody_adopts_is_killed() -> None:
     program = """
 import time
 from robot.processes import StartedChild
-started = StartedChild.forked(lambda sock: time.sleep(60))
+started = StartedChild("", body=lambda sock: time.sleep(60))
 started.close()
 print(started.process.poll())
 """

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.calibration import MAX_TICK, TICKS_PER_TURN
-from robot.commissioning.directions import LEAST_MOTION_TICKS, AskedMotion, asked_motions, turned_the_other_way
 from robot.commissioning.session import (
     AGAIN,
     AS_IT_IS,
     DONE,
+    LEAST_MOTION_TICKS,
     LEAST_SWEEP_TICKS,
     MIDDLE_TICK,
     RELAX,
@@ -22,12 +22,15 @@ from robot.commissioning.session import (
     WIDEST_SWEEP_TICKS,
     WRITE_NOW,
     Act,
+    AskedMotion,
     CalibrationSession,
     Sweep,
+    asked_motions,
     expected_width,
     met_both_stops,
     place,
     place_free,
+    turned_the_other_way,
 )
 from robot.commissioning.verify import LIMIT_MARGIN_RAD, Droop, poses, seen_findings
 from robot.description import robot_folder

@@ -16,12 +16,11 @@ import serial
 
 from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator.arm import InProcessPort
-from robot.emulator.control import Emulation, LiveCommand, answer, check
+from robot.emulator.control import Controller, Emulation, LiveCommand, answer, check
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.process import (
     LEAD_S,
     REHEARSALS,
-    Control,
     Rehearsal,
     TimedCommand,
     UsbAdapter,
@@ -167,17 +166,14 @@ def test_an_adapter_that_comes_back_has_dropped_its_queue_and_the_link_leads_the
     assert (adapter.port, adapter.descriptors) == (there, descriptors)
 
 
-@pytest.mark.parametrize("essential", [True, False])
-def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
+def test_a_controller_that_has_closed_its_end_is_gone():
     reader, writer = os.pipe()
-    control = Control(reader, writer, essential=essential)
-    assert control.wanted
-    assert control.descriptors == [reader]
+    controller = Controller(reader, writer)
+    assert not controller.gone
     os.close(writer)
-    control.handle(None)
+    controller.handle(None)
     os.close(reader)
-    assert control.wanted is not essential
-    assert control.descriptors == []
+    assert controller.gone
 
 
 def parser():

@@ -18,7 +18,7 @@ from serial.tools.list_ports_common import ListPortInfo
 from robot.calibration import RAD_PER_TICK, TICKS_PER_TURN
 from robot.description.limits import FASTEST_TICKS_S
 from robot.emulator.process import UsbAdapter
-from robot.errors import PortNotFound, StartupError
+from robot.errors import PortError, StartupError
 from robot.hardware.config import DynamixelConfig, FeetechConfig
 from robot.hardware.dynamixel.family import ALERT
 from robot.hardware.dynamixel.registers import MOTION
@@ -235,7 +235,7 @@ def test_an_adapter_is_looked_for_each_time_that_it_is_opened(monkeypatch: pytes
     monkeypatch.setattr(list_ports, "comports", Adapter.comports)
     config = FeetechConfig(family.calibration, "auto")
     opener = partial(open_servos, family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
-    with pytest.raises(PortNotFound):
+    with pytest.raises(PortError):
         opener()
     with plugged_in() as terminal:
         monkeypatch.setattr(Adapter, "device", terminal.port)

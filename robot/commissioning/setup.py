@@ -29,13 +29,7 @@ from robot.errors import BackupError, NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
-from robot.hardware.feetech.registers import (
-    EPROM,
-    MODELS,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
-    Register,
-)
+from robot.hardware.feetech.registers import EPROM, MODELS, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
@@ -213,12 +207,7 @@ class Change:
 
 
 def search(
-    line: ServoLine,
-    joint: ServoSpec,
-    arm: Sequence[ServoSpec],
-    say: Callable[[str], None],
-    *,
-    only_joint: bool = False,
+    line: ServoLine, joint: ServoSpec, arm: Sequence[ServoSpec], say: Callable[[str], None], *, only_joint: bool = False
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 

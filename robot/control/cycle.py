@@ -21,10 +21,7 @@ from robot.trajectory import Vector
 SAME_ERROR_S = 5.0  # a register check repeats what it finds, about once a second, until the servo is driven again
 
 # Findings of register checks that are counted.
-_FOUND = {
-    FaultCode.SERVO_REBOOTED: ServoAlert.SERVO_REBOOTED,
-    FaultCode.TORQUE_LOST: ServoAlert.TORQUE_LOST,
-}
+_FOUND = {FaultCode.SERVO_REBOOTED: ServoAlert.SERVO_REBOOTED, FaultCode.TORQUE_LOST: ServoAlert.TORQUE_LOST}
 
 
 class ErrorCounts:

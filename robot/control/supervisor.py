@@ -87,7 +87,8 @@ def stays_at_rest(hardware: HardwareConfig) -> bool:
         case IdealConfig():
             return True
         case EmulatedConfig():
-            return not hardware.drop and not hardware.corrupt and hardware.control is None
+            lossless = not hardware.drop and not hardware.corrupt
+            return hardware.kind == "feetech" and lossless and hardware.control is None
         case _:
             return False
 

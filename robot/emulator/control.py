@@ -132,8 +132,7 @@ class LiveCommand(BaseModel):
     )
     frozen: bool = _command(True, "the adapter neither takes nor gives bytes; bytes that come meanwhile wait")
     plugged: Literal[True, False, "renamed"] = _command(
-        False,
-        'port and link are gone; true brings them back, "renamed" under another name of the port',
+        False, 'port and link are gone; true brings them back, "renamed" under another name of the port'
     )
 
 

@@ -31,7 +31,6 @@ from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.emulator.arm import Adapter, weight_of
 from robot.emulator.control import (
-    COMMANDS_HELP,
     Controller,
     Emulation,
     LiveCommand,
@@ -44,7 +43,7 @@ from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.populations import POPULATIONS
 from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
-from robot.errors import CalibrationError, DescriptionError
+from robot.errors import DescriptionError
 
 MAX_AT_S = 86_400.0  # a day; a later time is likely a mistaken unit
 MIN_REPEATED_S = 0.1  # shortest duration of a repeated script [s]: a shorter one would keep the loop that plays it busy
@@ -332,29 +331,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "joint and lets go; stall, an obstacle is in a joint's way, and later goes",
     )
     add("--repeat", action="store_true", help="play the script again and again")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the emulator of ``python -m robot.emulator.process``, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m robot.emulator.process",
-        description="Emulate the servo bus of an SO-101 on a pseudo terminal and print the terminal's path.",
-        epilog=f"The control socket or standard input takes:\n\n{COMMANDS_HELP}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add_options(parser)
-    parser.add_argument(
-        "--control-fd",
-        type=int,
-        metavar="N",
-        help="inherited socket: announce the port there, take live commands, end when the other side is gone",
-    )
-    options = parser.parse_args(arguments)
-    try:
-        run(options, options.control_fd)
-    except (CalibrationError, ValueError, OSError) as error:
-        parser.error(str(error))
-    return 0
+    # Inherited socket of a controlling process: its end ends the emulator.
+    add("--control-fd", type=int, help=argparse.SUPPRESS)
 
 
 def build_bus(
@@ -402,13 +380,13 @@ def build_rehearsal(options: argparse.Namespace, bus: ServoBus[FeetechServo]) ->
     return Rehearsal()
 
 
-def run(options: argparse.Namespace, control_descriptor: int | None = None) -> None:
+def run(options: argparse.Namespace) -> None:
     """Run an emulator until a signal or its controlling process ends it.
 
-    The descriptor is a socket to a controlling process; None for a person at standard input and output. Raises
-    CalibrationError, ValueError for a start pose or script that cannot be, and OSError for files and pseudo terminals.
+    Raises CalibrationError, ValueError for a start pose or script that cannot be, and OSError for files and terminals.
     """
-    _end_on_signals(controlled=control_descriptor is not None)
+    controlled = options.control_fd is not None
+    _end_on_signals(controlled=controlled)
     with contextlib.ExitStack() as resources:
         bus = build_bus(options, resources, time.monotonic())
         rehearsal = build_rehearsal(options, bus)
@@ -416,13 +394,10 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
         resources.callback(adapter.unplug)
         configure(options, Emulation(bus, adapter))
         take_priority()  # servos do not wait for a busy computer
-        if control_descriptor is None:
-            controller = Controller(STDIN, STDOUT)
-            controller.write(adapter.port.encode() + b"\n")
-        else:
-            controller = Controller(control_descriptor, control_descriptor)
-            controller.write(json.dumps({"port": adapter.port}).encode() + b"\n")
-        serve(bus, adapter, controller, rehearsal, essential=control_descriptor is not None)
+        ends = (options.control_fd,) * 2 if controlled else (STDIN, STDOUT)
+        controller = Controller(*ends)
+        controller.write((json.dumps({"port": adapter.port}) if controlled else adapter.port).encode() + b"\n")
+        serve(bus, adapter, controller, rehearsal, essential=controlled)
 
 
 def serve(
@@ -508,7 +483,3 @@ def _positions(text: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers") from error
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -329,11 +329,7 @@ class SerialPort(PortHandler):
 def _open_line(port: str, baudrate: int) -> serial.Serial:
     try:
         return serial.serial_for_url(
-            port,
-            baudrate=baudrate,
-            timeout=BLOCKING_READ_S,
-            write_timeout=WRITE_TIMEOUT_S,
-            exclusive=True,
+            port, baudrate=baudrate, timeout=BLOCKING_READ_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True
         )
     except (OSError, ValueError, termios.error) as error:
         raise _refusal(port, getattr(error, "errno", None), str(error)) from error

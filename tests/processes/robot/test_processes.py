@@ -180,7 +180,7 @@ def test_a_folder_of_the_same_name_in_the_working_directory_is_not_imported(
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "__init__.py").write_text("raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
-    process = processes.start_module("robot.emulator.process", ["--help"], ())
+    process = processes.start_module("server.cli", ["--help"], ())
     assert process.wait(20.0) == 0
     assert sys.executable
 

@@ -287,11 +287,7 @@ def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_st
     assert abs((placed.range_min + placed.range_max) / 2 - MIDDLE_TICK) <= 1
 
 
-@given(
-    st.integers(-5000, 5000),
-    st.integers(-LARGEST_OFFSET, LARGEST_OFFSET),
-    st.floats(0.0, 1.0),
-)
+@given(st.integers(-5000, 5000), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET), st.floats(0.0, 1.0))
 @pytest.mark.parametrize(
     ("width", "reason"),
     [
@@ -391,10 +387,7 @@ A, G = frozenset({"a"}), frozenset({"g"})
 @pytest.mark.parametrize(
     ("seen", "words"),
     [
-        (
-            [("zero", A), ("first", A), ("second", NONE)],
-            "in 2 of 3 poses: its zero is off",
-        ),
+        ([("zero", A), ("first", A), ("second", NONE)], "in 2 of 3 poses: its zero is off"),
         ([("zero", NONE), ("first", A), ("second", A)], "turns the other way"),
         ([("zero", NONE), ("open gripper", G)], "drive_mode"),
     ],

@@ -85,7 +85,6 @@ def judge_long_reads(address: int, length: int, silent_ids: Sequence[int]) -> Fi
 
 
 def _judged(check: str, wrong: str, remedy: str, sound: str, verdict: Verdict = Verdict.PROBLEM) -> Finding:
-    """Return the finding about a wrong; good for an empty one."""
     return Finding(check, verdict, wrong, remedy) if wrong else Finding(check, Verdict.GOOD, sound)
 
 

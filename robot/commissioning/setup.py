@@ -37,7 +37,6 @@ MAX_FILE_BYTES = 100_000  # forty servos with all their registers; an arm has si
 
 
 def _by_register(held: Mapping[str | Register, int]) -> dict[Register, int]:
-    """Convert names of registers; raises ValueError for an unknown one, and for a value that it cannot hold."""
     found = {}
     for name, value in held.items():
         if name not in Register.__members__ and name not in list(Register):
@@ -422,7 +421,6 @@ def _candidates(
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:
-    """Return True when anything comes back from an id, garbled or not."""
     for _ in range(ATTEMPTS):
         before = bus.counters.discarded_bytes
         if bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES) or bus.counters.discarded_bytes > before:

@@ -280,7 +280,6 @@ class ArmController:
         return np.array(guarded)
 
     def _yielding(self) -> Flags | None:
-        """Return the joints of grips, for which a stall is no fault; None when there is no grip."""
         gripping = [motion for motion in self.motions if motion.gripping]
         if not gripping:
             return None

@@ -131,7 +131,6 @@ class ArmLoop:
         return skipped
 
     def _handle(self, messages: list[Any]) -> None:
-        """Handle emergency stops first, the rest in order."""
         urgent = [each for each in messages if isinstance(each, Command) and each.order is Order.EMERGENCY_STOP]
         for message in (*urgent, *(each for each in messages if each not in urgent)):
             self._supervisor.handle(message)

@@ -449,7 +449,6 @@ class Supervisor:
         return "nothing moves"
 
     def _relax(self) -> None:
-        """Relax the arm without an order, unless it is being relaxed or stopped already."""
         busy = self._task
         if self._orders is not None and (busy is None or not (busy.urgent or busy.name == RELAXING_ARM)):
             self._begin(_Task(RELAXING_ARM, self._orders.relax(), None, self._clock()))

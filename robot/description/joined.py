@@ -174,7 +174,6 @@ def _rename(root: ET.Element, names: Mapping[str, Sequence[str]], prefix: str) -
 
 
 def _group_of_all(robots: Sequence[RobotModel]) -> Iterator[ET.Element]:
-    """Yield the group of all arms, and the named states that every arm has under the same name."""
     name = BOTH_ARMS if len(robots) == 2 else ALL_ARMS
     group = ET.Element("group", name=name)
     for robot in robots:

@@ -209,7 +209,6 @@ def _read(problems: list[str], read: Callable[[], Read], instead: Read) -> Read:
 
 
 def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
-    """Return the folder's URDF or SRDF: the named one, or the only one."""
     if named is not None:
         path = folder / named
         if not path.is_file():

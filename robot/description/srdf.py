@@ -119,7 +119,6 @@ class _Reader:
         return Group(name, tuple(joint.name for joint in driven), base_link, tip_link)
 
     def _members(self, name: str, within: tuple[str, ...]) -> set[str]:
-        """Return the names of a group's joints: all that its elements name, together."""
         where = f"{self._source} group {name!r}"
         if name in within:
             raise DescriptionError(where, f"contains itself: {' -> '.join((*within, name))}")

@@ -30,15 +30,7 @@ from robot.control.pacing import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.emulator.arm import Adapter, weight_of
-from robot.emulator.control import (
-    Controller,
-    Emulation,
-    LiveCommand,
-    answer,
-    carry_out,
-    check,
-    json_object,
-)
+from robot.emulator.control import Controller, Emulation, LiveCommand, answer, carry_out, check, json_object
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.populations import POPULATIONS

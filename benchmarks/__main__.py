@@ -35,6 +35,7 @@ BENCHMARKS = (
     "classroom",
     "several_arms",
     "teleop",
+    "chunks",
     "soak",
     "planning_scene_services",
 )

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Builds the release into build/release and tries it out: sdist and wheel, what an index would say about them, the wheel
-# in an empty environment, and the image where an engine runs. Call it by `make release`, which builds the page first.
+# in an empty environment, and the image where an engine runs. Call it by `make release`, which builds the page and the site
+# first.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

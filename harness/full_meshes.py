@@ -52,12 +52,7 @@ TIP = "gripper_frame_link"
 
 
 class Judge:
-    """The official arm among the things of one problem file.
-
-    Args:
-        shared: the folder of reference data.
-        fields: the problem file, as read from JSON.
-    """
+    """The official arm among the things of one problem file, read from JSON, with the folder of reference data."""
 
     def __init__(self, shared: Path, fields: Fields) -> None:
         self._model, official = official_arm(shared / "so101" / "so101_new_calib.urdf")
@@ -90,13 +85,7 @@ class Judge:
         return position_m
 
     def faults(self, asked: Fields, answer: Fields, rate_excess: float = RATE_EXCESS) -> list[str]:
-        """Return the faults of a motion.
-
-        Args:
-            asked: a problem of the file.
-            answer: what ``armbridge plan --json`` writes of it.
-            rate_excess: share by which velocities and accelerations may exceed their limits.
-        """
+        """Return the faults of what ``armbridge plan --json`` writes of a problem; rates have an excess [share]."""
         times_s, positions, velocities, accelerations = (
             np.asarray(answer[key], dtype=np.float64)
             for key in ("time_from_start", "positions", "velocities", "accelerations")

@@ -5,12 +5,7 @@ from numpy.typing import NDArray
 
 
 def ball(radius_m: float, around: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices and triangles of a ball about the origin [m].
-
-    Args:
-        radius_m: its radius [m].
-        around: number of circles in each direction; it has twice the square of one less triangles.
-    """
+    """Return vertices and triangles of a ball about the origin [m], with so many circles in each direction."""
     u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, around), np.linspace(0.0, np.pi, around), indexing="ij")
     vertices = radius_m * np.stack((np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)), axis=-1).reshape(-1, 3)
     corner = (np.arange(around - 1)[:, np.newaxis] * around + np.arange(around - 1)).ravel()

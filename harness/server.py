@@ -155,11 +155,7 @@ ANSWER_TIMEOUT_S = 30.0
 
 
 class EmulatorControl:
-    """A controller of the emulated servos whose control socket is at a path; connects anew for each command.
-
-    Args:
-        path: as the settings name it.
-    """
+    """A controller of the emulated servos whose control socket is at a path; connects anew for each command."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

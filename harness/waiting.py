@@ -39,12 +39,7 @@ def join(thread: threading.Thread) -> None:
 
 @contextmanager
 def running(command: Sequence[str | Path], **options: Any) -> Iterator[subprocess.Popen[str]]:
-    """Run a program; the end of the block or of its time kills it, so that no read from it waits without an end.
-
-    Args:
-        command: program and arguments.
-        options: of ``subprocess.Popen``.
-    """
+    """Run a program; the end of the block or of its time kills it, so that no read from it waits without an end."""
     with subprocess.Popen(command, text=True, **options) as process:
         overdue = threading.Timer(PROGRAM_TIMEOUT_S, process.kill)
         overdue.start()

@@ -95,7 +95,7 @@ def nearest_goal(
         for candidate in islice(candidates, TRIES):
             if part.used_up():
                 break
-            # It is to be planned in the time that the problem allows itself, and leaves time for others.
+            # Its plan must fit into the time that the problem allows, and leave time for others.
             allowed_s = min(problem.allowed_time_s, TRY_SHARE * part.left_s)
             tried = replace(problem, goal=candidate, allowed_time_s=allowed_s, optimization_time_s=0.0)
             if isinstance(plan(tried), Plan):

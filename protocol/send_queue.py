@@ -208,7 +208,7 @@ class SendQueue:
         self._drop(min(next(iter(lane)) for lane in (self._free, self._bulky, self._paced) if lane))
 
     def give_up(self) -> None:
-        """Drop all that waits and take no more: the client is to be closed."""
+        """Drop all that waits and take no more, before the client is closed."""
         self.overflowed = True
         self.close()
 

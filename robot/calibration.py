@@ -229,7 +229,7 @@ def reserved(path: Path, *, overwrite: bool) -> Iterator[None]:
 
 
 def save(calibration: Calibration, path: Path) -> None:
-    """Write a calibration as lerobot does, as a whole or not at all; its file is :func:`reserved`."""
+    """Write a calibration as lerobot does, completely or not; its file is :func:`reserved`."""
     table = {
         joint.joint: {
             "id": joint.servo_id,

@@ -140,7 +140,7 @@ class LogLimiter:
             logger.log(level, "%d lines of this kind were written; further ones are not", len(self._buckets))
 
     def due(self, key: Hashable, now_s: float) -> bool:
-        """Count a line, and return True when it is to be written."""
+        """Count a line, and return True when it is due."""
         bucket = self._buckets.get(hash(key))
         if bucket is None:
             if self._max_keys is not None and len(self._buckets) >= self._max_keys:

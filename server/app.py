@@ -1,7 +1,5 @@
 """Composition root: makes every part of the server, starts them in order, and stops them in reverse."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from dataclasses import dataclass
@@ -25,11 +23,11 @@ from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.features.arms import (
     ArmControl,
     CommissioningOfArms,
-    Following,
     PolicyChunks,
     Restart,
-    TaughtMotions,
     resumed,
+    teaching_of,
+    teleoperation_of,
     with_calibration,
 )
 from server.features.clients import Clients
@@ -141,7 +139,7 @@ class App:
         shared = inherited is not None
         commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
-        made = (MoveGroup, ArmGoals, TaughtMotions, GoalQueueing, Servo, Following, PolicyChunks)
+        made = (MoveGroup, ArmGoals, teaching_of, GoalQueueing, Servo, teleoperation_of, PolicyChunks)
         goals = [make(context) for make in made]
         self.features = self._in_order_of_start(commissioning, parkings, Together("goals", goals, 1.1))
         feed.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])

@@ -5,8 +5,6 @@ are carried out. Tasks that are started meanwhile inherit it, so that a part of 
 much later, can name the epoch of the request to the arm.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from contextvars import ContextVar

@@ -1,7 +1,5 @@
 """The command ``armbridge``."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import os

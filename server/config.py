@@ -35,11 +35,11 @@ class PlanningSettings(SettingsSection):
     """Planner processes."""
 
     workers: Annotated[int, BeforeValidator(_no_cluster)] = Field(default=1, ge=1, le=16)
-    """goals planned at the same time; one more process stands by, and helps with hard motions."""
+    """goals planned at the same time; one more process helps with hard motions."""
     memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
     """memory of each planner process, which is restarted when it needs more [MB]."""
     save_failed_goals: Path | None = None
-    """directory for the goals that could not be planned, as files for ``armbridge plan``; None to keep none."""
+    """directory for goals that could not be planned, as files for ``armbridge plan``."""
     keep_failed_goals: int = Field(default=100, ge=1, le=100_000)
     """newest files of failed goals to keep."""
 
@@ -60,27 +60,26 @@ class GuardSettings(SettingsSection):
     """Torque limits of the servos, and the tolerances within which a motion succeeds."""
 
     torque_limit: float = _guard("torque_limit")
-    """share of full motor duty that each servo may use; less is gentler, and carries less."""
+    """share of full motor duty that each servo may use."""
     gripper_torque_limit: float = _guard("gripper_torque_limit")
     """share of full motor duty that the gripper's servo may use."""
     tracking_error_rad: float = _guard("tracking_error_rad")
     """tracking error above which a joint has a fault [rad]."""
     tracking_time_s: float = _guard("tracking_time_s")
-    """time for which the tracking error may be larger before the fault [s]."""
+    """time for which the tracking error may be larger [s]."""
     stall_current_a: float = _guard("stall_current_a")
     """current above which a servo that hardly moves is stalled: a fault, or a grip [A]."""
     stall_time_s: float = _guard("stall_time_s")
-    """time for which a servo may be stalled before the fault; its own protection latches after 2 s [s]."""
+    """time for which a servo may be stalled; its own protection latches after 2 s [s]."""
     silent_after_s: float = _guard("silent_after_s")
-    """silence of a servo that is a fault: over a network at least 0.5 s, on a pseudo terminal 3 s; the arm moves
-    blindly in that time, so raise it only for machines that stall [s].
-    """
+    """silence of a servo that is a fault; at least 0.5 s over a network, 3 s on a pseudo terminal. The arm moves
+    blindly meanwhile [s]."""
     min_voltage_v: float = _guard("min_voltage_v")
     """a supply below is a fault; 9 V are right for servos of 12 V [V]."""
     goal_tolerance_rad: float = _guard("goal_tolerance_rad")
     """how near each joint must come to the end of its motion [rad]."""
     settle_timeout_s: float = _guard("settle_timeout_s")
-    """time for that, after which the motion has failed; less than moveit.allowed_goal_duration_margin [s]."""
+    """time to come that near; less than moveit.allowed_goal_duration_margin [s]."""
 
 
 # Of the environment variables.
@@ -91,21 +90,15 @@ class ArmSettings(SettingsSection):
     """Arm and its bus; see docs/arm.md."""
 
     serial: str | None = None
-    """the servos' port: a path such as /dev/serial/by-id/..., a USB id, a URL such as socket://host:port, or auto for
-    the one adapter plugged in; None for the simulated arm.
-    """
+    """port of the servos: path, USB id, socket://host:port, auto (docs/hardware.md); None for the simulated arm."""
     robot: str | None = None
     """the arm: a built-in one, or a folder with a robot.toml (docs/robots.md); None for the SO-101."""
     calibration: Path | None = None
-    """a lerobot calibration file, its id there, or nominal for servos that need none, as emulated ones; without one a
-    real arm is not enabled.
-    """
+    """a calibration file or its lerobot id; nominal for emulated servos. Without one a real arm is not enabled."""
     zero_offset_rad: dict[str, float] = Field(default_factory=dict)
     """trim of joints' zeros by name, at most 0.5 rad: { elbow = 0.02 } [rad]."""
     urdf: Path | None = None
-    """a URDF in place of the robot's; without robot, serial and calibration its arm is an ideal one, whose joints
-    follow their goals (docs/simulation.md).
-    """
+    """a URDF in place of the robot's; without robot, serial and calibration its arm is ideal (docs/simulation.md)."""
     srdf: Path | None = None
     """the SRDF of this URDF."""
     package_path: list[Path] = Field(default_factory=list)
@@ -122,7 +115,7 @@ class ArmSettings(SettingsSection):
     unverified_speed_limit: float = Field(default=0.25, ge=MIN_SPEED_LIMIT, le=1.0)
     """such a share until the calibration of an arm on servos is verified; 1 for no such limit."""
     start_enabled: bool = True
-    """hold the arm when it is connected; else it is relaxed until /arm/enable is called."""
+    """hold the arm when it is connected; else it is relaxed until /arm/enable."""
     # Heartbeats come every 0.1 s; less than three of them missed would be taken for the server's death.
     watchdog_s: float = Field(default=0.5, ge=0.3, le=10.0)
     """silence of the server after which the arm stops; a simulated arm waits at least 5 s [s]."""
@@ -135,9 +128,9 @@ class ArmSettings(SettingsSection):
     last_client_delay_s: float = Field(default=10.0, ge=0.0, le=86_400.0)
     """time without such a client before that action [s]."""
     park_state: str | None = None
-    """named state of the SRDF in which the arm is parked; None for the robot's own, which is ``rest`` for most."""
+    """named state of the SRDF in which the arm is parked; None for the robot's own."""
     on_emergency_stop: EmergencyPolicy = EmergencyPolicy.TORQUE_OFF
-    """action on an emergency stop: with torque_off the arm falls, with hold it stops and holds its position."""
+    """action on an emergency stop: with torque_off the arm falls, with hold it stops."""
     # The servos protect themselves at 70 degC.
     warn_temperature_c: float = Field(default=55.0, ge=30.0, le=70.0)
     """temperature of a servo at which /diagnostics has a warning [degC]."""
@@ -174,9 +167,9 @@ class EmulatorSettings(SettingsSection):
     population: Literal["factory", "lerobot", "ros2_driver", "clone", "kit"] = "factory"
     """state in which the servos are found (docs/simulation.md)."""
     write_log: Path | None = None
-    """file with a line of JSON for every write to a servo; None for no file."""
+    """file with a line of JSON for every write to a servo."""
     control: Path | None = None
-    """Unix socket that takes live commands to the servos (docs/simulation.md); None for no socket."""
+    """Unix socket that takes live commands to the servos (docs/simulation.md)."""
 
 
 # Far more than one machine has ports for.
@@ -232,8 +225,7 @@ class GoalSettings(SettingsSection):
     capacity: int = Field(default=16, ge=1, le=1000)
     """goals that may wait."""
     on_disconnect: Literal["finish", "stop"] = "finish"
-    """treatment of goals on actions of a client that leaves; its URL may choose, as in ``?on_disconnect=stop``.
-    """
+    """goals on actions of a client that leaves; its URL may choose, as in ``?on_disconnect=stop``."""
     confirm: bool = False
     """plan, show, and wait for a message on /moveit_goal_confirm before the motion."""
     # The goals behind it wait as long.
@@ -246,27 +238,25 @@ class GoalSettings(SettingsSection):
     max_trajectory_duration_s: float = Field(default=600.0, ge=1.0, le=1800.0)
     """a goal whose planned motions take longer is refused [s]."""
     named_states_file: Path | None = None
-    """file of saved states; None for ``named_states_<robot>.json`` in armbridge/ of the user's data directory
-    ($XDG_DATA_HOME, else ~/.local/share).
-    """
+    """file of saved states; None for armbridge/ of the user's data directory."""
 
 
 class SceneSettings(SettingsSection):
     """Planning scene from one start of the server to the next; see docs/moveit.md."""
 
     keep: bool = True
-    """keep what clients add to the planning scene, and restore it at the next start."""
+    """restore clients' objects of the planning scene at the next start."""
     file: Path | None = None
-    """its file, another one for each server; None for a file of each arm in armbridge/ of the user's data directory."""
+    """its file, another one for each server; None for armbridge/ of the user's data directory."""
 
 
 class RecordingSettings(SettingsSection):
     """Recording of every message that is published."""
 
     file: Path | None = None
-    """MCAP file to record every message to; if it exists, a number is added to the name; None to record nothing."""
+    """MCAP file to record every message to; if it exists, a number is added to the name."""
     limit_mb: int | None = Field(default=None, ge=1, le=1_000_000)
-    """size of a file at which the next file begins; None for no limit [MB]."""
+    """size of a file at which the next file begins [MB]."""
     keep_files: int = Field(default=0, ge=0, le=10_000)
     """newest files of this run to keep; 0 for all; needs limit_mb."""
 
@@ -282,7 +272,7 @@ class DiagnosticsSettings(SettingsSection):
 
     # Each has some 300 kB.
     fault_files: int = Field(default=20, ge=0, le=10_000)
-    """newest files about faults to keep, each of some 300 kB with the minute before the fault; 0 for none."""
+    """newest files about faults to keep, each of some 300 kB; 0 for none."""
     fault_directory: Path | None = None
     """their folder; None for armbridge/faults/ in the user's data directory."""
 

@@ -3,8 +3,6 @@
 Also the nearest key to an unknown one, and the template of a file.
 """
 
-from __future__ import annotations
-
 import difflib
 import json
 import re

@@ -1,7 +1,5 @@
 """Reads the settings from a TOML file, the environment and the command line, and notes the source of each."""
 
-from __future__ import annotations
-
 import functools
 import os
 import tomllib

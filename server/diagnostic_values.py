@@ -1,7 +1,5 @@
 """Levels and pairs of diagnostic_msgs/DiagnosticStatus messages."""
 
-from __future__ import annotations
-
 # https://docs.ros.org/en/rolling/p/diagnostic_msgs/msg/DiagnosticStatus.html
 LEVEL_OK, LEVEL_WARN, LEVEL_ERROR = 0, 1, 2
 

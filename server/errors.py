@@ -1,7 +1,5 @@
 """Errors of the server; the text of each is one sentence for the user."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar

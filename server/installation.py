@@ -1,7 +1,5 @@
 """Version of the installed program, and of the page that is built into it."""
 
-from __future__ import annotations
-
 import re
 from importlib import metadata
 from pathlib import Path

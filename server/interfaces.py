@@ -1,7 +1,5 @@
 """Message types of the server: packaged ones and types of the user's packages."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from pathlib import Path

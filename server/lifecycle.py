@@ -1,7 +1,5 @@
 """Life of the server: features start in order and stop in reverse, each within a deadline."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

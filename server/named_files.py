@@ -1,7 +1,5 @@
 """JSON files that several servers may share; with names in one folder: taught motions, saved scenes."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

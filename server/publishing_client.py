@@ -1,7 +1,5 @@
 """Rosbridge client that publishes on one topic of a server elsewhere, on one connection after the other."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

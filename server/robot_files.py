@@ -1,7 +1,5 @@
 """Files that the robot's description names, as clients may fetch them."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import xml.etree.ElementTree as ET

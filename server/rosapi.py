@@ -1,7 +1,5 @@
 """The services of rosapi (``/rosapi/...``): topics, services, actions, nodes, types and parameters."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json

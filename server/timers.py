@@ -1,7 +1,5 @@
 """Calls after a delay, which tests replace by calls in a time of their own."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 

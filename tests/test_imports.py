@@ -11,7 +11,7 @@ import pytest
 from harness.server import ROOT
 from tests.helpers.source import ROOMS, imports, name_of, paths
 
-# What each room may import of ours; a name with a dot is one module of a room. docs/architecture.md shows it.
+# What each room may import of ours; a name with a dot is one module of a room. ARCHITECTURE.md shows it.
 ALLOWED = {
     "server": (
         "server",
@@ -132,7 +132,7 @@ def test_a_server_starts_without_planning_libraries_and_without_what_only_few_ne
 
 
 def import_table() -> str:
-    """Return the rooms and what they import, as a table of docs/architecture.md."""
+    """Return the rooms and what they import, as a table of ARCHITECTURE.md."""
     lines = ["| room | imports of ours | purpose |", "|---|---|---|"]
     for room, names in ALLOWED.items():
         others = [f"`{name}`" for name in names if name != room]
@@ -141,9 +141,9 @@ def import_table() -> str:
 
 
 def test_the_architecture_page_shows_these_imports() -> None:
-    page = (ROOT / "docs" / "architecture.md").read_text()
+    page = (ROOT / "ARCHITECTURE.md").read_text()
     shown = page.split("<!-- imports -->")[1].split("<!-- /imports -->")[0].strip()
-    assert shown == import_table(), f"put this table between the marks of docs/architecture.md:\n{import_table()}"
+    assert shown == import_table(), f"put this table between the marks of ARCHITECTURE.md:\n{import_table()}"
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:

@@ -56,6 +56,6 @@ def test_the_configuration_page_shows_every_setting() -> None:
 
 
 def test_every_page_that_is_linked_exists() -> None:
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+    for page in (ROOT / "README.md", ROOT / "ARCHITECTURE.md", *(ROOT / "docs").glob("*.md")):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", page.read_text()):
             assert (page.parent / target).exists(), f"correct the link to {target} in {page.relative_to(ROOT)}"

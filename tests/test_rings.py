@@ -1,4 +1,4 @@
-"""Limits of a test of the first ring: no fixed time, no duration, one server a module (docs/architecture.md)."""
+"""Limits of a test of the first ring: no fixed time, no duration, one server a module (ARCHITECTURE.md)."""
 
 import ast
 import functools
@@ -7,7 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent
 OTHER_RINGS = ("processes", "page", "clients", "examples", "lerobot", "fuzz", "helpers", "docker")
 CLOCKS = {"time.monotonic", "time.perf_counter", "time.time", "time.process_time", "time.monotonic_ns"}
-ELSEWHERE = "move the test to the same folder of tests/processes/ (docs/architecture.md)"
+ELSEWHERE = "move the test to the same folder of tests/processes/ (ARCHITECTURE.md)"
 SERVERS = {"RunningServer", "server_on_bus"}
 
 

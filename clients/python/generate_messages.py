@@ -16,6 +16,8 @@ from server.features.clients import type_hashes
 TARGET = Path(__file__).parent / "armbridge_client" / "messages.py"
 
 MESSAGES = (
+    "armbridge_msgs/ActionChunk",
+    "armbridge_msgs/ActionChunkAnswer",
     "armbridge_msgs/TeachState",
     "armbridge_msgs/TeleopState",
     "control_msgs/JointJog",

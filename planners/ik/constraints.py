@@ -40,7 +40,7 @@ DEFAULT_WEIGHT = 1.0
 
 
 class _LinkCondition(ABC):
-    """Condition on the pose of a link: a measured error is to be 0, and may be up to a tolerance."""
+    """Condition on the pose of a link: a measured error of 0, or up to a tolerance."""
 
     link: str
     tolerance: float | Vector  # radius of a ball around no error, or half the edges of a box, shape (3,) [m or rad]

@@ -498,7 +498,7 @@ class CalibrationSession:
             self.to_mend.append(servo.joint)
 
     def _next(self) -> None:
-        """Go on with the middles that are to be shown, the directions, and the question whether to write."""
+        """Go on with the middles, the directions, and the question whether to write."""
         if self._to_show:
             name = self._to_show[0].joint
             self.step = Step(

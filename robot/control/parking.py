@@ -33,7 +33,7 @@ class Stage(Enum):
     BRAKING = "braking"
     GOING_BACK = "going back"
     PARKING = "parking"
-    OVER = "over"  # the arm is to be relaxed: it is parked, or cannot be
+    OVER = "over"  # relax the arm: it is parked, or cannot be
 
 
 class Parking:

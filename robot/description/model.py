@@ -68,7 +68,7 @@ class RobotModel:
     named_states: Mapping[str, Mapping[str, Mapping[str, float]]]
     disabled_pairs: frozenset[frozenset[str]]  # pairs of links whose collision is not checked
     mesh_directory: Path | None = None  # base of the URDF's relative mesh paths; None for a URDF without meshes
-    # Link name -> enclosing hull; empty when the shapes of the URDF are to be used.
+    # Link name -> enclosing hull; empty to use the shapes of the URDF.
     hulls: Mapping[str, Hull] = field(default_factory=dict)
     # Link name -> vertices of convex parts that together cover the link's surface, shape (n, 3) each [m], in the link's
     # frame; for the cases in which a hull is too wide.

@@ -5,8 +5,6 @@ added), has the purpose serverAuth and names the host in subjectAltName (support
 Android's and desktop browsers ask for no more.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """One-time tokens: each lets one connection in, soon after an administrator asked for it, as for a phone's QR code."""
 
-from __future__ import annotations
-
 import hmac
 import logging
 import secrets

@@ -1,7 +1,5 @@
 """Limits of rates, and the key under which the actions of one machine count."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from ipaddress import IPv4Address, IPv6Address, ip_address
 

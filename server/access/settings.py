@@ -1,7 +1,5 @@
 """Settings of access: tokens and rights of clients."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Literal
@@ -27,25 +25,24 @@ class AccessSettings(SettingsSection):
     """Clients that may connect, and their rights; see docs/security.md."""
 
     token: SecretStr | None = None
-    """one token with all rights, 16 to 256 characters; None for no such token."""
+    """one token with all rights, 16 to 256 characters."""
     admin_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may do everything, by name: { ada = "..." }."""
     operate_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may move the arm and change the scene, by name."""
     propose_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
-    """tokens of clients whose goals wait for the approval of a client that may operate, by name."""
+    """tokens of clients whose goals wait for approval, by name."""
     view_tokens: dict[str, SecretStr] = Field(default_factory=dict, max_length=MAX_TOKENS)
     """tokens of clients that may subscribe, plan and stop the arm, by name."""
     token_file: Path | None = None
-    """TOML file with the five settings above, apart from the configuration; None for no such file."""
+    """TOML file with the five settings above."""
     without_token: Literal["auto", "none", "view", "propose", "operate", "admin"] = "auto"  # noqa: S105 - a role
     """role of a client without a token; auto is admin if no tokens are set, else none."""
     insecure: bool = False
     """serve an address that others can reach, without tokens."""
     allowed_origins: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
-    """pages of other hosts that may connect, as in https://app.example.org; * in it stands for any text, and null is
-    the origin of a page from a file.
-    """
+    """origins of other pages that may connect, as in https://app.example.org; * stands for any text, null for a page
+    from a file."""
     allowed_hosts: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
     """further names of this server, besides the machine's own."""
     topics_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)

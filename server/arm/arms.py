@@ -156,12 +156,7 @@ class StateFeed:
 
 @dataclass(frozen=True)
 class ServedArm:
-    """An arm, or all arms together.
-
-    Attributes:
-        name: of one of several arms; empty for the only one, and for all together.
-        leads: True for an arm that others follow.
-    """
+    """An arm by its name among several, or all arms together; the name of an only arm is empty."""
 
     name: str
     settings: ArmSettings
@@ -201,7 +196,7 @@ class JoinedBeat:
         self._told_s = -math.inf
 
     def takes(self, name: str, now_s: float) -> bool:
-        """Return True if the state that an arm has sent is to be passed on with the states of the others.
+        """Return True if an arm's state is due to be passed on with the states of the others.
 
         It is when each arm that is not silent has sent one, or some are late. A busy machine brings the states of one
         arm in bursts, which are passed on once.
@@ -217,11 +212,7 @@ class JoinedBeat:
 
 
 class Arms:
-    """All arms of a server.
-
-    Args:
-        feed: takes each arm's state as soon as it comes; the joint state of several arms at the rate of one arm.
-    """
+    """All arms of a server; several have a joint state together at the rate of one arm."""
 
     def __init__(self, files: Mapping[str, ArmFiles], feed: StateFeed, arm_process: StartedChild | None = None) -> None:
         self._feed = feed

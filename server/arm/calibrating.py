@@ -33,11 +33,7 @@ HOMING_OFFSET = "HOMING_OFFSET"
 
 @dataclass(frozen=True)
 class Recalibrated:
-    """New calibration of the arm, with which the server starts again.
-
-    Attributes:
-        position_rad: positions of the joints under it, by joint [rad].
-    """
+    """New calibration of the arm, with which the server starts again, and the joints' positions under it [rad]."""
 
     arm: str
     file: Path
@@ -55,11 +51,7 @@ def check_state_rate(rate_hz: float) -> None:
 
 
 class CalibrationProcedure:
-    """Calibration of the arm into a file.
-
-    Args:
-        file: calibration to write, and True if the settings name this file.
-    """
+    """Calibration of the arm into a file, with True if the settings name this file."""
 
     def __init__(
         self,
@@ -163,7 +155,7 @@ class CalibrationProcedure:
         dialogue.tell("writing", "The calibration is being written to the servos.")
         done = await dialogue.until(self._arm.order(Order.WRITE_CALIBRATION, calibration), ORDER_TIMEOUT_S + SILENT_S)
         if not done.done or calibration is None:
-            # Some servos may have it already: it is to be written again, not swept again under other offsets.
+            # Some servos may have it already: write it again, and do not sweep again under other offsets.
             raise OrderRefused(
                 f"some servos did not take the calibration: {done.message}. Its file was not written; calibrate again"
             )
@@ -199,11 +191,7 @@ class CalibrationProcedure:
 
 
 def calibration_file(name: str, description: Description) -> tuple[Path, bool]:
-    """Return the file of a calibration to write, and whether it is the one in use.
-
-    Args:
-        name: id of lerobot; empty for the calibration in use.
-    """
+    """Return the file of a calibration of lerobot to write, and True if it is the calibration in use, named ``""``."""
     if description.hardware.kind != "feetech":
         raise CalibrationError(
             name or description.title, "", f"the arm has {description.hardware.kind} servos, and this is for Feetech's"

@@ -57,12 +57,7 @@ class ProcedureFailed(RobotError):  # noqa: N818 - named by the fact
 class Dialogue:
     """Conversation of a procedure with the person: the present step, and the answer that is waited for.
 
-    Args:
-        changed: called after every change of the shown state.
-
-    Attributes:
-        progress: share that is done, 0 to 1.
-        droops_rad: droop of joints that was measured, by joint [rad].
+    ``progress`` is 0 to 1; ``changed`` is called after every change of the shown state.
     """
 
     def __init__(self, procedure: str, changed: Callable[[], None]) -> None:
@@ -77,12 +72,7 @@ class Dialogue:
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def ask(self, step: Step, accept: Callable[[str], Accepted], current: Callable[[], Step | None]) -> Accepted:
-        """Ask until an answer is accepted.
-
-        Args:
-            accept: called with an answer, at once; raises a RobotError when it cannot go on so.
-            current: the step after an answer that was not accepted, which may have other answers.
-        """
+        """Ask until ``accept`` raises no RobotError for an answer; after a refused answer ``current`` is asked."""
         accepted: asyncio.Future[Accepted] = asyncio.get_running_loop().create_future()
 
         def take(answer: str) -> None:
@@ -161,11 +151,7 @@ class Procedure(Protocol):
 
 
 class Commissioning:
-    """Services and topic of the procedures.
-
-    Args:
-        make: makes a procedure by its name and the name of a calibration; raises a RobotError when it cannot begin.
-    """
+    """Services and topic of the procedures; ``make`` raises a RobotError when a procedure cannot begin."""
 
     def __init__(self, graph: LocalGraph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
         self._graph = graph

@@ -35,12 +35,7 @@ class ArmServices:
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
     """
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        arm: AnyArm,
-        end_goals: Callable[[str], None],
-    ) -> None:
+    def __init__(self, graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str], None]) -> None:
         self._graph = graph
         self._arm = arm
         self._end_goals = end_goals
@@ -69,7 +64,12 @@ class ArmServices:
 
     def _stop(self) -> Awaitable[CommandDone]:
         self._end_goals(f"stopped by {self._graph.resolve(STOP)}")
-        return _standstill(self._arm)
+        return self._standstill()
+
+    async def _standstill(self) -> CommandDone:
+        done = await self._arm.rest(STOP_TIMEOUT_S)
+        text = "the arm does not move" if done else f"the arm still moves after {STOP_TIMEOUT_S:g} s"
+        return CommandDone(0, done=done, message=text)
 
     def _offer(self, name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
         def serve(_request: Response) -> Awaitable[Response]:
@@ -82,12 +82,6 @@ async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
     """Await an order's answer and return it as a response of std_srvs/Trigger."""
     done = await answered
     return {"success": done.done, "message": done.message}
-
-
-async def _standstill(arm: AnyArm) -> CommandDone:
-    if await arm.rest(STOP_TIMEOUT_S):
-        return CommandDone(0, done=True, message="the arm does not move")
-    return CommandDone(0, done=False, message=f"the arm still moves after {STOP_TIMEOUT_S:g} s")
 
 
 def _log_end(answered: asyncio.Future[CommandDone]) -> None:
@@ -108,15 +102,10 @@ RESUME = "/arm/resume"
 STEP_BACK = "/arm/step_back"
 
 _SENTENCES = {
-    PlaybackDirection.PAUSED: "the arm comes to rest on its path; {prefix}" + RESUME + " lets it go on",
+    PlaybackDirection.PAUSED: f"the arm comes to rest on its path; {{prefix}}{RESUME} lets it go on",
     PlaybackDirection.FORWARD: "the arm goes on",
-    PlaybackDirection.BACK: (
-        "the arm goes back along its path until {prefix}"
-        + PAUSE
-        + " or {prefix}"
-        + RESUME
-        + ", at most to where it came from"
-    ),
+    PlaybackDirection.BACK: f"the arm goes back along its path until {{prefix}}{PAUSE} or {{prefix}}{RESUME}, "
+    "at most to where it came from",
 }
 
 

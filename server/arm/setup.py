@@ -32,12 +32,7 @@ DEFAULT_ROBOT = "so101"
 
 @dataclass(frozen=True)
 class Description:
-    """The arm by its files.
-
-    Attributes:
-        calibration: of the servos; None for an ideal arm, which has none.
-        calibration_file: where the calibration was read; None for a nominal one.
-    """
+    """The arm by its files; an ideal arm has no calibration, and a nominal calibration has no file."""
 
     title: str
     robot: RobotModel

@@ -70,12 +70,7 @@ _LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAUL
 
 
 class ArmStateTopics:
-    """Publishes the arm's mode, fault and pace, and its joint limits.
-
-    Args:
-        robot: the arm; names the hardware, and gives the limits until the servos' own are known.
-        calibration: its ranges are published as they were measured, without the margin of the limits.
-    """
+    """Publishes the arm's mode, fault and pace, its calibrated ranges without margin, and its joint limits."""
 
     def __init__(
         self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None = None
@@ -96,11 +91,7 @@ class ArmStateTopics:
         self.take_state(state)
 
     def take_state(self, state: ArmState, last_stop: int = 0) -> None:
-        """Publish a state when it says something new.
-
-        Args:
-            last_stop: stop epoch of the arm's last stop; a new one is published for every client.
-        """
+        """Publish a state when it says something new, such as the stop epoch of the arm's last stop."""
         shown = state.mode, state.reason, state.fault, state.pace, last_stop
         if shown != self._shown:
             self._shown = shown
@@ -124,11 +115,7 @@ class ArmStateTopics:
 
 
 def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]:
-    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it.
-
-    Args:
-        prefix: of the arm's services.
-    """
+    """The diagnostic_msgs/DiagnosticStatus of a state; figures that change all the time are not in it."""
     message = _SENTENCES[state.mode].format(prefix=prefix)
     if state.fault is not None:
         message = f"{state.fault} The service that resets it is {prefix}{RESET_FAULT}."
@@ -159,12 +146,7 @@ def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]
 
 
 def joint_limits(robot: RobotModel, ranges_rad: dict[str, tuple[float, float]]) -> dict[str, Any]:
-    """The moveit_msgs/KinematicSolverInfo with the limits of joints, the type that holds limits of several joints.
-
-    Args:
-        robot: gives velocity and acceleration [rad/s, rad/s^2].
-        ranges_rad: joint -> soft limits [rad].
-    """
+    """The moveit_msgs/KinematicSolverInfo with the limits of joints, whose soft limits are by joint [rad]."""
     return {
         "joint_names": list(ranges_rad),
         "limits": [

@@ -56,12 +56,7 @@ class _Readings:
 
 
 class VerificationProcedure:
-    """Verification of the arm's calibration.
-
-    Args:
-        ends: joints whose zero is given by the ends of their range.
-        first_motions: speed of the arm until now.
-    """
+    """Verification of the arm's calibration; the zeros of some joints are given by the ``ends`` of their range."""
 
     def __init__(
         self,
@@ -213,13 +208,9 @@ ADVICE = (
 
 
 class FirstMotions:
-    """Speed limit of an arm on servos until its calibration is verified.
+    """Speed limit of an arm on servos until its calibration is verified, which an empty file named by its digest says.
 
-    Args:
-        folder: folder with an empty file for each verified calibration, named by its digest.
-
-    Attributes:
-        advice: sentence for a person; empty for an arm without this limit.
+    ``advice`` is a sentence for a person; empty for an arm without this limit.
     """
 
     def __init__(self, served: ServedArm, folder: Path) -> None:

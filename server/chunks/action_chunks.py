@@ -147,7 +147,7 @@ class ChunkMotion:
     """
 
     def __init__(self, chunk: Chunk, targets: Targets, group: Group, robot: RobotModel, speed_limit: float) -> None:
-        self._chunk, self.targets, self._robot = chunk, targets, robot
+        self._chunk, self._targets, self._robot = chunk, targets, robot
         self._joints, self._bounds = group.joints, JointBounds.of(robot, group.joints)
         self._limits = MotionLimits.of(robot, group.joints, speed_limit)
         self._begins_s, self._contact_s = 0.0, 0.0
@@ -157,6 +157,11 @@ class ChunkMotion:
         self.change_rad = chunk.moved_rad
         self.positions_rad: Positions = {}
         self.until_s = targets.end_s
+
+    @property
+    def targets(self) -> Targets:
+        """Targets that are followed, up to a contact."""
+        return self._targets.until(self.until_s)
 
     @property
     def motion(self) -> ExternalTrajectory:
@@ -191,7 +196,7 @@ class ChunkMotion:
 
     def _of_all_joints(self, start_rad: Vector) -> Targets:
         """Return targets of all joints of the group; joints that the chunk does not name stand still."""
-        targets = self.targets.until(self.until_s)
+        targets = self.targets
         columns = [
             targets.positions_rad[:, targets.joint_names.index(name)]
             if name in targets.joint_names
@@ -304,32 +309,14 @@ class ActionChunks:
         on_end: Callable[[Message, MoveItErrorCode], None],
     ) -> str:
         """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
-        now_s, current = self._clock(), self._planning.current
+        now_s, former = self._clock(), self._followed
         chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
-        former = self._followed
         if former is not None and not former.over and former.publisher is not publisher:
             raise refused(
                 MoveItErrorCode.CONTROL_FAILED,
                 f"the arm follows the chunks of {former.publisher}: they must end before another client's are followed",
             )
-        names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
-        group = smallest_group(self._robot, names)
-        if not names or group is None:
-            raise _invalid(f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's")
-        targets = chunk.targets.of_joints(names)
-        before = None if former is None or former.over else former.motion.targets
-        if before is not None and before.joint_names != names:
-            before = None
-        present_rad = current.positions_rad()
-        if before is not None:
-            present_rad = dict(zip(names, before.at(np.array([now_s]))[0].tolist(), strict=True))
-        if present_rad is not None:
-            check_jump(targets, present_rad, now_s, self._robot)
-        targets = blended(before, targets, chunk.blend, chunk.weight, now_s)
-        motion = ChunkMotion(chunk, targets, group, self._robot, current.speed_limit(group.joints))
-        self._time_limits.check_duration(
-            targets.end_s - now_s, "the time to the last target", MoveItErrorCode.INVALID_MOTION_PLAN
-        )
+        motion = self._motion(chunk, None if former is None or former.over else former.motion.targets, now_s)
         followed, begun = _Followed(publisher, motion), 0
 
         def take_progress(progress: Progress) -> None:
@@ -365,6 +352,25 @@ class ActionChunks:
             )
         )
         return goal.goal_id
+
+    def _motion(self, chunk: Chunk, former: Targets | None, now_s: float) -> ChunkMotion:
+        """Make the motion of the arm's joints, after the targets that the arm follows now; may raise RefusedError."""
+        current = self._planning.current
+        names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
+        group = smallest_group(self._robot, names)
+        if not names or group is None:
+            raise _invalid(f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's")
+        targets, present_rad = chunk.targets.of_joints(names), current.positions_rad()
+        if former is not None and former.joint_names == names:
+            present_rad = dict(zip(names, former.at(np.array([now_s]))[0].tolist(), strict=True))
+        else:
+            former = None
+        if present_rad is not None:
+            check_jump(targets, present_rad, now_s, self._robot)
+        field = "the time to the last target"
+        self._time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
+        targets = blended(former, targets, chunk.blend, chunk.weight, now_s)
+        return ChunkMotion(chunk, targets, group, self._robot, current.speed_limit(group.joints))
 
     def _follow_with_gripper(self, chunk: Chunk, motion: ChunkMotion) -> None:
         finger = self._fingers[:1]

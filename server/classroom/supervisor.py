@@ -34,11 +34,7 @@ CHECK_S = 0.2
 
 @dataclass
 class Member:
-    """A process that is to run.
-
-    Attributes:
-        log_file: takes what it logs, from an empty file at its first start; None for the terminal.
-    """
+    """A process that is to run; its log goes to a file, empty at its first start, or to the terminal."""
 
     name: str
     run: Callable[[], None]

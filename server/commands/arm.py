@@ -1,7 +1,5 @@
 """Commands on a real arm: ``armbridge scan``, ``doctor`` and ``relax``."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

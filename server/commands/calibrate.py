@@ -1,7 +1,5 @@
 """``armbridge calibrate``: the calibration session at a terminal, on a bus that no server uses."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """Commands about the installation: ``armbridge config`` shows the settings, ``systemd-unit`` a unit of the server."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -1,7 +1,5 @@
 """``armbridge export``: recordings written as a dataset for learning."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

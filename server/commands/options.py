@@ -1,7 +1,5 @@
 """Options that commands share: for the arm's bus, and for settings."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import math

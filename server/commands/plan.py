@@ -1,7 +1,5 @@
 """``armbridge plan``: the problems of files, planned without a server."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

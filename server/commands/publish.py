@@ -1,7 +1,5 @@
 """Commands that publish on a running server: ``armbridge camera``, and ``leader`` for an arm that another follows."""
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Commands on descriptions of arms: ``armbridge robot check``, ``robot list`` and ``robot import``."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands that run until they are ended: ``armbridge serve``, ``replay``, ``classroom`` and ``emulate``."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

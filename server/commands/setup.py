@@ -1,7 +1,5 @@
 """The command ``armbridge setup``: ids and settings for new servos, one at a time, and back again."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

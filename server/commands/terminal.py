@@ -1,7 +1,5 @@
 """The terminal of a command: results on stdout, progress and questions on stderr, answers from stdin."""
 
-from __future__ import annotations
-
 import os
 import select
 import sys

@@ -1,7 +1,5 @@
 """``armbridge verify``: the verification of a running server, at a terminal; a rosbridge client like any other."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Cameras: devices and video files by OpenCV, a test pattern, and the client that publishes their newest images."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import contextlib

@@ -1,7 +1,5 @@
 """Episodes of a recording: marks on the topic ``/dataset/episode``, and the spans of time between them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias

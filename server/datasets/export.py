@@ -1,7 +1,5 @@
 """Export of recordings: what was recorded, made into the frames and videos of one dataset."""
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -104,7 +102,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
         raise ExportError("no episode can be exported: " + ("; ".join(problems) or "none is left"))
     options.output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.output.parent, prefix=f".{options.output.name}-") as folder:
-        # A dataset is there whole or not at all.
+        # A dataset is complete or absent.
         root = Path(folder) / "dataset"
         root.mkdir()
         cameras = _write_videos(root, sources, options, registry, tell)

@@ -1,7 +1,5 @@
 """Frames of an episode: states, actions and images at a fixed rate, or the reason why there are none."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Services that mark episodes while the server records: start, stop and discard."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Callable

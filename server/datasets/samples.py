@@ -1,7 +1,5 @@
 """Samples of a recording: positions of joints, stamps of images and marks of episodes, on one axis of time."""
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 from collections.abc import Iterator, Sequence

@@ -150,18 +150,11 @@ class GoalExecutor:
 
     def __init__(self, arm: AnyArm, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
         self._arm = arm
-        self._robot = context.robot
-        self._clock = context.clock
+        self._context, self._scene = context, context.scene
         self._in_progress = in_progress
-        self._pool = context.pool
-        self._scene = context.scene
-        self._failed_goals = context.failed_goals
-        self._show = context.show
-        self._confirm = context.confirm
-        self._current = context.current
         self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
-        self._player = Player(arm, self._robot, self._scene_monitor, in_progress, self._clock)
+        self._player = Player(arm, context.robot, self._scene_monitor, in_progress, context.clock)
         # Time that the last check of a trajectory in motion took [s].
         self._check_s = HORIZON_S
 
@@ -188,7 +181,7 @@ class GoalExecutor:
     async def _replace_outgoing(self, goal: Goal, request: PlannedMotion) -> Answer | None:
         """Replace the motion of a preempted goal without a stop; None where that is impossible."""
         outgoing = self._player.outgoing
-        point = None if outgoing is None else outgoing.splice_point(self._clock(), HORIZON_S)
+        point = None if outgoing is None else outgoing.splice_point(self._context.clock(), HORIZON_S)
         if outgoing is None or point is None:
             return None
         if len(request.steps) != 1 or request.scene is not None or request.confirm:
@@ -205,8 +198,8 @@ class GoalExecutor:
             return None
         goal.report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
-        ask = functools.partial(self._pool.ask, moving, scene)
-        plan = await goal.unless_cancelled(_in_time(ask, outgoing.until_s - self._clock()))
+        ask = functools.partial(self._context.pool.ask, moving, scene)
+        plan = await goal.unless_cancelled(_in_time(ask, HORIZON_S - SENDING_S))
         if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
@@ -253,40 +246,52 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
-        outgoing, asked_s = self._player.outgoing, self._clock()
-        if outgoing is None or not request.spliced:
-            return None
-        if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
-            return None
-        horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, HORIZON_S)
-        point = outgoing.splice_point(asked_s, horizon_s)
-        if point is None:
-            return None
-        held_rad = self._held_rad()
-        motion = request.trajectory({**held_rad, **point.positions_rad}, asked_s + horizon_s, point)
-        whole = point.splice(motion)
-        goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        planned = PlannedSequence(Performed({**held_rad, **point.start_rad}, (whole,)))
-        checked = CheckedMotion(_group_of(self._robot, whole), whole, self._scene.scene.version, planned.summary)
-        goal.defer_replacement()
-        await goal.unless_cancelled(self._scene_monitor.check(lambda: self._questions(checked)(0.0)))
-        self._check_s = self._clock() - asked_s
-        return None if goal.reason else await self._play_spliced(goal, planned, checked, point)
+        answer, in_time = None, False
+        while answer is None and not in_time and not goal.reason:
+            outgoing, asked_s = self._player.outgoing, self._context.clock()
+            if outgoing is None or not request.spliced:
+                return None
+            if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
+                return None
+            horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, outgoing.until_s - asked_s)
+            point = outgoing.splice_point(asked_s, horizon_s)
+            if point is None or horizon_s <= SENDING_S:
+                return None
+            held_rad = self._held_rad()
+            motion = request.trajectory({**held_rad, **point.positions_rad}, asked_s + horizon_s, point)
+            whole = point.splice(motion)
+            goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+            planned = PlannedSequence(Performed({**held_rad, **point.start_rad}, (whole,)))
+            group, version = _group_of(self._context.robot, whole), self._scene.scene.version
+            checked = CheckedMotion(group, whole, version, planned.summary)
+            goal.defer_replacement()
+            await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
+            self._check_s = self._context.clock() - asked_s
+            # Else the arm has passed the point by now, or will have: the next point is further ahead.
+            in_time = self._check_s + SENDING_S <= horizon_s
+            if in_time and not goal.reason:
+                answer = await self._play_spliced(goal, planned, checked, point)
+        return answer
 
     async def _play_given(self, goal: Goal, motion: ExternalTrajectory) -> Answer:
         """Play a trajectory, up to a first contact where it may be cut."""
         while True:
             answer = await _answered(self._play_external(goal, motion))
-            if goal.reason or motion.cut is None or (shorter := motion.cut(answer.details)) is None:
-                return answer
+            shorter = None if goal.reason or motion.cut is None else motion.cut(answer.details)
+            if shorter is None:
+                break
             motion = shorter
+        if answer.code is not MoveItErrorCode.SUCCESS and not goal.replaced:
+            # Nothing takes the place of the motion before.
+            await self._player.stop_outgoing()
+        return answer
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         if (answer := await self._splice_external(goal, request)) is not None:
             return answer
         await self._until_ready(goal)
         held_rad = self._held_rad()
-        motion = request.trajectory(held_rad, self._clock(), None)
+        motion = request.trajectory(held_rad, self._context.clock(), None)
         goal.deadline.limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         planned = PlannedSequence(Performed(held_rad, (motion,)))
         self._show_soon(planned)
@@ -325,7 +330,7 @@ class GoalExecutor:
             planned, scene = found
             if planned.failure is not None:
                 await self._save(planned, scene)
-                explaining = with_nearest_goal(planned.failure, planned.problem, scene, self._pool)
+                explaining = with_nearest_goal(planned.failure, planned.problem, scene, self._context.pool)
                 return replace(planned, failure=await goal.unless_cancelled(explaining) or planned.failure)
             if not self._moved_since(planned.performed.start_rad, request.joints):
                 break
@@ -339,26 +344,26 @@ class GoalExecutor:
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
-            planned = await plan_sequence(request.steps, start_rad, scene, self._pool.ask)
+            planned = await plan_sequence(request.steps, start_rad, scene, self._context.pool.ask)
             if planned.failure is None:
                 self._in_progress.announce(request.joints, planned.end_rad)
             return planned, scene
 
     async def _save(self, planned: PlannedSequence, scene: Scene) -> None:
         problem, failure = planned.problem, planned.failure
-        if self._failed_goals is None or failure is None or not isinstance(problem, PlanningProblem):
+        if self._context.failed_goals is None or failure is None or not isinstance(problem, PlanningProblem):
             return
         if failure.code is not MoveItErrorCode.PREEMPTED:
-            await self._failed_goals.save(problem, scene, failure)
+            await self._context.failed_goals.save(problem, scene, failure)
 
     def _show_soon(self, planned: PlannedSequence) -> None:
         """Show a plan when the arm has it: to write one down for viewers takes milliseconds."""
-        asyncio.get_running_loop().call_soon(self._show, planned.performed)
+        asyncio.get_running_loop().call_soon(self._context.show, planned.performed)
 
     async def _confirmed(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
-        if self._confirm is None:
+        if self._context.confirm is None:
             return None
-        answer = await goal.unless_cancelled(self._confirm(goal, planned))
+        answer = await goal.unless_cancelled(self._context.confirm(goal, planned))
         goal.check("before the motion began")
         return None if answer is None else replace(answer, performed=planned.performed)
 
@@ -383,9 +388,9 @@ class GoalExecutor:
         # Where the other joints were to be while it was planned.
         assumed_rad = {name: q for name, q in planned.performed.start_rad.items() if name not in joints}
         while True:
-            whole = with_lead_in(motion, self._held_rad(), self._robot)
+            whole = with_lead_in(motion, self._held_rad(), self._context.robot)
             present_version, beside = self._scene.scene.version, self._in_progress.beside(joints)
-            checked = CheckedMotion(_group_of(self._robot, whole), whole, present_version, planned.summary)
+            checked = CheckedMotion(_group_of(self._context.robot, whole), whole, present_version, planned.summary)
             if whole is not motion or present_version != version or self._moved_since(assumed_rad, joints):
                 question = checked.question(0.0, self._expected_rad(joints))
                 await goal.unless_cancelled(self._scene_monitor.check(functools.partial(tuple, (question,))))
@@ -403,7 +408,7 @@ class GoalExecutor:
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
         for other in beside:
             question = meeting_question(motion, other, self._expected_rad(frozenset(motion.joint_names)))
-            answer = await self._pool.ask(question, self._scene.scene)
+            answer = await self._context.pool.ask(question, self._scene.scene)
             if isinstance(answer, PlanningFailure):
                 message = f"contact with {other.title} cannot be checked: {answer.message}"
                 raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, **answer.details)
@@ -427,7 +432,7 @@ class GoalExecutor:
 
     def _held_rad(self) -> dict[str, float]:
         """Return the positions that the arm holds, not those it droops to: a motion then starts without a step."""
-        held_rad = self._current.positions_rad()
+        held_rad = self._context.current.positions_rad()
         if held_rad is None:
             # This arm is connected by now: another arm is not.
             message = "joint positions of another arm unknown: it was not connected yet"

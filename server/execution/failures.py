@@ -36,11 +36,7 @@ PREFIX = "goal-"
 
 
 class FailedGoals:
-    """Directory of problem files, which several servers may share.
-
-    Args:
-        max_files: limit of files, of up to 3 MB each with a scene of 10 000 objects; the oldest make room for new ones.
-    """
+    """Directory of problem files, up to 3 MB each, which servers may share; the oldest make room for new ones."""
 
     def __init__(self, directory: Path, robot: RobotModel, wall_clock: Callable[[], float], max_files: int) -> None:
         self._directory = directory

@@ -175,12 +175,7 @@ class GoalRequest:
 
 @dataclass(eq=False)
 class Goal(CancelScope):
-    """Goal of a client.
-
-    Attributes:
-        progress: the latest; None before the first.
-        answered: its answer, once there is one.
-    """
+    """Goal of a client, with its latest progress and its answer, once there is one."""
 
     goal_id: str
     request: GoalRequest

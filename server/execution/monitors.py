@@ -140,9 +140,8 @@ Questions: TypeAlias = Sequence[RecheckQuestion | ConcurrencyQuestion]
 class SceneMonitor:
     """Monitor of one motion at a time.
 
-    Args:
-        retry_for_s: time during which a planner that does not answer in time is asked again [s]; as long as the arm
-            may be silent, for a busy machine keeps both from the cores.
+    A planner that does not answer in time is asked again for as long as the arm may be silent: a busy machine keeps
+    both from the cores.
     """
 
     def __init__(
@@ -189,11 +188,7 @@ class SceneMonitor:
     def start(
         self, version: int, questions: Callable[[], Questions], on_contact: Callable[[PlanningFailure], None]
     ) -> None:
-        """Monitor a motion until :meth:`stop`.
-
-        Args:
-            on_contact: called once, when the motion is no longer free; the monitor then stops.
-        """
+        """Monitor a motion until :meth:`stop`, or until it is not free: then call ``on_contact`` once, and stop."""
         self._checked_version, self._questions, self._on_contact = version, questions, on_contact
         self._on_change()
 

@@ -87,11 +87,7 @@ Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 @dataclass(frozen=True)
 class Performed:
-    """Motions planned and executed for a goal.
-
-    Attributes:
-        executed: the path of the arm by its readings; None when it did not move.
-    """
+    """Motions planned for a goal, and the path of the arm by its readings; None when it did not move."""
 
     start_rad: Mapping[str, float]
     planned: tuple[Trajectory, ...] = ()
@@ -105,11 +101,7 @@ AskPlanner: TypeAlias = Callable[[Problem, Scene], Awaitable[Plan | CartesianPla
 
 @dataclass(frozen=True)
 class PlannedSequence:
-    """Result of planning a sequence.
-
-    Attributes:
-        failure: the reason why the next motion is missing; None when all were found.
-    """
+    """Result of planning a sequence; the failure says why the next motion is missing."""
 
     performed: Performed
     methods: tuple[str, ...] = ()
@@ -186,6 +178,10 @@ async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | Carte
 # The next motion leaves the present one so far ahead: planning takes a few milliseconds, on a busy machine some tens.
 HORIZON_S = 0.16
 
+# A motion whose goal was replaced goes on for so long at most until a given trajectory takes its place: where other
+# programs use every core, a check for contacts takes some tenths.
+OUTGOING_S = 0.5
+
 # The part of it that is reserved for the way to the arm process and its next tick.
 SENDING_S = 0.03
 
@@ -251,12 +247,7 @@ class SplicePoint:
 
 @dataclass(frozen=True)
 class PathTime:
-    """Time on the path of a motion at one moment.
-
-    Attributes:
-        at_s: the moment, monotonic [s].
-        rate: path time a second; 0 where the motion waits or goes back.
-    """
+    """Time on the path of a motion at a monotonic time [s], and its rate: 0 where the motion waits or goes back."""
 
     at_s: float
     path_s: float

@@ -21,7 +21,7 @@ from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace,
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
-from server.execution.motions import HORIZON_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
+from server.execution.motions import OUTGOING_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
 from server.execution.time_limits import ArmClock
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
@@ -59,11 +59,7 @@ class CheckedMotion:
 
 @dataclass(frozen=True)
 class OutgoingMotion:
-    """Motion that goes on for a moment after its goal was preempted, so that another can replace it.
-
-    Attributes:
-        until_s: monotonic time by which the other has to be sent [s].
-    """
+    """Motion that goes on for a moment after its goal was preempted; another can replace it, if sent by ``until_s``."""
 
     motion: CheckedMotion
     ended: asyncio.Future[MotionEnded]
@@ -78,11 +74,7 @@ class OutgoingMotion:
 
 
 class MotionWatch:
-    """Watch over one motion of a request until it ends: brakes it after a cancellation, and counts its time.
-
-    Args:
-        gripping: True for a motion that keeps its own speed where others are paused or slowed down.
-    """
+    """Watch over one motion until it ends: brakes after a cancellation, counts its time; a grip keeps its speed."""
 
     def __init__(
         self,
@@ -128,11 +120,7 @@ class MotionWatch:
 
 
 class Player:
-    """Player of one motion at a time.
-
-    Attributes:
-        outgoing: the motion of a preempted goal; None if there is none.
-    """
+    """Player of one motion at a time; the motion of a preempted goal is ``outgoing``."""
 
     def __init__(
         self,
@@ -234,9 +222,9 @@ class Player:
 
     def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
         path_time = self._path_time(motion.trajectory, ended)
-        self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + HORIZON_S - SENDING_S)
+        self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + OUTGOING_S - SENDING_S)
         # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
-        asyncio.get_running_loop().call_later(HORIZON_S, self._arm.stop, ended)
+        asyncio.get_running_loop().call_later(OUTGOING_S, self._arm.stop, ended)
         return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
 
     def _path_time(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> PathTime:
@@ -280,11 +268,7 @@ class MotionInProgress:
 
 
 class MotionsInProgress:
-    """Motions of all goals, by which motions of some joints are planned around motions of others.
-
-    Attributes:
-        turn: held by the goal that is being planned, so that the next one knows where its motions end.
-    """
+    """Motions of all goals, by which motions of some joints are planned around others, one goal at a ``turn``."""
 
     def __init__(self) -> None:
         self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}
@@ -315,11 +299,7 @@ class MotionsInProgress:
         return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
 
     def expected_rad(self, held_rad: Mapping[str, float], joints: Joints) -> dict[str, float]:
-        """Return where the joints will hold when every motion of others, begun or announced, has ended [rad].
-
-        Args:
-            joints: those for which this is asked; they are where they hold now.
-        """
+        """Return the positions [rad] of some joints now, and of others after their motions, begun or announced."""
         expected_rad = dict(held_rad)
         for one in self.beside(joints):
             end_rad = one.trajectory.positions_rad[-1].tolist()

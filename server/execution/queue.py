@@ -27,11 +27,7 @@ log = logging.getLogger("armbridge.goals")
 
 @dataclass(frozen=True)
 class RunningGoal:
-    """Goal that occupies the arm, for those who wait for its end.
-
-    Attributes:
-        remaining_s: time left of its motion [s]; None before it moves.
-    """
+    """Goal that occupies the arm, for those who wait for its end; ``remaining_s`` is None before it moves."""
 
     title: str
     remaining_s: float | None
@@ -39,12 +35,7 @@ class RunningGoal:
 
 
 class GoalQueue:
-    """Bounded queue before the executors; where its methods have joints, None stands for all.
-
-    Args:
-        policy: treatment of a goal that arrives while another one of its joints is active, unless it comes with its
-            own policy.
-    """
+    """Bounded queue before the executors; where its methods have joints, None stands for all."""
 
     def __init__(
         self,

@@ -84,12 +84,7 @@ class Restart:
 
 
 class CommissioningOfArms(Feature):
-    """Commissioning of each arm.
-
-    Args:
-        recalibrated: calibration with which this server has started again; None for a first start.
-        shared_calibration: True where other servers use the arms' calibration too, so that none is written.
-    """
+    """Commissioning of each arm, which publishes a calibration with which this server has started again."""
 
     name = "commissioning"
 
@@ -166,28 +161,13 @@ def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[st
     return {**arms, recalibrated.arm: replace(found, config=replace(found.config, hardware=hardware))}
 
 
-class TaughtMotions(Feature):
-    """Recording of motions, and the action that replays them."""
-
-    name = "teaching"
-
-    def __init__(self, context: ServerContext) -> None:
-        planning, graph, robot = context.planning, context.graph, context.planning.robot
-        # In a folder beside the named states.
-        self.motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
-        self._teaching = Teaching(graph, robot, self.motions, planning.pool, planning.scene_state, planning.current)
-        ReplayAction(graph, robot, self.motions, context.goals.queue, planning.problems)
-
-    async def stop(self) -> None:
-        await self._teaching.close()
-
-    def on_state(self, arm: str, state: ArmState) -> None:
-        if not arm:
-            self._teaching.take_state(state)
-
-    @property
-    def observes_states(self) -> bool:
-        return self._teaching.recording
+def teaching_of(context: ServerContext) -> Teaching:
+    """Return the recording of motions, beside the action that replays them."""
+    planning, robot = context.planning, context.planning.robot
+    # In a folder beside the named states.
+    motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
+    ReplayAction(context.graph, robot, motions, context.goals.queue, planning.problems)
+    return Teaching(context.graph, robot, motions, planning.pool, planning.scene_state, planning.current)
 
 
 class PolicyChunks(Feature):
@@ -210,36 +190,20 @@ class PolicyChunks(Feature):
 ONLY_ARM = "arm"
 
 
-class Following(Feature):
-    """Teleoperation: each arm that does not lead can follow."""
-
-    name = "teleoperation"
-
-    def __init__(self, context: ServerContext) -> None:
-        planning = context.planning
-        followers = [
-            Follower(
-                each.name or ONLY_ARM,
-                each.served.prefix,
-                each.robot,
-                arm,
-                servo_setup(planning.robot, each.parameters),
-                each.gripper,
-            )
-            for each, arm in context.single_arms
-            if not each.served.leads
-        ]
-        leaders = [each.name for each, _ in context.single_arms if each.served.leads]
-        following = FollowingContext(planning, context.goals.queue, context.whole.go_to)
-        self.teleoperation = Teleoperation(context.graph, following, followers, leaders)
-
-    async def stop(self) -> None:
-        await self.teleoperation.close()
-
-    def on_state(self, arm: str, state: ArmState) -> None:
-        # A leader is followed without waiting for the states of other arms.
-        self.teleoperation.take_leader_state(arm, state)
-
-    @property
-    def observes_states(self) -> bool:
-        return self.teleoperation.active
+def teleoperation_of(context: ServerContext) -> Teleoperation:
+    """Return teleoperation, in which each arm that does not lead can follow."""
+    followers = [
+        Follower(
+            each.name or ONLY_ARM,
+            each.served.prefix,
+            each.robot,
+            arm,
+            servo_setup(context.planning.robot, each.parameters),
+            each.gripper,
+        )
+        for each, arm in context.single_arms
+        if not each.served.leads
+    ]
+    leaders = [each.name for each, _ in context.single_arms if each.served.leads]
+    following = FollowingContext(context.planning, context.goals.queue, context.whole.go_to)
+    return Teleoperation(context.graph, following, followers, leaders)

@@ -79,8 +79,7 @@ class Goals:
             self.executors, goals.policy, goals.capacity, self._on_progress, self._on_answer
         )
         file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
-        group = planning.problems.group("")
-        self.named_states = NamedStates(robot, group.name, file.load(), file.change)
+        self.named_states = NamedStates(robot, planning.problems.group("").name, file)
         self.counters = GoalCounters()
         self.listeners: list[GoalListener] = []
 
@@ -160,11 +159,7 @@ class ArmContext:
         self.goals.queue.stop(reason, self.only_joints)
 
     def go_to(self, positions_rad: Positions, scaling: float) -> Goal:
-        """Queue a goal for joints of the arm.
-
-        Args:
-            scaling: share of the velocity and acceleration limits.
-        """
+        """Queue a goal for joints of the arm, at a share of the velocity and acceleration limits."""
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
         motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
         return self.goals.queue.submit(GoalRequest("the server", motion, message))
@@ -172,11 +167,7 @@ class ArmContext:
 
 @dataclass(frozen=True, eq=False)
 class ServerContext:
-    """Context of all features.
-
-    Attributes:
-        arms: the whole, which is the only arm or all arms together; then each of several.
-    """
+    """Context of all features; the arms are the whole, which is the only arm or all together, then each of several."""
 
     settings: Settings
     graph: Graph

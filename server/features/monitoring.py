@@ -7,8 +7,11 @@ import os
 from typing import TYPE_CHECKING
 
 from robot.messages import ArmHealth, ArmState
+from server.config import RecordingSettings
+from server.datasets.marking import EpisodeServices
 from server.features.clients import Clients
 from server.features.context import ServerContext
+from server.graph.topics import Graph
 from server.lifecycle import BackgroundTask, Feature
 from server.monitoring.fault_files import FaultFiles
 from server.monitoring.health import Sources
@@ -22,14 +25,6 @@ from server.moveit.named_states import data_directory
 if TYPE_CHECKING:
     from server.recording.recorder import Recorder
     from server.zenoh.bridge import Bridge
-from typing import TYPE_CHECKING
-
-from server.config import RecordingSettings
-from server.datasets.marking import EpisodeServices
-from server.graph.topics import Graph
-
-if TYPE_CHECKING:
-    from server.recording.recorder import Recorder
 
 
 class Logs(Feature):
@@ -85,7 +80,7 @@ class Monitoring(Feature):
         bridge: Bridge | None,
         notifier: SystemdNotifier | None,
     ) -> None:
-        sources = Sources(
+        self._sources = Sources(
             traffic=clients.listener.traffic,
             refused_connections=clients.listener.refused_connections,
             goal_counters=context.goals.counters,
@@ -95,7 +90,7 @@ class Monitoring(Feature):
             recorder=recorder,
             zenoh=bridge,
         )
-        self.monitor = Monitor(sources, notifier or SystemdNotifier())
+        self.monitor = Monitor(self._sources, notifier or SystemdNotifier())
         self._watching = BackgroundTask("monitor", self.monitor.run)
         clients.routes.update(self.monitor.routes)
 
@@ -107,15 +102,11 @@ class Monitoring(Feature):
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         if not arm:
-            self.monitor.take_health(health)
+            self._sources.arm_health = health
 
 
 class Recording(Feature):
-    """The recorder, where the settings name a file.
-
-    Attributes:
-        recorder: takes messages from its construction on; None to record nothing.
-    """
+    """The recorder, which takes messages from its construction on; None where the settings name no file."""
 
     name = "the recording"
     deadline_s = 0.8

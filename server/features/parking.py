@@ -26,7 +26,6 @@ from server.arrival import is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
-from server.execution.monitors import CurrentState
 from server.execution.motions import PlannedMotion, Positions
 from server.execution.queue import GoalQueue
 from server.features.context import ArmContext, ServerContext
@@ -80,9 +79,7 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
             return RestPose(name, group, robot.named_states[group][name])
     if settings.park_state is not None:
         known = sorted({state for states in robot.named_states.values() for state in states})
-        raise ConfigurationError(
-            f"arm.park_state: the SRDF has no state {name!r}, but {', '.join(known) or 'none at all'}"
-        )
+        raise ConfigurationError(f"arm.park_state: the SRDF has no state {name!r}, but {', '.join(known) or 'none'}")
     return None
 
 
@@ -92,31 +89,22 @@ class Parking:
     Attributes:
         name: of one of several arms; empty for a lone arm.
         leads: True for an arm that is moved by hand.
-        parks_when_lost: True for an arm that is to be parked without the server.
+        parks_on_exit: True for an arm that parks at the end of the server.
+        parks_when_lost: True for an arm that parks without the server.
     """
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
-        settings, planning = context.served.settings, context.planning
+        settings = context.served.settings
         self.name, self.leads = context.served.name, context.served.leads
         self._arm = arm
         self._context = context
-        self._robot = context.robot
         self._pose = rest_pose(context.robot, settings)
-        self._problems = planning.problems
-        self._pool = planning.pool
-        self._scene = planning.scene_state
-        self._queue = context.goals.queue
-        self._current = CurrentState(arm, context.robot)
-        self._all_joints = planning.current
-        self._parks_at_end = EndState.PARK in (settings.on_exit, settings.on_server_lost)
+        self.parks_on_exit = settings.on_exit is EndState.PARK and self._pose is not None
         self.parks_when_lost = settings.on_server_lost is EndState.PARK and self._pose is not None
-        self._parks_on_exit = settings.on_exit is EndState.PARK
-        self._place: _Place | None = None
         self._keeps = False
         self._parked: set[asyncio.Task[CommandDone]] = set()
-        if self._parks_at_end and self._pose is None:
-            log.warning("%s Where it is to be parked at the end, it is relaxed.", self._no_pose)
-        self._scene.on_change(self._on_scene_change)
+        if self._pose is None and EndState.PARK in (settings.on_exit, settings.on_server_lost):
+            log.warning("%s Instead of being parked at the end, it is relaxed.", self._no_pose)
         context.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
 
     def _serve(self, _request: Message) -> Awaitable[Message]:
@@ -125,21 +113,14 @@ class Parking:
     @property
     def _no_pose(self) -> str:
         return (
-            f"The arm cannot be parked: its SRDF has no state {self._robot.park_state!r}; name one by arm.park_state, "
-            "or by park in the table [planning] of its robot.toml."
+            f"The arm cannot be parked: its SRDF has no state {self._context.robot.park_state!r}; name one by "
+            "arm.park_state, or by park in the table [planning] of its robot.toml."
         )
 
     # Parking now.
 
     def park(self, source: str) -> asyncio.Future[CommandDone]:
-        """End all goals, move the arm to its rest pose, and relax it there.
-
-        Args:
-            source: service, or reason, that asks for it.
-
-        Returns:
-            Future of the answer. An arm that does not come to its rest pose goes on holding.
-        """
+        """End all goals, move the arm to its rest pose, and relax it there; an arm that cannot come to it holds."""
         pose = self._pose
         refused = self._no_pose if pose is None else STOPPED_SINCE if is_stopped(self._arm.last_stop) else ""
         if pose is None or refused:
@@ -155,11 +136,11 @@ class Parking:
         return asyncio.shield(task)
 
     async def _park(self, source: str, pose: RestPose, epoch: int) -> CommandDone:
-        joints = frozenset(self._robot.groups[pose.group].joints)
+        joints = frozenset(self._context.robot.groups[pose.group].joints)
         # Motions outside the queue, as of the gripper, end too before the way is planned.
         await self._arm.rest(REST_TIMEOUT_S)
         motion = PlannedMotion((self._problem,), joints)
-        goal = self._queue.submit(GoalRequest(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch))
+        goal = self._context.goals.queue.submit(GoalRequest(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch))
         answer = await goal.answered
         if answer.code is not MoveItErrorCode.SUCCESS:
             log.warning("%s: the arm is not parked: %s", source, answer.message)
@@ -175,76 +156,50 @@ class Parking:
     def _problem(self, start_rad: Positions) -> PlanningProblem:
         if self._pose is None:
             raise AssertionError("a way to no pose is planned")
-        group = self._robot.groups[self._pose.group]
+        group = self._context.robot.groups[self._pose.group]
         goal = JointGoal(self._pose.positions_rad, self._context.parameters.joint_tolerance)
-        return self._problems.goal(group, goal, start_rad)
+        return self._context.planning.problems.goal(group, goal, start_rad)
 
     # The way that the arm process keeps for its end.
 
-    async def run(self) -> None:
-        """Keep the way from where the arm holds up to date, until cancelled; return at once where none is needed."""
-        while self._parks_at_end and self._pose is not None:
-            await asyncio.sleep(CHECK_S)
-            if not self._queue.busy() and self._pool.idle_count and self._is_due:
-                await self._plan()
-
     async def prepare_exit(self) -> None:
         """Have the arm process know the way from where the arm has come to rest, before the server ends."""
-        if not self._parks_on_exit or self._pose is None:
-            return
         await self._arm.rest(REST_TIMEOUT_S)
         # The end of a motion may come ahead of the state that shows where the arm holds.
         for _ in range(STATE_POLLS):
             if self._arm.state.mode is not Mode.MOVING:
                 break
             await asyncio.sleep(STATE_POLL_S)
-        if self._is_due:
-            await self._plan()
+        positions_rad = self._context.planning.current.positions_rad()
+        if not self.holds or positions_rad is None:
+            return
+        plan = await self.plan_way(positions_rad)
+        if isinstance(plan, Plan):
+            self.keep(plan, positions_rad)
+        else:
+            log.warning("no way to the rest pose from here, where the arm is relaxed: %s", plan.message)
 
     async def close_arm(self) -> None:
-        """End the process of an arm that is parked at its end, which takes it to its rest pose."""
-        if self._parks_on_exit:
-            await self._arm.close()
-
-    @property
-    def _is_due(self) -> bool:
-        """True when the arm holds where the way was not planned yet in the present scene."""
-        place = self._here()
-        return place is not None and not place.same_as(self._place)
+        """End the process of the arm, which takes it to its rest pose."""
+        await self._arm.close()
 
     @property
     def holds(self) -> bool:
         """True while the arm holds where it is."""
         return self._arm.state.mode is Mode.HOLDING
 
-    def _here(self) -> _Place | None:
-        if not self.holds or (held_rad := self._current.positions_rad()) is None:
-            return None
-        state = self._arm.state
-        return _Place(held_rad, self._scene.scene.version, ((self._arm.pid, state.mode),), state.pace.speed_limit)
-
-    async def _plan(self) -> None:
-        """Plan the way from where the arm holds, and have the arm process keep it if it still holds there."""
-        place = self._here()
-        if place is None:
-            return
-        # Several arms are obstacles to each other.
-        plan = await self.plan_way({**(self._all_joints.positions_rad() or {}), **place.held_rad})
-        if place.version != self._scene.scene.version:
-            return
-        # Also after a failure: the way is not planned again before something has changed.
-        self._place = place
-        if isinstance(plan, Plan):
-            self.keep(plan, place.held_rad)
-            return
-        log.warning("no way to the rest pose from here, where the arm would be relaxed at its end: %s", plan.message)
-        self.forget()
-
     async def plan_way(self, start_rad: Positions) -> Plan | PlanningFailure:
         """Plan the way to the rest pose from positions of all joints [rad]."""
         problem = self._problem(start_rad)
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
-        return await self._pool.ask(bounded, self._scene.scene)
+        scene_state = self._context.planning.scene_state
+        scene = scene_state.scene
+        plan = await self._context.planning.pool.ask(bounded, scene)
+        if scene.version == scene_state.scene.version:
+            return plan
+        return PlanningFailure(
+            MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "the scene has changed meanwhile"
+        )
 
     def keep(self, plan: Plan, start_rad: Positions) -> None:
         """Have the arm process keep a way from where it holds [rad]."""
@@ -255,15 +210,10 @@ class Parking:
                 plan.trajectory.duration_s,
                 PARKING_TIMEOUT_S,
             )
-        held_rad = {joint.name: start_rad[joint.name] for joint in self._robot.movable_joints}
+        held_rad = {joint.name: start_rad[joint.name] for joint in self._context.robot.movable_joints}
         self._arm.keep_parking(ParkingPlan(plan.trajectory, held_rad))
         self._keeps = True
         log.debug("the way to the rest pose is known: %.2f s", plan.trajectory.duration_s)
-
-    def _on_scene_change(self) -> None:
-        # Before anything else happens: the server may be lost at any time.
-        self._place = None
-        self.forget()
 
     def forget(self) -> None:
         """Have the arm process keep no way."""
@@ -272,38 +222,46 @@ class Parking:
             self._keeps = False
 
 
-class CommonParking:
-    """Ways of several arms to their rest poses, which the arm processes keep for the loss of the server: all or none.
+class KeptWays:
+    """Ways of the arms to their rest poses, which the arm processes keep for their end: all or none.
 
-    Without the server nobody coordinates the arms. So the ways are kept while all arms rest, and when no two ways meet,
-    wherever each arm is on its way.
+    Without the server nobody coordinates several arms. So their ways are kept while all of them rest, and when no two
+    ways meet, wherever each arm is on its way. The process of a lone arm keeps its way also in a motion, whose path it
+    goes back.
     """
 
     def __init__(self, parkings: Sequence[Parking], context: ServerContext) -> None:
-        self._parkings = [each for each in parkings if each.parks_when_lost]
+        self._parkings = parkings
         self._arm, self._planning, self._queue = context.whole.served.arm, context.planning, context.goals.queue
         self._place: _Place | None = None
+        # At once: the server may be lost at any time.
+        self._planning.scene_state.on_change(self.forget)
 
     async def run(self) -> None:
         """Keep the ways up to date, until cancelled; return at once where none is needed."""
         while self._parkings:
             await asyncio.sleep(CHECK_S)
             place = self._here()
-            if self._queue.busy() or not self._planning.pool.idle_count or place is None or place.same_as(self._place):
+            if place is None or place.same_as(self._place) or self._queue.busy() or not self._planning.pool.idle_count:
                 continue
             await self._plan(place)
 
+    @property
+    def current(self) -> bool:
+        """True while all arms rest where the ways were planned, in the present scene."""
+        place = self._here()
+        return place is not None and place.same_as(self._place)
+
     def check_rest(self) -> None:
         """Forget all ways when an arm is no longer where they were planned, or is moving."""
-        if self._place is not None and ((place := self._here()) is None or not place.same_as(self._place)):
+        if self._place is not None and not self.current:
             self.forget()
 
     def forget(self) -> None:
-        """Have no arm process keep a way: an arm is about to move."""
-        if self._place is not None:
-            self._place = None
-            for each in self._parkings:
-                each.forget()
+        """Have no arm process keep a way."""
+        self._place = None
+        for each in self._parkings:
+            each.forget()
 
     def end(self) -> None:
         """Leave the ways to the end of the server, which has the arms parked one after the other."""
@@ -328,7 +286,7 @@ class CommonParking:
                 if isinstance(plan, Plan):
                     plans[each] = plan
                 else:
-                    refusal = replace(plan, message=f"{each.name}: {plan.message}")
+                    refusal = replace(plan, message=f"{each.name}: {plan.message}" if each.name else plan.message)
         for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):
             moving = {*first.joint_names, *second.joint_names}
             others_rad = {name: value for name, value in place.held_rad.items() if name not in moving}
@@ -340,7 +298,7 @@ class CommonParking:
         # Also after a failure: the ways are not planned again before something has changed.
         self._place = place
         if refusal is not None:
-            log.warning("without the server the arms would be relaxed here, not parked: %s", refusal.message)
+            log.warning("no way to the rest pose is kept; here an arm would be relaxed at its end: %s", refusal.message)
         for each in self._parkings:
             if refusal is None and each in plans:
                 each.keep(plans[each], place.held_rad)
@@ -350,12 +308,7 @@ class CommonParking:
 
 @dataclass(frozen=True)
 class _Place:
-    """Place from which ways were planned.
-
-    Attributes:
-        arms: process id of each arm process, which keeps the way, and the arm's mode.
-        speed_limit: of the arms, which decides on the duration.
-    """
+    """Place from which ways were planned: also each arm process with its mode, and the speed limit."""
 
     held_rad: Mapping[str, float]
     version: int
@@ -431,7 +384,7 @@ class LastClient:
 
 
 class Parkings(Feature):
-    """Parking of each arm. At the end of the server each arm that is to be parked gets its way to the rest pose."""
+    """Parking of each arm. At the end of the server each arm that parks gets its way to the rest pose."""
 
     name = "the way to the rest pose"
     deadline_s = PREPARING_S
@@ -440,19 +393,19 @@ class Parkings(Feature):
     def __init__(self, context: ServerContext) -> None:
         self._parkings: list[Parking] = []
         self._several = len(context.single_arms) > 1
-        self._keeping: list[BackgroundTask] = []
         self.last_clients: list[BackgroundTask] = []
         for each, arm in context.single_arms:
             parking, settings = Parking(arm, each), each.served.settings
             self._parkings.append(parking)
-            if not self._several:
-                self._keeping.append(BackgroundTask("parking", parking.run))
             if settings.on_last_client != "nothing":
                 last_client = LastClient(arm, settings, context.access.drivers, context.goals.queue, parking)
                 self.last_clients.append(BackgroundTask("the last client", last_client.run))
-        self._common = CommonParking(self._parkings, context) if self._several else None
-        if self._common is not None:
-            self._keeping.append(BackgroundTask("parking", self._common.run))
+        keeping = [
+            each for each in self._parkings if each.parks_when_lost or (each.parks_on_exit and not self._several)
+        ]
+        self._kept = KeptWays(keeping, context)
+        self._keeping = BackgroundTask("parking", self._kept.run)
+        if self._several:
             context.goals.listeners.append(self)
             self.deadline_s = len(self._parkings) * (PREPARING_S + CLOSE_LIMIT_S)
             context.whole.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
@@ -464,27 +417,27 @@ class Parkings(Feature):
         return {"success": all(one.done for one in done.values()), "message": said}
 
     async def start(self) -> None:
-        for each in self._keeping:
-            await each.start()
+        await self._keeping.start()
 
     def on_state(self, arm: str, _state: ArmState) -> None:
-        if self._common is not None and not arm:
-            self._common.check_rest()
+        if self._several and not arm:
+            self._kept.check_rest()
 
     def on_progress(self, _goal: Goal, progress: Progress) -> None:
-        """Have no arm parked by a way that was planned before a motion."""
-        if self._common is not None and progress.state is GoalState.EXECUTING:
-            self._common.forget()
+        """Forget the ways that were planned before a motion of one of several arms."""
+        if progress.state is GoalState.EXECUTING:
+            self._kept.forget()
 
     def on_answer(self, _goal: Goal, _answer: Answer) -> None:
         """Take the answer to a goal, which changes no way."""
 
     async def stop(self) -> None:
-        await asyncio.gather(*(each.stop() for each in self._keeping))
-        if self._common is not None:
-            self._common.end()
+        await self._keeping.stop()
+        known = self._kept.current
+        self._kept.end()
         for each in self._parkings:
-            await each.prepare_exit()
-            if self._several:
+            if each.parks_on_exit and (self._several or not known):
+                await each.prepare_exit()
+            if each.parks_on_exit and self._several:
                 # The next arm's way is planned around this one at its rest pose.
                 await each.close_arm()

@@ -7,8 +7,6 @@ in ``Origin``. A page of another host can have its own name point to the server'
 and is then of one origin with the server for its browser; the name still stands in the ``Host`` header of each request.
 """
 
-from __future__ import annotations
-
 import fcntl
 import logging
 import math

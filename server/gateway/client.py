@@ -1,7 +1,5 @@
 """Client of the graph, without any socket: carries the operations of one client out and queues what it gets."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence

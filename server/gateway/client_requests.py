@@ -1,7 +1,5 @@
 """Services and actions of one client: its offers, and its calls and goals to other providers."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any, Literal
@@ -135,7 +133,7 @@ class ClientServices(_Offers):
         self._client.send(with_id(fields, id_))
 
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
-        """Call a service, or raise PostponedError while its request is to be completed in the background."""
+        """Call a service, or raise PostponedError while its request is completed in the background."""
         name, id_ = _name_and_id(operation)
         self._client.detect_dialect(operation.type, "srv")
         type_name, plans = self._services.type_of(name), self._services.rules.get(name, WORKING).plans

@@ -1,7 +1,5 @@
 """Topics of one client: its publications, and its subscriptions with their deliveries."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -40,7 +38,7 @@ class StrictTopic(NamedTuple):
 
 
 class StrictPublication(NamedTuple):
-    """Message that is to be published, just as its type declares it."""
+    """Message to publish, just as its type declares it."""
 
     frame: str
     topic: StrictTopic
@@ -125,7 +123,7 @@ class ClientTopics:
         return StrictPublication(frame, topic, message)
 
     def publish_strictly(self, publication: StrictPublication) -> bool:
-        """Publish a message of :meth:`read_strictly`; return False when its frame is to be read the general way."""
+        """Publish a message of :meth:`read_strictly`; return False when its frame must be read the general way."""
         topic, graph = publication.topic, self._graph
         holds = topic.revision == graph.revision or graph.strict_reader(self._node, topic.name) is topic.reader
         if not holds or not self._authorizer.may_publish(topic.spelled):
@@ -172,7 +170,7 @@ class ClientTopics:
         # Under a throttle that drops, one message gets through: the newest.
         newest_only = self._session.newest_only or (subscription is not None and subscription.skips)
         queued = [self._queue(published) for published in (earlier[-1:] if newest_only else earlier)]
-        # Not before all are there: of what waits for a throttle, only the last ones are to be sent.
+        # Not before all are there: of the messages that wait for a throttle, only the last are sent.
         if any(queued):
             self._client.wake()
 

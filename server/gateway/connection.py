@@ -1,7 +1,5 @@
 """Connection of one client: hands received messages to it and sends what it queues; and the traffic of all of them."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

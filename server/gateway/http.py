@@ -370,7 +370,7 @@ class HttpHandler:
             asked = one_line(shorten(request.path.partition("?")[0]))
             log.debug("%s %s: %d", request.method[:20], asked, answer.status)
         response = answer.response(request)
-        # Routes are small, and whether the server lives is to be heard while others read files.
+        # Routes are small, and health must be answered while others read files.
         is_route = _name(request.path) in self._routes
         if not is_route and self._unread_bytes + len(response.body) > MAX_UNREAD_BYTES:
             text = f"clients leave {self._unread_bytes} bytes unread, the limit is {MAX_UNREAD_BYTES}; ask again later"

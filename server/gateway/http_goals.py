@@ -4,8 +4,6 @@ A request is a client of its own, which connects, sends one goal and leaves. Rol
 and stops hold for it as for clients over WebSocket.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

@@ -3,8 +3,6 @@
 With a certificate, which can be replaced while the server runs, connections are encrypted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno
@@ -449,21 +447,14 @@ def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
 
 
 def _listen_on(place: Place, port: int, *, alone: bool) -> socket.socket:
-    # With the protocol named, asyncio treats accepted sockets as TCP, and sends small messages at once.
-    made = socket.socket(place.family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if place.family == socket.AF_INET6:
-            # Beside a socket for IPv4 it must leave that alone; by itself, ``::`` is for both.
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, not alone)
-            made.bind((place.address, port, 0, place.scope_id))
-        else:
-            made.bind((place.address, port))
-        made.listen(BACKLOG)
-        made.setblocking(False)
-    except OSError:
-        made.close()
-        raise
+    is_ipv6 = place.family == socket.AF_INET6
+    address = (place.address, port, 0, place.scope_id) if is_ipv6 else (place.address, port)
+    # Beside a socket for IPv4 it must leave that alone; by itself, ``::`` is for both.
+    dual = is_ipv6 and alone and socket.has_dualstack_ipv6()
+    made = socket.create_server(address, family=place.family, backlog=BACKLOG, dualstack_ipv6=dual)
+    # Connections have it from their listening socket: small messages are sent at once.
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    made.setblocking(False)
     return made
 
 

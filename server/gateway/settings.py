@@ -22,7 +22,7 @@ class ServerSettings(SettingsSection):
     ros_version: int = Field(default=2, ge=1, le=2)
     """spelling of messages for clients whose URL has no ``?ros=``: ROS 1 has seq, secs and nsecs."""
     tcp_port: int | None = Field(default=None, ge=0, le=65535)
-    """one more port, for rosbridge over raw TCP (docs/protocol.md); 0 takes a free one, None for no such port."""
+    """port of rosbridge over raw TCP (docs/protocol.md); 0 takes a free one, None for no such port."""
     # ROSIntegration's default, and the rosbridge_tcp that such clients were written for.
     tcp_ros_version: int = Field(default=1, ge=1, le=2)
     """spelling of messages for the clients of tcp_port."""
@@ -33,9 +33,9 @@ class ServerSettings(SettingsSection):
     relay_unknown_types: bool = False
     """relay topics and services of unknown types, unchecked."""
     interfaces: list[Path] = Field(default_factory=list)
-    """ROS packages, or folders of packages, with msg, srv and action files of your own (docs/protocol.md)."""
+    """ROS packages, or folders of packages, with your own types (docs/protocol.md)."""
     tls_certificate: Path | None = None
-    """PEM file of the certificate and its chain, for wss and https (docs/security.md); None for neither."""
+    """PEM file of the certificate and its chain, for wss and https (docs/security.md)."""
     tls_key: Path | None = None
     """PEM file of its key, without a passphrase; only together with tls_certificate."""
     max_clients: int = Field(default=1000, ge=1, le=100_000)
@@ -45,7 +45,7 @@ class ServerSettings(SettingsSection):
     """connections at a time from one address."""
     # A page that loads is thirty connections, and a classroom may come from one address.
     connections_per_s: float = Field(default=100.0, ge=1.0, le=10_000.0)
-    """new connections from one address, in the long run; the number of ten seconds may come at once [1/s]."""
+    """new connections from one address, on average; ten times this number may come at once [1/s]."""
     ping_interval_s: float = Field(default=20.0, ge=1.0, le=3600.0)
     """time between two pings to each client [s]."""
     ping_timeout_s: float = Field(default=20.0, ge=1.0, le=3600.0)
@@ -54,7 +54,7 @@ class ServerSettings(SettingsSection):
     unregister_timeout_s: float = Field(default=10.0, ge=0.0, le=3600.0)
     """time for which an unused topic keeps its type and its latched message [s]."""
     max_queued_bytes: int = Field(default=MAX_SERVER_QUEUED_BYTES, ge=65_536, le=1_000_000_000_000)
-    """all data that waits for clients; beyond, the clients that read least recently lose messages of topics [bytes]."""
+    """all data that waits for clients; beyond, the slowest clients lose messages of topics [bytes]."""
     limits: Limits = Limits()
     """limits of one client."""
 

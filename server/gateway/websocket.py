@@ -2,11 +2,9 @@
 
 Control frames, fragments and everything unusual are for ``ServerProtocol``, the documented sans-I/O interface of
 websockets. Whole messages, nearly all that clients send, are read here, which saves a third of the time of a flood
-(docs/architecture.md). Their mask is taken off by ``websockets.speedups.apply_mask``, the one name in use that
+(ARCHITECTURE.md). Their mask is taken off by ``websockets.speedups.apply_mask``, the one name in use that
 websockets does not document: so pyproject.toml bounds its version, and each new major version has to be tried.
 """
-
-from __future__ import annotations
 
 import asyncio
 import contextlib
@@ -24,6 +22,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 from websockets.speedups import apply_mask
+from websockets.utils import accept_key
 
 from protocol.errors import one_line, shorten
 from robot.stop_epochs import STOP_EPOCHS
@@ -34,11 +33,53 @@ from server.gateway.transport import INTERNAL_ERROR, OUT_OF_MEMORY, Transport
 from server.graph.permissions import Identity
 
 # Names and values as websockets allows them (RFC 9110, 5.1 and 5.5), without values beyond ASCII, and half of the
-# headers that it allows. No part can give back what it has matched to the next one, so matching takes one pass. The
-# methods are POST, PUT and PATCH; HTTP/1.0 is the protocol of old controllers.
-_POST = re.compile(rb"(P[A-Z]{2,8}) (/[!-~]*) HTTP/1\.[01]\r\n((?:[-!#$%&'*+.^_`|~0-9a-zA-Z]+:[\t -~]*\r\n){1,64})\r\n")
+# headers that it allows. No part can give back what it has matched to the next one, so matching takes one pass.
+_HEADERS = rb"((?:[-!#$%&'*+.^_`|~0-9a-zA-Z]+:[\t -~]*\r\n){1,64})\r\n"
+_GET = re.compile(rb"(GET) (/[!-~]*) HTTP/1\.1\r\n" + _HEADERS)
+
+# POST, PUT and PATCH; HTTP/1.0 is the protocol of old controllers.
+_POST = re.compile(rb"(P[A-Z]{2,8}) (/[!-~]*) HTTP/1\.[01]\r\n" + _HEADERS)
 _END_OF_HEAD = b"\r\n\r\n"
 MAX_HEAD_BYTES = 8192
+
+# Half of what websockets allows one line: no limit of lines can be reached within it.
+MAX_UPGRADE_BYTES = 4096
+
+# RFC 6455, 4.2.1. The key is 16 bytes in base64.
+_UPGRADE = {
+    "Upgrade": re.compile("websocket", re.IGNORECASE),
+    "Connection": re.compile("(?:keep-alive, ?)?upgrade", re.IGNORECASE),
+    "Sec-WebSocket-Key": re.compile("[A-Za-z0-9+/]{22}=="),
+    "Sec-WebSocket-Version": re.compile("13"),
+}
+
+# A body, which is refused, and what websockets reads more of than its one line.
+_NOT_PLAIN = ("Content-Length", "Transfer-Encoding", "Sec-WebSocket-Protocol")
+
+_ACCEPTED = (
+    "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {}\r\n\r\n"
+)
+
+
+def read_upgrade(data: bytes) -> Request | None:
+    """Return a plain request for a WebSocket that came as a whole; None for any other, which websockets has to read.
+
+    With :func:`accept` it saves an eighth of the time that a connection costs.
+    """
+    found = _GET.fullmatch(data) if len(data) <= MAX_UPGRADE_BYTES else None
+    request = None if found is None else _request(found)
+    if request is None or any(name in request.headers for name in _NOT_PLAIN):
+        return None
+    for name, pattern in _UPGRADE.items():
+        values = request.headers.get_all(name)
+        if len(values) != 1 or not pattern.fullmatch(values[0]):
+            return None
+    return request
+
+
+def accept(request: Request) -> bytes:
+    """Return the bytes of the answer that opens the WebSocket for a plain request."""
+    return _ACCEPTED.format(accept_key(request.headers["Sec-WebSocket-Key"])).encode("ascii")
 
 
 def read_post(data: bytes) -> tuple[Request, int] | None:
@@ -55,11 +96,15 @@ def read_post(data: bytes) -> tuple[Request, int] | None:
     found = _POST.fullmatch(data[:head_bytes])
     if found is None:
         raise ValueError("invalid request line or header")
+    return _request(found), head_bytes
+
+
+def _request(found: re.Match[bytes]) -> Request:
     headers = Headers()
     for line in found[3].decode("ascii").splitlines():
         name, _, value = line.partition(":")
         headers[name] = value.strip(" \t")
-    return Request(found[2].decode("ascii"), headers, found[1].decode("ascii")), head_bytes
+    return Request(found[2].decode("ascii"), headers, found[1].decode("ascii"))
 
 
 # Looking a member of an enumeration up takes as long as calling a function.
@@ -119,7 +164,7 @@ class WebSocket(Transport):
         self._settings = settings
         self._admission = admission
         self._http = http
-        self._protocol = ServerProtocol(max_size=None, logger=_log)
+        self._protocol = ServerProtocol(state=State.OPEN, max_size=None, logger=_log)
         self._rejection: HttpResponse | None = None
         # A posted request whose body has yet to come: its sender, the body's size, and the stop epoch of its arrival.
         self._may_have_body = False
@@ -161,12 +206,18 @@ class WebSocket(Transport):
         if self._opened or self._ending:
             super().data_received(data)
             return
-        if not self.received_bytes:
-            self._may_have_body = data.startswith(_MAY_HAVE_BODY)
+        is_first = not self.received_bytes
         self.received_bytes += len(data)
         if self._task is not None:
             # A request over HTTP is being answered.
             return
+        if is_first:
+            upgrade = read_upgrade(data)
+            if upgrade is not None:
+                self._respond(upgrade)
+                return
+            self._protocol = ServerProtocol(max_size=None, logger=_log)
+            self._may_have_body = data.startswith(_MAY_HAVE_BODY)
         if self._may_have_body:
             self._data += data
             self._read_post()
@@ -195,8 +246,11 @@ class WebSocket(Transport):
             self._close_after_replies()
         elif upgrade:
             self.identity = admitted
-            self._protocol.send_response(self._protocol.accept(request))
-            self._flush()
+            if self._protocol.state is _OPEN:
+                self._write((accept(request),))
+            else:
+                self._protocol.send_response(self._protocol.accept(request))
+                self._flush()
             if self._protocol.state is _OPEN:
                 self._open(request)
         else:

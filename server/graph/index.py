@@ -3,8 +3,6 @@
 They let a look-up cost what it returns, however many topics, offers and requests of others there are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 

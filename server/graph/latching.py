@@ -4,8 +4,6 @@ The server's own messages have room of their own, so that nothing that clients l
 A message whose publisher has left has an end; it goes before, when another one needs the room.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, OrderedDict, deque
 from typing import NamedTuple
@@ -48,6 +46,8 @@ class LatchedMessages:
     def __init__(self) -> None:
         self._latched: dict[str, _Kept] = {}
         self._of_server, self._of_clients = _Share(), _Share()
+        # Last messages of the server's own topics, as many of each as it has asked for.
+        self._histories: dict[str, deque[PublishedMessage]] = {}
         # Size of what each client has latched that has no end [bytes].
         self._by_client: Counter[Node] = Counter()
         # By topic, oldest first; the topics in order of their newest message, so that those in front have the oldest.
@@ -115,15 +115,20 @@ class LatchedMessages:
         if self._recent_bytes > MAX_RECENT_BYTES or now >= self._next_look_s:
             self._give_up_recent(now)
 
+    def remember(self, published: PublishedMessage, depth: int) -> None:
+        """Keep the last ``depth`` messages of a topic of the server."""
+        self._histories.setdefault(published.topic, deque(maxlen=depth)).append(published)
+
     def of(self, topic: str, now: float) -> list[PublishedMessage]:
         """Return what a new subscriber to the topic gets, oldest first."""
         latched = self._latched.get(topic)
         recent = self._recent.get(topic, ())
         kept_now = recent if latched is None else [latched, *recent]
-        return [kept.published for kept in kept_now if kept.until_s >= now]
+        return [*self._histories.get(topic, ()), *(kept.published for kept in kept_now if kept.until_s >= now)]
 
     def forget(self, topic: str) -> None:
         """Give up all that is kept of a topic."""
+        self._histories.pop(topic, None)
         self.unlatch(topic)
         self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 

@@ -3,8 +3,6 @@
 The prefix of an arm that is alone is empty; the parts of one of several arms use the same names in their code.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

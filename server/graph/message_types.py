@@ -86,7 +86,7 @@ class PostponedError(Exception):
     """A message of a client takes longer to complete than everybody may be kept waiting; nothing has been done yet."""
 
     def __init__(self, message: ReceivedMessage, type_name: str) -> None:
-        super().__init__(f"a message of type {type_name} is to be completed in the background")
+        super().__init__(f"a message of type {type_name} must be completed in the background")
         self.message = message
         self.type_name = type_name
 

@@ -1,7 +1,5 @@
 """Participants of the graph."""
 
-from __future__ import annotations
-
 from server.graph.permissions import ANYONE, Identity, Role
 
 

@@ -1,7 +1,5 @@
 """Roles of clients, their identities, the rules of names, and the filters of names that hold for all clients."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass

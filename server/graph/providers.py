@@ -3,8 +3,6 @@
 A request is ended once, by its provider, its deadline or its caller's departure; whatever comes later goes nowhere.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field

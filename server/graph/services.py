@@ -3,8 +3,6 @@
 A caller gets exactly one response: the provider's, or the reason for which there is none.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import inspect

@@ -7,8 +7,6 @@ rosbridge_server publishes with transient-local durability: with ``latch`` the l
 publisher lives, without it every message for a second (rosbridge_library, internal/publishers.py).
 """
 
-from __future__ import annotations
-
 import difflib
 import logging
 import time
@@ -100,6 +98,7 @@ class Topic:
     publishers: set[Node] = field(default_factory=set)
     subscribers: dict[Node, Subscriber] = field(default_factory=dict)
     latching: set[Node] = field(default_factory=set)
+    depth: int = 0
 
     @property
     def used(self) -> bool:
@@ -212,9 +211,14 @@ class Graph:
         topic = self._topics.get(name)
         return topic is not None and bool(topic.latching)
 
-    def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
-        """Register ``node`` as publisher; raises GraphError for an unknown type, or another type than the topic's."""
+    def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False, depth: int = 0) -> None:
+        """Register ``node`` as publisher; raises GraphError for an unknown type, or another type than the topic's.
+
+        Args:
+            depth: number of the server's last messages that a new subscriber gets.
+        """
         topic = self._topic(name, type_name, node)
+        topic.depth = max(topic.depth, depth)
         self._add_publisher(topic, node)
         if latch:
             self._add_latching(topic, node)
@@ -349,6 +353,8 @@ class Graph:
         if refusal is not None:
             raise refusal
         # Afterwards, when it is known how large the message is.
+        if topic.depth and not node.remote:
+            self._latched_messages.remember(published, topic.depth)
         if topic.latching and topic.keeps(node):
             return self._latch(published, node if node.remote else None)
         if lifespan_s > 0:

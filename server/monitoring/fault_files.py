@@ -4,8 +4,6 @@ A file has a JSON object a line: the fault, the last report of the arm's health,
 the joints.
 """
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import itertools

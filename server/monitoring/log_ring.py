@@ -1,7 +1,5 @@
 """The last lines of the log of all processes, and the service ``/armbridge/last_log_lines`` that returns them."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections import deque

@@ -4,8 +4,6 @@ A collection holds the interpreter, and with it the event loop. Python's own ful
 that are alive: with a million of them 140 to 240 ms each, and 34 of them for 20 planning scenes of 5000 objects.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ctypes

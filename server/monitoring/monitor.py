@@ -36,7 +36,7 @@ from robot.messages import ArmHealth, BusCounters, JointHealth, Mode
 from server.execution.goal import Answer
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
-from server.monitoring.health import Health, Sources, check_health
+from server.monitoring.health import Sources, check_health
 from server.monitoring.systemd import SystemdNotifier
 
 if TYPE_CHECKING:
@@ -338,13 +338,15 @@ WATCHDOG_NOTIFICATIONS = 3.0
 
 
 class Monitor:
-    """Monitor of the server."""
+    """Monitor of the server; it measures the lag of the event loop, and keeps systemd's watchdog and status line."""
 
-    def __init__(self, sources: Sources, notifier: SystemdNotifier) -> None:
+    def __init__(self, sources: Sources, notifier: SystemdNotifier, period_s: float = PERIOD_S) -> None:
         self._sources = sources
         self._notifier = notifier
-        self._metrics = Metrics(sources)
-        self._event_loop = EventLoopMonitor(notifier, self.health, self._metrics.loop_lag_s)
+        self._period_s = period_s
+        self._watchdog_due_s = 0.0
+        self._status = ""
+        self.metrics = Metrics(sources)
         self.routes: Mapping[str, Route] = {
             "healthz": self._on_readyz,
             "readyz": self._on_readyz,
@@ -353,17 +355,32 @@ class Monitor:
         }
 
     async def run(self) -> None:
-        """Watch the event loop, until cancelled."""
-        await self._event_loop.run()
+        """Check at once, so that systemd knows of the start however quick it is, then regularly, until cancelled."""
+        self.check(time.monotonic())
+        while True:
+            due_s = time.monotonic() + self._period_s
+            await asyncio.sleep(self._period_s)
+            now_s = time.monotonic()
+            self.metrics.loop_lag_s.observe(max(0.0, now_s - due_s))
+            self.check(now_s)
 
-    def take_health(self, health: ArmHealth) -> None:
-        """Keep the latest report of the arm process."""
-        self._sources.arm_health = health
+    def check(self, now_s: float) -> None:
+        """Notify systemd of changes, and of the server being alive."""
+        self._notifier.flush()
+        watchdog_s = self._notifier.watchdog_s
+        health = check_health(self._sources)
+        status = "; ".join(health.reasons or health.warnings) or "ready"
+        if status != self._status:
+            self._status = status
+            self._notifier.notify_status(status)
+        if watchdog_s and health.live and now_s >= self._watchdog_due_s:
+            self._watchdog_due_s = now_s + watchdog_s / WATCHDOG_NOTIFICATIONS
+            self._notifier.notify_watchdog()
 
     def notify_started(self) -> None:
         """Take note of the end of the start, and notify systemd."""
         self._sources.started = True
-        self._notifier.notify_ready("; ".join(self.health().reasons) or "ready")
+        self._notifier.notify_ready("; ".join(check_health(self._sources).reasons) or "ready")
 
     def notify_stopping(self, *, restarts: bool = False) -> None:
         """Note the begin of the stop, and notify systemd, which would end a service that restarts at once."""
@@ -373,55 +390,14 @@ class Monitor:
         else:
             self._notifier.notify_stopping()
 
-    def health(self) -> Health:
-        """Return the health of the server at this moment."""
-        return check_health(self._sources)
-
     async def _on_readyz(self, _request: Request) -> HttpResponse:
-        health = self.health()
+        health = check_health(self._sources)
         return health.response(good=health.live and health.ready)
 
     async def _on_livez(self, _request: Request) -> HttpResponse:
-        health = self.health()
+        health = check_health(self._sources)
         return health.response(good=health.live)
 
     async def _on_metrics(self, request: Request) -> HttpResponse:
-        text, media_type = self._metrics.expose(", ".join(request.headers.get_all("Accept")))
+        text, media_type = self.metrics.expose(", ".join(request.headers.get_all("Accept")))
         return HttpResponse.of_data(HTTPStatus.OK, text, media_type)
-
-
-class EventLoopMonitor:
-    """Measures the lag of the event loop, and keeps systemd's watchdog and status line up to date."""
-
-    def __init__(
-        self, notifier: SystemdNotifier, health: Callable[[], Health], lag_s: Histogram, period_s: float = PERIOD_S
-    ) -> None:
-        self._notifier = notifier
-        self._health = health
-        self._lag_s = lag_s
-        self._period_s = period_s
-        self._watchdog_due_s = 0.0
-        self._status = ""
-
-    async def run(self) -> None:
-        """Check at once, so that systemd knows of the start however quick it is, then regularly, until cancelled."""
-        self.check(time.monotonic())
-        while True:
-            due_s = time.monotonic() + self._period_s
-            await asyncio.sleep(self._period_s)
-            now_s = time.monotonic()
-            self._lag_s.observe(max(0.0, now_s - due_s))
-            self.check(now_s)
-
-    def check(self, now_s: float) -> None:
-        """Notify systemd of changes, and of the server being alive."""
-        self._notifier.flush()
-        watchdog_s = self._notifier.watchdog_s
-        health = self._health()
-        status = "; ".join(health.reasons or health.warnings) or "ready"
-        if status != self._status:
-            self._status = status
-            self._notifier.notify_status(status)
-        if watchdog_s and health.live and now_s >= self._watchdog_due_s:
-            self._watchdog_due_s = now_s + watchdog_s / WATCHDOG_NOTIFICATIONS
-            self._notifier.notify_watchdog()

@@ -1,7 +1,5 @@
 """Report of an installation, its arm and its running server: one archive, without secrets."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -3,8 +3,6 @@
 Services change the loggers' levels, as ROS 2 nodes have them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math
@@ -217,6 +215,9 @@ log = logging.getLogger("armbridge.monitoring")
 
 ROSOUT_TOPIC = "/rosout"
 
+# Records that a new subscriber gets; ROS 2 keeps 1000 for 10 s (rcl/logging_rosout.h).
+LOG_DEPTH = 100
+
 # A longer burst repeats itself; records that are left out are still in the log itself.
 MAX_WAITING = 1000
 
@@ -248,7 +249,7 @@ class Rosout(logging.Handler):
         self._loop = loop
         self._node = Node("rosout")
         self._waiting = 0
-        graph.advertise(self._node, ROSOUT_TOPIC, "rcl_interfaces/msg/Log")
+        graph.advertise(self._node, ROSOUT_TOPIC, "rcl_interfaces/msg/Log", depth=LOG_DEPTH)
         logging.getLogger(OUR_LOGGER).addHandler(self)
 
     def close(self) -> None:

@@ -4,8 +4,6 @@ Samples come with the arm's health, about once a second; events are faults, lost
 and warnings that came and went.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Mapping

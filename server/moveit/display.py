@@ -67,11 +67,7 @@ class DisplayTopics:
             self.contacts(details["pairs"])
 
     def contacts(self, pairs: Sequence[Mapping[str, Any]]) -> None:
-        """Show contacts in place of the contacts before, `MAX_CONTACTS` of them.
-
-        Args:
-            pairs: each with ``first``, ``second``, ``depth_m``, ``point_m``.
-        """
+        """Show contacts in place of the contacts before: pairs with ``first``, ``second``, ``depth_m``, ``point_m``."""
         header = {"stamp": Stamp(0, 0).as_message(), "frame_id": self._robot.root_link}
         clear = {"header": header, "ns": "", "action": DELETE_ALL}
         markers = [_marker(header, index, pair) for index, pair in enumerate(pairs[:MAX_CONTACTS])]

@@ -56,32 +56,19 @@ Change: TypeAlias = Callable[[States], States]
 
 
 class NamedStates:
-    """Store of the states by name; case and blanks of names do not matter. Wrong changes raise ServiceError.
+    """Store of states by name, whose case and blanks do not matter; wrong changes raise ServiceError.
 
-    Args:
-        group: planning group whose states of the SRDF count; :meth:`select_group` chooses another.
-        keep: changes the states that are kept, those that other servers have saved meanwhile among them; returns them
-            all.
-
-    Attributes:
-        described: states of the SRDF.
-        saved: states that users saved.
+    There are ``described`` states of the SRDF, for one planning group, and states that users ``saved``.
     """
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        group: str,
-        saved: Mapping[str, Positions],
-        keep: Callable[[Change], Awaitable[Mapping[str, Positions]]],
-    ) -> None:
+    def __init__(self, robot: RobotModel, group: str, file: NamedStatesFile) -> None:
         self._joints = {joint.name: joint for joint in robot.movable_joints}
         self._states_of_groups = robot.named_states
         self.described: Mapping[str, Positions] = robot.named_states.get(group, {})
-        self._keep = keep
+        self._file = file
         self._changing = asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
-        self.saved = self._usable(saved)
+        self.saved = self._usable(file.load())
 
     def names(self, group: str | None = None) -> list[str]:
         """Return the names of all states in alphabetical order; as :meth:`find`."""
@@ -93,11 +80,7 @@ class NamedStates:
         self._changed()
 
     def find(self, name: str, group: str | None = None) -> tuple[str, Positions] | None:
-        """Return the spelling of a name and its state; None when there is no such state.
-
-        Args:
-            group: planning group whose states of the SRDF count; None for the selected one.
-        """
+        """Return the spelling of a name and its state, also of a group in the SRDF; None without such a state."""
         states = self._of(group)
         spelled = _spelling(name, states)
         return None if spelled is None else (spelled, states[spelled])
@@ -163,7 +146,7 @@ class NamedStates:
 
     async def _change(self, change: Change) -> None:
         async with self._changing:
-            self.saved = self._usable(await self._keep(change))
+            self.saved = self._usable(await self._file.change(change))
         self._changed()
 
     def _changed(self) -> None:
@@ -289,7 +272,8 @@ class NamedStatesServices:
         self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
         self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save, CONFIGURING)
         self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get, LOOKING)
-        self._offer("/has_robot_state", "CheckIfRobotStateExistsInWarehouse", self._has, LOOKING)
+        has = "/has_robot_state", "CheckIfRobotStateExistsInWarehouse"
+        self._offer(*has, lambda request: {"exists": states.find(request["name"]) is not None}, LOOKING)
         self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename, CONFIGURING)
         self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
 
@@ -339,9 +323,6 @@ class NamedStatesServices:
                 f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names())}"
             )
         return {"state": state_message(dict(found[1]), self._robot.root_link, time.time())}
-
-    def _has(self, request: Request) -> Request:
-        return {"exists": self._states.find(request["name"]) is not None}
 
     async def _rename(self, request: Request) -> Request:
         await self._states.rename(request["old_name"], request["new_name"])

@@ -52,7 +52,7 @@ class ServoParameters(SettingsSection):
     """speed of a joint for a command of 1 [rad/s]."""
     # A browser that sends 60 commands a second pauses for up to a quarter of a second to collect garbage.
     incoming_command_timeout: float = Field(default=0.25, ge=LEAST_TIMEOUT_S, le=5.0)
-    """time after which a command expires; a client may choose a shorter one for its own commands [s]."""
+    """time after which a command expires; a client may choose a shorter one [s]."""
     rate_hz: float = Field(default=50.0, ge=20.0, le=100.0)
     """rate of new joint velocities [Hz]."""
     velocity_scaling: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -68,7 +68,7 @@ class ServoParameters(SettingsSection):
     scene_distance: float = Field(default=0.005, ge=0.0, le=0.05)
     """least distance between links and objects [m]."""
     status_type: Literal["moveit_msgs/ServoStatus", "std_msgs/Int8"] = "moveit_msgs/ServoStatus"
-    """type of the status topic, ``moveit_msgs/ServoStatus`` or, as in humble and in its numbers, ``std_msgs/Int8``."""
+    """type of the status topic; ``std_msgs/Int8`` has humble's numbers."""
 
     @model_validator(mode="after")
     def _slows_before_it_stops(self) -> ServoParameters:
@@ -97,9 +97,7 @@ class MoveItParameters(SettingsSection):
     """Parameters of goals that do not name their own."""
 
     group_name: str = ""
-    """planning group of goals that name none; empty for the robot's default: its ``robot.toml`` names it, or it is the
-    group "arm", or the first one of the SRDF.
-    """
+    """planning group of goals that name none; empty for the robot's default."""
     end_effector_link: str = ""
     """link that pose goals of this group move; empty for the tip of the group."""
     planning_frame: str = ""
@@ -113,9 +111,8 @@ class MoveItParameters(SettingsSection):
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
     """planning time after which a goal is answered TIMED_OUT [s]."""
     allowed_execution_duration_scaling: float = Field(default=2.2, ge=1.0, le=100.0)
-    """a motion that takes longer than this times its planned duration is given up; below 2 also a motion that a hot
-    servo slows down.
-    """
+    """a motion that takes longer than this times its planned duration is given up; below 2 also if a hot servo slows
+    it down."""
     allowed_goal_duration_margin: float = Field(default=2.0, ge=0.5, le=60.0)
     """time on top of that [s]."""
     max_velocity_scaling: float = Field(default=0.3, gt=0.0, le=1.0)
@@ -127,9 +124,9 @@ class MoveItParameters(SettingsSection):
     position_tolerance: float = Field(default=0.01, gt=0.0, le=0.1)
     """radius within which a position goal is reached [m]."""
     orientation_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
-    """turn about each axis within which a pose goal of a group with six joints or more is reached [rad]."""
+    """angle about each axis within which a pose goal of six joints or more is reached [rad]."""
     joint_tolerance: float = Field(default=0.01, gt=0.0, le=0.5)
-    """a joint goal that lies beyond a limit by no more than this goes to the limit [rad]."""
+    """a joint goal beyond a limit by no more than this goes to the limit [rad]."""
     # MoveIt's 0.05 s are all used up when there is no solution; here the answer comes at once, and a
     # loaded machine may take longer.
     kinematics_solver_timeout: float = Field(default=0.5, ge=0.001, le=MAX_KINEMATICS_TIMEOUT_S)
@@ -176,12 +173,7 @@ class PlannerParameters:
         return texts
 
     def set(self, group: str, planner: str, values: Mapping[str, str], *, replace: bool) -> None:
-        """Set parameters.
-
-        Args:
-            group: name of the group; empty for all.
-            planner: name of the planner; empty for all.
-        """
+        """Set parameters of a group and a planner by their names; empty for all."""
         scope = (group, planner)
         kept = {} if replace else self._set.get(scope, {})
         wanted = {**kept, **values}

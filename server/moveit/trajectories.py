@@ -69,11 +69,7 @@ class TrajectoryTiming:
 
 
 def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTiming | None = None) -> ExternalTrajectory:
-    """Make the motion of a trajectory_msgs/JointTrajectory, read once the state at its start is known.
-
-    Args:
-        timing: None for a trajectory that begins at rest alone, when its turn comes.
-    """
+    """Make the motion of a trajectory_msgs/JointTrajectory; without a timing it begins at rest, when its turn comes."""
     names = tuple(message["joint_names"])
     group = smallest_group(robot, names)
     joints = frozenset(names if group is None else group.joints)
@@ -82,7 +78,7 @@ def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTimin
         if timing is None:
             return external_trajectory(message, robot, held_rad)
         last = message["points"][-1]["time_from_start"]
-        # The first point of a trajectory with one point at time 0 is to be reached as fast as the limits allow.
+        # The first point of a trajectory with one point at time 0 is reached as fast as the limits allow.
         immediate = timing.bridged and len(message["points"]) == 1 and not any(last.values())
         if point is None and not timing.stamped and not immediate:
             try:
@@ -110,9 +106,6 @@ def _joined_trajectory(
     jumps where this moves within the limits: the first point is reached in time or, where the limits do not allow
     that, later, and the others as much later. Joints of the group that it does not name come to rest.
     https://control.ros.org/rolling/doc/ros2_controllers/joint_trajectory_controller/doc/trajectory.html
-
-    Args:
-        passed_s: time from the trajectory's time 0 to the start, below 0 where it begins later [s].
     """
     names, time_s, positions, velocities = read_points(message, robot)[:4]
     group = _group_of(robot, names)
@@ -376,12 +369,7 @@ def knot_velocities(time_s: Vector, positions_rad: Vector) -> Vector:
 
 
 def knot_accelerations(time_s: Vector, positions_rad: Vector, velocities_rad_s: Vector) -> Vector:
-    """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2].
-
-    Args:
-        positions_rad: shape (n, joints) [rad].
-        velocities_rad_s: shape (n, joints) [rad/s].
-    """
+    """Return the mean acceleration before and after each knot of a cubic spline, shape (n, joints) [rad/s^2]."""
     accelerations = np.zeros_like(positions_rad)
     spans = np.diff(time_s)[:, np.newaxis]
     slopes = np.diff(positions_rad, axis=0) / spans

@@ -87,12 +87,7 @@ def check_path(path: Path) -> None:
 
 
 class RecordedMessage(NamedTuple):
-    """Message as a file holds it.
-
-    Attributes:
-        log_time_ns: time of recording [ns since the epoch], by a clock that never jumps.
-        publish_time_ns: time of publication [ns since the epoch].
-    """
+    """Message of a file with its times of recording and publication [ns since the epoch], by a steady clock."""
 
     topic: str
     type_name: str
@@ -156,13 +151,7 @@ class McapFile:
 
 
 class RecordingSeries:
-    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new.
-
-    All methods, and the constructor, may raise OSError.
-
-    Args:
-        limit_bytes: size from which on a file is followed by the next; None for no limit.
-    """
+    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new; all methods may raise OSError."""
 
     def __init__(
         self, path: Path, registry: Registry, facts: dict[str, str], limit_bytes: int | None, keep: int

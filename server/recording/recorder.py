@@ -44,11 +44,7 @@ CLOSE_TIMEOUT_S = 2.0
 
 
 class Recorder:
-    """Records a graph from its construction to :meth:`close`; messages wait in memory until :meth:`start`.
-
-    Args:
-        limit_mb: size from which on a file is followed by the next [MB]; None for no limit.
-    """
+    """Records a graph from its construction to :meth:`close`; messages wait in memory until :meth:`start`."""
 
     def __init__(
         self,

@@ -62,11 +62,7 @@ class RecordedTopic:
 
 @dataclass
 class Summary:
-    """Contents of a file.
-
-    Attributes:
-        complete: False if the file was not ended or is damaged.
-    """
+    """Contents of a file, which is not complete if it was not ended or is damaged."""
 
     topics: list[RecordedTopic] = field(default_factory=list)
     messages: int = 0
@@ -134,12 +130,7 @@ class Recording:
 
 
 class _Unpacker:
-    """Unpacks the records of a file into messages.
-
-    Attributes:
-        topics: topics found so far, by channel.
-        damaged: True if the file ended before its end, or with octets that are no record.
-    """
+    """Unpacks the records of a file into messages; ``damaged`` by an early end or octets that are no record."""
 
     def __init__(self, path: Path) -> None:
         self.topics: dict[int, RecordedTopic] = {}
@@ -211,12 +202,7 @@ LOOP_PAUSE_S = 0.1
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """Options of a replay.
-
-    Attributes:
-        rate: seconds of the recording per second.
-        delay_s: time for clients to connect before the replay begins [s].
-    """
+    """Options of a replay: seconds of the recording per second, and time for clients to connect before [s]."""
 
     path: Path
     server: ServerSettings
@@ -311,7 +297,8 @@ class RecordingPlayer:
     def advertise(self, topics: Iterable[RecordedTopic]) -> None:
         """Advertise the recorded topics; a topic that cannot be advertised is logged and left out."""
         for recorded in topics:
-            if self._is_published_here(recorded.topic):
+            others = self._graph.publishers(recorded.topic)
+            if any(not other.remote for other in others if other is not self._node):
                 log.info("%s is left out: the replaying server has its own", recorded.topic)
             elif problem := recorded.problem or self._advertise(recorded):
                 log.warning("%s is left out: it %s", recorded.topic, problem)
@@ -328,10 +315,6 @@ class RecordingPlayer:
             # Also when it is late already: clients are served between two messages.
             await asyncio.sleep(max(0.0, due_s - loop.time()))
             self._publish(message)
-
-    def _is_published_here(self, topic: str) -> bool:
-        others = (publisher for publisher in self._graph.publishers(topic) if publisher is not self._node)
-        return any(not publisher.remote for publisher in others)
 
     def _advertise(self, recorded: RecordedTopic) -> str:
         """Advertise a topic; return the problem, or an empty text."""

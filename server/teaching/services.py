@@ -19,6 +19,7 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
 from server.graph.services import Work, telling
 from server.graph.topics import Graph
+from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.moveit.requests.planning_problems import TRAJECTORY_LIMITS
 from server.teaching.taught_motion import (
@@ -112,8 +113,10 @@ def joints_to_teach(robot: RobotModel, group: str) -> tuple[str, ...]:
     return (*joints, *(name for name in gripper if name not in joints))
 
 
-class Teaching:
+class Teaching(Feature):
     """Records motions, one at a time, and keeps them by name."""
+
+    name = "teaching"
 
     def __init__(
         self,
@@ -155,12 +158,14 @@ class Teaching:
         self._show()
 
     @property
-    def recording(self) -> bool:
-        """True while a motion is recorded, which needs the arm's states at their full rate."""
+    def observes_states(self) -> bool:
+        """True while a motion is recorded."""
         return self._recorder is not None
 
-    def take_state(self, state: ArmState) -> None:
-        """Record the arm's latest state; end a recording that cannot go on."""
+    def on_state(self, arm: str, state: ArmState) -> None:
+        """Record the latest state of all joints; end a recording that cannot go on."""
+        if arm:
+            return
         self._state = state
         recorder = self._recorder
         if recorder is None:
@@ -173,7 +178,7 @@ class Teaching:
             self._shown_at_s = state.clock_s
             self._show()
 
-    async def close(self) -> None:
+    async def stop(self) -> None:
         """End the recording, and wait until it is saved; it is not checked, which may take seconds."""
         self._closing = True
         if self._recorder is not None:

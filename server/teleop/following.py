@@ -96,11 +96,7 @@ class Following:
         return Act.NOTHING
 
     def take_ramp_end(self, failure: str) -> None:
-        """Take the end of the ramp.
-
-        Args:
-            failure: reason for which it did not arrive; empty when it did.
-        """
+        """Take the end of the ramp, or the reason for which the ramp did not arrive."""
         if self.phase is not Phase.RAMPING:
             return
         if failure:
@@ -153,14 +149,7 @@ class TrackingLimits:
 
 
 def tracking_velocity(error_rad: float, leader_rad_s: float, limits: TrackingLimits, latency_s: float) -> float:
-    """Return the velocity with which a joint follows [rad/s].
-
-    It is the leader's velocity and a part that closes the error, never faster than the joint can brake within it.
-
-    Args:
-        error_rad: from the joint's goal to its target [rad].
-        leader_rad_s: velocity of the target [rad/s].
-    """
+    """Return the leader's velocity plus a part that closes the error [rad/s], within which the joint can brake."""
     tracking_time_s = max(TRACKING_TIME_S, TRACKING_LATENCIES * latency_s)
     braking = math.sqrt(2.0 * ACCELERATION_SHARE * limits.acceleration_rad_s2 * abs(error_rad))
     closing = math.copysign(min(abs(error_rad) / tracking_time_s, braking), error_rad)
@@ -175,11 +164,7 @@ def tracking_velocities(
     limits: Mapping[str, TrackingLimits],
     latency_s: float,
 ) -> dict[str, float]:
-    """Return the velocity of each joint that has a target [rad/s].
-
-    Args:
-        leader_rad_s: velocities of the targets, 0 where they are not named [rad/s].
-    """
+    """Return the velocity of each joint that has a target; a leader's velocity that is not named is 0 [rad/s]."""
     return {
         name: tracking_velocity(target - goals_rad[name], leader_rad_s.get(name, 0.0), limits[name], latency_s)
         for name, target in targets_rad.items()

@@ -44,11 +44,7 @@ class LeaderSample:
 
 @dataclass(frozen=True)
 class LeaderPose:
-    """Pose of a leader to be followed.
-
-    Attributes:
-        latency_s: time since the reading, without the least time that a sample has taken to come [s].
-    """
+    """Pose of a leader, with the time since its reading, without the least time that a sample has taken to come [s]."""
 
     positions_rad: Positions
     velocity_rad_s: Positions
@@ -56,13 +52,9 @@ class LeaderPose:
 
 
 class JitterBuffer:
-    """Samples of the last moments, with the delay that their jitter asks for.
+    """Samples of the last moments, with the delay that their jitter asks for; without any, the latest is followed.
 
     The clock of a leader elsewhere has any offset to this one; the offset is taken from the samples that came fastest.
-
-    Args:
-        max_velocity_rad_s: greatest velocity of each joint that is watched for jumps [rad/s].
-        max_delay_s: greatest delay; 0 to follow the latest sample, as of an arm of this server [s].
     """
 
     def __init__(self, max_velocity_rad_s: Mapping[str, float], max_delay_s: float = MAX_DELAY_S) -> None:
@@ -96,7 +88,7 @@ class JitterBuffer:
 
     @property
     def at_once(self) -> bool:
-        """True where each sample is to be followed as soon as it comes."""
+        """True if the follower takes each sample as soon as it comes."""
         return self._max_delay_s == 0.0
 
     @property

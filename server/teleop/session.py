@@ -67,11 +67,7 @@ GoTo: TypeAlias = Callable[[Positions, float], Goal]
 
 @dataclass(frozen=True)
 class Follower:
-    """Arm that can follow.
-
-    Attributes:
-        prefix: with which names of its joints begin; empty for an arm that is alone.
-    """
+    """Arm that can follow; the names of its joints begin with the prefix, which is empty for an arm that is alone."""
 
     name: str
     prefix: str
@@ -123,12 +119,7 @@ class FollowingContext:
 
 
 class FollowingSession:
-    """Following of one follower, until it ends.
-
-    Args:
-        show: called with the state, when it changes and some times a second.
-        show_targets: called with the targets at every tick of following [rad].
-    """
+    """Following of one follower, until it ends; shows its state, and its targets at every tick [rad]."""
 
     def __init__(
         self,

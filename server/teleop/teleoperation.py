@@ -23,6 +23,7 @@ from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING, Rule
 from server.graph.services import Work, telling
 from server.graph.topics import Graph, Subscriber
+from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.teleop.following import STALE_S, Phase
 from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample, joint_map
@@ -50,11 +51,7 @@ LOGGED_AGAIN_S = 5.0
 
 
 def read_sample(message: Message, received_s: float) -> LeaderSample:
-    """Read a sensor_msgs/JointState.
-
-    Args:
-        received_s: time that stands for the stamp of a message without one [s].
-    """
+    """Read a sensor_msgs/JointState; the time of its receipt stands for the stamp of a message without one [s]."""
     names, positions = message["name"], message["position"]
     if len(names) != len(positions) or not 0 < len(names) <= MAX_JOINTS:
         raise ServiceError(
@@ -70,15 +67,7 @@ def read_sample(message: Message, received_s: float) -> LeaderSample:
 
 
 class Leader:
-    """Leader of a following: a topic, or an arm of this server.
-
-    Args:
-        name: of the arm, or of the topic, with which it begins with a slash.
-        max_velocity_rad_s: greatest velocity of joints that are watched for jumps, by the leader's names [rad/s].
-
-    Attributes:
-        joint_names: joints of the latest sample; empty before the first.
-    """
+    """Leader of a following: an arm of this server, or a topic, whose name begins with a slash."""
 
     def __init__(self, name: str, max_velocity_rad_s: Mapping[str, float], clock: Callable[[], float]) -> None:
         self.name = name
@@ -127,12 +116,7 @@ class Leader:
 
 @dataclass
 class _Following:
-    """One follower and its leader, from the call that starts it to its end.
-
-    Attributes:
-        session: None while the first sample is waited for.
-        targets_rad: what the follower is asked to follow at present [rad].
-    """
+    """One follower and its leader, from the call that starts it to its end; no session before the first sample."""
 
     leader: Leader
     node: Node
@@ -141,8 +125,10 @@ class _Following:
     targets_rad: Mapping[str, float] = field(default_factory=dict)
 
 
-class Teleoperation:
+class Teleoperation(Feature):
     """Has arms follow leaders, each follower one."""
+
+    name = "teleoperation"
 
     def __init__(
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
@@ -184,19 +170,19 @@ class Teleoperation:
         self._graph.publish(self._node, below + STATE_TOPIC, _state_message("", "", state))
 
     @property
-    def active(self) -> bool:
-        """True while a leader is listened to, whose states are needed at their full rate."""
+    def observes_states(self) -> bool:
+        """True while a leader is listened to."""
         return bool(self._followings)
 
-    def take_leader_state(self, name: str, state: ArmState) -> None:
-        """Take the latest state of an arm of this server."""
+    def on_state(self, arm: str, state: ArmState) -> None:
+        """Follow the latest state of a leader, without waiting for the states of other arms."""
         for following in self._followings.values():
-            if following.leader.name == name:
+            if following.leader.name == arm:
                 following.leader.take_state(state)
                 if following.session is not None:
                     following.session.take_sample()
 
-    async def close(self) -> None:
+    async def stop(self) -> None:
         """End every following; the arms come to rest by themselves."""
         sessions = [each.session for each in self._followings.values() if each.session is not None]
         await asyncio.gather(*(session.close() for session in sessions))
@@ -221,7 +207,8 @@ class Teleoperation:
             raise ServiceError(
                 f"leader: must be an arm that leads ({known}) or a topic that begins with /, not {name[:80]!r}"
             )
-        if name.startswith("/") and self._own_topic(name):
+        below = ["", *(f"/{each.name}" for each in self._followers.values() if each.prefix)]
+        if name in {TARGETS_TOPIC, *(f"{each}/joint_states" for each in below)}:
             raise ServiceError(f"leader: must not be {name}, which has the positions of this server's arms")
         leader = Leader(name, self._watched(follower, name), self._clock)
         following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
@@ -302,11 +289,6 @@ class Teleoperation:
         if not name and len(names) == 1:
             return self._followers[names[0]]
         raise ServiceError(f"follower: must be one of {', '.join(names) or 'none'}, not {name[:80]!r}")
-
-    def _own_topic(self, name: str) -> bool:
-        """Return True for a topic by which an arm would follow itself."""
-        own = (f"{'' if not follower.prefix else '/' + follower.name}" for follower in self._followers.values())
-        return name in {"/joint_states", TARGETS_TOPIC, *(f"{below}/joint_states" for below in own)}
 
     def _watched(self, follower: Follower, leader: str) -> dict[str, float]:
         """Return the greatest velocity of the leader's joints that are named as the follower's [rad/s]."""

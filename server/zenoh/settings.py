@@ -55,22 +55,21 @@ class ZenohSettings(SettingsSection):
     scouting_multicast: bool = False
     """find peers in the local network by multicast."""
     config_file: Path | None = None
-    """file of zenoh's own configuration, JSON5, for options without a setting here, such as certificates; the settings
-    above override it; None for zenoh's defaults.
-    """
+    """JSON5 file of zenoh's own options, such as certificates; the settings above override it; None for zenoh's
+    defaults."""
     # DDS has room for this number, and zenoh follows it.
     domain_id: int = Field(default=0, ge=0, le=232)
     """ROS_DOMAIN_ID; other domains are neither seen nor heard."""
     namespace: str = ""
-    """prefix of this server's topics and services on the network, as in /arm1; empty for none."""
+    """prefix of this server's names on the network, as in /arm1."""
     publish: tuple[str, ...] = Field(default=STATE_TOPICS, max_length=MAX_ENTRIES)
     """patterns of topics to publish, as this server names them."""
     subscribe: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
-    """patterns of topics to subscribe to, as this server names them; empty for none."""
+    """patterns of topics to subscribe to, as this server names them."""
     offer: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
-    """patterns of services and actions of this server to offer; empty for none."""
+    """patterns of services and actions of this server to offer."""
     call: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
-    """patterns of services and actions of other machines that clients of this server may call; empty for none."""
+    """patterns of services and actions of other machines that clients here may call."""
     role: Literal["view", "operate", "admin"] = "operate"
     """role of other machines here."""
     insecure: bool = False

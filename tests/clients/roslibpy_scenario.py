@@ -1,4 +1,4 @@
-"""What a Python program does with roslibpy, step by step; prints one JSON object: step -> what came back.
+"""What a Python program does with the old roslibpy, step by step; prints one JSON object: step -> what came back.
 
 Usage: python roslibpy_scenario.py PORT
 """
@@ -10,22 +10,11 @@ import time
 from typing import Any
 
 import roslibpy
-
-try:
-    from websockets.sync.client import connect
-except ImportError:
-    # The environment of the old version has none; that version knows no actions of ROS 2 either.
-    connect = None
-
-try:
-    from roslibpy import actionlib
-except ImportError:
-    from roslibpy.ros1 import actionlib
+from roslibpy import actionlib
 
 STEP_TIMEOUT_S = 15.0
 ACTION = ("/grip", "control_msgs/GripperCommandAction")
 FIBONACCI = ("/fibonacci", "actionlib_tutorials/FibonacciAction")
-FIBONACCI_OF_ROS2 = ("/fibonacci_of_ros2", "example_interfaces/action/Fibonacci")
 
 
 class Heard:
@@ -66,11 +55,9 @@ def main(port: int) -> dict[str, Any]:
         "unknown service": unknown_service(client),
         "goal": goal(client),
         "action": action(client, other),
+        "fibonacci": fibonacci(client, other),
+        "unknown parameter": client.get_param("/nobody_has_set_this"),
     }
-    answers["fibonacci"] = fibonacci(client, other)
-    if hasattr(roslibpy, "ActionClient"):
-        answers["fibonacci of ROS 2"] = fibonacci_of_ros2(client, port)
-    answers["unknown parameter"] = client.get_param("/nobody_has_set_this")
     client.set_param("/speed", 0.5)
     answers["parameter"] = client.get_param("/speed")
     client.terminate()
@@ -163,34 +150,6 @@ def fibonacci(client: roslibpy.Ros, other: roslibpy.Ros) -> dict[str, Any]:
     asked.send()
     result = asked.wait(STEP_TIMEOUT_S)
     return {"result": dict(result), "feedback": feedback.wait("feedback")}
-
-
-def fibonacci_of_ros2(client: roslibpy.Ros, port: int) -> dict[str, Any]:
-    """The same as an action of ROS 2, of which roslibpy has the client only."""
-    name, type_name = FIBONACCI_OF_ROS2
-    offered, feedback, result = threading.Event(), Heard(), Heard()
-
-    def serve() -> None:
-        with connect(f"ws://127.0.0.1:{port}") as provider:
-            provider.send(json.dumps({"op": "advertise_action", "action": name, "type": type_name}))
-            provider.send(json.dumps({"op": "call_service", "service": "/rosapi/get_time"}))
-            provider.recv(timeout=STEP_TIMEOUT_S)
-            offered.set()
-            goal = json.loads(provider.recv(timeout=STEP_TIMEOUT_S))
-            told = {"action": name, "id": goal["id"]}
-            provider.send(json.dumps({"op": "action_feedback", **told, "values": {"sequence": numbers(2)}}))
-            values = {"sequence": numbers(goal["args"]["order"])}
-            provider.send(json.dumps({"op": "action_result", **told, "values": values, "status": 4, "result": True}))
-            result.wait("result")
-
-    server = threading.Thread(target=serve, daemon=True)
-    server.start()
-    offered.wait(STEP_TIMEOUT_S)
-    action_client = roslibpy.ActionClient(client, name, type_name)
-    action_client.send_goal(roslibpy.Goal({"order": 7}), lambda got: result(got["values"]), feedback, result)
-    answers = {"result": result.wait("result"), "feedback": dict(feedback.wait("feedback"))}
-    server.join(STEP_TIMEOUT_S)
-    return answers
 
 
 if __name__ == "__main__":

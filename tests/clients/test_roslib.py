@@ -1,9 +1,8 @@
-"""roslibjs and roslibpy as they are published, two versions of each, against the server with the simulated arm."""
+"""roslibjs in two versions and the old roslibpy on the simulated arm; test_roslibpy_suite.py has the new one."""
 
 import json
 import shutil
 import subprocess
-import sys
 import venv
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ HERE = Path(__file__).parent
 OLD = "roslibpy==1.8.1"
 
 # Versions of the two libraries.
-JAVASCRIPT, PYTHON = ("roslib1", "roslib2"), ("roslibpy 1.8", "roslibpy 2")
+JAVASCRIPT, PYTHON = ("roslib1", "roslib2"), "roslibpy 1.8"
 
 JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 
@@ -75,8 +74,7 @@ def heard(server: RunningServer, request: pytest.FixtureRequest, tmp_path_factor
             assert done.returncode == 0, done.stderr + done.stdout
             heard: Heard = json.loads(done.stdout.splitlines()[-1])
             return heard
-        python = sys.executable if version == "roslibpy 2" else old_python(tmp_path_factory.mktemp("venv"))
-        return heard_by(python, HERE / "roslibpy_scenario.py", str(server.port))
+        return heard_by(old_python(tmp_path_factory.mktemp("venv")), HERE / "roslibpy_scenario.py", str(server.port))
 
     def once(version: str) -> Heard:
         if version not in answers:
@@ -86,7 +84,7 @@ def heard(server: RunningServer, request: pytest.FixtureRequest, tmp_path_factor
     return once
 
 
-@pytest.fixture(scope="module", params=[*JAVASCRIPT, *PYTHON])
+@pytest.fixture(scope="module", params=[*JAVASCRIPT, PYTHON])
 def answers(request: pytest.FixtureRequest, heard: Callable[[str], Heard]) -> Heard:
     """What a version heard."""
     return heard(request.param)
@@ -168,9 +166,6 @@ def test_the_robots_description_is_a_parameter_of_its_node(of_javascript: Heard)
     assert "<robot" in of_javascript["URDF of a node"]
 
 
-@pytest.mark.parametrize("name", ["fibonacci", "fibonacci of ROS 2"])
-def test_the_action_of_the_examples_is_run(answers: Heard, name: str) -> None:
-    if name not in answers:
-        pytest.skip("only roslibpy 2 has actions of ROS 2")
-    assert answers[name]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
-    assert answers[name]["feedback"]["sequence"] == [0, 1, 1]
+def test_the_action_of_the_examples_is_run(answers: Heard) -> None:
+    assert answers["fibonacci"]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
+    assert answers["fibonacci"]["feedback"]["sequence"] == [0, 1, 1]

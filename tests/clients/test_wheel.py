@@ -125,6 +125,7 @@ def test_its_licence_names_those_of_the_libraries_in_the_page() -> None:
     "part",
     [
         "server/page/dist/index.html",
+        "server/docs_site/index.html",
         "docs/configuration.md",
         "protocol/interfaces/ros2.json",
         "robot/arms/so101/NOTICE",

@@ -32,12 +32,7 @@ def serving(graph: Graph, access: Access | None = None, **chosen: Any) -> Abstra
 
 
 class SocketPlayer:
-    """Real clients of a listener.
-
-    Args:
-        listener: what they connect to.
-        case: what is played.
-    """
+    """Real clients of a listener, for the steps of a case."""
 
     def __init__(self, listener: Listener, case: dict[str, Any]) -> None:
         self._listener = listener

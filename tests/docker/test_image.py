@@ -44,6 +44,12 @@ def test_packages_come_from_the_locks_alone() -> None:
     assert all("--no-deps ." in run for run in others)
 
 
+def test_the_image_has_the_page_and_the_site_of_the_docs_as_built_in_it() -> None:
+    copied = [rest.split()[-1] for word, rest in ALL if word == "COPY" and "--from=" in rest]
+    assert {"server/page/dist/", "server/docs_site/"} <= set(copied)
+    assert any(word == "RUN" and "mkdocs build" in rest for word, rest in ALL)
+
+
 def test_make_installs_exactly_what_a_lock_names() -> None:
     """With dependencies pip 23 takes a newer coverage than the lock's for coverage[toml], and refuses it."""
     installs = [

@@ -96,13 +96,7 @@ MAX_FRAMES = 200
 
 
 class SessionMaker:
-    """Maker of sessions.
-
-    Args:
-        random: where chance comes from; the same seed makes the same sessions.
-        registry: message types.
-        corpus: sessions of which pieces are taken over.
-    """
+    """Maker of sessions; the same seed makes the same, and pieces of a corpus are taken over."""
 
     def __init__(self, random: Random, registry: Registry, corpus: list[bytes]) -> None:
         self._random = random

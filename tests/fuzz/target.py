@@ -141,11 +141,7 @@ class World:
 
 
 def check_sent(frame: Frame) -> None:
-    """Read a frame as a client does: it is one operation, and its text is JSON as browsers read it.
-
-    Raises:
-        FindError: it is not.
-    """
+    """Read a frame as a client does: it is one operation, and its text is JSON as browsers read it."""
     try:
         if frame.text:
             # Refuses NaN and Infinity, as browsers do.
@@ -172,11 +168,7 @@ class _Errors(logging.Handler):
 
 @contextmanager
 def logged_errors_raised() -> Iterator[None]:
-    """Raise what is logged with a traceback.
-
-    Raises:
-        FindError: something was.
-    """
+    """Raise what is logged with a traceback."""
     handler, log = _Errors(), logging.getLogger("armbridge")
     level, log.level, propagate, log.propagate = log.level, logging.ERROR, log.propagate, False
     log.addHandler(handler)

@@ -2,7 +2,7 @@
 
 tests/robot tries it on the ideal arm and on emulated servos in the arm process; tests/processes/robot on those of
 Dynamixel as well, on Feetech's on a pseudo terminal, in every state in which they may be found
-(:mod:`robot.emulator.populations`), on a scripted bus, and, with ``--arm PORT,CALIBRATION``, on a real arm. The tests
+(:mod:`robot.emulator.populations`), and, with ``--arm PORT,CALIBRATION``, on a real arm. The tests
 turn the wrist by ``REACH_RAD`` from where the arm is found, and move the gripper by as much; nothing else moves.
 Emergency stops hold, and torque is taken off only where nothing falls; at the end the arm holds.
 """
@@ -29,8 +29,6 @@ from robot.trajectory import Trajectory
 from tests.helpers import dynamixel
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, recalibrated, so101
-from tests.helpers.scripted_servos import ScriptedServos
-from tests.helpers.terminal_servos import ScriptedPeer
 
 # Without weight on it, and with room to both sides.
 JOINT = "wrist_roll"
@@ -109,7 +107,7 @@ UNFIT = ("ros2_driver", "kit")
 
 # Kinds of arms: those whose servos are within the arm process, and those at the other end of a line.
 IN_PROCESS = ("ideal", "emulated Dynamixel servos", *(f"emulated, {name}" for name in POPULATIONS if name not in UNFIT))
-ON_LINES = (*(f"pseudo terminal, {name}" for name in POPULATIONS if name != "kit"), "scripted bus", "real arm")
+ON_LINES = (*(f"pseudo terminal, {name}" for name in POPULATIONS if name != "kit"), "real arm")
 
 # Slow enough for a busy machine to notice that the arm is on its way before it is there.
 SLOW_S = 6.0
@@ -129,13 +127,8 @@ def place_with(
 
 @contextlib.asynccontextmanager
 async def place_of(kind: str, real_arm: str | None = None) -> AsyncIterator[Place]:
-    """Start an arm of a kind, and close it at the end.
-
-    Args:
-        kind: one of ``IN_PROCESS`` or ``ON_LINES``.
-        real_arm: port and calibration of a real arm; None skips that kind.
-    """
-    bus: RunningEmulator | ScriptedPeer | None = None
+    """Start an arm of a kind, the real one by its port and calibration, and close it at the end."""
+    bus: RunningEmulator | None = None
     kind, _, population = kind.partition(", ")
     if kind == "emulated":
         made = place_with(EmulatedConfig(NOMINAL, start_rad=START, population=population))
@@ -148,9 +141,6 @@ async def place_of(kind: str, real_arm: str | None = None) -> AsyncIterator[Plac
         bus = RunningEmulator(f"--start={','.join(map(str, START_RAD))}", "--population", population)
         calibration = recalibrated(NOMINAL, POPULATIONS[population])
         made = place_with(SerialConfig(calibration, bus.port), calibration)
-    elif kind == "scripted bus":
-        bus = ScriptedPeer(ScriptedServos(NOMINAL))
-        made = place_with(SerialConfig(NOMINAL, bus.port))
     elif real_arm:
         port, _, file = real_arm.partition(",")
         calibration = Calibration.load(find_calibration(file, SO101.hardware.calibrations, os.environ), SO101_SERVOS)

@@ -42,11 +42,7 @@ METAL = SerialConfig(CALIBRATION, "/dev/arm", "dynamixel")
 
 
 class SteppedDynamixels:
-    """Emulated servos at the other end of an in-process port.
-
-    Args:
-        settings: of the emulated servos' configuration.
-    """
+    """Emulated servos at the other end of an in-process port."""
 
     def __init__(self, **settings: Any) -> None:
         self.clock = SteppedClock()

@@ -58,12 +58,7 @@ class WiredPort(InProcessPort):
 
 
 class SteppedEmulator:
-    """The servos of ``armbridge emulate``, by its options, at the other end of an in-process port.
-
-    Args:
-        options: of the command line.
-        wire_time: whether bytes take their time on the wire; who waits for them then moves the clock.
-    """
+    """Servos of ``armbridge emulate`` at an in-process port; with ``wire_time`` a wait for bytes moves the clock."""
 
     def __init__(self, *options: str, wire_time: bool = True) -> None:
         parser = argparse.ArgumentParser()

@@ -20,12 +20,7 @@ def set_registers(servo: FeetechServo, values: dict[Register, int]) -> None:
 
 
 class Kit:
-    """Servos of an emulator with the options :data:`KIT`, of which none is plugged in at first.
-
-    Attributes:
-        emulator: as given.
-        servos: in the order of the chain.
-    """
+    """Servos of an emulator with the options :data:`KIT`, in the order of the chain; none is plugged in at first."""
 
     def __init__(self, emulator: SteppedEmulator) -> None:
         self.emulator = emulator

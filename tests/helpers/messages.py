@@ -1,9 +1,8 @@
-"""Complete messages of any type: made up from a seed, and read back from CDR."""
+"""Complete messages of any type, made up from a seed, and types as rosbags declares them."""
 
 import base64
 import random
 import struct
-from base64 import b64encode
 from collections.abc import Callable
 from typing import Any
 
@@ -50,80 +49,13 @@ def _element(registry: Registry, field: Field, source: random.Random) -> Any:
     return struct.unpack("<f", struct.pack("<f", number))[0] if field.base == "float32" else number
 
 
-HEADER_BYTES = 4
-
-CODES = {
-    **{f"{sign}int{bits}": code for bits, code in ((8, "b"), (16, "h"), (32, "i"), (64, "q")) for sign in ("", "u")},
-    "float32": "f",
-    "float64": "d",
-    "bool": "?",
-    "byte": "B",
-    "char": "B",
-}
-
-
-def deserialize(registry: Registry, type_name: str, data: bytes) -> dict[str, Any]:
-    """The complete message that CDR, with its header, holds and nothing else."""
-    reader = _Reader(registry, data[HEADER_BYTES:])
-    message = reader.message(type_name)
-    assert reader.position == len(reader.body)
-    return message
-
-
-class _Reader:
-    """Takes values off the front of a body."""
-
-    def __init__(self, registry: Registry, body: bytes) -> None:
-        self.registry = registry
-        self.body = body
-        self.position = 0
-
-    def message(self, type_name: str) -> dict[str, Any]:
-        fields = self.registry.message(type_name).fields
-        if not fields:
-            self.take(1)
-        return {field.name: self.field(field) for field in fields}
-
-    def field(self, field: Field) -> Any:
-        if field.array is None:
-            return self.element(field.base)
-        length = field.array.min_length if field.array.fixed else self.element("uint32")
-        if field.base in ("uint8", "char"):
-            return b64encode(self.take(length)).decode()
-        return [self.element(field.base) for _ in range(length)]
-
-    def element(self, base: str) -> Any:
-        if base == "wstring":
-            return self.take(2 * self.element("uint32")).decode("utf-16-le")
-        if base == "string":
-            octets = self.take(self.element("uint32"))
-            assert octets.endswith(b"\x00")
-            return octets[:-1].decode()
-        if base not in CODES:
-            return self.message(base)
-        code = CODES[base].upper() if base.startswith("uint") else CODES[base]
-        size = struct.calcsize(code)
-        self.take(-self.position % size)
-        return struct.unpack(f"<{code}", self.take(size))[0]
-
-    def take(self, size: int) -> bytes:
-        start, self.position = self.position, self.position + size
-        assert self.position <= len(self.body)
-        return self.body[start : self.position]
-
-
 # rosbags' names of the types of arrays, where they are not the field's.
 ARRAY_TYPES = {"bool": "bool", "byte": "uint8", "char": "uint8"}
 ROS1_TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
 
 
 class RosbagsTypes:
-    """Types as rosbags, an independent implementation, declares them.
-
-    Args:
-        store: its types of one distribution.
-        declared: the declaration of a type in our tables.
-    """
+    """Types as rosbags, an independent implementation, declares them, beside the declarations of our tables."""
 
     def __init__(self, store: Any, declared: Callable[[str], MessageType]) -> None:
         self._store = store

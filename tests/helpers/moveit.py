@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import functools
 import itertools
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -28,7 +29,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalTranslator
-from server.moveit.named_states import Change, NamedStates, States
+from server.moveit.named_states import NamedStates, NamedStatesFile
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import RequestContext
 from server.moveit.requests.planning_context import PlanningContext
@@ -175,19 +176,9 @@ def near(pose: Pose, position_m: tuple[float, float, float], tolerance_m: float 
     return all(abs(a - b) <= tolerance_m for a, b in zip(pose.position_m, position_m, strict=True))
 
 
-def keep_in_memory(states: States | None = None) -> Callable[[Change], Awaitable[States]]:
-    """Return the keeper of states that live as long as the test."""
-    kept: States = dict(states or {})
-
-    async def keep(change: Change) -> States:
-        nonlocal kept
-        kept = change(kept)
-        return kept
-
-    return keep
-
-
-def planning_of(arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, **parameters: Any) -> PlanningContext:
+def planning_of(
+    arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, graph: Graph | None = None, **parameters: Any
+) -> PlanningContext:
     """Return the context of planning for an arm in an empty scene."""
     scene = SceneState(robot)
     return PlanningContext(
@@ -199,14 +190,14 @@ def planning_of(arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, **
         current=CurrentState(arm, robot),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(MoveItParameters(**parameters)),
-        display=DisplayTopics(Graph(REGISTRY), robot),
+        display=DisplayTopics(graph or Graph(REGISTRY), robot),
     )
 
 
 def translator(arm: FakeArm | None = None, robot: RobotModel = ROBOT, **parameters: Any) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
-    saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
-    states = NamedStates(robot, robot.default_group, saved, keep_in_memory(saved))
+    states = NamedStates(robot, robot.default_group, NamedStatesFile(Path("/no file")))
+    states.saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
     return GoalTranslator(planning_of(arm or FakeArm(), robot, **parameters), MoveItParameters(**parameters), states)
 
 
@@ -234,37 +225,15 @@ class DirectPool:
         return refusal if isinstance(refusal, PlanningFailure) else planner().answer(request)
 
 
-class Assumed:
-    """Assumed start states of clients."""
-
-    def __init__(self) -> None:
-        self.by_node: dict[Node, dict[str, float]] = {}
-
-    def of(self, node: Node) -> dict[str, float] | None:
-        return self.by_node.get(node)
-
-
 class ServiceRig:
     """All of it, and a client."""
 
-    def __init__(self, robot: RobotModel = ROBOT, parameters: MoveItParameters | None = None) -> None:
+    def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
-        self.arm, self.assumed, self.pool = FakeArm(), Assumed(), DirectPool()
-        self.current = CurrentState(self.arm, ROBOT)
+        self.arm, self.pool = FakeArm(), DirectPool()
         self.client = Node("client", remote=True)
-        self.scene_state = SceneState(robot)
-        display = DisplayTopics(self.graph, robot)
-        self.context = PlanningContext(
-            robot=robot,
-            pool=self.pool,
-            forward=ForwardPlacements(robot),
-            frames=Frames(robot, self.scene_state),
-            scene_state=self.scene_state,
-            current=self.current,
-            assumed=self.assumed,
-            parameters=PlannerParameters(parameters or MoveItParameters()),
-            display=display,
-        )
+        self.context = planning_of(self.arm, pool=self.pool, graph=self.graph)
+        self.scene_state, self.current = self.context.scene_state, self.context.current
         offer_services(self.graph, self.context)
 
     async def call(self, service: str, **request: Any) -> Any:

@@ -21,14 +21,7 @@ def install_with_npm(folder: Path) -> None:
 
 
 def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = 120.0) -> dict[str, Any]:
-    """Return the messages that a scenario heard, step by step.
-
-    Args:
-        python: the interpreter with the client in it; this checkout is not on its path.
-        scenario: the program.
-        arguments: its arguments.
-        timeout_s: how long it may take [s].
-    """
+    """Return the messages that a scenario heard, step by step; this checkout is not on its interpreter's path."""
     done = subprocess.run(
         [str(python), str(scenario), *arguments],
         capture_output=True,

@@ -16,13 +16,7 @@ JSON_DECODER = json.JSONDecoder()
 
 
 class RawClient:
-    """A client that speaks BSON or JSON, as its class of framing has it in rosbridge2cpp.
-
-    Args:
-        reader: what comes from the server.
-        writer: what goes there.
-        speaks_bson: the encoding of its operations.
-    """
+    """A client that speaks BSON or JSON, as its class of framing has it in rosbridge2cpp."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, speaks_bson: bool) -> None:
         self.reader = reader

@@ -94,11 +94,7 @@ TRIANGLE = ((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.05, 0.0)
 
 
 def meshed_arm(folder: Path, mesh: str) -> dict[str, str]:
-    """Write description files that name a mesh in the same folder.
-
-    Returns:
-        The settings of a server that has this arm.
-    """
+    """Write description files that name a mesh in the same folder; return the settings of a server with this arm."""
     visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
     joint = '<joint name="held" type="fixed"><parent link="base_link"/><child link="meshed"/></joint>'
     arm = so101()

@@ -1,4 +1,4 @@
-"""Fixtures: emulated servos in the test's own time or as a process, and a scripted peer."""
+"""Fixtures: emulated servos in the test's own time or as a process."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -9,8 +9,6 @@ import pytest
 from harness.emulator import RunningEmulator
 from robot.hardware.feetech.bus import Bus
 from tests.helpers.emulator import SteppedEmulator
-from tests.helpers.scripted_servos import Script
-from tests.helpers.terminal_servos import ScriptedPeer
 
 
 @pytest.fixture
@@ -57,15 +55,3 @@ def write_log(tmp_path: Path) -> Path:
 @pytest.fixture
 def bus(emulator: SteppedEmulator) -> Bus:
     return emulator.open_bus()
-
-
-@pytest.fixture
-def scripted_peer() -> Iterator[Callable[[Script], ScriptedPeer]]:
-    with contextlib.ExitStack() as running:
-
-        def start(script: Script) -> ScriptedPeer:
-            peer = ScriptedPeer(script)
-            running.callback(peer.end)
-            return peer
-
-        yield start

@@ -24,14 +24,20 @@ from robot.messages import ArmState, Command, Mode, Order
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.config import Settings
-from server.features.arms import ArmControl, CommissioningOfArms, Following, PolicyChunks, Restart, TaughtMotions
+from server.features.arms import (
+    ArmControl,
+    CommissioningOfArms,
+    PolicyChunks,
+    Restart,
+    teaching_of,
+    teleoperation_of,
+)
 from server.features.context import context_of
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
 from server.features.parking import Parkings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.teaching.taught_motion import TaughtMotion
-from server.teleop.teleoperation import Teleoperation
 from tests.helpers.arm_rig import ArmRig
 from tests.helpers.moveit import ROBOT, DirectPool
 
@@ -68,23 +74,20 @@ class TimedPool(DirectPool):
 
 
 class ServerStage:
-    """Server without sockets, and a client.
-
-    Args:
-        arm: the arm.
-        settings: of the server.
-    """
+    """Server without sockets, and a client."""
 
     def __init__(self, arm: Arm, settings: Settings = DEFAULTS) -> None:
         self.graph = Graph(Registry.load())
         served = ServedArm("", settings.arm, Description("", ROBOT, HardwareTable(), None), arm)
         pool = cast("Planners", TimedPool())
         self.context = context_of(settings, self.graph, (served, (served,)), pool)
-        self.teaching, self.following, servo = TaughtMotions(self.context), Following(self.context), Servo(self.context)
+        self.teaching, self.teleoperation = teaching_of(self.context), teleoperation_of(self.context)
+        servo = Servo(self.context)
         self.commissioning = CommissioningOfArms(self.context, Restart(), None, shared_calibration=False)
         queue = GoalQueueing(self.context)
         chunks = PolicyChunks(self.context)
-        goals = MoveGroup(self.context), ArmGoals(self.context), self.teaching, queue, servo, self.following, chunks
+        of_arms = self.teaching, queue, servo, self.teleoperation, chunks
+        goals = MoveGroup(self.context), ArmGoals(self.context), *of_arms
         self._features = ArmControl(self.context), Parkings(self.context), *goals, self.commissioning
         for feature in goals:
             at_once(feature.start())
@@ -104,10 +107,6 @@ class ServerStage:
         self.client = Node("client", remote=True)
         self.answers: list[Any] = []
 
-    @property
-    def teleoperation(self) -> Teleoperation:
-        return self.following.teleoperation
-
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on."""
         for feature in self._features:
@@ -126,7 +125,7 @@ class ServerStage:
 
     async def save_wave(self) -> None:
         """Save the motion that a replay plays."""
-        await self.teaching.motions.save("wave", WAVE)
+        await self.teaching._motions.save("wave", WAVE)
 
     async def close(self) -> None:
         """End everything."""

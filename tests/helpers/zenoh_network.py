@@ -133,12 +133,7 @@ class Site:
 
 
 class RosMachine:
-    """A machine with ROS 2 and rmw_zenoh, as far as it can be told from the outside.
-
-    Args:
-        port: what it connects to.
-        domain_id: whose machines it sees.
-    """
+    """A machine with ROS 2 and rmw_zenoh of a domain, as far as it can be told from the outside."""
 
     def __init__(self, port: int, domain_id: int = 0) -> None:
         config = zenoh.Config()

@@ -3,6 +3,7 @@
 lerobot needs torch, and an environment of its own: ``make test-lerobot`` makes it and runs this.
 """
 
+import itertools
 import json
 import math
 import os
@@ -16,14 +17,15 @@ from threading import Event, Thread
 import pytest
 
 from armbridge_client import Arm, connect
-from armbridge_client.messages import Header, JointState, Time
-from harness.server import FAST, FAST_ARMS, ROOT, RunningServer
+from armbridge_client.messages import ActionChunkAnswer, Header, JointState, Time
+from harness.server import FAST, FAST_ARMS, ROOT, RunningServer, free_port
 from harness.waiting import running, wait_until
 
 BIN = ROOT / "build" / "lerobot" / "bin"
 SCENARIO = Path(__file__).with_name("robot_scenario.py")
 COMMAND_TIMEOUT_S = 900
 LEADER = "/leader/joint_states"
+ANSWERS = "/arm/chunks/answer"
 EPISODES, EPISODE_S, FPS = 2, 5, 15
 
 pytestmark = pytest.mark.skipif(
@@ -159,7 +161,10 @@ def test_a_recorded_episode_is_replayed_on_the_arm(server: RunningServer, arm: A
     assert arm.state().position_rad["shoulder_lift"] == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, dataset: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def policy(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An ACT policy that lerobot-train has trained for a few steps."""
+    output = tmp_path_factory.mktemp("policy") / "act"
     small = ["dim_model=32", "n_heads=2", "dim_feedforward=32", "n_encoder_layers=1", "n_vae_encoder_layers=1"]
     small += [
         "chunk_size=20",
@@ -178,10 +183,13 @@ def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, d
         "--save_freq=3",
         "--batch_size=2",
         "--num_workers=0",
-        f"--output_dir={tmp_path / 'act'}",
+        f"--output_dir={output}",
         "--wandb.enable=false",
     )
-    policy = tmp_path / "act" / "checkpoints" / "last" / "pretrained_model"
+    return output / "checkpoints" / "last" / "pretrained_model"
+
+
+def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, policy: Path) -> None:
     with camera(server.port):
         report = lerobot(
             "lerobot-rollout",
@@ -196,6 +204,46 @@ def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, d
         )
     assert "ArmStopped" not in report
     assert any("teleoperation of arm: following" in line for line in server.lines)
+
+
+def test_a_policy_of_lerobots_policy_server_drives_the_arm_by_chunks(
+    server: RunningServer, arm: Arm, policy: Path, tmp_path: Path
+) -> None:
+    arm.release_control()
+    port = free_port()
+    serving = [BIN / "python", "-m", "lerobot.async_inference.policy_server", f"--port={port}", f"--fps={FPS}"]
+    options = [
+        f"--server_address=127.0.0.1:{port}",
+        *robot(server.port),
+        "--task=swing",
+        "--policy_type=act",
+        f"--pretrained_name_or_path={policy}",
+        "--actions_per_chunk=20",
+        f"--fps={FPS}",
+    ]
+    offline = {**os.environ, "HF_HUB_OFFLINE": "1"}
+    lines = tmp_path / "policy.log"
+    with (
+        camera(server.port),
+        running(serving, env=offline, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL),
+        lines.open("w") as out,
+        running([BIN / "armbridge-policy", *options], env=offline, stdout=out, stderr=subprocess.STDOUT) as client,
+    ):
+        followed = list(
+            itertools.islice(
+                (
+                    each
+                    for each in arm.messages(ANSWERS, ActionChunkAnswer, length=100, timeout_s=240)
+                    if each.error_code.val == 1
+                ),
+                5,
+            )
+        )
+        assert len({each.id for each in followed}) == 5
+        # A stop by anybody ends the policy, with the reason.
+        arm.stop()
+        assert client.wait(timeout=120) != 0
+    assert "the arm was stopped" in lines.read_text()
 
 
 @contextmanager

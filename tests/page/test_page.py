@@ -121,7 +121,9 @@ def test_a_refused_goal_shows_its_sentence(page: OpenPage) -> None:
     type_target(page, (0.9, 0.0, 0.3))
     page.part("plan-and-move").click()
     page.until_text("message", "NO_IK_SOLUTION")
-    page.until_text("message", "reach")
+    # In the units of the page, though the server's sentence is in metres and centimetres.
+    page.until_text("message", "cannot reach (900, 0, 300) mm")
+    page.until_text("message", "mm away")
     page.shot("refused")
 
 

@@ -279,6 +279,23 @@ def test_a_sequence_has_pictures_path_and_time_and_is_there_again_after_a_reload
         page.open_panel("sequence")
 
 
+def test_a_strip_below_the_picture_shows_how_far_the_gripper_is_open(page: OpenPage) -> None:
+    load(page, *map(waypoint, PLACES))
+    page.part("waypoint-2-gripper").select_option("open")
+    page.part("waypoint-3-gripper").select_option("closed")
+    page.part("waypoint-2-strip").wait_for()
+    assert page.part("waypoint-1-strip").count() == 0
+    assert [page.part(f"waypoint-{number}-strip").get_attribute("aria-label") for number in (2, 3)] == [
+        "Gripper 100 % open",
+        "Gripper 0 % open",
+    ]
+    picture, strip = page.box("waypoint-2-show"), page.box("waypoint-2-strip")
+    assert strip["y"] >= picture["y"] + picture["height"]
+    assert strip["width"] == picture["width"]
+    page.part("waypoint-3-gripper").select_option("leave")
+    page.until("document.querySelector('[data-testid=waypoint-3-strip]')?.ariaLabel === 'Gripper 100 % open'")
+
+
 def test_a_sequence_is_repeated_until_it_is_stopped(page: OpenPage, server: RunningServer) -> None:
     move(server, PLACES[2])
     load(page, waypoint(PLACES[0]), waypoint(PLACES[1]))

@@ -137,6 +137,13 @@ def _plan(problem: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
 
 
+def test_the_log_opens_with_the_lines_of_before(tab: OpenPage, server: RunningServer) -> None:
+    move_pan(server, 0.3)
+    tab.open(server.port)
+    tab.open_panel("log")
+    tab.until_text("log", "SUCCESS")
+
+
 def test_the_log_is_filtered_and_stands_still_while_it_is_halted(page: OpenPage, server: RunningServer) -> None:
     page.open_panel("log")
     move_pan(server, 0.1)

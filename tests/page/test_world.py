@@ -240,3 +240,18 @@ def test_the_reachable_region_is_computed_anew_when_the_scene_changes(page: Open
     page.until_state(f"s.region.cells.filter(c => c.reach === 'contact' && {in_box}).length > 1", 240_000)
     page.part("region-shown").uncheck()
     page.until_state("s.region.cells.length === 0 && s.region.total === 0")
+
+
+def test_a_scenario_is_there_by_one_press_and_is_put_back_by_reset(page: OpenPage, server: RunningServer) -> None:
+    for name, count in (("table", 6), ("shelf", 6), ("cubes", 4)):
+        page.part(f"scenario-{name}").click()
+        page.until_state(f"s.objects.length === {count} && s.objects.every(object => object.color !== null)")
+    begun = scene(server)
+    select(page, "cube_red")
+    page.enter("object-x", "150")
+    page.wait(lambda: scene(server) != begun)
+    page.part("scenario-reset").click()
+    page.wait(lambda: scene(server) == begun)
+    page.shot("scenario")
+    page.part("scenario-empty").click()
+    page.until_state("s.objects.length === 0")

@@ -1,19 +1,34 @@
-"""A few seeds of the fault campaign, one for each kind of trouble that is cheap; ``make campaign`` runs them all."""
+"""Fault campaign on the emulated arm: a few seeds, one for each kind of trouble that is cheap.
 
+``make campaign`` runs more: ``CAMPAIGN_SEEDS`` says how many, each with the trouble and the servos that it draws.
+"""
+
+import asyncio
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from robot.emulator.populations import POPULATIONS
-from tests.processes.campaign.__main__ import run_seed
-from tests.processes.campaign.scenario import Happening, scenario_of
+from tests.processes.campaign.arm_run import run_arm
+from tests.processes.campaign.scenario import Happening, Result, scenario_of
 
 SEEDS = {
     Happening.UNPLUG: 2,
     Happening.POWER_CYCLE_ONE: 5,
     Happening.EMERGENCY_STOP: 14,
 }
+
+
+def run_seed(seed: int, folder: Path, population: str | None = None) -> Result:
+    return asyncio.run(run_arm(scenario_of(seed, population), folder))
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("CAMPAIGN_SEEDS", "0"))))
+def test_a_drawn_scenario_finds_no_violation(seed: int, tmp_path: Path) -> None:
+    result = run_seed(seed, tmp_path)
+    assert not result.violations, result
 
 
 @pytest.mark.parametrize("happening", SEEDS)

@@ -248,16 +248,7 @@ HUNG_S = 30.0
 
 @dataclass(frozen=True)
 class Ended:
-    """A server that a signal ended while its arm moved, on the way to its second goal.
-
-    Attributes:
-        code: its exit code.
-        seconds: how long its end took [s].
-        results: the answers to the goals.
-        alive: which of its processes outlived it.
-        write_log: what was written to the servos.
-        recording: what it recorded.
-    """
+    """A server that a signal ended while its arm moved to its second goal, and which of its processes outlived it."""
 
     code: int
     seconds: float

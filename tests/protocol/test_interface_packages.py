@@ -15,7 +15,7 @@ from protocol.registry import Registry
 from protocol.strict_messages import strict_type
 from protocol.type_descriptions import full_text, message_hash, service_hash
 from tests.conformance.cases import INTERFACES
-from tests.helpers.messages import deserialize, made_up
+from tests.helpers.messages import made_up
 
 
 def package(folder: Path, *files: tuple[str, str], tool: str | None = "ament_cmake", name: str | None = None) -> Path:
@@ -275,7 +275,7 @@ def test_messages_of_the_users_types_go_through_cdr_unchanged(name: str) -> None
     for seed in range(20):
         message = made_up(USER, name, seed)
         octets = cdr.serialize(USER, name, message)
-        assert cdr.deserialize(USER, name, octets) == deserialize(USER, name, octets) == message, seed
+        assert cdr.deserialize(USER, name, octets) == message, seed
         assert complete(USER, name, message, Stamp(1, 2)) == message, seed
 
 
@@ -296,6 +296,7 @@ def test_text_in_cdr_that_is_longer_than_its_bound_is_refused() -> None:
 
 def test_wide_text_in_cdr_that_is_no_utf_16_is_refused() -> None:
     octets = cdr.serialize(Registry.load(), "example_interfaces/WString", {"data": "a"})
+    assert octets == cdr.HEADER + b"\x01\0\0\0a\0"
     with pytest.raises(MessageError, match="wanted text in UTF-16"):
         cdr.deserialize(Registry.load(), "example_interfaces/WString", octets[:-2] + b"\x00\xd8")
 

@@ -42,7 +42,7 @@ def test_ros1_has_its_own_text_without_sections_for_its_times():
 
 
 def test_a_parser_finds_every_type_and_every_field_in_the_text():
-    assert len(MESSAGE_TYPES) == 338
+    assert len(MESSAGE_TYPES) == 340
     for name in MESSAGE_TYPES:
         found = get_types_from_msg(full_text(REGISTRY, name), name)
         assert set(found) == {name, *dependencies(REGISTRY, name)}, name

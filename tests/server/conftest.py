@@ -1,7 +1,5 @@
 """A server whose arm is on an emulator that the tests command; it is set right again before each of them."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Iterator

@@ -1,16 +1,18 @@
-from __future__ import annotations
-
 import os
+import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from harness.server import ROOT
 from robot import arm, logs
 from server import app, cli
 from server.errors import StartError
+from server.installation import PAGE_DIRECTORY, version_line
 
 
 @pytest.fixture
@@ -131,3 +133,30 @@ cli.run_process()
 def test_a_network_that_does_not_end_changes_no_exit_code() -> None:
     answer = subprocess.run([sys.executable, "-c", HELD_UP], capture_output=True, text=True, timeout=60, check=False)
     assert (answer.returncode, answer.stdout, answer.stderr) == (3, "said", "")
+
+
+def test_the_version_names_the_program_and_the_page(tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text('<head>\n<meta name="version" content="0.1.9">\n</head>')
+    assert version_line(tmp_path) == f"armbridge {metadata.version('armbridge')}, page 0.1.9"
+
+
+def test_without_a_page_the_version_says_so(tmp_path: Path) -> None:
+    assert version_line(tmp_path).endswith(", without the page")
+
+
+def test_a_page_from_before_pages_had_versions_is_named_as_such(tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text("<head></head>")
+    assert version_line(tmp_path).endswith(", page of an unknown version")
+
+
+def test_the_command_prints_this_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(["--version"])
+    assert " ".join(capsys.readouterr().out.split()) == version_line(PAGE_DIRECTORY)
+
+
+def test_the_version_of_the_project_heads_the_changelog() -> None:
+    (version,) = re.findall(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    newest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert newest is not None
+    assert newest[1] == version

@@ -1,7 +1,5 @@
 """Files of the data directory that older and newer versions have written."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""docs/architecture.md: each of its examples is added to a server as the page describes, and called by a client."""
-
-from __future__ import annotations
+"""ARCHITECTURE.md: each of its examples is added to a server as the page describes, and called by a client."""
 
 import re
 import sys
@@ -20,7 +18,7 @@ from server.lifecycle import Feature
 from tests.helpers.gateway import InProcess
 from tests.helpers.rules import started
 
-PAGE = (ROOT / "docs" / "architecture.md").read_text()
+PAGE = (ROOT / "ARCHITECTURE.md").read_text()
 BLOCKS = dict(re.findall(r"```python\n# (\S+)\n(.*?)```", PAGE, re.DOTALL))
 
 

@@ -227,7 +227,7 @@ async def test_nothing_moves_after_a_stop_whichever_step_of_a_request_it_comes_b
                 assert stop_at > 0
                 return
             assert stage.arm.begun == [], f"after a stop before step {stop_at}"
-            assert not stage.teleoperation.active, f"after a stop before step {stop_at}"
+            assert not stage.teleoperation.observes_states, f"after a stop before step {stop_at}"
 
 
 async def test_nothing_follows_after_its_stop_whichever_step_of_the_start_it_comes_before(
@@ -241,4 +241,4 @@ async def test_nothing_follows_after_its_stop_whichever_step_of_the_start_it_com
                 # The leader has left, to which the arm had gone before.
                 assert stop_at > LEAST_STEPS_OF_FOLLOWING
                 return
-            assert not stage.teleoperation.active, f"after a stop before step {stop_at}"
+            assert not stage.teleoperation.observes_states, f"after a stop before step {stop_at}"

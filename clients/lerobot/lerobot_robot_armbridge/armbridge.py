@@ -103,7 +103,7 @@ class Armbridge(Robot):
 
     def get_observation(self) -> RobotObservation:
         """Return the newest measured positions, and the newest image of each camera."""
-        observation: RobotObservation = dict(self._connected.positions())
+        observation: RobotObservation = dict(self.link.positions())
         for name, camera in self.cameras.items():
             observation[name] = camera.read_latest()
         return observation
@@ -118,7 +118,7 @@ class Armbridge(Robot):
             ArmStopped: the arm no longer follows.
             ValueError: a joint is missing, or its value is no finite number.
         """
-        link = self._connected
+        link = self.link
         target_rad = link.in_rad(action)
         if self._following is None:
             self._following = Following(link, target_rad)
@@ -128,7 +128,7 @@ class Armbridge(Robot):
 
     def disconnect(self) -> None:
         """End the following softly, and disconnect; the arm holds."""
-        link = self._connected
+        link = self.link
         try:
             if self._following is not None:
                 self._following.end()
@@ -141,7 +141,8 @@ class Armbridge(Robot):
                 camera.disconnect()
 
     @property
-    def _connected(self) -> ArmLink:
+    def link(self) -> ArmLink:
+        """Connection to the arm."""
         if self._link is None:
             raise DeviceNotConnectedError(f"{self} is not connected: call connect() first")
         return self._link

@@ -12,7 +12,7 @@ from armbridge_client.async_arm import AsyncArm, connect_async
 from armbridge_client.async_gripper import AsyncGripper
 from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
 from armbridge_client.async_scene import AsyncScene
-from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncJog, AsyncTeleop
+from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncChunks, AsyncJog, AsyncTeleop
 from armbridge_client.blocking import Face, LoopThread, blocking, iterate, iterating, making
 from armbridge_client.connection import CALL_TIMEOUT_S, ServerInfo
 from armbridge_client.errors import ConnectionLost
@@ -145,6 +145,21 @@ class Jog(Face[AsyncJog]):
         self.loop.run(self.asynchronous.__aexit__(kind, error, trace))
 
 
+class Chunks(Face[AsyncChunks]):
+    """Chunks of joint targets of a learned policy, for the length of a ``with``; as :class:`AsyncChunks`."""
+
+    send = blocking(AsyncChunks.send)
+
+    def __enter__(self) -> Chunks:
+        self.loop.run(self.asynchronous.__aenter__())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.loop.run(self.asynchronous.__aexit__(kind, error, trace))
+
+
 class Plan(Face[AsyncPlan]):
     """A planned motion, which has not moved anything."""
 
@@ -213,6 +228,10 @@ class Arm(Face[AsyncArm]):
     def jog(self, command_timeout_s: float = COMMAND_TIMEOUT_S) -> Jog:
         """Steer with velocities, as :meth:`AsyncArm.jog`: ``with arm.jog() as jog``."""
         return Jog(self.asynchronous.jog(command_timeout_s), self.loop)
+
+    def chunks(self) -> Chunks:
+        """Follow the joint targets of a policy, as :meth:`AsyncArm.chunks`: ``with arm.chunks() as chunks``."""
+        return Chunks(self.asynchronous.chunks(), self.loop)
 
     def call(self, service: str, request: Service[Response], timeout_s: float = CALL_TIMEOUT_S) -> Response:
         """Call any service, as :meth:`AsyncArm.call`."""

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar
 from armbridge_client.async_gripper import AsyncGripper
 from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
 from armbridge_client.async_scene import AsyncScene
-from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncJog, AsyncTeleop
+from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncChunks, AsyncJog, AsyncTeleop
 from armbridge_client.connection import CALL_TIMEOUT_S, Address, Connection, ServerInfo, Subscription
 from armbridge_client.errors import ArmError, GoalRefused
 from armbridge_client.interface import find_arm
@@ -324,6 +324,10 @@ class AsyncArm:
             command_timeout_s: time after the last command until the arm brakes, 0.02 to 0.25.
         """
         return AsyncJog(self.connection, self._prefix, command_timeout_s)
+
+    def chunks(self) -> AsyncChunks:
+        """Follow a policy's joint targets: ``async with arm.chunks() as chunks``, then ``await chunks.send(...)``."""
+        return AsyncChunks(self.connection, self._prefix)
 
     # Control and confirmation.
 

@@ -1,21 +1,29 @@
-"""Steering: velocities that the arm follows at once, and following a leader arm."""
+"""Steering: velocities that the arm follows at once, following a leader arm, and chunks of a learned policy."""
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import AsyncIterator, Mapping, Sequence
 from types import TracebackType
 
 from armbridge_client.connection import CALL_TIMEOUT_S, Connection, Stream
+from armbridge_client.errors import DeadlineExceeded, refusal
 from armbridge_client.messages import (
+    ActionChunk,
+    ActionChunkAnswer,
+    Duration,
     Float64,
     Header,
     JointJog,
+    JointTrajectory,
+    JointTrajectoryPoint,
     ServoStatus,
     SetBoolRequest,
     StartTeleopRequest,
     String,
     TeleopState,
+    Time,
     TriggerRequest,
     Twist,
     TwistStamped,
@@ -106,6 +114,85 @@ class AsyncJog:
             if not abs(value) <= most:
                 raise ValueError(f"{name} must be from {-most:g} to {most:g}, not {value:g}")
         return [value / most if self._unitless else float(value) for value in velocities]
+
+
+# Value of error_code for a chunk that is followed.
+_SUCCESS = 1
+_NS_PER_S = 1_000_000_000
+
+
+class AsyncChunks:
+    """Chunks of joint targets that a learned policy sends, for the length of an ``async with``.
+
+    The arm follows each chunk until the next one takes over; without a next one it brakes to the last target and holds.
+
+    Args:
+        prefix: the arm's name behind a slash; empty for the only arm.
+    """
+
+    def __init__(self, connection: Connection, prefix: str) -> None:
+        self._connection = connection
+        self._topic = f"{prefix}/arm/chunks"
+        self._answers = connection.subscribe(f"{self._topic}/answer", ActionChunkAnswer, length=100)
+        self._stream: Stream[ActionChunkAnswer] | None = None
+        self._ids = itertools.count(1)
+
+    async def __aenter__(self) -> AsyncChunks:
+        self._stream = await self._answers.__aenter__()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self._answers.__aexit__(kind, error, trace)
+
+    async def send(
+        self,
+        joint_names: Sequence[str],
+        times_s: Sequence[float],
+        positions: Sequence[Sequence[float]],
+        *,
+        observed_at_s: float = 0.0,
+        blend: str = "replace",
+        weight: float = 0.0,
+    ) -> ActionChunkAnswer:
+        """Send a chunk, and return the server's answer: how far the arm follows it.
+
+        Args:
+            times_s: of each target, from the observation on [s].
+            positions: of each target, in the order of the joints [rad, or m for joints that slide].
+            observed_at_s: time of the observation [s since the epoch]; 0 for the time of arrival.
+            blend: where chunks overlap: ``replace``, ``ensemble`` or ``real_time``.
+            weight: share of this chunk in an ensemble, 0 to 1.
+
+        Raises:
+            RequestRefused: no target of the chunk is followed.
+        """
+        if self._stream is None:
+            raise RuntimeError("send: only within `async with`")
+        points = [
+            JointTrajectoryPoint(
+                positions=list(row), time_from_start=Duration(*divmod(round(time_s * _NS_PER_S), _NS_PER_S))
+            )
+            for time_s, row in zip(times_s, positions, strict=True)
+        ]
+        stamp = Time(*divmod(round(observed_at_s * _NS_PER_S), _NS_PER_S))
+        # Answers on the topic are to the chunks of all clients.
+        number = f"{id(self)}-{next(self._ids)}"
+        trajectory = JointTrajectory(Header(stamp), list(joint_names), points)
+        # The sentence about an earlier chunk was raised with its answer.
+        self._connection.complaint(self._topic)
+        await self._connection.publish(self._topic, ActionChunk(number, trajectory, blend, weight))
+        try:
+            answer = await anext(answer async for answer in self._stream if answer.id == number)
+        except DeadlineExceeded:
+            # A client that may not move the arm has no answer, but a sentence.
+            if complaint := self._connection.complaint(self._topic):
+                raise refusal(complaint) from None
+            raise
+        if answer.error_code.val != _SUCCESS:
+            raise refusal(answer.message)
+        return answer
 
 
 class AsyncTeleop:

@@ -263,14 +263,17 @@ class Connection:
         result: Mapping[str, Any] = values
         return result
 
+    def complaint(self, topic: str) -> str:
+        """Return the server's sentence about an earlier message on a topic, once; empty for none."""
+        return self._complaints.pop(topic, "")
+
     async def publish(self, topic: str, message: Message) -> None:
         """Publish a message.
 
         Raises:
             RequestRefused: the server has refused an earlier message on this topic, which has no answer.
         """
-        complaint = self._complaints.pop(topic, None)
-        if complaint is not None:
+        if complaint := self.complaint(topic):
             raise refusal(complaint)
         if topic not in self._registrations:
             # Kept with the subscriptions, so that it is sent again on the next connection.

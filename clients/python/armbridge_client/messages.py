@@ -13,6 +13,127 @@ from armbridge_client.wire import Action, Message, Service
 
 
 @dataclass(repr=False)
+class Time(Message):
+    """builtin_interfaces/msg/Time."""
+
+    TYPE: ClassVar[str] = "builtin_interfaces/msg/Time"
+    sec: int = 0
+    nanosec: int = 0
+
+
+@dataclass(repr=False)
+class Header(Message):
+    """std_msgs/msg/Header."""
+
+    TYPE: ClassVar[str] = "std_msgs/msg/Header"
+    stamp: Time = field(default_factory=Time)
+    frame_id: str = ""
+
+
+@dataclass(repr=False)
+class Duration(Message):
+    """builtin_interfaces/msg/Duration."""
+
+    TYPE: ClassVar[str] = "builtin_interfaces/msg/Duration"
+    sec: int = 0
+    nanosec: int = 0
+
+
+@dataclass(repr=False)
+class JointTrajectoryPoint(Message):
+    """trajectory_msgs/msg/JointTrajectoryPoint."""
+
+    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectoryPoint"
+    positions: list[float] = field(default_factory=list[float])
+    velocities: list[float] = field(default_factory=list[float])
+    accelerations: list[float] = field(default_factory=list[float])
+    effort: list[float] = field(default_factory=list[float])
+    time_from_start: Duration = field(default_factory=Duration)
+
+
+@dataclass(repr=False)
+class JointTrajectory(Message):
+    """trajectory_msgs/msg/JointTrajectory."""
+
+    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectory"
+    header: Header = field(default_factory=Header)
+    joint_names: list[str] = field(default_factory=list[str])
+    points: list[JointTrajectoryPoint] = field(default_factory=list[JointTrajectoryPoint])
+
+
+@dataclass(repr=False)
+class ActionChunk(Message):
+    """armbridge_msgs/msg/ActionChunk."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/msg/ActionChunk"
+    id: str = ""
+    trajectory: JointTrajectory = field(default_factory=JointTrajectory)
+    blend: str = ""
+    weight: float = 0.0
+
+
+@dataclass(repr=False)
+class MoveItErrorCodes(Message):
+    """moveit_msgs/msg/MoveItErrorCodes."""
+
+    TYPE: ClassVar[str] = "moveit_msgs/msg/MoveItErrorCodes"
+    val: int = 0
+    message: str = ""
+    source: str = ""
+
+
+class MoveItErrorCode(IntEnum):
+    """Values of moveit_msgs/MoveItErrorCodes."""
+
+    SUCCESS = 1
+    UNDEFINED = 0
+    FAILURE = 99999
+    PLANNING_FAILED = -1
+    INVALID_MOTION_PLAN = -2
+    MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE = -3
+    CONTROL_FAILED = -4
+    UNABLE_TO_AQUIRE_SENSOR_DATA = -5
+    TIMED_OUT = -6
+    PREEMPTED = -7
+    START_STATE_IN_COLLISION = -10
+    START_STATE_VIOLATES_PATH_CONSTRAINTS = -11
+    START_STATE_INVALID = -26
+    GOAL_IN_COLLISION = -12
+    GOAL_VIOLATES_PATH_CONSTRAINTS = -13
+    GOAL_CONSTRAINTS_VIOLATED = -14
+    GOAL_STATE_INVALID = -27
+    UNRECOGNIZED_GOAL_TYPE = -28
+    INVALID_GROUP_NAME = -15
+    INVALID_GOAL_CONSTRAINTS = -16
+    INVALID_ROBOT_STATE = -17
+    INVALID_LINK_NAME = -18
+    INVALID_OBJECT_NAME = -19
+    FRAME_TRANSFORM_FAILURE = -21
+    COLLISION_CHECKING_UNAVAILABLE = -22
+    ROBOT_STATE_STALE = -23
+    SENSOR_INFO_STALE = -24
+    COMMUNICATION_FAILURE = -25
+    CRASH = -29
+    ABORT = -30
+    NO_IK_SOLUTION = -31
+
+
+@dataclass(repr=False)
+class ActionChunkAnswer(Message):
+    """armbridge_msgs/msg/ActionChunkAnswer."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/msg/ActionChunkAnswer"
+    id: str = ""
+    error_code: MoveItErrorCodes = field(default_factory=MoveItErrorCodes)
+    message: str = ""
+    followed_until: Time = field(default_factory=Time)
+    change: float = 0.0
+    refused_from: int = 0
+    joint_names: list[str] = field(default_factory=list[str])
+    nearest: list[float] = field(default_factory=list[float])
+
+
+@dataclass(repr=False)
 class TeachState(Message):
     """armbridge_msgs/msg/TeachState."""
 
@@ -39,24 +160,6 @@ class TeleopState(Message):
 
 
 @dataclass(repr=False)
-class Time(Message):
-    """builtin_interfaces/msg/Time."""
-
-    TYPE: ClassVar[str] = "builtin_interfaces/msg/Time"
-    sec: int = 0
-    nanosec: int = 0
-
-
-@dataclass(repr=False)
-class Header(Message):
-    """std_msgs/msg/Header."""
-
-    TYPE: ClassVar[str] = "std_msgs/msg/Header"
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = ""
-
-
-@dataclass(repr=False)
 class JointJog(Message):
     """control_msgs/msg/JointJog."""
 
@@ -66,27 +169,6 @@ class JointJog(Message):
     displacements: list[float] = field(default_factory=list[float])
     velocities: list[float] = field(default_factory=list[float])
     duration: float = 0.0
-
-
-@dataclass(repr=False)
-class Duration(Message):
-    """builtin_interfaces/msg/Duration."""
-
-    TYPE: ClassVar[str] = "builtin_interfaces/msg/Duration"
-    sec: int = 0
-    nanosec: int = 0
-
-
-@dataclass(repr=False)
-class JointTrajectoryPoint(Message):
-    """trajectory_msgs/msg/JointTrajectoryPoint."""
-
-    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectoryPoint"
-    positions: list[float] = field(default_factory=list[float])
-    velocities: list[float] = field(default_factory=list[float])
-    accelerations: list[float] = field(default_factory=list[float])
-    effort: list[float] = field(default_factory=list[float])
-    time_from_start: Duration = field(default_factory=Duration)
 
 
 @dataclass(repr=False)
@@ -172,52 +254,6 @@ class KinematicSolverInfo(Message):
     joint_names: list[str] = field(default_factory=list[str])
     limits: list[JointLimits] = field(default_factory=list[JointLimits])
     link_names: list[str] = field(default_factory=list[str])
-
-
-@dataclass(repr=False)
-class MoveItErrorCodes(Message):
-    """moveit_msgs/msg/MoveItErrorCodes."""
-
-    TYPE: ClassVar[str] = "moveit_msgs/msg/MoveItErrorCodes"
-    val: int = 0
-    message: str = ""
-    source: str = ""
-
-
-class MoveItErrorCode(IntEnum):
-    """Values of moveit_msgs/MoveItErrorCodes."""
-
-    SUCCESS = 1
-    UNDEFINED = 0
-    FAILURE = 99999
-    PLANNING_FAILED = -1
-    INVALID_MOTION_PLAN = -2
-    MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE = -3
-    CONTROL_FAILED = -4
-    UNABLE_TO_AQUIRE_SENSOR_DATA = -5
-    TIMED_OUT = -6
-    PREEMPTED = -7
-    START_STATE_IN_COLLISION = -10
-    START_STATE_VIOLATES_PATH_CONSTRAINTS = -11
-    START_STATE_INVALID = -26
-    GOAL_IN_COLLISION = -12
-    GOAL_VIOLATES_PATH_CONSTRAINTS = -13
-    GOAL_CONSTRAINTS_VIOLATED = -14
-    GOAL_STATE_INVALID = -27
-    UNRECOGNIZED_GOAL_TYPE = -28
-    INVALID_GROUP_NAME = -15
-    INVALID_GOAL_CONSTRAINTS = -16
-    INVALID_ROBOT_STATE = -17
-    INVALID_LINK_NAME = -18
-    INVALID_OBJECT_NAME = -19
-    FRAME_TRANSFORM_FAILURE = -21
-    COLLISION_CHECKING_UNAVAILABLE = -22
-    ROBOT_STATE_STALE = -23
-    SENSOR_INFO_STALE = -24
-    COMMUNICATION_FAILURE = -25
-    CRASH = -29
-    ABORT = -30
-    NO_IK_SOLUTION = -31
 
 
 @dataclass(repr=False)
@@ -772,16 +808,6 @@ class DeleteRobotStateFromWarehouseRequest(Service[DeleteRobotStateFromWarehouse
 
 
 @dataclass(repr=False)
-class JointTrajectory(Message):
-    """trajectory_msgs/msg/JointTrajectory."""
-
-    TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectory"
-    header: Header = field(default_factory=Header)
-    joint_names: list[str] = field(default_factory=list[str])
-    points: list[JointTrajectoryPoint] = field(default_factory=list[JointTrajectoryPoint])
-
-
-@dataclass(repr=False)
 class RobotTrajectory(Message):
     """moveit_msgs/msg/RobotTrajectory."""
 
@@ -1155,6 +1181,8 @@ class ExecuteTrajectoryGoal(Action[ExecuteTrajectoryResult, ExecuteTrajectoryFee
 
 # Hashes of the types and of all types in them, as the server lists them.
 TYPES = {
+    "armbridge_msgs/msg/ActionChunk": "RIHS01_8b7b453c8f6fdb5ad2363714572bff246a8b3160566d0132f147aa526b6ab853",
+    "armbridge_msgs/msg/ActionChunkAnswer": "RIHS01_70fb0e9a3d52cf991f114e040a881aa53322dfba0a76e0a26da56e3fc0f070f6",
     "armbridge_msgs/msg/TeachState": "RIHS01_c6ae90716c647074247722b2b2e4eb8a785d56aedb67f7470297a26c2bae374b",
     "armbridge_msgs/msg/TeleopState": "RIHS01_e24a43ef2f16edeb257972f78a741bf6bea5318e440f32f8bd845afb96097b75",
     "control_msgs/msg/JointJog": "RIHS01_ba249455a20f70168a1acb7bf43b776b72ff1f7eb5fc4cfea443f749e963c6e7",

@@ -24,11 +24,7 @@ def submit_goal(
     feedback: Callable[[Progress], Message | None],
     result: Callable[[Answer], Message],
 ) -> None:
-    """Submit the motion of a goal; it replaces the motion that the arm's group makes now.
-
-    Args:
-        feedback: makes the feedback message of some progress, None for none.
-    """
+    """Submit the motion of a goal, in place of the present motion of the arm's group; feedback may be None for none."""
 
     def send_feedback(progress: Progress) -> None:
         message = feedback(progress)

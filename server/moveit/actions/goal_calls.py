@@ -17,7 +17,6 @@ from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
-from server.execution.goal import Goal as QueuedGoal
 from server.execution.motions import Performed, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
@@ -101,8 +100,12 @@ class GoalCalls:
         message: Message = {}
         proposed = client.is_viewer and not request["plan_only"]
         try:
-            if proposed and self._confirmation.proposal is not None:
-                raise _second_proposal(self._confirmation.proposal)
+            if proposed and (first := self._confirmation.proposal) is not None:
+                state = "is carried out" if first.remaining_s is not None else "waits for approval"
+                sentence = (
+                    f"{first.title} {state}; one proposed goal is taken at a time: wait for its answer, or cancel it"
+                )
+                raise refused(MoveItErrorCode.CONTROL_FAILED, sentence)
             message, translate = self._goal_of(request)
             motion = translate(message, self._translator.options(request))
         except RefusedError as error:
@@ -163,12 +166,6 @@ class GoalCalls:
             "suggested": {} if instead is None else instead.as_target(),
             "details": key_values(details_as_json(answer)),
         }
-
-
-def _second_proposal(first: QueuedGoal) -> RefusedError:
-    state = "is carried out" if first.remaining_s is not None else "waits for approval"
-    sentence = f"{first.title} {state}; one proposed goal is taken at a time: wait for its answer, or cancel it"
-    return refused(MoveItErrorCode.CONTROL_FAILED, sentence)
 
 
 def _is_given(pose: Message) -> bool:

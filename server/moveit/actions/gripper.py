@@ -81,12 +81,7 @@ class GripperCommand:
 
 @dataclass(frozen=True)
 class GripperReading:
-    """Reading of the fingers, in the order of the gripper's joints.
-
-    Attributes:
-        positions: [rad or m].
-        velocities: [rad/s or m/s].
-    """
+    """Positions [rad or m], velocities [rad/s or m/s] and efforts, in the order of the gripper's joints."""
 
     positions: tuple[float, ...]
     velocities: tuple[float, ...]
@@ -104,11 +99,7 @@ class GripperLimits:
 
 
 class Gripper:
-    """The gripper of an arm.
-
-    Args:
-        joints: the joints of its fingers, one or two, which all go to the same position; their limits are kept.
-    """
+    """Gripper of one or two fingers, which all go to the same position within the limits of their joints."""
 
     def __init__(
         self,
@@ -168,11 +159,7 @@ class Gripper:
             return await self._play(claim, command, report)
 
     async def follow(self, claim: CancelScope, velocities: Callable[[Vector], Vector]) -> MotionEnded:
-        """Follow velocities until the claim is cancelled, or a finger stalls and so grips.
-
-        Args:
-            velocities: velocity of each finger for its goal, both of shape (joints,) [rad/s or m/s; rad or m].
-        """
+        """Follow finger velocities, made from the goals, until the claim is cancelled or a finger stalls."""
         async with self._turn:
             if claim.reason or is_stopped(self._arm.last_stop, claim.epoch):
                 return MotionEnded(0, Outcome.STOPPED, "stopped before the motion began")
@@ -251,14 +238,7 @@ class Gripper:
 def fingers_together(
     names: tuple[str, ...], start: Vector, end: float, max_velocity: float, max_acceleration: float
 ) -> Trajectory:
-    """Plan the fastest motion of fingers to one position, in which they arrive together.
-
-    Args:
-        start: their positions, shape (joints,) [rad or m].
-        end: position of each at the end [rad or m].
-        max_velocity: of each, above 0 [rad/s or m/s].
-        max_acceleration: of each, above 0 [rad/s^2 or m/s^2].
-    """
+    """Plan the fastest motion of fingers from positions, shape (joints,), to one position; they arrive together."""
     way = end - start
     longest = float(np.abs(way).max())
     if longest < SHORTEST_WAY:

@@ -79,11 +79,7 @@ class TrajectoryRefusedError(RefusedError):
 
 @dataclass(frozen=True)
 class SegmentTolerances:
-    """Tolerances of a goal.
-
-    Attributes:
-        time_s: time after the end by which the goal tolerances must be met, on the arm's clock [s].
-    """
+    """Tolerances of a goal; it must be met at most ``time_s`` after the end of the motion, by the arm's clock."""
 
     path: Tolerances
     goal: Tolerances
@@ -109,9 +105,7 @@ class TrajectoryContext:
 class JointTrajectoryController:
     """The actions, the topic for trajectories, and the topics of the controller's state.
 
-    Args:
-        name: of the controller, before ``_controller``; None for the group's name.
-        industrial: true to offer the action under `INDUSTRIAL_ACTION` as well.
+    Its name stands before ``_controller``; ``industrial`` offers the action as `INDUSTRIAL_ACTION` too.
     """
 
     def __init__(
@@ -262,11 +256,7 @@ class JointTrajectoryController:
 
 
 class TrajectoryGoal:
-    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result.
-
-    Attributes:
-        executing: True while its motion is in progress.
-    """
+    """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result."""
 
     def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
         self._goal = goal

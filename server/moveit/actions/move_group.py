@@ -55,12 +55,7 @@ MOVE_GROUP_STATES = {
 
 @dataclass(frozen=True)
 class PlanningGoal:
-    """Contents of a goal.
-
-    Attributes:
-        requests: moveit_msgs/MotionPlanRequest of each motion, in their order.
-        scene_diff: moveit_msgs/PlanningScene to apply to the present scene for planning; None for none.
-    """
+    """Contents of a goal: its moveit_msgs/MotionPlanRequests, and a moveit_msgs/PlanningScene to plan in, or None."""
 
     requests: Sequence[Message]
     plan_only: bool
@@ -228,11 +223,7 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
 
 
 async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) -> Answer:
-    """Plan from the start state of the first request, whatever the arm does meanwhile.
-
-    Args:
-        sender: its client; positions that it assumes complete the start state.
-    """
+    """Plan from the start state of the first request, completed by positions that the sender assumes."""
     state, diff = goal.requests[0]["start_state"], goal.scene_diff
     try:
         start = context.start(state, sender)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import math
 import time
@@ -85,15 +86,12 @@ class GoalChecks:
         async with self._turn:
             for answer, message in itertools.zip_longest(answers, poses):
                 await asyncio.sleep(0)
-                desired = None if message is None else self._desired_pose(message, present_rad)
+                desired = None
+                if message is not None:
+                    with contextlib.suppress(RefusedError):
+                        desired = self._translator.pose_in_root(message, present_rad)
                 results.append(goal_check(self._planning, present_rad, answer, tip, desired))
         return {"results": results}
-
-    def _desired_pose(self, message: Message, present_rad: Positions) -> Pose | None:
-        try:
-            return self._translator.pose_in_root(message, present_rad)
-        except RefusedError:
-            return None
 
 
 def _problem(
@@ -150,11 +148,7 @@ def goal_check(
     tip: str,
     desired: Pose | None,
 ) -> dict[str, Any]:
-    """Return the armbridge_msgs/GoalCheck of one goal.
-
-    Args:
-        desired: the goal pose in the root link; None for a joint goal.
-    """
+    """Return the armbridge_msgs/GoalCheck of one goal; its pose is in the root link, and None for a joint goal."""
     if isinstance(answer, PlanningFailure):
         return _refused(answer)
     end_rad, angle_rad = answer.positions_rad[0], 0.0

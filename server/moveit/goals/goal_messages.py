@@ -55,12 +55,7 @@ class OneArm:
 
 
 class GoalTranslator:
-    """Translator of goal messages for one robot.
-
-    Args:
-        parameters: of planning; also the first group, its link, frame and tolerances of the goals.
-        only: the one of several arms that the messages are for; None for all.
-    """
+    """Translator of goal messages for one robot, or for one of several arms: ``only``, which is None for all."""
 
     def __init__(
         self,
@@ -254,17 +249,13 @@ class Suggestion:
 
 
 def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) -> Suggestion | None:
-    """Return the goal that would work by the details of a failure; None when they name none.
-
-    Args:
-        message: the rejected message; empty when it could not be read.
-    """
+    """Return the goal that would work by the details of a failure; None when they name none."""
     if "nearest_name" in details:
         name = details["nearest_name"]
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")
     if "free_rad" in details:
         return _joints(details["free_rad"], robot, "the nearest configuration that was found")
-    # The end of a part of a path is no goal to be published: the path is to be followed up to there.
+    # The end of a part of a path is no goal to publish: the path must be followed up to there.
     if "free_m" in details and "free_fraction" not in details:
         found = _point(details["free_m"], message, robot.root_link, "the nearest point that was found")
         # The sentence of a point out of reach ends with the nearest point that can be reached.

@@ -73,13 +73,15 @@ class Confirmation:
         self._timeout_s = timeout_s
         self.enabled = enabled
         subscriber = Subscriber(
-            lambda published: self._take_decision(go=published.msg["data"]),
+            lambda published: self._decide(CONFIRM_TOPIC, go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
             # Another client may confirm than the driving one.
             rule=WORKING,
         )
         self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
-        approver = Subscriber(lambda published: self._approve(published.msg["data"]), rule=WORKING)
+        approver = Subscriber(
+            lambda published: self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"]), rule=WORKING
+        )
         self._graph.subscribe(self._node, APPROVE_TOPIC, "std_msgs/String", approver)
         self._graph.advertise(self._node, APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         self._publish_request(None, "", 0.0)
@@ -119,21 +121,16 @@ class Confirmation:
             self._publish_request(None, "", 0.0)
         return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
 
-    def _take_decision(self, *, go: bool) -> None:
-        if self._decision is None or self._decision.done():
-            log.warning("%s: ignored, no goal waits for it", CONFIRM_TOPIC)
-        elif go and self._waiting is not None and _is_proposed(self._waiting):
-            log.warning("%s: ignored, goal %s is approved on %s", CONFIRM_TOPIC, self._waiting.goal_id, APPROVE_TOPIC)
+    def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
+        waiting = self._waiting
+        if waiting is None or self._decision is None or self._decision.done():
+            log.warning("%s: ignored, no goal waits for it", topic)
+        elif goal_id not in (None, waiting.goal_id):
+            log.warning("%s: ignored, goal %s waits, not %r", topic, waiting.goal_id, shorten(goal_id or ""))
+        elif go and goal_id is None and _is_proposed(waiting):
+            log.warning("%s: ignored, goal %s is approved on %s", topic, waiting.goal_id, APPROVE_TOPIC)
         else:
             self._decision.set_result(go)
-
-    def _approve(self, goal_id: str) -> None:
-        if self._decision is None or self._decision.done() or self._waiting is None:
-            log.warning("%s: ignored, no goal waits for it", APPROVE_TOPIC)
-        elif self._waiting.goal_id != goal_id:
-            log.warning("%s: ignored, goal %s waits, not %r", APPROVE_TOPIC, self._waiting.goal_id, shorten(goal_id))
-        else:
-            self._decision.set_result(True)
 
     def _publish_request(self, goal: Goal | None, summary: str, duration_s: float) -> None:
         status: dict[str, Any] = {"level": LEVEL_OK, "message": "no goal waits"}
@@ -175,11 +172,7 @@ class GoalStatusTopics:
         self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
     def publish_answer(self, goal: Goal, answer: Answer, *, logged: bool = False) -> None:
-        """Log the end of a goal, publish its final status, then the result of a goal from a topic.
-
-        Args:
-            logged: true if its end is in the log already.
-        """
+        """Publish the final status of a goal, then the result of a goal from a topic; its end may be logged already."""
         status = final_status(goal, answer, self._robot)
         level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
@@ -241,11 +234,7 @@ def details_as_json(answer: Answer) -> dict[str, str]:
 
 
 class GoalTopics:
-    """Topics by which goals are sent, their group is chosen, and they are cancelled and stopped.
-
-    Args:
-        joints: those that the topics for stops are for; None for all.
-    """
+    """Topics by which goals are sent, their group is chosen, and they are cancelled or, of some joints, stopped."""
 
     def __init__(
         self,

@@ -62,11 +62,7 @@ MAX_ALTERNATIVES = 64
 
 @dataclass(frozen=True)
 class RequestContext:
-    """Context of one request.
-
-    Attributes:
-        warnings: a sentence for each part of the request that is not followed; grows while the request is read.
-    """
+    """Context of one request; warnings gets a sentence for each part of the request that is not followed."""
 
     robot: RobotModel
     group: Group
@@ -87,11 +83,7 @@ class RequestContext:
         return name
 
     def placed(self, frame_id: str, message: Message, where: str) -> Pose:
-        """Transform a geometry_msgs/Pose from a frame into the root link.
-
-        Args:
-            frame_id: the frame; empty for the root link.
-        """
+        """Transform a geometry_msgs/Pose from a frame, empty for the root link, into the root link."""
         frame = self.frames.resolve(frame_id, self.start_rad)
         return in_root(frame, read_pose(message, where))
 
@@ -287,11 +279,7 @@ def _weight(message: Message, where: str) -> float:
 
 
 def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
-    """Read the goal of a motion.
-
-    Args:
-        messages: moveit_msgs/Constraints, which are alternatives.
-    """
+    """Read the goal of a motion from moveit_msgs/Constraints, which are alternatives."""
     if not messages:
         raise invalid("goal_constraints is empty: there is nothing to plan for")
     found: list[SingleGoal] = []

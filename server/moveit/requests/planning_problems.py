@@ -90,11 +90,7 @@ class BuiltProblem(Generic[Problem]):
 
 
 class ProblemBuilder:
-    """Builder of planning problems for one robot.
-
-    Args:
-        speed_limit: share of the velocity limits that motions of some joints may use now.
-    """
+    """Builder of planning problems for one robot, at the present speed limit: a share of the velocity limits."""
 
     def __init__(
         self,
@@ -124,12 +120,7 @@ class ProblemBuilder:
         velocity_scaling: float = 0.0,
         acceleration_scaling: float = 0.0,
     ) -> PlanningProblem:
-        """Build the problem of a goal that comes with nothing else: all else is as configured.
-
-        Args:
-            velocity_scaling: share of the velocity limits, above 0 to 1; 0 for the configured one. The arm's speed
-                limit holds besides.
-        """
+        """Build the problem of a goal that comes with nothing else: as configured where a scaling, of 0 to 1, is 0."""
         parameters = self._parameters.configured
         return PlanningProblem(
             group=group.name,
@@ -144,11 +135,7 @@ class ProblemBuilder:
         )
 
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
-        """Build the problem of a moveit_msgs/MotionPlanRequest.
-
-        Args:
-            request: the request; its start state is not read here, because only the first of several has one.
-        """
+        """Build the problem of a moveit_msgs/MotionPlanRequest; its start state is read before."""
         pipeline = check_pipeline(request["pipeline_id"])
         _check_unread(request)
         group = self.group(request["group_name"])

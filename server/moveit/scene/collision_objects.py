@@ -34,11 +34,7 @@ MAX_PRISM_CORNERS = 100
 
 
 def prism_mesh(polygon: Sequence[Corner], height_m: float) -> Mesh | None:
-    """Return the surface of a prism, its middle at z = 0; None for a polygon that crosses itself or has no area.
-
-    Args:
-        polygon: corners in their order, whichever way round [m]; the last is joined to the first.
-    """
+    """Return the surface of a prism over a polygon [m], its middle at z = 0; None if the polygon crosses itself."""
     corners = polygon if _area(polygon) > 0.0 else polygon[::-1]
     lid = _ears(corners)
     if lid is None:
@@ -252,11 +248,7 @@ class CollisionObject:
 
 @dataclass(frozen=True, eq=False)
 class AttachedCollisionObject:
-    """Object that a link holds.
-
-    Attributes:
-        detach_posture: trajectory_msgs/JointTrajectory, passed on unread.
-    """
+    """Object that a link holds; its trajectory_msgs/JointTrajectory ``detach_posture`` is passed on unread."""
 
     collision_object: CollisionObject
     touch_links: tuple[str, ...]

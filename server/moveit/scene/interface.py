@@ -97,11 +97,9 @@ NO_ATTACHED_OBJECT: Message = AttachedCollisionObject(_EMPTY, (), _NO_POSTURE, 0
 
 
 def scene_message(contents: SceneContents, robot: RobotModel, state: Message, components: int) -> dict[str, Any]:
-    """Write a moveit_msgs/PlanningScene with every field; those that were not requested are empty.
+    """Write a moveit_msgs/PlanningScene with all fields, filled for the requested moveit_msgs/PlanningSceneComponents.
 
-    Args:
-        state: its moveit_msgs/RobotState without attached objects.
-        components: sum of the requested moveit_msgs/PlanningSceneComponents; 0 for everything, as in MoveIt.
+    As in MoveIt, a sum of 0 stands for everything. ``state`` is its moveit_msgs/RobotState without attached objects.
     """
     requested = components or EVERYTHING
     settings, links = requested & SCENE_SETTINGS, requested & LINK_PADDING_AND_SCALING

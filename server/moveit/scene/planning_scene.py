@@ -346,7 +346,10 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
         draft.name = scene["name"]
     _apply_fixed_frames(draft, scene["fixed_frame_transforms"])
     _apply_attached_objects(draft, scene["robot_state"], whole=not scene["is_diff"])
-    _apply_matrix(draft, scene["allowed_collision_matrix"])
+    matrix = scene["allowed_collision_matrix"]
+    # A matrix without names is a field that the client has left out.
+    if (matrix["entry_names"] or matrix["default_entry_names"]) and matrix != draft.allowed_collisions.message:
+        draft.allowed_collisions = read_allowed_collision_matrix(matrix, "allowed_collision_matrix")
     _apply_link_values(draft, draft.padding_m, scene, "padding", NO_PADDING_M)
     _apply_link_values(draft, draft.scale, scene, "scale", NO_SCALE)
     _apply_colors(draft, scene["object_colors"])
@@ -385,12 +388,6 @@ def _check_shape_count(objects: Sequence[Message], where: str) -> None:
     count = sum(len(each[field]) for each in objects for field, _, _ in GEOMETRY_KINDS)
     if count > MAX_SHAPES:
         raise invalid(f"{where} brings {count} shapes; a scene holds {MAX_SHAPES}", shapes=count, limit=MAX_SHAPES)
-
-
-def _apply_matrix(draft: SceneDraft, message: Message) -> None:
-    """Replace the matrix; one without names is a field that the client has left out."""
-    if (message["entry_names"] or message["default_entry_names"]) and message != draft.allowed_collisions.message:
-        draft.allowed_collisions = read_allowed_collision_matrix(message, "allowed_collision_matrix")
 
 
 def _apply_link_values(draft: SceneDraft, values: dict[str, float], scene: Message, kind: str, default: float) -> None:

@@ -45,11 +45,7 @@ MAX_WAITING_ELEMENTS = 1_000_000
 
 @dataclass(frozen=True)
 class SceneChange:
-    """A change of the scene by a message.
-
-    Attributes:
-        elements: number of elements in the message, as far as they take time.
-    """
+    """A change of the scene by a message, with the number of the elements in the message that take time."""
 
     apply: Callable[[SceneDraft], None]
     elements: int
@@ -64,7 +60,7 @@ Ended = Callable[[], bool]
 
 
 class SceneState:
-    """The planning scene. A message changes it as a whole or, when it is rejected, not at all.
+    """The planning scene. A message changes it as a whole, or not when it is rejected.
 
     Changes that take long are read by a thread, one after the other; changes that come meanwhile wait for their turn.
 
@@ -120,12 +116,7 @@ class SceneState:
         return SceneChange(lambda draft: apply_attached_object(draft, message, "attached_object"), elements)
 
     def submit(self, change: SceneChange, positions_rad: Positions, done: Done, ended: Ended = lambda: False) -> None:
-        """Apply a change in its turn: at once if it is small and none waits.
-
-        Args:
-            done: called once it is applied or refused.
-            ended: returns True once the change is no longer to be applied; it is then refused.
-        """
+        """Apply a change in its turn, at once if it is small and none waits; refuse it if its request has ``ended``."""
         if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
             done(self._refusal(change, positions_rad))
             return
@@ -300,11 +291,7 @@ class AssumedStates:
         self._sent[node] = positions_rad
 
     def after(self, node: Node, robot_state: Message) -> Mapping[str, float] | None:
-        """Return the positions that a client assumes once a moveit_msgs/RobotState is taken over, by joint [rad].
-
-        Args:
-            robot_state: without joints it changes nothing; with ``is_diff``, other joints stay as they are.
-        """
+        """Return the positions [rad] that a client assumes after a moveit_msgs/RobotState, a diff or a whole one."""
         named = read_joint_positions(robot_state["joint_state"], self._joints, "robot_state.joint_state")
         before, sent = self._assumed.get(node), self._sent.get(node, {})
         if all(sent.get(joint) == position for joint, position in named.items()):

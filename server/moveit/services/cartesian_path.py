@@ -112,12 +112,7 @@ def _threshold(request: Message, field: str) -> float:
 
 @dataclass(frozen=True)
 class JumpThresholds:
-    """Thresholds beyond which a step is a jump.
-
-    Attributes:
-        step_rad: greatest step of any joint; 0 for none [rad].
-        factor: greatest step as a multiple of the mean step; 0 for none.
-    """
+    """Greatest step of any joint [rad], and greatest multiple of the mean step, that are no jumps; 0 for none."""
 
     step_rad: float
     factor: float

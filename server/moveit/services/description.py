@@ -156,7 +156,7 @@ class _Subscription:
         self.timeout_s = self.watched_s = 0.0
 
     def changed(self, source: str, pose: Pose) -> bool:
-        """Return True for a transform that is to be sent, and note it as sent."""
+        """Return True for a transform that is due, and note it as sent."""
         sent = self.sent.get(source)
         if sent is not None:
             cosine = abs(sum(map(math.prod, zip(sent.orientation, pose.orientation, strict=True))))

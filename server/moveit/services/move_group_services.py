@@ -323,12 +323,7 @@ def _invalid_state(failure: PlanningFailure) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class MoveGroupService:
-    """Service of move_group.
-
-    Attributes:
-        rejection: writes the response to a request that was rejected.
-        complete: True if the handler writes every field of a response that may be large.
-    """
+    """Service of move_group; ``complete`` where the handler writes every field of a response that may be large."""
 
     type_name: str
     handler: Handler

@@ -91,11 +91,7 @@ ServoInput: TypeAlias = TwistCommand | JointVelocities | TipTarget
 
 @dataclass(frozen=True)
 class ServoSetup:
-    """Setup of a servo loop.
-
-    Attributes:
-        at_once: whether a new command is followed when it comes, and not at the next period.
-    """
+    """Setup of a servo loop, which follows a new command ``at_once`` or at the next period."""
 
     group: str
     joints: tuple[str, ...]
@@ -114,11 +110,7 @@ def read_twist(message: Message, parameters: ServoParameters) -> TwistCommand:
 
 
 def read_joint_jog(message: Message, joints: Sequence[str], parameters: ServoParameters) -> JointVelocities:
-    """Read a control_msgs/JointJog.
-
-    Args:
-        message: the message; its displacements are not followed.
-    """
+    """Read the velocities of a control_msgs/JointJog; its displacements are not followed."""
     names, velocities = message["joint_names"], message["velocities"]
     if len(names) != len(velocities) or not names:
         also = "; displacements are not followed" if message["displacements"] else ""
@@ -180,12 +172,7 @@ def _scaled(values: Mapping[str, float], scale: float, parameters: ServoParamete
 
 @dataclass(frozen=True)
 class ServoListener:
-    """Listener of a servo loop.
-
-    Attributes:
-        status: called after every step.
-        interrupted: called with the reason when the arm is stopped from elsewhere.
-    """
+    """Listener of a servo loop: takes the status of every step, and the reason of a stop from elsewhere."""
 
     status: Callable[[ServoStatus, str], None]
     interrupted: Callable[[str], None]
@@ -194,9 +181,7 @@ class ServoListener:
 class ServoSession:
     """Servo loop of one group of joints. It controls the arm from a command until the arm has come to rest.
 
-    Args:
-        planning: frames, and positions of all joints, also of arms that are not steered.
-        ask: has the planners answer; None for the planners of `planning`.
+    Without ``ask`` the planners of ``planning`` answer.
     """
 
     def __init__(
@@ -244,11 +229,7 @@ class ServoSession:
         return positions
 
     def set_command(self, command: ServoInput, timeout_s: float = math.inf) -> None:
-        """Follow a command; the loop starts if it is not running.
-
-        Args:
-            timeout_s: time after which it expires, if that is earlier than the loop's own timeout [s].
-        """
+        """Follow a command until ``timeout_s`` or the loop's own timeout; start the loop if it is not running."""
         self._input = command
         self._expires_at_s = self._clock() + min(timeout_s, self._setup.timeout_s)
         if self._setup.at_once:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import logging
 import math
@@ -193,7 +194,7 @@ class CommandGate:
         self._presses = dict.fromkeys(self._presses, self._heard_epoch)
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
-        """Return the reason for not following a command; empty if it is to be followed."""
+        """Return the reason for not following a command; empty if it is followed."""
         left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
         if self.owner is not None and left:
             # The selection of a client ends with its control.
@@ -227,11 +228,7 @@ def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
 
 
 class ServoNode:
-    """MoveIt Servo's node.
-
-    Args:
-        busy: returns the reason if the arm cannot be steered now, else an empty text.
-    """
+    """MoveIt Servo's node; ``busy`` returns the reason if the arm cannot be steered now, else an empty text."""
 
     def __init__(
         self,
@@ -257,39 +254,26 @@ class ServoNode:
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, unavailable, arm)
-        self._session = ServoSession(
-            arm,
-            setup,
-            planning,
-            ServoListener(self._status.publish, self._gate.interrupt),
-        )
+        listener = ServoListener(self._status.publish, self._gate.interrupt)
+        self._session = ServoSession(arm, setup, planning, listener)
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
         for kind in CommandType:
-            self._subscribe(kind)
-        self._subscribe_timeouts()
-        self._publish_parameters()
+            self._subscribe(*_TOPICS[kind], functools.partial(self._take_command, kind))
+        self._subscribe(TIMEOUT_TOPIC, "std_msgs/Float64", self._take_press)
+        graph.advertise(self._node, PARAMETERS_TOPIC, "std_msgs/String", latch=True)
+        values = servo.model_dump(include=PUBLISHED_PARAMETERS)
+        graph.publish(self._node, PARAMETERS_TOPIC, {"data": json.dumps(values)})
         self._offer()
 
     async def close(self) -> None:
         """Release the arm."""
         await self._session.close()
 
-    def _subscribe(self, kind: CommandType) -> None:
-        topic, type_name = _TOPICS[kind]
-
+    def _subscribe(self, topic: str, type_name: str, take: Callable[[PublishedMessage], None]) -> None:
         def deliver(published: PublishedMessage) -> None:
-            client = published.publisher
-            rejection = self._gate.rejection(client, kind, time.monotonic())
-            if rejection and self._gate.owner is not client:
-                if rejection != self._logged:
-                    self._logged = rejection
-                    log.warning("servo: %s", rejection)
-                return
             try:
-                if rejection:
-                    raise invalid(rejection)
-                self._session.set_command(self._read(kind, published.msg), self._gate.timeout_s(client))
+                take(published)
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 
@@ -298,25 +282,21 @@ class ServoNode:
 
         self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject, rule=SWITCHING))
 
-    def _subscribe_timeouts(self) -> None:
-        def deliver(published: PublishedMessage) -> None:
-            try:
-                present = self._graph.publishers(TIMEOUT_TOPIC)
-                self._gate.press(published.publisher, float(published.msg["data"]), present)
-            except RefusedError as error:
-                self._status.publish(ServoStatus.INVALID, str(error))
+    def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
+        client = published.publisher
+        rejection = self._gate.rejection(client, kind, time.monotonic())
+        if rejection and self._gate.owner is not client:
+            if rejection != self._logged:
+                self._logged = rejection
+                log.warning("servo: %s", rejection)
+        elif rejection:
+            raise invalid(rejection)
+        else:
+            self._session.set_command(self._read(kind, published.msg), self._gate.timeout_s(client))
 
-        def reject(error: MessageError) -> None:
-            log.warning("%s: %s", TIMEOUT_TOPIC, error)
-
-        self._graph.subscribe(
-            self._node, TIMEOUT_TOPIC, "std_msgs/Float64", Subscriber(deliver, reject, rule=SWITCHING)
-        )
-
-    def _publish_parameters(self) -> None:
-        self._graph.advertise(self._node, PARAMETERS_TOPIC, "std_msgs/String", latch=True)
-        values = self._parameters.model_dump(include=PUBLISHED_PARAMETERS)
-        self._graph.publish(self._node, PARAMETERS_TOPIC, {"data": json.dumps(values)})
+    def _take_press(self, published: PublishedMessage) -> None:
+        present = self._graph.publishers(TIMEOUT_TOPIC)
+        self._gate.press(published.publisher, float(published.msg["data"]), present)
 
     def _read(self, kind: CommandType, message: Message) -> ServoInput:
         match kind:

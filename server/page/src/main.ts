@@ -7,24 +7,28 @@ import { ArmCommands, StopCommand } from "./link/commands";
 import { CommissioningCommands, subscribeCommissioning } from "./link/commissioning";
 import { Connection, serverUrl } from "./link/connection";
 import { MoveGroupClient, subscribeDisplayedPlans } from "./link/move-group";
-import { fetchPhoneAccess } from "./link/phone";
 import { RegionScan } from "./link/reachable-region";
 import { checkReachability } from "./link/reachability";
-import { fetchGoalHistory, fetchGoalRecord } from "./link/goal-history";
+import { fetchGoalHistory } from "./link/goal-history";
 import { SceneEditor } from "./link/scene-editor";
 import { SequencePlayer } from "./link/sequence";
-import { fetchServoHistory } from "./link/servo-history";
 import { Teaching } from "./link/teaching";
 import { JogSender, subscribeServoNode } from "./link/servo-node";
 import { subscribeSpeedLimit } from "./link/speed-limit";
 import { fetchActions, resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
+import { loadPreference } from "./state/preferences";
 import { emptyState } from "./state/state";
 import { Store } from "./state/store";
+import { chosenLanguage, useLanguage } from "./texts/texts";
 import { startView } from "./view/view";
 
 /** Start the page: the panel first, so that STOP is there even if the rest fails. */
-function startPage(): void {
+async function startPage(): Promise<void> {
+  const language = chosenLanguage(loadPreference("language", ""), navigator.languages);
+  document.documentElement.lang = language;
+  // English where the texts of another language do not come.
+  await useLanguage(language).catch(() => undefined);
   const url = serverUrl(location.href);
   const store = new Store(emptyState(url));
   takeTokenFromUrl();
@@ -38,13 +42,10 @@ function startPage(): void {
     moveGroup.cancel();
   });
   const commissioning = new CommissioningCommands(connection, store);
-  const servoHistory = (joint: string): ReturnType<typeof fetchServoHistory> => fetchServoHistory(connection, joint);
-  const phoneAccess = (role: string): ReturnType<typeof fetchPhoneAccess> => fetchPhoneAccess(connection, role);
-  const goalRecord = (id: string): ReturnType<typeof fetchGoalRecord> => fetchGoalRecord(connection, id);
   const sceneEditor = new SceneEditor(connection, store);
   const sequencePlayer = new SequencePlayer(connection, store);
   const teaching = new Teaching(connection, store);
-  createPanel({ store, moveGroup, commands, stopCommand, jogSender, commissioning, authentication, phoneAccess, servoHistory, goalRecord, sceneEditor, sequencePlayer, teaching, cameras: new Cameras(connection) });
+  createPanel({ connection, store, moveGroup, commands, stopCommand, jogSender, commissioning, authentication, sceneEditor, sequencePlayer, teaching, cameras: new Cameras(connection) });
   subscribeTopics(connection, store);
   subscribeControl(connection, store);
   subscribeCommissioning(connection, store);
@@ -69,4 +70,4 @@ function startPage(): void {
   exposeToConsole(store, canvas && startView(canvas, store, (...pose) => void sceneEditor.move(...pose)));
 }
 
-startPage();
+void startPage();

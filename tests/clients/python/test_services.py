@@ -237,3 +237,22 @@ def test_a_topic_whose_name_looks_like_another_one_is_published_on(arm: Arm) -> 
     for _ in range(3):
         arm.loop.run(connection.publish("/leader/joint_states", JointState(name=["shoulder_pan"], position=[0.0])))
         arm.state()
+
+
+JOINTS = ("shoulder_pan", "wrist_roll", "gripper")
+
+
+def test_chunks_of_a_policy_are_followed_and_refused_with_the_servers_sentence(arm: Arm) -> None:
+    arm.move_named("ready")
+    here = [arm.state().position_rad[name] for name in JOINTS]
+    times_s = [each / 30.0 for each in range(1, 31)]
+    onward = [[value + 0.2 * time_s for value in here] for time_s in times_s]
+    with arm.chunks() as chunks:
+        answer = chunks.send(JOINTS, times_s, onward)
+        assert answer.refused_from == -1
+        with pytest.raises(RequestRefused, match="the first target takes joint shoulder_pan to"):
+            chunks.send(JOINTS, times_s, [[value + 0.6 for value in row] for row in onward])
+        # The refusal of one chunk is no refusal of the next.
+        chunks.send(JOINTS, times_s, onward, blend="real_time")
+        wait_until(lambda: abs(arm.state().position_rad["shoulder_pan"] - onward[-1][0]) < 0.05)
+    arm.stop()

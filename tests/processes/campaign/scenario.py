@@ -101,12 +101,7 @@ class Scenario:
 
 
 def scenario_of(seed: int, population: str | None = None) -> Scenario:
-    """Return the scenario of a seed; successive seeds take the incidents in turn.
-
-    Args:
-        seed: number of the run.
-        population: state in which the servos are found; None for one that is drawn.
-    """
+    """Return the scenario of a seed, which may draw the servos; successive seeds take the incidents in turn."""
     chance = random.Random(seed)
     happening = list(Happening)[seed % len(Happening)]
     return Scenario(
@@ -212,11 +207,7 @@ _COMMANDS: Mapping[Happening, Callable[[int, random.Random], Commands]] = Mappin
 
 
 def calm(population: Population) -> tuple[Mapping[str, object], ...]:
-    """Return the commands that end every fault that a scenario may have started.
-
-    Args:
-        population: state in which the servos were found.
-    """
+    """Return the commands that end every fault that a scenario may have started."""
     return (
         dict.fromkeys(WIRE_FAULTS, 0.0),
         {"online": NAMES, "frozen": False, "plugged": True, "supply": population.supply_v},
@@ -228,26 +219,11 @@ def calm(population: Population) -> tuple[Mapping[str, object], ...]:
 
 @dataclass
 class Result:
-    """One run.
-
-    Attributes:
-        population: state in which the servos were found.
-        violations: one sentence each; empty in a good run.
-        outcomes: number of motions by how they ended.
-        faults: codes of the faults that the arm reported.
-        writes: number of writes to the servos.
-        states: number of states that the arm sent.
-    """
+    """One run: one sentence a violation, none in a good run, and the numbers of writes and states that were checked."""
 
     seed: int
     happening: str
     population: str
     violations: list[str] = field(default_factory=list)
-    outcomes: dict[str, int] = field(default_factory=dict)
-    faults: set[str] = field(default_factory=set)
     writes: int = 0
     states: int = 0
-
-    def count(self, outcome: str) -> None:
-        """Count the outcome of a motion."""
-        self.outcomes[outcome] = self.outcomes.get(outcome, 0) + 1

@@ -3,12 +3,14 @@
 import asyncio
 import dataclasses
 import os
+import random
 import signal
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 import pytest_asyncio
@@ -16,6 +18,7 @@ import pytest_asyncio
 from harness.waiting import until, wait_until
 from planners import pool as planner_pool
 from planners import pool as pool_module
+from planners.interface import LOAD_TIMEOUT_S
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, Request, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
@@ -102,6 +105,48 @@ async def test_a_fault_of_a_worker_costs_one_goal_and_at_most_this_worker(both_i
     assert isinstance(await both_idle.ask(EASY), Plan)
     await until(lambda: both_idle.idle_count == 2, 60.0)
     assert len(before & set(both_idle.pids)) == (2 if fault == broken_planner.EXCEPTION else 1)
+
+
+SIGNALS = (signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV, signal.SIGTERM, signal.SIGABRT)
+
+# A worker that is stopped while it loads is waited for as long as any that loads.
+RECOVERY_S = LOAD_TIMEOUT_S + 30.0
+
+# Open files and memory may vary by this much without a leak.
+SPARE_FILES, SPARE_BYTES = 4, 30e6
+
+
+async def fall(pool: PlannerPool, rng: random.Random) -> None:
+    """Have a drawn fault happen to a motion: one of its own, a cancel, or a signal to one worker or to all."""
+    fault = rng.choice([*broken_planner.FAULTS, "cancelled", *SIGNALS, "all killed"])
+    if isinstance(fault, str) and fault in broken_planner.FAULTS:
+        await pool.ask(broken(fault, allowed_time_s=0.3))
+        return
+    asking = asyncio.create_task(pool.ask(dataclasses.replace(LONG, allowed_time_s=0.3, optimization_time_s=0.0)))
+    await asyncio.wait([asking], timeout=rng.uniform(0.0, 0.2))
+    if fault == "cancelled":
+        asking.cancel()
+    for pid in pool.pids if fault == "all killed" else [rng.choice(pool.pids)] if fault in SIGNALS else []:
+        os.kill(pid, fault if isinstance(fault, signal.Signals) else signal.SIGKILL)
+    await asyncio.wait([asking])
+
+
+async def test_drawn_faults_cost_one_motion_each_and_leave_nothing_behind(both_idle: PlannerPool) -> None:
+    """``make campaign-planners`` draws more: ``PLANNER_FAULTS`` says how many."""
+    rng, process = random.Random(1), psutil.Process()
+    expected = await both_idle.ask(EASY)
+    assert isinstance(expected, Plan)
+    files, memory_bytes = process.num_fds(), process.memory_info().rss
+    for _ in range(int(os.environ.get("PLANNER_FAULTS", "4"))):
+        await asyncio.wait_for(fall(both_idle, rng), RECOVERY_S)
+        plan = await asyncio.wait_for(both_idle.ask(EASY), RECOVERY_S)
+        # A fault that hit an idle worker costs the next motion.
+        plan = plan if isinstance(plan, Plan) else await asyncio.wait_for(both_idle.ask(EASY), RECOVERY_S)
+        assert isinstance(plan, Plan)
+        assert np.array_equal(plan.trajectory.positions_rad, expected.trajectory.positions_rad)
+    await until(lambda: both_idle.idle_count == len(both_idle.pids) == 2, RECOVERY_S)
+    assert process.num_fds() <= files + SPARE_FILES
+    assert process.memory_info().rss <= memory_bytes + SPARE_BYTES
 
 
 async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: PlannerPool) -> None:

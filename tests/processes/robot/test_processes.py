@@ -22,11 +22,7 @@ ECHO = "tests.helpers.echo_child"
 
 
 class Echo:
-    """A child that answers what it is sent, and what it has said.
-
-    Args:
-        refused: message that its server fails to serve.
-    """
+    """A child that answers what it is sent, and what it has said; its server fails to serve the refused message."""
 
     def __init__(self, refused: str = "") -> None:
         self.received: list[Any] = []

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +13,7 @@ from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimit
 from server.access.settings import AccessSettings
 from server.graph import permissions
 from server.graph.node import Node
-from server.graph.permissions import ANYONE, WORKING, Identity, Role
+from server.graph.permissions import ANYONE, WORKING, Identity, NameFilter, Role
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services import description
 from tests.helpers.clock import FakeClock
@@ -25,6 +23,7 @@ SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE
 
 
 REGISTRY = Registry.load()
+
 SERVER, SEVERAL = with_server_rules(Graph(REGISTRY)), with_server_rules(Graph(REGISTRY), "left", "right")
 
 # The server listens to these, as far as the tests are about them.
@@ -74,6 +73,7 @@ def test_the_clients_that_may_drive_are_known_until_they_leave_or_show_a_lower_r
 
 
 GOAL = {"topic": "/moveit_goal_named", "msg": {"data": "home"}}
+
 ACTION = {"action": "/move_action", "action_type": "moveit_msgs/action/MoveGroup"}
 
 NEEDS = [
@@ -383,6 +383,7 @@ STOPPING_TOPICS = (
     "/move_group/cancel",
     "/arm_controller/follow_joint_trajectory/cancel",
 )
+
 MOVING_TOPICS = (
     "/moveit_goal_named",
     "/move_group/goal",
@@ -440,6 +441,7 @@ AT_ONCE = (
     CallService(service="/arm/emergency_stop"),
     CallService(service="/servo_node/stop_servo"),
 )
+
 IN_TURN = (
     Publish(topic="/trajectory_execution_event", msg={"data": "go"}),
     Publish(topic="/trajectory_execution_event"),
@@ -463,6 +465,7 @@ def test_services_that_plan_are_known() -> None:
 
 
 ENABLE = {"service": "/arm/enable"}
+
 ENABLE_LEFT, ENABLE_RIGHT = {"service": "/left/arm/enable"}, {"service": "/right/arm/enable"}
 
 
@@ -523,6 +526,7 @@ class TestSeveralArms:
 # Names of services, topics and actions with the rules of the server.
 # Those of controllers have the names of the arm's groups.
 RULES = {name: rule for rules in server_rules() for name, rule in rules.items() if "_controller/" not in name}
+
 SECURITY = (ROOT / "docs" / "security.md").read_text()
 
 
@@ -545,3 +549,9 @@ def test_the_page_of_security_names_what_needs_the_control_lease_besides_goals_a
     leased = named_in(r"refuses these requests of other clients: (.*?)\. The sentence")
     driving = {name for name, rule in RULES.items() if rule.drives and not rule.goal}
     assert leased == {name for name in driving if not name.startswith("/servo_node/")}
+
+
+def test_patterns_are_those_of_a_shell() -> None:
+    names = NameFilter("access.topics_glob", ["/arm[12]/*", "/joint?"])
+    for name, fits in {"/arm1/a/b": True, "/arm3/a": False, "/joint1": True, "/joint12": False}.items():
+        assert (names.refusal("topic", name) is None) is fits

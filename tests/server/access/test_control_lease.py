@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from importlib import metadata
 from typing import Any

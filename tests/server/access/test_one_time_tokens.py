@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import logging
 from typing import Any
 
@@ -69,16 +67,6 @@ def test_every_token_is_compared_in_constant_time(issued: OneTimeTokens, monkeyp
     monkeypatch.setattr(module.hmac, "compare_digest", compare)
     issued.use(tokens[0])
     assert len(compared) == 3
-
-
-def test_files_are_read_with_it_while_its_connection_is_open(issued: OneTimeTokens, clock: FakeClock) -> None:
-    token = issued.issue(ADMIN, "operate")
-    assert issued.reader(token) is None
-    identity = issued.use(token)
-    clock.advance(10 * VALID_FOR_S)
-    assert issued.reader(token) == Identity("one-time-1", Role.VIEW)
-    issued.release(identity)
-    assert issued.reader(token) is None
 
 
 class World(InProcess):

@@ -5,30 +5,111 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.clients import ArmClient, values_of
 from protocol.registry import Registry
-from robot.messages import ArmState, Mode
-from server.arm.topics import TOPIC, JointStates, states_are_observed
+from robot.faults import Fault, FaultCode
+from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
+from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, JointStates, states_are_observed
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from tests.helpers.robots import nominal_calibration, so101
+
+ROBOT = so101()
+STALLED = Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex", 12.5)
+
+
+class Heard:
+    """The topics, and what was said on them."""
+
+    def __init__(self) -> None:
+        self.graph = Graph(Registry.load())
+        self.topics = ArmStateTopics(LocalGraph(self.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
+        self.states = self._listen(STATE_TOPIC)
+        # The state at the start, which is latched.
+        self.states.clear()
+        self.limits = self._listen(LIMITS_TOPIC)
+        self.joint_publisher = JointStates(LocalGraph(self.graph))
+        self.joint_states = self._listen(TOPIC)
+
+    def _listen(self, topic: str) -> list[Any]:
+        messages: list[Any] = []
+        before = self.graph.subscribe(
+            Node("test"), topic, None, Subscriber(lambda published: messages.append(published.msg))
+        )
+        messages += [published.msg for published in before]
+        return messages
 
 
 @pytest.fixture
-def heard() -> tuple[JointStates, list[Any]]:
-    graph = Graph(Registry.load())
-    states = JointStates(LocalGraph(graph))
-    messages: list[Any] = []
-    graph.subscribe(Node("test"), TOPIC, None, Subscriber(lambda published: messages.append(published.msg)))
-    return states, messages
+def heard() -> Heard:
+    return Heard()
 
 
-def test_a_state_is_published_with_the_time_of_its_reading(heard: tuple[JointStates, list[Any]]) -> None:
-    states, messages = heard
+def health(limits_rad: list[tuple[float, float]]) -> ArmHealth:
+    servos = tuple(
+        JointHealth(name, f"servo {number}", 0.0, 30, 5.0, 0.0, 0.0, True, 0, 0.0, 0)
+        for number, name in enumerate(("shoulder_pan", "gripper"), start=1)
+    )
+    times = (0.0, 0.0, 0.0)
+    return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, limits_rad=np.array(limits_rad))
+
+
+def test_the_state_has_the_calibrated_ranges(heard: Heard) -> None:
+    calibration = nominal_calibration()
+    ArmStateTopics(LocalGraph(heard.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()), calibration)
+    gripper = calibration.joints[-1]
+    ends = values_of(heard.states[-1])["calibrated_range_rad.gripper"].split()
+    assert [float(end) for end in ends] == pytest.approx([gripper.lower_rad, gripper.upper_rad], abs=1e-5)
+
+
+def test_a_state_is_published_when_it_says_something_new(heard: Heard) -> None:
+    for stamp_s in range(3):
+        heard.topics.take_state(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=np.array([stamp_s])))
+    heard.topics.take_state(ArmState(4.0, Mode.MOVING, ("a",)))
+    assert [values_of(state)["mode"] for state in heard.states] == ["holding", "moving"]
+
+
+def test_every_stop_is_told_by_its_number(heard: Heard) -> None:
+    for last_stop in (3, 3, 4):
+        heard.topics.take_state(ArmState(0.0, Mode.HOLDING, ("a",)), last_stop)
+    assert [values_of(state)["last_stop"] for state in heard.states] == ["3", "4"]
+
+
+def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> None:
+    heard.topics.take_state(ArmState(0.0, Mode.FAULT, ("a",), fault=STALLED))
+    (state,) = heard.states
+    assert state["level"] == 2
+    assert state["message"].startswith(str(STALLED))
+    assert "/arm/reset_fault" in state["message"]
+    values = values_of(state)
+    assert (values["fault"], values["fault_joint"], values["fault_stamp"]) == ("stalled", "elbow_flex", "12.500")
+    assert values["fault_remedy"] == STALLED.remedy
+
+
+def test_the_limits_are_the_descriptions_until_the_servos_own_are_known(heard: Heard) -> None:
+    assert heard.limits[0]["joint_names"] == [joint.name for joint in ROBOT.movable_joints]
+    heard.topics.take_health(health([(-1.0, 1.5), (0.0, 1.0)]))
+    heard.topics.take_health(health([(-1.0, 1.5), (0.0, 1.0)]))
+    assert len(heard.limits) == 2
+    pan, gripper = heard.limits[1]["limits"]
+    assert (pan["joint_name"], pan["min_position"], pan["max_position"]) == ("shoulder_pan", -1.0, 1.5)
+    assert gripper["max_velocity"] == ROBOT.joints["gripper"].max_velocity
+
+
+async def test_a_late_subscriber_gets_state_and_limits_at_once(client: ArmClient) -> None:
+    assert (await client.until_mode("holding"))["level"] == 0
+    limits = (await client.until("/arm/joint_limits", bool))[0]
+    assert limits["joint_names"][0] == "shoulder_pan"
+    assert all(each["min_position"] < each["max_position"] for each in limits["limits"])
+
+
+def test_a_state_is_published_with_the_time_of_its_reading(heard: Heard) -> None:
     array = np.array([0.1, -0.2])
-    states.publish(
+    heard.joint_publisher.publish(
         ArmState(1234.25, Mode.HOLDING, ("a", "b"), position_rad=array, velocity_rad_s=array * 2, load=array * 3)
     )
-    assert messages == [
+    assert heard.joint_states == [
         {
             "header": {"stamp": {"sec": 1234, "nanosec": 250_000_000}, "frame_id": ""},
             "name": ["a", "b"],
@@ -39,10 +120,9 @@ def test_a_state_is_published_with_the_time_of_its_reading(heard: tuple[JointSta
     ]
 
 
-def test_an_arm_that_is_not_there_has_no_joint_states(heard: tuple[JointStates, list[Any]]) -> None:
-    states, messages = heard
-    states.publish(ArmState(1.8e9, Mode.DISCONNECTED, ("a",), reason="unplugged"))
-    assert messages == []
+def test_an_arm_that_is_not_there_has_no_joint_states(heard: Heard) -> None:
+    heard.joint_publisher.publish(ArmState(1.8e9, Mode.DISCONNECTED, ("a",), reason="unplugged"))
+    assert heard.joint_states == []
 
 
 @pytest.mark.parametrize(

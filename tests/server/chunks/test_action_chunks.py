@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
 from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
 from robot.control.pacing import PERIOD_S
 from robot.stop_epochs import STOP_EPOCHS
@@ -22,9 +22,10 @@ from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME,
 from server.chunks.gripper import SETTLES_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
+from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import box, diff
+from tests.helpers.moveit import box, diff, planner
 from tests.helpers.moveit import point as frame_point
 from tests.helpers.stage import ARM_JOINTS, DEFAULTS, RigArm, inline_threads
 
@@ -171,6 +172,21 @@ async def test_overlapping_chunks_are_joined_without_a_stop_or_a_jump(policy: Po
     assert velocity.min() > 0.1
 
 
+@pytest.mark.parametrize("planning_s", [0.06, 0.2])
+async def test_slow_planners_never_stop_a_stream_of_chunks(
+    policy: Policy, monkeypatch: pytest.MonkeyPatch, planning_s: float
+) -> None:
+    monkeypatch.setattr(stage_module, "PLANNING_S", planning_s)
+    for number in range(8):
+        start = 0.15 * number
+        policy.publish(chunk(ramp(24, start + 0.4, start)))
+        await asyncio.sleep(0.3)
+    policy.assert_within_limits()
+    assert set(policy.codes) == {MoveItErrorCode.SUCCESS}
+    velocity = np.diff(policy.arm_rad[100:230, 0]) / PERIOD_S
+    assert velocity.min() > 0.2
+
+
 async def test_targets_are_followed_at_the_times_of_their_stamp(policy: Policy) -> None:
     began_s = asyncio.get_running_loop().time()
     # The observation is 0.2 s old: the first targets are over.
@@ -275,6 +291,17 @@ async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: P
     policy.assert_within_limits()
 
 
+async def test_a_chunk_from_where_the_arm_holds_before_an_object_is_followed(policy: Policy) -> None:
+    policy.add_walls()
+    policy.publish(chunk(ramp(45, 2.4)))
+    await asyncio.sleep(0.8)
+    here = policy.arm_rad[-1, 0]
+    policy.publish(chunk(ramp(30, here - 0.3, here)))
+    await asyncio.sleep(1.5)
+    assert policy.refusals == []
+    assert policy.arm_rad[-1, 0] == pytest.approx(here - 0.3, abs=1e-3)
+
+
 async def test_an_object_that_comes_into_the_way_is_not_reached(policy: Policy) -> None:
     policy.publish(chunk(ramp(60, 1.4)))
     await asyncio.sleep(0.3)
@@ -364,3 +391,40 @@ async def test_a_stream_of_chunks_is_one_line_in_the_log(policy: Policy, caplog:
         await asyncio.sleep(0.2)
     await asyncio.sleep(1.5)
     assert len([each for each in caplog.records if NAME in each.getMessage()]) == 1
+
+
+async def until_quiet(policy: Policy) -> None:
+    at = None
+    while at is None or not (policy.goals_rad[-1] == at).all():
+        at = policy.goals_rad[-1]
+        await asyncio.sleep(0.3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+async def test_no_chunk_of_any_kind_takes_the_arm_into_contact_or_beyond_its_limits(policy: Policy, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    policy.add_walls(float(rng.uniform(0.12, 0.25)))
+    sent = 0
+    for _ in range(14):
+        here = policy.goals_rad[-1][COLUMNS] if policy.goals_rad else np.zeros(len(COLUMNS))
+        count = int(rng.integers(2, 60))
+        speed = rng.uniform(-2.5, 2.5, len(COLUMNS)) * (rng.random(len(COLUMNS)) < 0.6)
+        noise = rng.normal(0.0, float(rng.choice([0.0, 0.01, 0.05])), (count, len(COLUMNS)))
+        targets = here + np.arange(1, count + 1)[:, np.newaxis] / HZ * speed + noise
+        blend = str(rng.choice(["replace", "ensemble", "real_time"]))
+        policy.publish(
+            chunk(targets, stamp_s=now_s() - float(rng.uniform(0.0, 0.3)), blend=blend, weight=0.6, id=str(sent))
+        )
+        sent += 1
+        await asyncio.sleep(float(rng.uniform(0.05, 0.8)))
+    await until_quiet(policy)
+    # Each chunk has its answer; a chunk that is cut on its way has one more.
+    assert {answer["id"] for answer in policy.answers} == set(map(str, range(sent)))
+    policy.assert_within_limits()
+    checker = planner()
+    checker.set_scene(policy.stage.context.planning.scene_state.scene)
+    for goal_rad in policy.goals_rad[::5]:
+        state = checker.answer(StateQuestion("arm", dict(zip(NAMES, goal_rad.tolist(), strict=True))))
+        assert isinstance(state, StateAnswer)
+        touching = [each.message for each in state.problems if "wall" in each.message]
+        assert touching == []

@@ -6,11 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from server.access.authentication import Tokens
 from server.classroom.students import LIST_FILE, TEACHER, new_token, places, reachable_name, read_tokens, write_list
 from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
-from server.graph.permissions import Role
 
 TOKEN = "t" * 24
 HOST = "127.0.0.1"
@@ -57,15 +55,6 @@ def test_a_file_that_is_no_such_list_is_refused_and_left_alone(tmp_path: Path, t
     with pytest.raises(StartError, match="is no list of students"):
         places(1, 9100, tmp_path, HOST)
     assert (tmp_path / LIST_FILE).read_text() == text
-
-
-def test_a_student_operates_the_own_arm_and_the_teacher_may_do_everything(tmp_path: Path) -> None:
-    (student,) = places(1, 9100, tmp_path, HOST)
-    tokens = Tokens.from_settings(student.settings(Settings(), TOKEN).access)
-    found = [tokens.identify(token) for token in (student.token, TOKEN)]
-    told = [each and (each.name, each.role) for each in found]
-    assert told == [("student01", Role.OPERATE), (TEACHER, Role.ADMIN)]
-    assert tokens.anonymous is None
 
 
 def test_what_a_server_keeps_is_in_the_students_folder(tmp_path: Path) -> None:

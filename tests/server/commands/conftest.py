@@ -1,7 +1,5 @@
 """Commands run as they do for people, in the test's process on stepped servos."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

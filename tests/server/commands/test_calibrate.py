@@ -1,7 +1,5 @@
 """``armbridge calibrate`` on stepped servos: the hand moves while the command sleeps between its readings."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 

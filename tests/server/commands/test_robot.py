@@ -1,26 +1,26 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
+from robot.description import robot_folder
 from robot.description.robot_folder import built_in_names
-from server.cli import main
+from server import cli
 from server.commands.terminal import ExitCode
+from tests.helpers.stl_arm import write_package
 
 
 def test_a_sound_folder_is_shown_with_its_joints_and_servos(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["robot", "check", "so101"]) == ExitCode.DONE
+    assert cli.main(["robot", "check", "so101"]) == ExitCode.DONE
     printed = capsys.readouterr().out
     assert "elbow_flex     revolute  -1.690 .. 1.690  1.6       5             sts3215, id 3" in printed
     assert "tip gripper_frame_link" in printed
-    assert main(["robot", "check", "so102"]) == ExitCode.PROBLEMS
+    assert cli.main(["robot", "check", "so102"]) == ExitCode.PROBLEMS
     assert "'so102' is no folder" in capsys.readouterr().out
 
 
 def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "robot.toml").write_text('[robot]\nurd = "x"\n[gripper]\nopen = 1\n')
-    assert main(["robot", "check", str(tmp_path)]) == ExitCode.PROBLEMS
+    assert cli.main(["robot", "check", str(tmp_path)]) == ExitCode.PROBLEMS
     printed = capsys.readouterr().out.splitlines()
     assert printed == [
         "robot.urd: there is no such key; did you mean urdf?",
@@ -30,6 +30,40 @@ def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsy
 
 
 def test_the_built_in_arms_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["robot", "list"]) == ExitCode.DONE
+    assert cli.main(["robot", "list"]) == ExitCode.DONE
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[1:]] == built_in_names()
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    return write_package(tmp_path)
+
+
+def test_an_import_says_what_it_made_and_how_to_serve_it(urdf, tmp_path, capsys):
+    out = tmp_path / "arm"
+    assert (
+        cli.main(["robot", "import", str(urdf), "--out", str(out), "--samples", "50", "--no-convex"]) == ExitCode.DONE
+    )
+    printed = capsys.readouterr()
+    assert f"next: armbridge serve --robot {out}" in printed.out
+    assert "50 of 50 states" in printed.err
+    assert robot_folder.load(out).model.default_group == "arm"
+
+
+def test_an_import_that_cannot_be_done_says_so_in_one_sentence(tmp_path, capsys):
+    assert cli.main(["robot", "import", str(tmp_path / "no.urdf")]) == ExitCode.FAILED
+    assert capsys.readouterr().err.startswith(f"armbridge: {tmp_path / 'no.urdf'} cannot be read: ")
+
+
+def test_packages_may_be_elsewhere(urdf, tmp_path, capsys):
+    elsewhere = tmp_path / "elsewhere" / "arm.urdf"
+    elsewhere.parent.mkdir()
+    urdf.rename(elsewhere)
+    (tmp_path / "mesh_arm").rename(tmp_path / "elsewhere" / "deep")
+    (tmp_path / "packages").mkdir()
+    (tmp_path / "elsewhere" / "deep").rename(tmp_path / "packages" / "mesh_arm")
+    arguments = ["robot", "import", str(elsewhere), "--out", str(tmp_path / "arm"), "--samples", "10", "--no-convex"]
+    assert cli.main(arguments) == ExitCode.USAGE
+    assert "--package-path" in capsys.readouterr().err
+    assert cli.main([*arguments, "--package-path", str(tmp_path / "packages")]) == ExitCode.DONE

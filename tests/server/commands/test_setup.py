@@ -1,7 +1,5 @@
 """Setup of new kits, played through the command: a person reads what it says, plugs servos in and types."""
 
-from __future__ import annotations
-
 import functools
 import os
 import re

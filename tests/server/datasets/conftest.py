@@ -1,7 +1,5 @@
 """Recordings of an arm that moves evenly, as the server writes them."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """Recordings exported as a LeRobotDataset, and the dataset read back by its documented schema."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

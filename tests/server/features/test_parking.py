@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from planners.goals import JointGoal
 from planners.problem import (
-    Answer,
     ConcurrencyQuestion,
     MoveItErrorCode,
     Plan,
@@ -25,7 +25,7 @@ from protocol.registry import Registry
 from robot.arm import Arm
 from robot.arm_group import ArmGroup
 from robot.description.joined import prefixed
-from robot.messages import PARKING_TIMEOUT_S, CommandDone, EndState, Mode, Order, ParkingPlan
+from robot.messages import PARKING_TIMEOUT_S, CommandDone, Mode, Order, ParkingPlan
 from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
@@ -41,7 +41,7 @@ from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.motions import smooth_move
-from tests.server.teleop.test_two_followers import ROBOT_PAIR, SIDES, both
+from tests.server.teleop.test_two_followers import ROBOT_PAIR, SIDES
 
 pytestmark = pytest.mark.stepped_time
 
@@ -54,10 +54,20 @@ LOOKS_S = 3.0 * CHECK_S
 class KeepingArm(FakeArm):
     """An arm whose process keeps ways."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "") -> None:
         super().__init__()
+        self.name, self.pid = name, 7
         self.kept: list[ParkingPlan | None] = []
-        self.pid = 7
+        if name:
+            self.state = replace(self.state, joint_names=tuple(f"{name}_{joint}" for joint in JOINTS))
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        return (self.pid,)
+
+    @property
+    def keeps(self) -> bool:
+        return bool(self.kept) and self.kept[-1] is not None
 
     def keep_parking(self, plan: ParkingPlan | None) -> None:
         self.kept.append(plan)
@@ -67,55 +77,77 @@ class KeepingArm(FakeArm):
 
 
 class World:
-    """A scene, planners and a queue as the keeper sees them."""
+    """Arms, a scene, planners and a queue as the keeper sees them.
 
-    def __init__(self, **settings: Any) -> None:
-        self.arm = KeepingArm()
+    Attributes:
+        meets: True where the planner finds that two ways meet.
+    """
+
+    def __init__(self, sides: Sequence[str] = ("",), **settings: Any) -> None:
+        self.robot = ROBOT_PAIR if len(sides) > 1 else ROBOT
+        self.arms = [KeepingArm(side) for side in sides]
+        self.arm = self.arms[0]
         self.scene: Scene = EMPTY_SCENE
-        self.idle_count = 1
+        self.meets, self.idle_count = False, 1
         self.busy = lambda: ""
         self.duration_s = 2.0
         self.failure: PlanningFailure | None = None
-        self.asked: list[PlanningProblem] = []
+        self.asked: list[Request] = []
         self.while_planning: Callable[[], None] = lambda: None
-        self._listeners: list[Callable[[], None]] = []
-        self.scene_state = self.queue = self
-        problems = ProblemBuilder(ROBOT, Frames(ROBOT, SceneState(ROBOT)), PlannerParameters(MoveItParameters()))
-        context = SimpleNamespace(
-            robot=ROBOT,
-            served=SimpleNamespace(
-                name="", leads=False, settings=ArmSettings.model_validate({"on_server_lost": "park", **settings})
-            ),
-            parameters=MoveItParameters(),
-            planning=SimpleNamespace(
-                problems=problems, pool=self, scene_state=self, current=CurrentState(self.arm.as_arm, ROBOT)
-            ),
-            goals=SimpleNamespace(queue=self),
-            graph=LocalGraph(Graph(Registry.load())),
+        self._changes: list[Callable[[], None]] = []
+        group = ArmGroup({arm.name: (arm.as_arm, arm.state.joint_names) for arm in self.arms})
+        whole = self.arm.as_arm if len(sides) == 1 else group
+        frames = Frames(self.robot, SceneState(self.robot))
+        self.planning = SimpleNamespace(
+            problems=ProblemBuilder(self.robot, frames, PlannerParameters(MoveItParameters())),
+            pool=self,
+            scene_state=self,
+            current=CurrentState(whole, self.robot),
         )
-        self.parking = Parking(self.arm.as_arm, cast("ArmContext", context))
+        self.goals = SimpleNamespace(queue=self, listeners=[])
+        self.access = SimpleNamespace(drivers=set())
+        graph = Graph(Registry.load())
+        self.whole = SimpleNamespace(served=SimpleNamespace(arm=whole), graph=LocalGraph(graph))
+        arm_settings = ArmSettings.model_validate({"on_server_lost": "park", **settings})
+        self.single_arms = [(self._context(arm.name, graph, arm_settings), arm.as_arm) for arm in self.arms]
+        self.parkings = Parkings(cast("ServerContext", self))
+
+    def _context(self, name: str, graph: Graph, settings: ArmSettings) -> ArmContext:
+        context = SimpleNamespace(
+            robot=prefixed(ROBOT, name) if name else ROBOT,
+            served=SimpleNamespace(name=name, leads=False, settings=settings),
+            parameters=MoveItParameters(),
+            planning=self.planning,
+            goals=self.goals,
+            graph=LocalGraph(graph, name),
+        )
+        return cast("ArmContext", context)
 
     def on_change(self, callback: Callable[[], None]) -> None:
-        self._listeners.append(callback)
+        self._changes.append(callback)
 
     def change_scene(self) -> None:
         self.scene = replace(self.scene, version=self.scene.version + 1)
-        for listener in self._listeners:
+        for listener in self._changes:
             listener()
 
-    async def ask(self, problem: PlanningProblem, _scene: Scene) -> Plan | PlanningFailure:
-        self.asked.append(problem)
+    async def ask(self, request: Request, _scene: Scene) -> Plan | PlanningFailure | RecheckAnswer:
+        self.asked.append(request)
         self.while_planning()
-        if self.failure is not None:
-            return self.failure
-        way = {name: (problem.start_rad[name], end) for name, end in REST.items()}
-        return Plan(smooth_move(way, self.duration_s), "a line", 0.0)
+        if isinstance(request, ConcurrencyQuestion):
+            met = PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, "the ways meet")
+            return RecheckAnswer(met if self.meets else None, 1.0)
+        assert isinstance(request, PlanningProblem)
+        assert isinstance(request.goal, JointGoal)
+        way = {name: (request.start_rad[name], end) for name, end in request.goal.positions_rad.items()}
+        return self.failure or Plan(smooth_move(way, self.duration_s), "a line", 0.0)
 
-    async def run(self, seconds: float = LOOKS_S) -> None:
-        running = asyncio.create_task(self.parking.run())
-        await asyncio.sleep(seconds)
-        running.cancel()
-        await asyncio.wait([running])
+    async def run(self) -> list[bool]:
+        """Return for each arm True if its process keeps a way after a while."""
+        await self.parkings.start()
+        await asyncio.sleep(LOOKS_S)
+        await self.parkings._keeping.stop()
+        return [arm.keeps for arm in self.arms]
 
 
 @pytest.fixture
@@ -123,12 +155,22 @@ async def world() -> World:
     return World()
 
 
-async def test_the_way_from_where_the_arm_holds_is_kept_once(world: World) -> None:
+@pytest.fixture
+async def two_arms() -> World:
+    made = World(SIDES)
+    assert await made.run() == [True, True]
+    return made
+
+
+@pytest.mark.parametrize("sides", [("",), SIDES])
+async def test_each_arm_keeps_its_own_way_from_where_it_holds(sides: tuple[str, ...]) -> None:
+    world = World(sides)
     await world.run()
-    (plan,) = world.arm.kept
-    assert plan is not None
-    assert set(plan.held_rad) == {joint.name for joint in ROBOT.movable_joints}
-    assert plan.trajectory.sample(plan.trajectory.duration_s)[0] == pytest.approx(list(REST.values()))
+    for arm in world.arms:
+        (plan,) = arm.kept
+        assert plan is not None
+        assert set(plan.held_rad) == set(arm.state.joint_names)
+        assert plan.trajectory.positions_rad[-1] == pytest.approx(list(REST.values()))
 
 
 async def test_a_scene_that_changes_takes_the_way_back_at_once_and_has_another_planned(world: World) -> None:
@@ -185,21 +227,27 @@ async def test_a_way_above_the_limit_of_the_arm_process_is_told_of(
 async def test_nothing_is_planned_for_an_arm_that_is_not_parked_at_its_end() -> None:
     world = World(on_server_lost="hold")
     await world.run()
+    await world.parkings.stop()
     assert world.asked == []
 
 
-async def test_the_exit_waits_for_the_way_from_the_present_place() -> None:
-    world = World(on_exit=EndState.PARK)
-    world.arm.put(shoulder_pan=0.5)
-    await world.parking.prepare_exit()
-    (plan,) = world.arm.kept
+@pytest.mark.parametrize("moved_rad", [0.0, 0.5])
+async def test_the_end_of_the_server_has_the_way_from_the_present_place_planned_where_none_is_known(
+    moved_rad: float,
+) -> None:
+    world = World(on_server_lost="hold", on_exit="park")
+    await world.run()
+    world.arm.put(shoulder_pan=moved_rad)
+    await world.parkings.stop()
+    assert len(world.asked) == (2 if moved_rad else 1)
+    plan = world.arm.kept[-1]
     assert plan is not None
-    assert plan.held_rad["shoulder_pan"] == 0.5
+    assert plan.held_rad["shoulder_pan"] == moved_rad
 
 
 async def test_parking_is_refused_where_there_is_no_rest_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.features.parking.rest_pose", lambda *_: None)
-    answer = await World().parking.park("/arm/park")
+    answer = await World().parkings._parkings[0].park("/arm/park")
     assert not answer.done
     assert "name one by arm.park_state" in answer.message
 
@@ -213,127 +261,42 @@ def test_an_arm_whose_description_has_no_such_state_has_no_rest_pose() -> None:
     assert rest_pose(replace(ROBOT, park_state="bed"), ArmSettings()) is None
 
 
-class KeepingOneOfTwo(KeepingArm):
-    """One of two arms."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.name, self.pids = name, (self.pid,)
-        self.state = replace(self.state, joint_names=tuple(f"{name}_{joint}" for joint in JOINTS))
-
-    @property
-    def keeps(self) -> bool:
-        return bool(self.kept) and self.kept[-1] is not None
-
-
-class TwoArms:
-    """Two arms that are to be parked without the server, and their planner, the real one.
-
-    Attributes:
-        meets: True where the planner finds that two ways meet.
-    """
-
-    def __init__(self) -> None:
-        self.meets, self.idle_count, self.busy = False, 1, lambda: ""
-        self.arms = [KeepingOneOfTwo(side) for side in SIDES]
-        group = ArmGroup({arm.name: (arm.as_arm, arm.state.joint_names) for arm in self.arms})
-        self.scene_state = SceneState(ROBOT_PAIR)
-        current = CurrentState(group, ROBOT_PAIR)
-        frames = Frames(ROBOT_PAIR, self.scene_state)
-        self.planning = SimpleNamespace(
-            problems=ProblemBuilder(ROBOT_PAIR, frames, PlannerParameters(MoveItParameters())),
-            pool=self,
-            scene_state=self.scene_state,
-            current=current,
-        )
-        self.goals = SimpleNamespace(queue=self, listeners=[])
-        self.access = SimpleNamespace(drivers=set())
-        graph = Graph(Registry.load())
-        self.whole = SimpleNamespace(served=SimpleNamespace(arm=group), graph=LocalGraph(graph))
-        self.single_arms = [(self._context(arm, graph), arm.as_arm) for arm in self.arms]
-        self.parkings = Parkings(cast("ServerContext", self))
-
-    def _context(self, arm: KeepingArm, graph: Graph) -> ArmContext:
-        settings = ArmSettings.model_validate({"on_server_lost": "park"})
-        context = SimpleNamespace(
-            robot=prefixed(ROBOT, arm.name),
-            served=SimpleNamespace(name=arm.name, leads=False, settings=settings),
-            parameters=MoveItParameters(),
-            planning=self.planning,
-            goals=self.goals,
-            graph=LocalGraph(graph, arm.name),
-        )
-        return cast("ArmContext", context)
-
-    async def ask(self, request: Request, scene: Scene) -> Answer:
-        if isinstance(request, ConcurrencyQuestion) and self.meets:
-            return RecheckAnswer(PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, "the ways meet"), 1.0)
-        return both().set_scene(scene) or both().answer(request)
-
-    async def run(self) -> list[bool]:
-        """Return for each arm True if its process keeps a way after a while."""
-        await self.parkings.start()
-        await asyncio.sleep(LOOKS_S)
-        return [arm.keeps for arm in self.arms]
-
-
-@pytest.fixture
-async def two_arms() -> AsyncIterator[TwoArms]:
-    made = TwoArms()
-    assert await made.run() == [True, True]
-    yield made
-    await made.parkings._keeping[0].stop()
-
-
-async def test_each_of_several_arms_keeps_its_own_way(two_arms: TwoArms) -> None:
-    for arm in two_arms.arms:
-        plan = arm.kept[-1]
-        assert plan is not None
-        assert set(plan.held_rad) == set(arm.state.joint_names)
-        assert plan.trajectory.positions_rad[-1] == pytest.approx(list(REST.values()))
-
-
-def left_moves(two_arms: TwoArms) -> None:
+def left_moves(two_arms: World) -> None:
     two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.MOVING)
     two_arms.parkings.on_state("", two_arms.arms[0].state)
 
 
-def left_is_elsewhere(two_arms: TwoArms) -> None:
+def left_is_elsewhere(two_arms: World) -> None:
     two_arms.arms[0].put(shoulder_pan=0.3)
     two_arms.parkings.on_state("", two_arms.arms[0].state)
 
 
-def a_goal_begins(two_arms: TwoArms) -> None:
+def a_goal_begins(two_arms: World) -> None:
     two_arms.parkings.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
 
 
 @pytest.mark.parametrize("happens", [left_moves, left_is_elsewhere, a_goal_begins])
-async def test_no_arm_keeps_a_way_beside_an_arm_that_moves(
-    two_arms: TwoArms, happens: Callable[[TwoArms], None]
-) -> None:
+async def test_no_arm_keeps_a_way_beside_an_arm_that_moves(two_arms: World, happens: Callable[[World], None]) -> None:
     happens(two_arms)
     assert [arm.keeps for arm in two_arms.arms] == [False, False]
     two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.HOLDING)
-    await asyncio.sleep(LOOKS_S)
-    assert [arm.keeps for arm in two_arms.arms] == [True, True]
+    assert await two_arms.run() == [True, True]
 
 
-async def test_no_arm_keeps_a_way_where_two_ways_meet(two_arms: TwoArms, caplog: pytest.LogCaptureFixture) -> None:
+async def test_no_arm_keeps_a_way_where_two_ways_meet(two_arms: World, caplog: pytest.LogCaptureFixture) -> None:
     two_arms.meets = True
     left_is_elsewhere(two_arms)
-    await asyncio.sleep(LOOKS_S)
-    assert [arm.keeps for arm in two_arms.arms] == [False, False]
-    assert caplog.text.count("without the server the arms would be relaxed here, not parked: the ways meet") == 1
+    assert await two_arms.run() == [False, False]
+    assert caplog.text.count("here an arm would be relaxed at its end: the ways meet") == 1
 
 
-async def test_a_relaxed_arm_keeps_no_way_and_the_other_arm_keeps_its_own(two_arms: TwoArms) -> None:
+async def test_a_relaxed_arm_keeps_no_way_and_the_other_arm_keeps_its_own(two_arms: World) -> None:
     two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.RELAXED)
     two_arms.parkings.on_state("", two_arms.arms[0].state)
-    await asyncio.sleep(LOOKS_S)
-    assert [arm.keeps for arm in two_arms.arms] == [False, True]
+    assert await two_arms.run() == [False, True]
 
 
-async def test_the_end_of_the_server_takes_no_way_from_an_arm_that_is_parked(two_arms: TwoArms) -> None:
+async def test_the_end_of_the_server_takes_no_way_from_an_arm_that_is_parked(two_arms: World) -> None:
     await two_arms.parkings.stop()
     left_moves(two_arms)
     assert [arm.keeps for arm in two_arms.arms] == [True, True]

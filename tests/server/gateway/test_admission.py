@@ -1,6 +1,5 @@
-from __future__ import annotations
-
 from http import HTTPStatus
+from ipaddress import ip_address
 
 import pytest
 from websockets.datastructures import Headers
@@ -8,13 +7,14 @@ from websockets.datastructures import Headers
 from server.access.authentication import MAX_WRONG, WINDOW_S, Tokens
 from server.access.one_time_tokens import OneTimeTokens
 from server.errors import ConfigurationError
+from server.gateway import admission
 from server.gateway.admission import (
     AdmissionPolicy,
     AllowedHosts,
     AllowedOrigins,
-    Authority,
     HandshakeRequest,
     check_exposure,
+    host_addresses,
     matches,
     own_names,
     read_authority,
@@ -24,8 +24,11 @@ from server.graph.permissions import ANYONE, Identity, Role
 from tests.helpers.clock import FakeClock
 
 SECRET, OTHER = "correct-horse-battery", "another-token-of-mine"
+
 ALICE = Identity("alice", Role.OPERATE)
+
 LOCKED = Tokens({SECRET: ALICE}, anonymous=None)
+
 VIEWED = Tokens({SECRET: ALICE}, anonymous=Identity("", Role.VIEW))
 
 
@@ -53,17 +56,6 @@ def test_a_rebound_name_is_refused_with_the_setting_to_change(upgrade: bool, cap
     assert caplog.text.count("'Evil.com:9090' is no name of this server") == 1
 
 
-@pytest.mark.parametrize("hosts", [[], ["localhost", "localhost"], ["localhost", "evil.com"]])
-def test_a_request_names_one_host(hosts: list[str]) -> None:
-    headers = Headers([("Host", host) for host in hosts])
-    status, text = refused(AdmissionPolicy().check(HandshakeRequest("::1", "/", headers, upgrade=True)))
-    assert (status, text) == (400, f"a request needs one Host header, not {len(hosts)}\n")
-
-
-def test_the_robots_files_are_no_exception_from_the_name() -> None:
-    assert refused(AdmissionPolicy().check(request_for("/robot/x", host="evil.com", upgrade=False)))[0] == 421
-
-
 # Origin.
 
 
@@ -76,47 +68,55 @@ def test_a_foreign_page_is_refused_with_the_setting_to_change(caplog: pytest.Log
     assert caplog.text.count("http://evil.com' may not connect") == 1
 
 
-def test_a_second_origin_is_looked_at_as_well() -> None:
-    asked = request_for("/", ("Origin", "http://localhost"), ("Origin", "http://evil.com"))
-    assert refused(AdmissionPolicy().check(asked))[0] == 403
+FOREIGN = "Origin", "http://evil.com"
+OPEN = Tokens({}, ANYONE)
 
 
-def test_the_token_does_not_open_the_door_to_a_foreign_page() -> None:
-    asked = request_for(f"/?token={SECRET}", ("Origin", "http://evil.com"))
-    assert refused(AdmissionPolicy(LOCKED).check(asked))[0] == 403
-
-
-def test_every_page_may_read_the_robots_files_and_nothing_else() -> None:
-    origin = "Origin", "http://evil.com"
-    assert AdmissionPolicy().check(request_for("/robot/description.urdf", origin, upgrade=False)) is ANYONE
-    assert refused(AdmissionPolicy().check(request_for("/robot/description.urdf", origin, upgrade=True)))[0] == 403
-    for path in ("/", "/metrics", "/healthz", "/robots", "//robot/x"):
-        assert refused(AdmissionPolicy().check(request_for(path, origin, upgrade=False)))[0] == 403
-
-
-# Tokens.
+def plain(path: str, *headers: tuple[str, str]) -> HandshakeRequest:
+    return request_for(path, *headers, upgrade=False)
 
 
 @pytest.mark.parametrize(
-    "asked",
+    ("tokens", "asked", "admitted"),
     [
-        request_for("/", ("Authorization", f"Bearer {SECRET}")),
-        request_for("/", ("Authorization", f"bearer  {SECRET} ")),
-        request_for(f"/any/path?x=1&token={SECRET}"),
-        request_for(f"/?token={SECRET}", ("Authorization", f"Bearer {SECRET}")),
+        (LOCKED, request_for("/", ("Authorization", f"Bearer {SECRET}")), ALICE),
+        (LOCKED, request_for("/", ("Authorization", f"bearer  {SECRET} ")), ALICE),
+        (LOCKED, request_for(f"/any/path?x=1&token={SECRET}"), ALICE),
+        (LOCKED, request_for(f"/?token={SECRET}", ("Authorization", f"Bearer {SECRET}")), ALICE),
+        (LOCKED, request_for(), None),
+        (LOCKED, request_for("/", ("Authorization", "Basic YTpi")), None),
+        (VIEWED, request_for(), VIEWED.anonymous),
+        (OPEN, request_for(f"/?token={OTHER}"), ANYONE),
+        (OPEN, plain("/robot/description.urdf", FOREIGN), ANYONE),
+        *((LOCKED, plain(path), None) for path in ("/", "/index.html", "/assets/vendor.js", "/healthz", "/livez")),
     ],
 )
-def test_a_token_identifies_its_owner(asked: HandshakeRequest) -> None:
-    assert AdmissionPolicy(LOCKED).check(asked) == ALICE
+def test_a_request_is_admitted_as_the_owner_of_its_token(
+    tokens: Tokens, asked: HandshakeRequest, admitted: Identity | None
+) -> None:
+    assert AdmissionPolicy(tokens).check(asked) == admitted
 
 
-def test_a_handshake_without_a_token_leaves_authentication_for_later() -> None:
-    assert AdmissionPolicy(LOCKED).check(request_for()) is None
-    assert AdmissionPolicy(LOCKED).check(request_for("/", ("Authorization", "Basic YTpi"))) is None
+@pytest.mark.parametrize(
+    ("tokens", "asked", "status", "words"),
+    [
+        (OPEN, HandshakeRequest("::1", "/", Headers(), upgrade=True), 400, "one Host header, not 0"),
+        (OPEN, request_for("/", ("Host", "localhost")), 400, "one Host header, not 2"),
+        (OPEN, request_for("/", ("Host", "evil.com")), 400, "one Host header, not 2"),
+        (OPEN, request_for("/", ("Origin", "http://localhost"), FOREIGN), 403, "may not connect"),
+        (LOCKED, request_for(f"/?token={SECRET}", FOREIGN), 403, "may not connect"),
+        (OPEN, request_for("/robot/description.urdf", FOREIGN), 403, "may not connect"),
+        *((OPEN, plain(path, FOREIGN), 403, "") for path in ("/", "/metrics", "/healthz", "/robots", "//robot/x")),
+        (LOCKED, request_for(f"/?token={SECRET}&token={OTHER}"), 401, "one token is wanted, not 2"),
+    ],
+)
+def test_a_request_is_refused_with_its_reason(tokens: Tokens, asked: HandshakeRequest, status: int, words: str) -> None:
+    got, text = refused(AdmissionPolicy(tokens).check(asked))
+    assert got == status
+    assert words in text
 
 
-def test_a_handshake_without_a_token_is_a_viewer_if_anonymous_clients_may_view() -> None:
-    assert AdmissionPolicy(VIEWED).check(request_for()) == VIEWED.anonymous
+# Tokens.
 
 
 @pytest.mark.parametrize("path", [f"/?token={OTHER}", "/?token=", f"/?token={SECRET[:-1]}", f"/?token={SECRET}%00"])
@@ -129,15 +129,6 @@ def test_a_wrong_token_is_refused_and_not_logged(path: str, tokens: Tokens, capl
     assert admitted.headers["WWW-Authenticate"] == "Bearer"
     assert "::1 has shown a token that is nobody's" in caplog.text
     assert path[8:24] not in caplog.text or path == "/?token="
-
-
-def test_a_request_shows_one_token_not_many_guesses() -> None:
-    status, text = refused(AdmissionPolicy(LOCKED).check(request_for(f"/?token={SECRET}&token={OTHER}")))
-    assert (status, text) == (401, "one token is wanted, not 2\n")
-
-
-def test_without_tokens_one_that_is_shown_is_passed_over() -> None:
-    assert AdmissionPolicy().check(request_for(f"/?token={OTHER}")) is ANYONE
 
 
 def test_after_many_wrong_tokens_even_the_right_one_is_refused_for_a_while() -> None:
@@ -167,11 +158,6 @@ def test_paths_that_tell_of_the_robot_need_a_token(path: str) -> None:
     assert AdmissionPolicy(VIEWED).check(request_for(path, upgrade=False)) == VIEWED.anonymous
 
 
-def test_the_page_and_the_servers_health_need_none() -> None:
-    for path in ("/", "/index.html", "/assets/vendor.js", "/healthz", "/livez"):
-        assert AdmissionPolicy(LOCKED).check(request_for(path, upgrade=False)) is None, path
-
-
 @pytest.mark.parametrize("upgrade", [True, False])
 def test_a_path_without_sense_lets_nobody_in(upgrade: bool) -> None:
     for path in ("//[", "/%ff%00?token", "?", "", "/?%", "http://[x/?token=a"):
@@ -192,6 +178,7 @@ def is_host(hosts: AllowedHosts, text: str) -> bool:
         ("localhost.", True),
         ("127.0.0.1:9090", True),
         ("[::1]:9090", True),
+        ("[fe80::1%eth0]:9090", True),
         ("192.168.0.2", True),
         # Browsers take it for the address, too, and ask nobody.
         ("127.0.0.1.", True),
@@ -240,7 +227,9 @@ def is_allowed(origin: str, *allowed: str, host: str = "robot.lab:9090", encrypt
 
 
 LOCAL_HOSTS = ("localhost", "localhost:3000", "127.0.0.1:8000", "127.8.9.1", "[::1]:5173")
+
 LOOK_LOCAL = ("localhost.evil.com", "127.0.0.1.evil.com", "localhost@evil.com", "evil.com#localhost")
+
 NO_ORIGINS = ("null", "file://", "", "localhost", "//localhost", "ftp://localhost", "chrome-extension://localhost")
 
 
@@ -295,7 +284,9 @@ def test_further_pages_are_allowed_by_pattern(allowed: str, origin: str, may: bo
 
 
 WITHOUT_TOKENS = Tokens({}, ANYONE)
+
 WITH_TOKEN = Tokens({"correct-horse-battery": Identity("admin", Role.ADMIN)}, None)
+
 EVERYWHERE = ["0.0.0.0"]
 
 
@@ -338,26 +329,12 @@ def test_anonymous_operators_need_the_option_insecure_and_anonymous_viewers_do_n
         check_exposure("robot", EVERYWHERE, moving, insecure=False)
 
 
-@pytest.mark.parametrize(
-    ("text", "read"),
-    [
-        ("localhost", Authority("localhost")),
-        ("LocalHost:9090", Authority("localhost", 9090)),
-        ("robot.lab.", Authority("robot.lab")),
-        ("127.0.0.1:80", Authority("127.0.0.1", 80)),
-        ("[::1]", Authority("::1")),
-        ("[0:0:0:0:0:0:0:1]:9090", Authority("::1", 9090)),
-        ("[fe80::1%eth0]:9090", Authority("fe80::1", 9090)),
-        ("my_robot:9090", Authority("my_robot", 9090)),
-    ],
-)
-def test_a_host_is_read_with_its_port(text: str, read: Authority) -> None:
-    assert read_authority(text) == read
-
-
 WRONG_PORTS = [":9090", "localhost:", "localhost:x", "localhost:65536", "localhost:9090:1"]
+
 WITH_MORE = [f"localhost{more}" for more in ("/", "#evil.com", "\\evil.com", "\n", "..", ",evil.com", ":9090@evil.com")]
+
 NO_ADDRESSES = ["::1", "[::1", "[127.0.0.1]", "[::x]"]
+
 NO_NAMES = ["", "user@localhost", "local host", " localhost", ".", "löcalhost", "a" * 256]
 
 
@@ -382,3 +359,28 @@ def test_a_one_time_token_reads_files_while_its_connection_is_open_and_opens_non
     one_time.use(token)
     assert policy.check(request_for("/robot/x", header, upgrade=False)) == Identity("one-time-1", Role.VIEW)
     assert refused(policy.check(request_for("/", header, upgrade=True)))[0] == 401
+
+
+IPV6_TABLE = """\
+00000000000000000000000000000001 01 80 10 80       lo
+fe800000000000000000000000000001 02 40 20 80     eth0
+fd000000000000000000000000000002 02 40 00 80     eth0
+"""
+
+
+def test_only_addresses_that_others_can_write_down_are_returned():
+    for text in host_addresses():
+        address = ip_address(text)
+        assert not address.is_loopback
+        assert not address.is_link_local
+
+
+def test_ipv6_addresses_are_those_of_global_scope(monkeypatch):
+    monkeypatch.setattr(admission, "_read_table", lambda: IPV6_TABLE)
+    monkeypatch.setattr(admission, "_ipv4_addresses", lambda: ["10.0.0.2"])
+    assert host_addresses() == ["10.0.0.2", "fd00::2"]
+
+
+def test_a_kernel_without_ipv6_has_none(monkeypatch, tmp_path):
+    monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / "missing")
+    assert not any(":" in address for address in host_addresses())

@@ -1,14 +1,17 @@
-from __future__ import annotations
-
 import json
+import logging
 from typing import Any
 
+import bson
 import pytest
 
 from protocol.codecs import png
 from protocol.limits import Limits
+from protocol.operations import Auth
+from protocol.session import Refusal
 from server.access.settings import AccessSettings
 from server.errors import UnsuccessfulError
+from server.gateway.client_context import MAX_UNASKED_ERRORS
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.topics import Subscriber
@@ -28,16 +31,6 @@ def test_a_bug_in_one_operation_does_not_take_the_client_with_it(
     assert "x: advertise failed" in caplog.text
     world.say("x", op="subscribe", topic="/b", type="std_msgs/String")
     assert "/b" in world.graph.topic_types()
-
-
-async def test_a_client_that_leaves_takes_all_with_it(world: InProcess) -> None:
-    world.say("x", op="advertise_service", service="/s", type="std_srvs/SetBool")
-    world.say("x", op="advertise_action", action="/a", type="control_msgs/PointHead")
-    world.say("x", op="subscribe", topic="/t", type="std_msgs/String")
-    await world.close("x")
-    assert world.graph.services.types() == {}
-    assert world.graph.actions.types() == {}
-    assert world.graph.topic_types() == {}
 
 
 async def test_messages_that_were_dropped_are_told_when_the_client_leaves(caplog: pytest.LogCaptureFixture) -> None:
@@ -134,9 +127,46 @@ class TestRefused:
         assert caplog.text.count("screen: refused: publish: topic /servo_node/delta_twist_cmds") == 1
         assert len(guarded.heard("screen")) == 5
 
-    def test_a_bug_in_the_guard_does_not_take_the_client_with_it(
-        self, guarded: InProcess, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr("server.access.authorization.rule_of_topic", lambda _name, _graph: 1 / 0)
-        guarded.say("screen", op="publish", topic="/a")
-        assert "screen: publish failed" in caplog.text
+
+NO_JSON = Refusal(None, None, "no JSON")
+
+
+@pytest.mark.parametrize(("level", "logged"), [("error", "ERROR"), ("warning", "WARNING"), ("info", "INFO")])
+def test_a_status_from_a_client_is_logged_at_its_level_and_shortened(
+    world: InProcess, caplog: pytest.LogCaptureFixture, level: str, logged: str
+) -> None:
+    with caplog.at_level(logging.DEBUG):
+        world.say("x", op="status", level=level, msg="y" * 10_000)
+    (record,) = caplog.records
+    assert record.levelname == logged
+    assert record.getMessage().startswith("x says: yyy")
+    assert len(record.getMessage()) < 200
+
+
+def test_no_client_writes_lines_of_its_own_into_the_log(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
+    world.say("x", op="set_level", level="error")
+    world.client("x").status.refuse(Refusal("publish", None, "publish: topic /a\nERROR all is lost\x1b[2J: no"))
+    world.say("x", op="status", level="error", msg="a\r\nb")
+    assert [len(record.getMessage().splitlines()) for record in caplog.records] == [1, 1]
+    assert world.heard("x")[0]["msg"] == r"publish: topic /a\nERROR all is lost\x1b[2J: no"
+
+
+def test_a_token_is_not_yet_a_valid_operation(world: InProcess) -> None:
+    status = world.client("x").status
+    status.acknowledge(Auth(token="t" * 16))
+    status.refuse(NO_JSON)
+    assert len(world.heard("x")) == 1
+
+
+def test_a_client_that_never_sends_anything_valid_gets_some_errors_only(world: InProcess) -> None:
+    for _ in range(2 * MAX_UNASKED_ERRORS):
+        world.client("x").status.refuse(NO_JSON)
+    assert len(world.heard("x")) == MAX_UNASKED_ERRORS
+
+
+async def test_replies_to_a_client_that_speaks_bson_have_octets(world: InProcess) -> None:
+    world.graph.services.offer(Node("s"), "/fetch", "file_server/GetBinaryFile", lambda _: {"value": "AQI="})
+    await world.send("x", bson.encode({"op": "call_service", "service": "/fetch"}))
+    frame = await world.next_frame("x")
+    assert isinstance(frame, bytes)
+    assert bson.decode(frame)["values"]["value"] == b"\x01\x02"

@@ -1,6 +1,3 @@
-from __future__ import annotations
-
-import base64
 import json
 from hashlib import sha512
 from typing import Any
@@ -16,7 +13,6 @@ from tests.helpers.gateway import InProcess
 
 ADA, SCREEN = "ada-0123456789abcdef", "screen-0123456789abcdef"
 SETTINGS = AccessSettings.model_validate({"admin_tokens": {"ada": ADA}, "view_tokens": {"screen": SCREEN}})
-FIRST = "the first message must be auth, with a token of this server"
 
 
 @pytest.fixture
@@ -69,10 +65,13 @@ def test_a_wrong_auth_ends_the_connection_with_a_reason(world: InProcess, operat
     assert identity(world) is None
 
 
+PICTURE = png.encode(b'{"op":"subscribe","topic":"/a","type":"std_msgs/String"}')
+
 FRAMES = {
     "a subscription": '{"op":"subscribe","topic":"/joint_states"}',
     "a stop": '{"op":"publish","topic":"/stop"}',
     "a level": '{"op":"set_level","level":"info"}',
+    "a picture": json.dumps({"op": "png", "data": PICTURE}),
     "no operation": '{"op":"authx"}',
     "no JSON": "auth",
     "nothing": "",
@@ -90,14 +89,6 @@ def test_whatever_else_comes_first_ends_the_connection_and_does_nothing(world: I
     assert world.closed["x"]
     assert identity(world) is None
     assert world.graph.topic_types() == {}
-
-
-def test_packed_into_a_picture_an_operation_is_no_other(world: InProcess) -> None:
-    inside = json.dumps({"op": "subscribe", "topic": "/a", "type": "std_msgs/String"}).encode()
-    picture = png.encode(inside)
-    data = picture if isinstance(picture, str) else base64.b64encode(picture).decode()
-    world.say("x", op="png", data=data)
-    assert world.closed["x"] == FIRST
 
 
 def test_there_is_one_guess_a_connection(world: InProcess) -> None:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import asyncio
 import socket
 from http import HTTPStatus
@@ -8,6 +6,7 @@ import pytest
 from websockets.asyncio.client import connect
 
 from harness.waiting import until
+from server.access.rate_limits import RateLimiter, client_key, is_loopback
 from server.gateway import admission as admission_module
 from server.gateway.admission import (
     ANSWERS_PER_S,
@@ -20,6 +19,7 @@ from server.gateway.settings import ServerSettings
 from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
+
 MANY = 100_000
 
 
@@ -123,14 +123,6 @@ def test_an_address_may_come_so_often_in_the_long_run_and_others_are_not_held_up
     assert came.count(True) == 10
 
 
-def test_leaving_and_coming_again_does_not_reset_the_rate() -> None:
-    limiter = limits(per_s=1.0)
-    slots = [acquire(limiter) for _ in range(BURST_TIME_S)]
-    for slot in slots:
-        slot.release()
-    assert acquire(limiter).rejection is not None
-
-
 def test_a_flood_gets_a_few_answers_and_then_none() -> None:
     limiter = limits(per_address=1)
     acquire(limiter)
@@ -211,3 +203,28 @@ async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(
             each.close()
         await until_empty(listener)
     assert caplog.text.count("new connections come too often; the limit is 5 a second") == 1
+
+
+def test_in_the_long_run_so_many_a_second() -> None:
+    rate = RateLimiter(2.0, 1)
+    assert [rate.take(100.0 + step / 10) for step in range(11)] == [step % 5 == 0 for step in range(11)]
+
+
+def test_a_long_rest_saves_up_a_burst_and_no_more() -> None:
+    rate = RateLimiter(1.0, 2)
+    assert [rate.take(1e6) for _ in range(3)] == [True, True, False]
+
+
+def test_an_address_is_loopback_or_not_whatever_its_family() -> None:
+    assert is_loopback("127.0.0.1")
+    assert is_loopback("::1")
+    assert not is_loopback("fe80::1%eth0")
+    assert not is_loopback("somewhere")
+
+
+def test_a_network_of_ipv6_is_one_peer_and_ipv4_is_the_same_in_both_families() -> None:
+    assert client_key("2001:db8::1") == client_key("2001:db8::ffff:2") != client_key("2001:db8:0:1::1")
+    assert client_key("::ffff:192.0.2.1") == client_key("192.0.2.1") != client_key("192.0.2.2")
+    assert client_key("fe80::1%eth0") == client_key("fe80::2%eth1")
+    assert client_key("::1") != client_key("::2")
+    assert client_key("unknown") == "unknown"

@@ -160,11 +160,6 @@ def world() -> World:
     return World()
 
 
-def test_what_comes_while_nothing_waits_is_carried_out_at_once(world: World) -> None:
-    world.client().publish("/a")
-    assert world.done == ["/a"]
-
-
 def test_a_frame_of_many_operations_is_carried_out_a_turn_at_a_time(world: World) -> None:
     client = world.client(step_s=TURN_S / 4)
     client.publish(*["/a"] * 100)
@@ -244,15 +239,6 @@ def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing_
     assert world.done.count("/a") == 10
     assert "/goal" not in world.done[world.done.index("/stop") :]
     assert world.done.count("/goal") + world.done.count("no /goal") == 10
-
-
-def test_a_goal_that_waits_when_its_clients_stop_comes_moves_nothing(world: World) -> None:
-    client = world.client(step_s=2 * ROUND_S)
-    client.publish("/a")
-    client.publish("/goal", "/stop")
-    client.publish("/goal")
-    world.run()
-    assert world.done == ["/a", "/stop", "no /goal", "/goal"]
 
 
 def test_a_goal_that_waits_when_another_clients_stop_comes_moves_nothing(world: World) -> None:

@@ -1,7 +1,5 @@
 """Large messages over real sockets: to readers, and to clients that stand still."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
@@ -74,14 +72,6 @@ async def world_with(limits: Limits | None = None, max_queued_bytes: int = 256_0
         world = World(listener, graph)
         async with world.clients:
             yield world
-
-
-async def test_large_messages_that_are_published_at_once_all_arrive() -> None:
-    async with world_with() as world:
-        reader = await world.reader()
-        world.publish(30, 400_000)
-        assert await numbers(reader, 30) == list(range(30))
-        assert world.listener.traffic.counts().dropped_messages == 0
 
 
 async def test_large_answers_that_come_at_once_all_arrive() -> None:

@@ -58,20 +58,6 @@ async def listener(graph: Graph) -> AsyncIterator[Listener]:
 both = pytest.mark.parametrize("speaks_bson", [True, False], ids=["bson", "json"])
 
 
-@both
-async def test_a_client_subscribes_publishes_and_calls(listener: Listener, *, speaks_bson: bool) -> None:
-    async with await RawClient.connect(port_of(listener), speaks_bson=speaks_bson) as client:
-        client.send(op="subscribe", id="subscribe:/t:1", topic="/t", type="std_msgs/String")
-        assert await client.receive() == {"op": "publish", "topic": "/t", "msg": {"data": "hello"}}
-        client.send(op="publish", id="publish:/t:2", topic="/t", latch=False, msg={"data": "own"})
-        assert await client.until_topic("/t") == {"data": "own"}
-        client.send(op="call_service", id="call_service:/trigger:3", service="/trigger", args={})
-        answer = await client.receive()
-        assert list(answer) == ["op", "service", "values", "result", "id"]
-        assert (answer["result"], answer["id"]) == (True, "call_service:/trigger:3")
-        assert answer["values"] == {"success": True, "message": "done"}
-
-
 @pytest.mark.parametrize(("version", "stamp"), [(1, {"secs": 1, "nsecs": 2}), (2, {"sec": 1, "nanosec": 2})])
 async def test_clients_get_the_spelling_of_the_generation_that_is_set(version: int, stamp: dict[str, int]) -> None:
     graph = Graph(REGISTRY)

@@ -1,7 +1,5 @@
 """Limits of the lists in requests, goals and messages to the server."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

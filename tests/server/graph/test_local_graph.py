@@ -1,7 +1,5 @@
 """The view of the graph below a prefix, by which one of several arms has the names of a single one."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
 from typing import Any

@@ -1,9 +1,9 @@
-from __future__ import annotations
-
 import asyncio
 import json
+import math
 import mmap
 import os
+import re
 import threading
 import urllib.error
 import urllib.request
@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from prometheus_client import Histogram
 from prometheus_client.core import Metric
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as parse
@@ -22,7 +21,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from harness.clients import ArmClient, values_of
-from harness.server import ServerOnBus
+from harness.server import ROOT, ServerOnBus
 from harness.waiting import join, wait_until
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
@@ -32,11 +31,10 @@ from server.execution.goal import Answer
 from server.execution.motions import Performed
 from server.gateway.connection import Traffic, TrafficCounts
 from server.monitoring import monitor as monitor_module
-from server.monitoring.health import Health, Sources
+from server.monitoring.health import Health, Sources, check_health
 from server.monitoring.monitor import (
     ARM_HEALTH_STALE_S,
     WATCHDOG_NOTIFICATIONS,
-    EventLoopMonitor,
     GoalCounters,
     Metrics,
     Monitor,
@@ -63,6 +61,7 @@ from tests.server.monitoring.watched_parts import (
     arm_state,
     watched_sources,
 )
+from tests.test_readme import blocks
 
 # A scrape holds the event loop up; this many calls take some 2 ms.
 SCRAPE_CALLS = 20_000
@@ -331,13 +330,14 @@ def metrics(port: int) -> dict[str, float]:
 
 
 async def test_routes_are_answered_before_any_part_is_there() -> None:
-    monitor = Monitor(Sources(), SystemdNotifier())
+    sources = Sources()
+    monitor = Monitor(sources, SystemdNotifier())
     assert set(monitor.routes) == {"healthz", "readyz", "livez", "metrics"}
-    assert monitor.health().reasons == ("the server is starting",)
+    assert check_health(sources).reasons == ("the server is starting",)
     monitor.notify_started()
-    assert monitor.health().ready
+    assert check_health(sources).ready
     monitor.notify_stopping()
-    assert monitor.health().reasons == ("the server is stopping",)
+    assert check_health(sources).reasons == ("the server is stopping",)
 
 
 async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus, client: ArmClient) -> None:
@@ -379,11 +379,8 @@ async def test_metrics_follow_what_happens(served: ServerOnBus, client: ArmClien
 # The event loop.
 
 WELL = Health(live=True, ready=True)
+
 DEAD = Health(live=False, ready=False, reasons=("the arm process has been silent", "and so on"))
-
-
-def lag() -> Histogram:
-    return Metrics(Sources()).loop_lag_s
 
 
 class Listening(SystemdNotifier):
@@ -404,9 +401,11 @@ class Listening(SystemdNotifier):
 def monitored(notifier: Listening, *found: Health, times_s: Iterable[float]) -> list[str]:
     """What a notifier has heard after looks at these times; the health is the next one found, in the end the last."""
     looks = iter(found)
-    monitor = EventLoopMonitor(notifier, lambda: next(looks, found[-1]), lag())
-    for now_s in times_s:
-        monitor.check(now_s)
+    monitor = Monitor(Sources(), notifier)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(monitor_module, "check_health", lambda _sources: next(looks, found[-1]))
+        for now_s in times_s:
+            monitor.check(now_s)
     return notifier.heard
 
 
@@ -429,8 +428,9 @@ async def test_a_blocked_event_loop_shows_as_its_lag(monkeypatch: pytest.MonkeyP
     loop = asyncio.get_running_loop()
     assert isinstance(loop, SteppedLoop)
     monkeypatch.setattr(monitor_module, "time", SimpleNamespace(monotonic=loop.time))
-    lag_s = lag()
-    watching = asyncio.create_task(EventLoopMonitor(Listening(), lambda: WELL, lag_s, period_s=0.01).run())
+    monitor = Monitor(Sources(), Listening(), period_s=0.01)
+    lag_s = monitor.metrics.loop_lag_s
+    watching = asyncio.create_task(monitor.run())
     await asyncio.sleep(0.055)
     name = "armbridge_event_loop_lag_seconds"
     assert samples(lag_s.collect())[f"{name}_sum",] == pytest.approx(0.0)
@@ -455,3 +455,39 @@ async def test_the_accept_header_chooses_the_format_of_the_metrics() -> None:
     assert "armbridge_live" in {family.name for family in parse_openmetrics(modern.body.decode())}
     assert modern.headers["Content-Type"].startswith("application/openmetrics-text")
     assert modern.body.endswith(b"# EOF\n")
+
+
+PAGE = ROOT / "docs" / "operations.md"
+
+SUFFIXES = {"counter": "_total", "info": "_info"}
+
+
+def rows() -> list[list[str]]:
+    lines = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
+    return [re.split(r" *\| *", line)[1:-1] for line in lines]
+
+
+def test_every_metric_is_on_the_page_with_its_kind_and_labels() -> None:
+    told = {}
+    for cells in rows():
+        for name in re.findall(r"`(armbridge_\w+)`", cells[0]):
+            told[name] = (cells[1], set(filter(None, re.split(r",? +", cells[2].strip()))))
+    found = {}
+    # Of no age, whatever the time is.
+    condition = replace(arm_health(), monotonic_s=math.inf)
+    for family in Metrics(replace(watched_sources(), arm_health=condition)).registry.collect():
+        labels = {label for each in family.samples for label in each.labels} - {"le"}
+        # Nobody has sent a goal.
+        labels |= {"source", "result"} if family.name == "armbridge_goals" else set()
+        kind = "gauge" if family.type == "info" else family.type
+        found[family.name + SUFFIXES.get(family.type, "")] = (kind, labels)
+    assert told == found
+
+
+def test_prometheus_can_read_what_it_is_to_scrape() -> None:
+    yaml = pytest.importorskip("yaml")
+    (snippet,) = blocks(PAGE, "yaml")
+    (job,) = yaml.safe_load(snippet)["scrape_configs"]
+    assert job["static_configs"] == [{"targets": ["127.0.0.1:9090"]}]
+    with_token = yaml.safe_load(re.sub(r"# (?=authorization|  credentials)", "", snippet))
+    assert set(with_token["scrape_configs"][0]["authorization"]) == {"credentials_file"}

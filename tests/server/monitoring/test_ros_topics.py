@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import asyncio
 import logging
 import time
@@ -21,6 +19,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.monitoring.ros_topics import (
     GET_LEVELS,
+    LOG_DEPTH,
     MAX_REQUESTED,
     MAX_WAITING,
     ROSOUT_TOPIC,
@@ -223,6 +222,17 @@ async def test_a_record_is_published_with_level_name_and_place_and_without_a_tok
     assert [(m["level"], m["name"], m["msg"], m["file"]) for m in heard] == [
         (30, "armbridge.test", "too hot: /?token=***", "test_ros_topics.py")
     ]
+
+
+async def test_a_new_subscriber_gets_the_last_records() -> None:
+    graph = Graph(Registry.load())
+    rosout = Rosout(graph, asyncio.get_running_loop())
+    for number in range(LOG_DEPTH + 5):
+        LOG.warning("line %d", number)
+    await asyncio.sleep(0)
+    kept = graph.subscribe(Node("late"), ROSOUT_TOPIC, None, Subscriber(lambda _: None))
+    rosout.close()
+    assert [published.msg["msg"] for published in kept] == [f"line {number}" for number in range(5, LOG_DEPTH + 5)]
 
 
 async def test_a_record_of_another_thread_is_published(heard: list[Any]) -> None:

@@ -1,7 +1,5 @@
 """Parts of a server as operations look at them, made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,7 +4,7 @@ import asyncio
 import json
 import math
 import os
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ from server.moveit import named_states
 from server.moveit.named_states import (
     MAX_NAME_LENGTH,
     NAMED_STATES_TOPIC,
-    Change,
     NamedStates,
     NamedStatesFile,
     NamedStatesServices,
@@ -33,50 +32,41 @@ from server.moveit.named_states import (
     default_path,
 )
 from tests.helpers.arm_rig import reading
-from tests.helpers.moveit import keep_in_memory
 from tests.helpers.robots import nominal_calibration, so101
 
 ROBOT = so101()
 BENT = {"elbow_flex": 0.4}
 
-KEPT_STATES = {"mine": {"elbow_flex": 0.4, "gripper": 1.0}, "": {}}
-
 CLIENT = Node("client")
 JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 
 
-class Kept(NamedStates):
-    """States, and what was kept of them last."""
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "armbridge" / "states.json"
 
-    def __init__(self, saved: Mapping[str, Positions] | None = None) -> None:
-        self.kept: Mapping[str, Positions] = {}
-        self.changes = 0
-        self._keeper = keep_in_memory()
-        super().__init__(ROBOT, "arm", saved or {}, self._take)
-        self.on_change(self._count)
 
-    async def _take(self, change: Change) -> States:
-        self.kept = states = await self._keeper(change)
-        return states
-
-    def _count(self) -> None:
-        self.changes += 1
+def opened(path: Path) -> NamedStates:
+    """The states of a server that has just started."""
+    return NamedStates(ROBOT, "arm", NamedStatesFile(path))
 
 
 @pytest.fixture
-def states() -> Kept:
-    return Kept()
+def states(path: Path) -> NamedStates:
+    return opened(path)
 
 
-async def test_a_saved_state_is_found_whatever_its_case_and_blanks_and_kept(states: Kept) -> None:
+async def test_a_saved_state_is_found_whatever_its_case_and_blanks_and_kept(states: NamedStates, path: Path) -> None:
+    changes: list[int] = []
+    states.on_change(lambda: changes.append(1))
     await states.save(" Over  the table", BENT)
     assert states.find("overthe TABLE") == ("Over the table", BENT)
-    assert states.kept == {"Over the table": BENT}
-    assert states.changes == 1
+    assert NamedStatesFile(path).load() == {"Over the table": BENT}
+    assert changes == [1]
     assert "Over the table" in states.names()
 
 
-async def test_a_renamed_state_keeps_its_joints_and_may_change_its_case(states: Kept) -> None:
+async def test_a_renamed_state_keeps_its_joints_and_may_change_its_case(states: NamedStates) -> None:
     await states.save("mine", BENT)
     await states.rename("mine", "Mine")
     await states.rename("mine", "yours")
@@ -84,7 +74,7 @@ async def test_a_renamed_state_keeps_its_joints_and_may_change_its_case(states: 
 
 
 @pytest.mark.parametrize("name", ["home", " HO me"])
-async def test_a_state_of_the_description_is_neither_overwritten_nor_changed(states: Kept, name: str) -> None:
+async def test_a_state_of_the_description_is_neither_overwritten_nor_changed(states: NamedStates, name: str) -> None:
     await states.save("mine", BENT)
     changes: list[Callable[[], Awaitable[None]]] = [
         lambda: states.save(name, BENT),
@@ -95,11 +85,11 @@ async def test_a_state_of_the_description_is_neither_overwritten_nor_changed(sta
     for change in changes:
         with pytest.raises(ServiceError, match=r"home|HO me"):
             await change()
-    assert states.changes == 1
+    assert states.saved == {"mine": BENT}
 
 
 @pytest.mark.parametrize("name", ["", "   ", "a" * (MAX_NAME_LENGTH + 1), "a\x07b"])
-async def test_an_invalid_name_is_refused(states: Kept, name: str) -> None:
+async def test_an_invalid_name_is_refused(states: NamedStates, name: str) -> None:
     with pytest.raises(ServiceError, match=f"1 to {MAX_NAME_LENGTH}"):
         await states.save(name, BENT)
 
@@ -108,43 +98,17 @@ async def test_an_invalid_name_is_refused(states: Kept, name: str) -> None:
     ("positions_rad", "words"),
     [({}, "no joint"), ({"knee": 0.1}, "no joint 'knee'"), ({"elbow_flex": math.nan}, "elbow_flex .* not nan")],
 )
-async def test_an_invalid_state_is_refused(states: Kept, positions_rad: Positions, words: str) -> None:
+async def test_an_invalid_state_is_refused(states: NamedStates, positions_rad: Positions, words: str) -> None:
     with pytest.raises(ServiceError, match=words):
         await states.save("mine", positions_rad)
 
 
-async def test_the_number_of_saved_states_is_bounded(states: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_number_of_saved_states_is_bounded(states: NamedStates, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(named_states, "MAX_STATES", 1)
     await states.save("a", BENT)
     await states.save("A", BENT)
     with pytest.raises(ServiceError, match="the limit is 1"):
         await states.save("b", BENT)
-
-
-async def test_a_state_that_cannot_be_written_is_not_saved() -> None:
-    async def full(_change: Change) -> States:
-        raise ServiceError("no space")
-
-    states = NamedStates(ROBOT, "arm", {}, full)
-    with pytest.raises(ServiceError):
-        await states.save("mine", BENT)
-    assert states.find("mine") is None
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "armbridge" / "states.json"
-
-
-async def put(file: NamedStatesFile, states: States) -> None:
-    """Save states in place of all in a file."""
-    await file.change(lambda _before: states)
-
-
-def opened(path: Path) -> NamedStates:
-    """The states of a server that has just started."""
-    file = NamedStatesFile(path)
-    return NamedStates(ROBOT, "arm", file.load(), file.change)
 
 
 async def test_two_servers_keep_what_the_other_has_saved(path: Path) -> None:
@@ -165,7 +129,7 @@ async def test_a_state_that_another_server_has_deleted_is_not_known_any_more(pat
 
 
 async def test_states_of_another_arm_stay_in_the_file(path: Path) -> None:
-    await put(NamedStatesFile(path), {"its": {"knee": 0.1}})
+    await NamedStatesFile(path).change(lambda _before: {"its": {"knee": 0.1}})
     await opened(path).save("mine", BENT)
     assert set(NamedStatesFile(path).load()) == {"its", "mine"}
 
@@ -218,13 +182,13 @@ def test_an_invalid_file_is_logged_and_renamed(path: Path, content: str, caplog:
     assert not path.exists()
 
 
-async def test_a_file_that_cannot_be_written_is_an_error_and_the_old_one_stays(path: Path) -> None:
-    file = NamedStatesFile(path)
-    await put(file, KEPT_STATES)
+async def test_a_file_that_cannot_be_written_is_an_error_and_the_old_one_stays(states: NamedStates, path: Path) -> None:
+    await states.save("mine", BENT)
     path.with_name(f".{path.name}.new").mkdir()
     with pytest.raises(ServiceError, match=str(path)):
-        await put(file, {})
-    assert file.load() == KEPT_STATES
+        await states.save("yours", BENT)
+    assert NamedStatesFile(path).load() == {"mine": BENT}
+    assert states.find("yours") is None
 
 
 def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -244,9 +208,9 @@ def test_states_are_kept_in_the_users_data_directory(environment: dict[str, str]
 class Office:
     """The services, for an arm that says where it is."""
 
-    def __init__(self) -> None:
+    def __init__(self, states: NamedStates) -> None:
         self.graph = Graph(Registry.load())
-        self.states = NamedStates(ROBOT, "arm", {}, keep_in_memory())
+        self.states = states
         self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(nominal_calibration())), lambda _state: None)
         NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
         self.told: list[dict[str, Any]] = []
@@ -265,8 +229,8 @@ class Office:
 
 
 @pytest.fixture
-async def office() -> Office:
-    return Office()
+async def office(states: NamedStates) -> Office:
+    return Office(states)
 
 
 async def test_the_present_positions_are_saved_and_published(office: Office) -> None:

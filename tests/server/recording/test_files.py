@@ -211,15 +211,14 @@ def test_a_path_that_is_no_regular_file_is_refused(kind: str, make: Callable[[Pa
     assert str(refused.value) == f"recording.file: {path} must be a regular file or not exist; it is {kind}"
 
 
-def test_a_path_below_a_file_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("folder", "words"),
+    [("file", "cannot be used: Not a directory"), ("no", "cannot be written: there is no writable folder .*/no")],
+)
+def test_a_path_in_no_folder_is_refused(tmp_path: Path, folder: str, words: str) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigurationError, match=r"file/run\.mcap cannot be used: Not a directory"):
-        check_path(tmp_path / "file" / "run.mcap")
-
-
-def test_a_path_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"run\.mcap cannot be written: there is no writable folder .*/no"):
-        check_path(tmp_path / "no" / "run.mcap")
+    with pytest.raises(ConfigurationError, match=rf"{folder}/run\.mcap {words}"):
+        check_path(tmp_path / folder / "run.mcap")
 
 
 def test_a_path_of_a_file_of_a_link_to_one_or_of_nothing_is_taken(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import re
 import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,28 +98,22 @@ def test_a_file_without_messages_of_ros_2_is_refused(tmp_path: Path) -> None:
         Recording(tmp_path / "other.mcap").summary()
 
 
-NO_RECORDINGS = {
-    "text": (b"a text that is longer than eight characters", "is not an MCAP file"),
-    "nothing": (b"", "is not an MCAP file"),
-    "magic alone": (b"\x89MCAP0\r\n", "is not an MCAP file"),
+NO_RECORDINGS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "text": (lambda path: path.write_bytes(b"a text that is longer than eight characters"), "is not an MCAP file"),
+    "an empty file": (Path.touch, "is not an MCAP file"),
+    "magic alone": (lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "is not an MCAP file"),
+    "no file": (lambda _path: None, "cannot be read: No such file"),
+    "nothing recorded": (lambda path: record(path, []), "has no messages of ROS 2"),
 }
 
 
-@pytest.mark.parametrize(("octets", "words"), NO_RECORDINGS.values(), ids=NO_RECORDINGS.keys())
-def test_an_invalid_recording_is_refused_with_a_sentence(tmp_path: Path, octets: bytes, words: str) -> None:
-    (tmp_path / "run.mcap").write_bytes(octets)
+@pytest.mark.parametrize(("make", "words"), NO_RECORDINGS.values(), ids=NO_RECORDINGS.keys())
+def test_an_invalid_recording_is_refused_with_a_sentence(
+    tmp_path: Path, make: Callable[[Path], object], words: str
+) -> None:
+    make(tmp_path / "run.mcap")
     with pytest.raises(RecordingError, match=rf"run\.mcap: {words}"):
         Recording(tmp_path / "run.mcap").summary()
-
-
-def test_a_file_that_is_not_there_is_refused_with_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"run\.mcap: cannot be read: No such file"):
-        Recording(tmp_path / "run.mcap").summary()
-
-
-def test_a_recording_of_nothing_is_refused_with_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="has no messages of ROS 2"):
-        Recording(record(tmp_path / "run.mcap", [])).summary()
 
 
 LISTENER = Node("listener")

@@ -13,11 +13,12 @@ import pytest
 
 from harness.waiting import until
 from robot.messages import ArmState, Mode
+from server.errors import ServiceError
 from server.graph.permissions import Role
-from server.teaching.services import Teaching
-from server.teaching.taught_motion import MotionFiles
+from server.teaching.services import Teaching, TeachingRecorder, joints_to_teach
+from server.teaching.taught_motion import MAX_DURATION_S, MotionFiles
 from tests.helpers.fake_arm import JOINTS
-from tests.helpers.moveit import BENT, ROBOT, ServiceRig, box, diff, pose
+from tests.helpers.moveit import BENT, ROBOT, SEVEN, ServiceRig, box, diff, pose
 from tests.helpers.rules import server_rules
 
 START = np.array(list(BENT.values()))
@@ -33,7 +34,7 @@ class Lesson(ServiceRig):
         self.teaching = Teaching(self.graph, ROBOT, self.motions, self.pool, self.scene_state, self.current)
         self.states = self.listen("/teach/state", "armbridge_msgs/TeachState")
         self.state = RELAXED
-        self.teaching.take_state(self.state)
+        self.teaching.on_state("", self.state)
 
     def hand(self, lasts_s: float = 2.0, **to_rad: float) -> None:
         """Lead joints to positions, and rest there for a moment."""
@@ -46,7 +47,7 @@ class Lesson(ServiceRig):
             share = 0.5 - 0.5 * np.cos(np.pi * min(passed_s / lasts_s, 1.0))
             at = before.position_rad + share * (goal - before.position_rad)
             self.state = replace(before, clock_s=before.clock_s + float(passed_s), position_rad=at)
-            self.teaching.take_state(self.state)
+            self.teaching.on_state("", self.state)
 
     async def teach(self, name: str) -> dict[str, Any]:
         assert (await self.call("/teach/begin", name=name))["success"]
@@ -59,7 +60,7 @@ class Lesson(ServiceRig):
 async def lesson(tmp_path: Path) -> AsyncIterator[Lesson]:
     made = Lesson(tmp_path / "motions")
     yield made
-    await made.teaching.close()
+    await made.teaching.stop()
 
 
 async def refused(lesson: Lesson, service: str, **request: Any) -> str:
@@ -116,9 +117,9 @@ async def test_one_motion_is_recorded_at_a_time_whoever_asks(lesson: Lesson) -> 
 async def test_a_discarded_recording_leaves_nothing(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
-    assert lesson.teaching.recording
+    assert lesson.teaching.observes_states
     assert (await lesson.call("/teach/discard"))["success"]
-    assert not lesson.teaching.recording
+    assert not lesson.teaching.observes_states
     assert (await lesson.call("/teach/list")) == {"names": []}
     assert "discarded" in await refused(lesson, "end")
     assert "discarded" in await refused(lesson, "discard")
@@ -134,7 +135,7 @@ async def test_a_recording_without_a_motion_is_not_saved(lesson: Lesson) -> None
 async def test_a_lost_arm_ends_the_recording_which_is_kept_and_the_state_says_so(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
-    lesson.teaching.take_state(replace(lesson.state, mode=Mode.DISCONNECTED, reason="unplugged"))
+    lesson.teaching.on_state("", replace(lesson.state, mode=Mode.DISCONNECTED, reason="unplugged"))
     await until(lambda: "unplugged; the motion 'wave' is saved" in lesson.states[-1]["message"])
     assert (await lesson.call("/teach/list")) == {"names": ["wave"]}
 
@@ -142,7 +143,7 @@ async def test_a_lost_arm_ends_the_recording_which_is_kept_and_the_state_says_so
 async def test_a_server_that_ends_saves_what_is_being_recorded(lesson: Lesson) -> None:
     assert (await lesson.call("/teach/begin", name="wave"))["success"]
     lesson.hand(shoulder_pan=0.7)
-    await lesson.teaching.close()
+    await lesson.teaching.stop()
     assert await lesson.motions.names() == ["wave"]
 
 
@@ -198,7 +199,7 @@ async def test_a_recording_that_cannot_be_kept_does_not_begin(
 
 
 async def test_an_arm_that_is_not_connected_is_not_recorded(lesson: Lesson) -> None:
-    lesson.teaching.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
+    lesson.teaching.on_state("", ArmState(1.0, Mode.DISCONNECTED, JOINTS))
     assert "not connected" in await refused(lesson, "begin", name="wave")
 
 
@@ -209,3 +210,53 @@ def test_replays_drive_the_arm_and_changes_of_motions_configure() -> None:
     assert {services[f"/teach/{name}"].role for name in ("begin", "end", "discard")} == {Role.OPERATE}
     changes = ("save", "delete", "rename", "trim")
     assert {services[f"/teach/{name}"].role for name in changes} == {Role.ADMIN}
+
+
+MEASURED = ArmState(1.0, Mode.RELAXED, JOINTS, position_rad=np.arange(6.0), goal_rad=np.arange(6.0) + 9.0)
+
+
+def test_a_relaxed_arm_is_recorded_where_it_is_measured() -> None:
+    recorder = TeachingRecorder("wave", ("elbow_flex", "gripper"))
+    for clock_s in (5.0, 5.02, 5.04):
+        assert recorder.take_state(replace(MEASURED, clock_s=clock_s)) == ""
+    time_s, positions_rad = recorder.samples
+    assert time_s.tolist() == [5.0, 5.02, 5.04]
+    assert positions_rad.tolist() == [[2.0, 5.0]] * 3
+    assert recorder.duration_s == pytest.approx(0.04)
+
+
+def test_a_driven_arm_is_recorded_where_it_is_commanded() -> None:
+    recorder = TeachingRecorder("wave", ("elbow_flex",))
+    recorder.take_state(replace(MEASURED, goal_rad=np.arange(6.0) + 0.5, torque_enabled=True))
+    assert recorder.samples[1].tolist() == [[2.5]]
+
+
+def test_states_that_come_twice_count_once() -> None:
+    recorder = TeachingRecorder("wave", JOINTS)
+    for clock_s in (1.0, 1.0, 1.001, 1.02):
+        recorder.take_state(replace(MEASURED, clock_s=clock_s))
+    assert recorder.points == 2
+
+
+@pytest.mark.parametrize(
+    ("state", "says"),
+    [
+        (replace(MEASURED, clock_s=1.0 + MAX_DURATION_S + 0.1), "600 s at most"),
+        (replace(MEASURED, clock_s=0.5), "started again"),
+        (replace(MEASURED, clock_s=2.0, mode=Mode.DISCONNECTED, reason="unplugged"), "not connected: unplugged"),
+        (replace(MEASURED, clock_s=2.0, position_rad=None), "not connected"),
+    ],
+)
+def test_a_recording_that_cannot_go_on_ends_with_the_reason(state: ArmState, says: str) -> None:
+    recorder = TeachingRecorder("wave", JOINTS)
+    recorder.take_state(replace(MEASURED, clock_s=1.0))
+    assert says in recorder.take_state(state)
+    assert recorder.points == 1
+
+
+def test_the_arm_and_its_gripper_are_recorded_unless_a_group_is_named() -> None:
+    assert joints_to_teach(ROBOT, "") == JOINTS
+    assert joints_to_teach(ROBOT, "gripper") == ("gripper",)
+    assert joints_to_teach(SEVEN, "") == SEVEN.groups[SEVEN.default_group].joints
+    with pytest.raises(ServiceError, match="must be one of arm, gripper, not 'leg'"):
+        joints_to_teach(ROBOT, "leg")

@@ -53,15 +53,6 @@ def test_a_closed_clutch_that_is_closed_again_changes_nothing() -> None:
     assert one.tick(1.0, FRESH) is Act.FOLLOW
 
 
-def test_samples_that_do_not_return_end_it() -> None:
-    one = following()
-    one.tick(1.0, STALE)
-    one.tick(2.9, STALE)
-    assert not one.ended
-    one.tick(3.1, STALE)
-    assert one.message == "the leader has sent nothing for 2 s"
-
-
 def test_samples_that_stop_during_the_ramp_brake_it() -> None:
     one = Following()
     one.tick(0.0, FRESH)

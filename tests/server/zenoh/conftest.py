@@ -1,7 +1,5 @@
 """Discovery without delay: the tests would wait for nothing else."""
 
-from __future__ import annotations
-
 import pytest
 
 from server.zenoh import bridge, session

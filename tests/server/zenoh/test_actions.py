@@ -1,7 +1,5 @@
 """Actions between this server and a machine that sends, and serves, the frames of rcl_action over rmw_zenoh."""
 
-from __future__ import annotations
-
 import asyncio
 import uuid
 from typing import Any

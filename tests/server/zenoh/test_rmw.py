@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import zenoh.ext
 
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, LivelinessTokens, is_name

@@ -68,10 +68,6 @@ export function authorizationHeaders(): Record<string, string> {
 
 /** Authentication with the token that the user has given. */
 export class Authentication {
-  /**
-   * @param connection - reopened with each token.
-   * @param store - updated with the state of the token and of its prompt.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,

@@ -9,10 +9,6 @@ import { gripperGoal, type TriggerResponse } from "./messages";
 export class ArmCommands {
   private gripper_goal: GoalHandle<unknown> | null = null;
 
-  /**
-   * @param connection - connection to the server.
-   * @param store - updated with notices.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,
@@ -118,11 +114,6 @@ const ACKNOWLEDGEMENT_MS = 4000;
 export class StopCommand {
   private presses = 0;
 
-  /**
-   * @param connection - connection to the server.
-   * @param store - updated with the acknowledgement.
-   * @param cancel - releases every input of this page, and cancels its goal.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,

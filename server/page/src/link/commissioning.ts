@@ -31,20 +31,12 @@ function nextInHand(store: PageStore, next: ReturnType<HandObserver["observe"]>)
 
 /** Requests to calibrate and verify; every refusal becomes a notice. */
 export class CommissioningCommands {
-  /**
-   * @param connection - connection to the server.
-   * @param store - updated with notices.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,
   ) {}
 
-  /**
-   * Begin a procedure.
-   *
-   * @param name - calibration to write; empty for the one in use.
-   */
+  /** Begin a procedure; an empty name writes the calibration in use. */
   async begin(procedure: "calibrate" | "verify", name: string): Promise<boolean> {
     return this.request("/arm/commissioning/begin", { procedure, name });
   }

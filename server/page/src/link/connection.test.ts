@@ -62,13 +62,13 @@ const FakeRos = vi.hoisted(() => {
 
     /** Return the recorded operations of one kind. */
     ops(op: string): Record<string, unknown>[] {
-      return this.sent.filter((message) => message["op"] === op);
+      return this.sent.filter((message) => message.op === op);
     }
 
     /** Answer the first call of a service. */
     answer(service: string, values: unknown): void {
-      const call = this.ops("call_service").find((message) => message["service"] === service);
-      this.emit(String(call?.["id"]), { op: "service_response", id: call?.["id"], values, result: true });
+      const call = this.ops("call_service").find((message) => message.service === service);
+      this.emit(String(call?.id), { op: "service_response", id: call?.id, values, result: true });
     }
   }
   return FakeRos;
@@ -120,7 +120,7 @@ test("comes back by itself, with every subscription, and sends nothing that is o
   vi.advanceTimersByTime(260);
   expect(FakeRos.made).toHaveLength(2);
   newest().up();
-  expect(newest().ops("subscribe").map((message) => message["topic"])).toEqual(["/joint_states"]);
+  expect(newest().ops("subscribe").map((message) => message.topic)).toEqual(["/joint_states"]);
   expect(newest().ops("publish")).toEqual([]);
   expect(statuses.map(({ connected }) => connected)).toEqual([true, false, true]);
 });
@@ -143,7 +143,7 @@ test("a response that has no room for its reason gets it from the status about t
   const answer = connection.call("/apply_planning_scene", {});
   const call = newest().ops("call_service").find(({ service }) => service === "/apply_planning_scene");
   newest().emit("status:of another call", { msg: "call_service: service /apply_planning_scene: not ours" });
-  newest().emit(`status:${call?.["id"] as string}`, { msg: "call_service: service /apply_planning_scene: no such link" });
+  newest().emit(`status:${call?.id as string}`, { msg: "call_service: service /apply_planning_scene: no such link" });
   newest().answer("/apply_planning_scene", { success: false });
   expect(await answer).toEqual({ success: false, refusal: "no such link" });
 });
@@ -151,7 +151,7 @@ test("a response that has no room for its reason gets it from the status about t
 test("a goal tells its status and result, also of one that failed", async () => {
   newest().up();
   const { result, cancel } = connection.goal<{ error_code: { val: number } }>("/move_action", "moveit_msgs/action/MoveGroup", {});
-  const id = newest().ops("send_action_goal")[0]?.["id"];
+  const id = newest().ops("send_action_goal")[0]?.id;
   cancel();
   expect(newest().ops("cancel_action_goal")).toEqual([{ op: "cancel_action_goal", id, action: "/move_action" }]);
   newest().emit(String(id), { op: "action_result", status: 6, result: true, values: { error_code: { val: -7 } } });
@@ -161,7 +161,7 @@ test("a goal tells its status and result, also of one that failed", async () => 
 test("a goal that was not taken tells why", async () => {
   newest().up();
   const { result } = connection.goal("/move_action", "moveit_msgs/action/MoveGroup", {});
-  const id = newest().ops("send_action_goal")[0]?.["id"];
+  const id = newest().ops("send_action_goal")[0]?.id;
   newest().emit(String(id), { op: "action_result", status: 6, result: false, values: "the field is wrong" });
   await expect(result).resolves.toMatchObject({ values: null, reason: "the field is wrong" });
 });

@@ -17,11 +17,7 @@ export function serverUrl(page: string): string {
 const INITIAL_BACKOFF_S = 0.25;
 const MAX_BACKOFF_S = 2;
 
-/**
- * Return the delay before the next attempt to connect [s].
- *
- * @param failures - failed attempts since the connection was last open, at least 1.
- */
+/** Return the delay before the next attempt to connect [s], after one failure or more. */
 export function backoff_s(failures: number): number {
   return Math.min(MAX_BACKOFF_S, INITIAL_BACKOFF_S * 2 ** Math.max(0, failures - 1));
 }

@@ -392,28 +392,28 @@ export function readArmState(status: DiagnosticStatus): ArmState {
     return Number.isFinite(value) ? value : 1;
   };
   return {
-    mode: values["mode"] ?? "disconnected",
+    mode: values.mode ?? "disconnected",
     message: status.message,
-    fault: values["fault"] ?? "",
-    fault_message: values["fault_message"] ?? "",
-    fault_remedy: values["fault_remedy"] ?? "",
-    fault_joint: values["fault_joint"] ?? "",
-    reason: values["reason"] ?? "",
+    fault: values.fault ?? "",
+    fault_message: values.fault_message ?? "",
+    fault_remedy: values.fault_remedy ?? "",
+    fault_joint: values.fault_joint ?? "",
+    reason: values.reason ?? "",
     speed_factor: share("speed_factor"),
     speed_limit: share("speed_limit"),
-    course: values["course"] ?? "forward",
-    last_stop: values["last_stop"] ?? "",
+    course: values.course ?? "forward",
+    last_stop: values.last_stop ?? "",
   };
 }
 
 /** Read a message of /arm/control. */
 export function readControl(status: DiagnosticStatus): Control {
   const values = keyValues(status);
-  const free_in_s = values["free_in_s"] || "none";
+  const free_in_s = values.free_in_s || "none";
   return {
     holder: status.hardware_id,
-    address: values["address"] ?? "",
-    policy: values["policy"] === "shared" ? "shared" : "lease",
+    address: values.address ?? "",
+    policy: values.policy === "shared" ? "shared" : "lease",
     free_in_s: Number.isFinite(Number(free_in_s)) ? Math.max(0, Number(free_in_s)) : null,
   };
 }
@@ -432,18 +432,18 @@ export function readIdentity(text: string): Identity | null {
 /** Read a message of /moveit_goal_status. */
 export function readGoal(status: DiagnosticStatus): GoalState {
   const values = keyValues(status);
-  const code = values["code"] === undefined ? null : Number(values["code"]);
-  const seconds_left = Number(values["seconds_left"]);
+  const code = values.code === undefined ? null : Number(values.code);
+  const seconds_left = Number(values.seconds_left);
   return {
     ...noGoal(),
     id: status.hardware_id,
     source: status.name,
-    state: values["state"] ?? "",
-    fraction: Number(values["fraction"] ?? 0) || 0,
+    state: values.state ?? "",
+    fraction: Number(values.fraction ?? 0) || 0,
     seconds_left: Number.isFinite(seconds_left) ? seconds_left : null,
     message: status.message,
     code,
-    suggestion: readSuggestion(values["suggested_goal"]),
+    suggestion: readSuggestion(values.suggested_goal),
   };
 }
 

@@ -23,10 +23,6 @@ export class MoveGroupClient {
   /** Trajectories of the shown plans as the server sent them, which are those to execute. */
   private readonly sent_trajectories = new WeakMap<Plan, RobotTrajectory>();
 
-  /**
-   * @param connection - connection to the server.
-   * @param store - updated with plans and results.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,

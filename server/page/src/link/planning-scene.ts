@@ -14,11 +14,7 @@ export function applyColors(known: Record<string, Color>, scene: PlanningScene):
   return Object.fromEntries(Object.entries(colors).filter(([, color]) => color.some((part) => part > 0)));
 }
 
-/**
- * Return the objects after a message of /monitored_planning_scene, which is the whole scene or a difference.
- *
- * @param colors - colours after the message: a difference repeats none of an object that is added anew.
- */
+/** Return the objects, with their colours after it, after a message of /monitored_planning_scene: the scene or a difference. */
 export function applyPlanningScene(
   known: readonly SceneObject[],
   scene: PlanningScene,

@@ -28,10 +28,6 @@ export class RegionScan {
   /** Points that were free in any scene, of the present slice and arm alone. */
   private readonly free = new Set<string>();
 
-  /**
-   * @param connection - connection to the server.
-   * @param store - updated with the cells.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,

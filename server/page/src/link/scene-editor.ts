@@ -28,10 +28,6 @@ const FILE_COMPONENTS = 4 + 16 + 512;
 
 /** Changes of the planning scene by the user, each of which can be undone; refusals are told in the server's words. */
 export class SceneEditor {
-  /**
-   * @param connection - connection to the server.
-   * @param store - updated with the history and results; what is clicked in the picture is read from it.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,

@@ -43,10 +43,6 @@ export class SequencePlayer {
   private endPause: () => void = () => undefined;
   private stopped = false;
 
-  /**
-   * @param connection - connection to the server.
-   * @param store - holds the sequence; updated with its checks and the progress.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,

@@ -1,4 +1,4 @@
-import { armGripper, armJoints, armNamespace, currentPositions, DESCRIPTION, hasTip } from "../logic/joints";
+import { armGripper, armJoints, armNamespace, currentPositions, hasTip } from "../logic/joints";
 import { summed, type JogCommand, type JogStep } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
@@ -25,23 +25,11 @@ const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
 
 type ArmKind = keyof typeof COMMAND_TYPES;
 
-/** Call back with the namespace of the planning group's arm, now and whenever it is another. */
-export function onArm(store: PageStore, listener: (namespace: string) => void): void {
-  let known: string | null = null;
-  const update = (state: State): void => {
-    const namespace = armNamespace(state);
-    if (namespace === known) return;
-    known = namespace;
-    listener(namespace);
-  };
-  store.watch(DESCRIPTION, update);
-}
-
 /** Subscribe to status and parameters of the servo node of the planning group's arm. */
 export function subscribeServoNode(connection: Pick<Connection, "subscribe">, store: PageStore): void {
   // By the namespace of each arm that was steered since the page was opened.
   const parameters = new Map<string, Partial<State["servo_node"]>>();
-  onArm(store, (namespace) => {
+  store.subscribe(armNamespace, (namespace) => {
     store.patch("servo_node", { code: 0, message: "", ...parameters.get(namespace) });
     if (parameters.has(namespace)) return;
     parameters.set(namespace, {});
@@ -85,18 +73,13 @@ export class JogSender {
   private jogged: string[] = [];
   private gripper: { position: number; sent_ms: number } | null = null;
 
-  /**
-   * @param connection - connection to the server.
-   * @param store - tells joints, gripper, permission; updated with notices.
-   * @param gripper - moves the gripper to a position [rad or m], and cancels that.
-   */
   constructor(
     private readonly connection: Pick<Connection, "publish" | "call">,
     private readonly store: PageStore,
     private readonly gripper_commands: Pick<ArmCommands, "moveGripper" | "cancelGripper">,
   ) {
     // What was begun with one arm does not go on with another.
-    onArm(store, (namespace) => {
+    store.subscribe(armNamespace, (namespace) => {
       this.releaseAll();
       this.namespace = namespace;
       this.jogged = [];
@@ -188,7 +171,7 @@ export class JogSender {
     if (!this.isAllowed()) return this.releaseAll();
     this.advanceSteps();
     if (this.arm_kind) this.publish(this.arm_kind, summed(this.commandsOf(this.arm_kind)));
-    this.sendGripper(summed(this.commandsOf("gripper"))["opening"] ?? 0);
+    this.sendGripper(summed(this.commandsOf("gripper")).opening ?? 0);
   }
 
   /** Go on with the steps by the time that their last commands were followed, which ends when they expire. */

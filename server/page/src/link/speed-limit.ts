@@ -2,7 +2,6 @@ import { armNamespace } from "../logic/joints";
 import type { PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import { readArmState, type DiagnosticStatus } from "./messages";
-import { onArm } from "./servo-node";
 
 /** Keep the speed limit of the planning group's arm; of a group with joints of several arms, the lowest of all arms. */
 export function subscribeSpeedLimit(connection: Pick<Connection, "subscribe">, store: PageStore): void {
@@ -13,7 +12,7 @@ export function subscribeSpeedLimit(connection: Pick<Connection, "subscribe">, s
     store.set({ speed_limit: limits.get(armNamespace(store.state)) ?? 1 });
   };
   store.subscribe((state) => state.arm.speed_limit, (limit) => take("", limit));
-  onArm(store, (namespace) => {
+  store.subscribe(armNamespace, (namespace) => {
     const known = limits.get(namespace);
     take(namespace, known ?? 1);
     if (known !== undefined) return;

@@ -9,6 +9,7 @@ import {
   subscribeControl,
   subscribeControllerState,
   subscribeTopics,
+  withLogEntry,
 } from "./subscriptions";
 
 const empty = emptyState("ws://here");
@@ -131,4 +132,11 @@ test("the server's actions are asked for", async () => {
   const store = new Store(emptyState("ws://here"));
   await fetchActions(listening({ "/rosapi/action_servers": { action_servers: ["/move_action"] } }).connection, store);
   expect(store.state.actions).toEqual(["/move_action"]);
+});
+
+test("a log line that the server sends again after a break of the connection is shown once", () => {
+  const line = (stamp: number): State["log"][number] => ({ stamp, level: 20, name: "armbridge", text: "ready" });
+  const log = [line(1), line(2)];
+  expect(withLogEntry(log, line(2))).toEqual(log);
+  expect(withLogEntry(log, line(3))).toEqual([...log, line(3)]);
 });

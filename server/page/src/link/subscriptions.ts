@@ -1,5 +1,5 @@
 import { withStatus } from "../logic/goal-history";
-import { noGoal, noPlan, type ActiveGoal, type GoalState, type State } from "../state/state";
+import { noGoal, noPlan, type ActiveGoal, type GoalState, type LogEntry, type State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import {
@@ -46,7 +46,7 @@ export function subscribeTopics(connection: Connection, store: PageStore): void 
     store.set({ ...applyGoalStatus(store.state, goal), goal_history });
   });
   connection.subscribe<LogMessage>("/rosout", "rcl_interfaces/Log", (message) => {
-    store.set({ log: [...store.state.log.slice(1 - MAX_LOG_ENTRIES), readLogEntry(message)] });
+    store.set({ log: withLogEntry(store.state.log, readLogEntry(message)) });
   });
   connection.subscribe<DiagnosticArray>("/diagnostics", "diagnostic_msgs/DiagnosticArray", ({ status }) => {
     store.set({ servos: readServos(status), arm_health: readArmHealth(status) });
@@ -57,6 +57,12 @@ export function subscribeTopics(connection: Connection, store: PageStore): void 
     store.set({ objects, object_colors });
     setNotice(store, "scene", problems.join(" "));
   });
+}
+
+/** Return the log with an entry; the server sends its last ones again to a page that has come back. */
+export function withLogEntry(log: readonly LogEntry[], entry: LogEntry): LogEntry[] {
+  const is_known = log.some(({ stamp, name, text }) => stamp === entry.stamp && name === entry.name && text === entry.text);
+  return is_known ? [...log] : [...log.slice(1 - MAX_LOG_ENTRIES), entry];
 }
 
 function subscribeRobot(connection: Connection, store: PageStore): void {
@@ -76,11 +82,7 @@ function subscribeRobot(connection: Connection, store: PageStore): void {
   });
 }
 
-/**
- * Subscribe to the commanded joint positions, on the state topics of the groups' controllers.
- *
- * @param subscribed_topics - topics of earlier calls; each is subscribed once, as the connection restores them.
- */
+/** Subscribe, each topic once, to the commanded joint positions on the state topics of the groups' controllers. */
 export async function subscribeControllerState(
   connection: Connection,
   store: PageStore,

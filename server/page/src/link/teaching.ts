@@ -34,10 +34,6 @@ interface ReplayResult {
 export class Teaching {
   private handle: GoalHandle<ReplayResult> | null = null;
 
-  /**
-   * @param connection - connection to the server.
-   * @param store - updated with the recording, the motions and the answers.
-   */
   constructor(
     private readonly connection: Connection,
     private readonly store: PageStore,

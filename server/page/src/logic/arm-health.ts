@@ -39,7 +39,7 @@ function latencyRow(latency_ms: number | null): HealthRow {
 }
 
 function loopRow(values: Values): HealthRow | null {
-  const lateness = percentiles(values["loop_lateness_ms"]);
+  const lateness = percentiles(values.loop_lateness_ms);
   if (lateness === null) return null;
   const warn = lateness.p99 > LATE_MS;
   const key = warn ? "health.loop.late" : "health.loop.text";
@@ -47,20 +47,20 @@ function loopRow(values: Values): HealthRow | null {
 }
 
 function machineRow(values: Values): HealthRow | null {
-  if (values["real_time_priority"] === undefined) return null;
-  const factor = Number(values["real_time_factor"] ?? 1);
+  if (values.real_time_priority === undefined) return null;
+  const factor = Number(values.real_time_factor ?? 1);
   const warn = factor < SLOW_FACTOR;
-  const key = values["real_time_priority"] === "true" ? "health.machine.real_time" : "health.machine.no_real_time";
+  const key = values.real_time_priority === "true" ? "health.machine.real_time" : "health.machine.no_real_time";
   const slow: HealthRow["texts"] = warn ? [["health.machine.slow", { share: Math.round(100 * factor) }]] : [];
   return { id: "machine", texts: [[key, {}], ...slow], warn };
 }
 
 function busRow(values: Values): HealthRow | null {
-  const port = values["port"];
+  const port = values.port;
   if (port === undefined) return null;
-  const round_trip = percentiles(values["bus_round_trip_ms"]);
+  const round_trip = percentiles(values.bus_round_trip_ms);
   // A simulated arm answers at once, or counts no messages at all.
-  const simulated = values["bus_sent"] === undefined || round_trip?.max === 0;
+  const simulated = values.bus_sent === undefined || round_trip?.max === 0;
   if (simulated) return { id: "bus", texts: [["health.bus.simulated", {}]], warn: false };
   const text: HealthRow["texts"][0] = round_trip ? ["health.bus.text", { port, ...shown(round_trip) }] : ["health.bus.port", { port }];
   return { id: "bus", texts: [text], warn: false };

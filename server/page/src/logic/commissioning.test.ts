@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import { emptyState, type Commissioning, type Joints, type SweptJoint } from "../state/state";
-import { asksAnew, droopText, HandObserver, rangeBar, rangeText, ticksToRadians } from "./commissioning";
+import { droopText, HandObserver, questionOf, rangeBar, rangeText, ticksToRadians } from "./commissioning";
 
 const joint = (patch: Partial<SweptJoint> = {}): SweptJoint => ({
   joint: "elbow",
@@ -56,12 +56,12 @@ it("tells ranges and droop in degrees", () => {
   expect(droopText(Number.NaN)).toBe("");
 });
 
-it("asks anew when step or answers change, and not when the arm moves on or figures of the instruction change", () => {
-  expect(asksAnew(null, state())).toBe(true);
-  expect(asksAnew(state(), state({ progress: 0.9, joints: [] }))).toBe(false);
-  expect(asksAnew(state(), state({ instruction: "Move it by 12°." }))).toBe(false);
-  expect(asksAnew(state(), state({ step: "next" }))).toBe(true);
-  expect(asksAnew(state(), state({ answers: ["yes", "no"] }))).toBe(true);
+it("asks another question when step or answers change, and not when the arm moves on or figures of the instruction change", () => {
+  const question = questionOf(state());
+  expect(questionOf(state({ progress: 0.9, joints: [] }))).toBe(question);
+  expect(questionOf(state({ instruction: "Move it by 12°." }))).toBe(question);
+  expect(questionOf(state({ step: "next" }))).not.toBe(question);
+  expect(questionOf(state({ answers: ["yes", "no"] }))).not.toBe(question);
 });
 
 describe("HandObserver", () => {

@@ -73,15 +73,12 @@ export function droopText(droop_rad: number): string {
 }
 
 /**
- * Return true when a new state takes other answers than the one before.
+ * Return a key of the question that a state asks, which other answers change.
  *
- * An instruction may tell live figures: buttons that were made anew with each could not be pressed.
+ * An instruction may contain live figures: buttons that changed with each could not be pressed.
  */
-export function asksAnew(before: Commissioning | null, after: Commissioning | null): boolean {
-  const question = (state: Commissioning | null): string => {
-    return JSON.stringify([state?.procedure, state?.step, state?.answers]);
-  };
-  return question(before) !== question(after);
+export function questionOf({ procedure, step, answers }: Commissioning): string {
+  return JSON.stringify([procedure, step, answers]);
 }
 
 /** Observer of the hand: which joint it moves, and with which sign the servo of that joint counts. */

@@ -21,14 +21,7 @@ function pictureAxes([x, y, z]: Point): [Point, Point] {
   return [right, [-right[1] * z, right[0] * z, level]];
 }
 
-/**
- * Return the distance from a center at which a camera sees all points in the inner part of its picture.
- *
- * @param points_m - points to see.
- * @param center_m - point that the camera looks at.
- * @param optics - direction and opening of the camera.
- * @param filled - part of the picture that the points may take, up to 1.
- */
+/** Return the distance from a center at which a camera sees all points in a part of its picture, of 1 at most. */
 export function framingDistance_m(points_m: Point[], center_m: Point, optics: CameraOptics, filled: number): number {
   const [right, up] = pictureAxes(optics.direction);
   const tan_up = Math.tan(optics.field_of_view_rad / 2) * filled;

@@ -76,19 +76,19 @@ export function readAsked(text: string, shown: ShownUnits): Asked {
 }
 
 function askedOf(message: Record<string, unknown>, shown: ShownUnits): Asked {
-  if (typeof message["data"] === "string") return { kind: "named", name: message["data"] };
+  if (typeof message.data === "string") return { kind: "named", name: message.data };
   const joints = message as unknown as JointList;
   if (Array.isArray(joints.name) && Array.isArray(joints.position)) {
     return { kind: "joints", text: jointsText(joints, shown) };
   }
-  const goals = (message["request"] as { goal_constraints?: GoalConstraints[] } | undefined)?.goal_constraints;
+  const goals = (message.request as { goal_constraints?: GoalConstraints[] } | undefined)?.goal_constraints;
   const constraints = goals?.[0]?.joint_constraints ?? [];
   if (goals?.length === 1 && constraints.length > 0) {
     const list = { name: constraints.map((each) => each.joint_name), position: constraints.map((each) => each.position) };
     return { kind: "joints", text: jointsText(list, shown) };
   }
   const region = goals?.[0]?.position_constraints?.[0]?.constraint_region.primitive_poses[0];
-  const pose = (message["pose"] as PoseFields | undefined) ?? region;
+  const pose = (message.pose as PoseFields | undefined) ?? region;
   if (pose?.position === undefined) return null;
   const { x, y, z } = pose.position;
   const unit = lengthUnit(shown.settings.units);

@@ -46,7 +46,7 @@ export class JointSamples {
 
 function sampleValues({ joints, commanded_rad, servos }: SampledState): number[] {
   const temperatures: JointValues = {};
-  for (const { name, values } of servos) temperatures[name] = Number(values["temperature_c"] || Number.NaN);
+  for (const { name, values } of servos) temperatures[name] = Number(values.temperature_c || Number.NaN);
   return joints.names.flatMap((name, index) => {
     const position = joints.position_rad[index] ?? Number.NaN;
     const goal = commanded_rad[name] ?? Number.NaN;
@@ -94,7 +94,7 @@ export function csv(samples: JointSamples, columns: readonly Column[], from_s: n
     });
     return [((times[index] ?? 0) - first_s).toFixed(4), ...values].join(",");
   });
-  return [head.map(quoted).join(","), ...lines].join("\r\n") + "\r\n";
+  return `${[head.map(quoted).join(","), ...lines].join("\r\n")}\r\n`;
 }
 
 function quoted(text: string): string {

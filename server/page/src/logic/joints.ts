@@ -2,9 +2,8 @@ import type { Joints, JointValues, State } from "../state/state";
 import { t } from "../texts/texts";
 import { planningGroup, robotInfo, type GripperInfo, type JointKind } from "./robot-info";
 
-/** Parts of the state that tell which joints, groups and arms there are. */
-export const DESCRIPTION = ["limits", "named", "urdf", "srdf", "group", "actions"] as const;
-type KnownJoints = Pick<State, (typeof DESCRIPTION)[number]>;
+/** Parts of the state that describe the joints, groups and arms. */
+type KnownJoints = Pick<State, "limits" | "named" | "urdf" | "srdf" | "group" | "actions">;
 
 /** Return the joints that goals are for: those of the planning group that are driven; without groups, all. */
 export function armJoints(known: KnownJoints): string[] {

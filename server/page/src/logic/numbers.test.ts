@@ -1,5 +1,5 @@
 import { describe, expect, it, test } from "vitest";
-import { distanceText, fromUnit, parseNumber, positionText, toUnit, unitOf } from "./numbers";
+import { distanceText, fromUnit, inUnits, parseNumber, positionText, toUnit, unitOf } from "./numbers";
 
 const DEG = unitOf("revolute", "deg");
 const RAD = unitOf("continuous", "rad");
@@ -55,4 +55,14 @@ test.each(["", "abc", "NaN", "Infinity", "1e999", "0x10", "--3"])("%j is no numb
   const typed = parseNumber(text, range);
   expect(typed.value).toBeNull();
   expect(typed.message).toContain("is no number");
+});
+
+test.each([
+  ["cannot reach (0.9, 0, 0.3) m: 54.0 cm away", "cannot reach (900, 0, 300) mm: 540 mm away", "cannot reach (0.9, 0, 0.3) m: 0.54 m away"],
+  ["goes to 1.92 rad, outside -1.5708 to 1.5708 rad", "goes to 110°, outside -90 to 90°", "goes to 1.92 rad, outside -1.571 to 1.571 rad"],
+  ["turns at 3.10 rad/s, 2 s after servo 3 met link_1 m", "turns at 3.10 rad/s, 2 s after servo 3 met link_1 m", "turns at 3.10 rad/s, 2 s after servo 3 met link_1 m"],
+  ["in contact by 1e-3 m", "in contact by 1 mm", "in contact by 0.001 m"],
+])("%s in the chosen units", (sentence, degrees, radians) => {
+  expect(inUnits(sentence, "deg")).toBe(degrees);
+  expect(inUnits(sentence, "rad")).toBe(radians);
 });

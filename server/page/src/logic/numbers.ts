@@ -65,6 +65,20 @@ export function distanceText(distance_m: number, system: UnitSystem): string {
   return toUnit(millimetres / 1000, LENGTHS[system]).toFixed(system === "deg" ? 0 : 3) + LENGTHS[system].suffix;
 }
 
+/** Numbers with their unit in a sentence: one, a point in parentheses, or a range; not a speed, as rad/s. */
+const MEASURES = /(?<![\w.])\(?-?\d+(?:\.\d+)?(?:e-?\d+)?(?:(?:, | to )-?\d+(?:\.\d+)?(?:e-?\d+)?)*\)? (?:cm|mm|m|rad)(?![\w/])/g;
+const METRES: Record<string, number> = { m: 1, cm: 0.01, mm: 0.001 };
+
+/** Return a sentence of the server, which measures in radians, metres and centimetres, in the chosen units. */
+export function inUnits(sentence: string, system: UnitSystem): string {
+  return sentence.replace(MEASURES, (measure) => {
+    const name = measure.slice(measure.lastIndexOf(" ") + 1);
+    const { scale, suffix, digits } = (name === "rad" ? ANGLES : LENGTHS)[system];
+    const converted = (number: string): string => String(Number((Number(number) * (METRES[name] ?? 1) * scale).toFixed(digits)));
+    return measure.slice(0, -name.length - 1).replace(/-?\d+(?:\.\d+)?(?:e-?\d+)?/g, converted) + suffix;
+  });
+}
+
 /** Result of reading a typed number. */
 export interface ParsedNumber {
   /** Number to use; null reverts to the one before. */

@@ -9,12 +9,7 @@ export function isLoopback(host: string): boolean {
   return host === "localhost" || host === "[::1]" || host.startsWith("127.");
 }
 
-/**
- * Return the addresses that a phone can open, the best one first.
- *
- * @param page - address of this page: by another device's view of the server, it works for a phone beside it too.
- * @param urls - addresses that the server knows of itself.
- */
+/** Return the addresses that a phone can open, the best first: the server's own ones, and the page's where it is another device's. */
 export function phoneUrls(page: string, urls: readonly string[]): string[] {
   const { origin, hostname, pathname } = new URL(page);
   const own = isLoopback(hostname) ? [] : [`${origin}${pathname}`];

@@ -22,13 +22,7 @@ function repeatableRandom(): () => number {
   };
 }
 
-/**
- * Return the outline of the tool's reach from above, from samples of the forward kinematics.
- *
- * @param tool - position of the tool for joint values, each as a share of its range from 0 to 1.
- * @param joint_count - number of joints.
- * @param center - point that distances are measured from [m].
- */
+/** Return the outline of the tool's reach from above, from samples of the forward kinematics for shares of the joints' ranges. */
 export function reachOutline(
   tool: (shares: readonly number[]) => Point,
   joint_count: number,

@@ -67,8 +67,8 @@ export function planningGroup(state: Pick<State, "urdf" | "srdf" | "group">): Jo
 function readRobot(urdf: string, srdf: string): RobotInfo {
   const tree = new JointTree(readXml(urdf));
   const semantics = readXml(srdf);
-  const elements = new Map(childrenOf(semantics, "group").map((group) => [group.attributes["name"] ?? "", group]));
-  const passive = new Set(childrenOf(semantics, "passive_joint").map(({ attributes }) => attributes["name"]));
+  const elements = new Map(childrenOf(semantics, "group").map((group) => [group.attributes.name ?? "", group]));
+  const passive = new Set(childrenOf(semantics, "passive_joint").map(({ attributes }) => attributes.name));
   const group = (name: string): JointGroup => {
     const { joints, tip } = tree.membersOf(name, elements, new Set());
     const moving = joints.filter((joint) => tree.moving.has(joint) && !passive.has(joint));
@@ -90,8 +90,8 @@ function readRobot(urdf: string, srdf: string): RobotInfo {
 
 function endEffectors(semantics: XmlElement | null, groups: JointGroup[]): { group: string; parent_group: string }[] {
   const described = childrenOf(semantics, "end_effector").map(({ attributes }) => ({
-    group: attributes["group"] ?? "",
-    parent_group: attributes["parent_group"] ?? "",
+    group: attributes.group ?? "",
+    parent_group: attributes.parent_group ?? "",
   }));
   if (described.length > 0) return described;
   const by_name = groups.filter(({ name, joints }) => GRIPPER_GROUP.test(name) && joints.length <= 2);
@@ -109,11 +109,11 @@ function readGripper(
   const [first = ""] = joints;
   const info = known.get(first);
   if (info === undefined) return null;
-  const states = childrenOf(semantics, "group_state").filter(({ attributes }) => attributes["group"] === group);
+  const states = childrenOf(semantics, "group_state").filter(({ attributes }) => attributes.group === group);
   const position = (name: RegExp, fallback: number): number => {
-    const state = states.find(({ attributes }) => name.test(attributes["name"] ?? ""));
+    const state = states.find(({ attributes }) => name.test(attributes.name ?? ""));
     const value = numberOf(
-      childrenOf(state ?? null, "joint").find(({ attributes }) => attributes["name"] === first),
+      childrenOf(state ?? null, "joint").find(({ attributes }) => attributes.name === first),
       "value",
     );
     return Number.isFinite(value) ? value : fallback;
@@ -131,8 +131,8 @@ class JointTree {
 
   constructor(urdf: XmlElement | null) {
     for (const joint of childrenOf(urdf, "joint")) {
-      const name = joint.attributes["name"] ?? "";
-      const link = (end: string): string => childrenOf(joint, end)[0]?.attributes["link"] ?? "";
+      const name = joint.attributes.name ?? "";
+      const link = (end: string): string => childrenOf(joint, end)[0]?.attributes.link ?? "";
       this.above.set(link("child"), { joint: name, link: link("parent") });
       this.below.set(name, link("child"));
       const info = readJoint(joint);
@@ -153,7 +153,7 @@ class JointTree {
     if (visited.has(name)) return { joints, tip };
     visited.add(name);
     for (const { name: kind, attributes } of groups.get(name)?.children ?? []) {
-      const member = attributes["name"] ?? "";
+      const member = attributes.name ?? "";
       if (kind === "joint") {
         joints.push(member);
         tip = this.below.get(member) ?? tip;

@@ -22,21 +22,21 @@ export function holderOf(state: Pick<State, "urdf" | "srdf" | "group">): Holder 
   const semantics = readXml(state.srdf ?? "");
   const effectors = childrenOf(semantics, "end_effector").map(({ attributes }) => attributes);
   const effector = effectors.find(({ parent_group }) => parent_group === group.name) ?? (group.tip === null ? undefined : effectors[0]);
-  const link = effector?.["parent_link"] || group.tip;
+  const link = effector?.parent_link || group.tip;
   if (!link) return null;
   const joints = childrenOf(readXml(state.urdf ?? ""), "joint");
-  const links = [...fixedTo(link, joints), ...linksOf(effector?.["group"] ?? "", semantics, joints)];
+  const links = [...fixedTo(link, joints), ...linksOf(effector?.group ?? "", semantics, joints)];
   return { link, touch_links: [...new Set(links)] };
 }
 
 function ends(joint: XmlElement): { parent: string; child: string } {
-  const link = (end: string): string => childrenOf(joint, end)[0]?.attributes["link"] ?? "";
+  const link = (end: string): string => childrenOf(joint, end)[0]?.attributes.link ?? "";
   return { parent: link("parent"), child: link("child") };
 }
 
 /** Return a link and those that fixed joints join to it. */
 function fixedTo(link: string, joints: readonly XmlElement[]): string[] {
-  const fixed = joints.filter(({ attributes }) => attributes["type"] === "fixed").map(ends);
+  const fixed = joints.filter(({ attributes }) => attributes.type === "fixed").map(ends);
   const found = [link];
   for (const each of found) {
     for (const { parent, child } of fixed) {
@@ -49,12 +49,12 @@ function fixedTo(link: string, joints: readonly XmlElement[]): string[] {
 
 /** Return the links of a group of the SRDF: those it names, and those that its joints move. */
 function linksOf(name: string, semantics: XmlElement | null, joints: readonly XmlElement[]): string[] {
-  const group = childrenOf(semantics, "group").find(({ attributes }) => attributes["name"] === name);
+  const group = childrenOf(semantics, "group").find(({ attributes }) => attributes.name === name);
   return (group?.children ?? []).flatMap(({ name: kind, attributes }) => {
     const { name: member = "", base_link = "", tip_link = "" } = attributes;
     if (kind === "link") return [member];
     if (kind === "chain") return chain(base_link, tip_link, joints);
-    const joint = joints.find((each) => each.attributes["name"] === member);
+    const joint = joints.find((each) => each.attributes.name === member);
     return kind === "joint" && joint !== undefined ? [ends(joint).child] : [];
   });
 }

@@ -12,10 +12,10 @@ export function reach_m(urdf: string | null): number {
   const robot = readXml(urdf ?? "");
   const above = new Map<string, { parent: string; length_m: number }>();
   for (const joint of childrenOf(robot, "joint")) {
-    const link = (end: string): string => childrenOf(joint, end)[0]?.attributes["link"] ?? "";
-    const place = childrenOf(joint, "origin")[0]?.attributes["xyz"]?.trim().split(/\s+/).map(Number) ?? [];
+    const link = (end: string): string => childrenOf(joint, end)[0]?.attributes.link ?? "";
+    const place = childrenOf(joint, "origin")[0]?.attributes.xyz?.trim().split(/\s+/).map(Number) ?? [];
     const limit = childrenOf(joint, "limit")[0]?.attributes ?? {};
-    const slide_m = joint.attributes["type"] === "prismatic" ? Math.max(Math.abs(Number(limit["lower"])), Math.abs(Number(limit["upper"]))) : 0;
+    const slide_m = joint.attributes.type === "prismatic" ? Math.max(Math.abs(Number(limit.lower)), Math.abs(Number(limit.upper))) : 0;
     const length_m = Math.hypot(...place) + slide_m;
     above.set(link("child"), { parent: link("parent"), length_m: Number.isFinite(length_m) ? length_m : 0 });
   }

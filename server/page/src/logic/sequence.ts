@@ -54,6 +54,12 @@ export function sequenceDuration_s(waypoints: readonly Waypoint[], checks: reado
   return waypoints.reduce((sum, { pause_s }) => sum + pause_s, moving_s);
 }
 
+/** Return how far the gripper is open at a waypoint, 0 to 1; null while no waypoint up to it has set the gripper. */
+export function openShare(waypoints: readonly Waypoint[], index: number, { open, closed }: { open: number; closed: number }): number | null {
+  const position = waypoints.slice(0, index + 1).findLast(({ gripper }) => gripper !== null)?.gripper ?? null;
+  return position === null ? null : Math.min(Math.max((position - closed) / (open - closed), 0), 1);
+}
+
 /** Part of a sequence that is played: a goal of an action, or a time to wait. */
 export type Step =
   | { doing: "motion" | "gripper"; index: number; action: string; type: string; goal: object }
@@ -156,11 +162,7 @@ export function legRequest(waypoint: Waypoint, start_rad: JointValues | null = n
   };
 }
 
-/**
- * Return what playing a sequence does, in order.
- *
- * @param gripper_action - action of the gripper; null for an arm without one.
- */
+/** Return the steps of playing a sequence, in order; an arm without a gripper has no action for it. */
 export function sequenceSteps(waypoints: readonly Waypoint[], gripper_action: string | null): Step[] {
   return waypoints.flatMap((waypoint, index) => {
     const way = waypoint.motion

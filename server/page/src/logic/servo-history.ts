@@ -27,7 +27,7 @@ export class ServoHistories {
     for (const { name, values } of servos) {
       let ring = this.rings.get(name);
       if (!ring) this.rings.set(name, (ring = newRing()));
-      ring.push(now_s, [numberOf(values["temperature_c"]), 100 * numberOf(values["load"])]);
+      ring.push(now_s, [numberOf(values.temperature_c), 100 * numberOf(values.load)]);
     }
   }
 

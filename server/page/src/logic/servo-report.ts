@@ -47,7 +47,7 @@ export function servoReport({ level, message, values }: ServoState): ServoReport
   return {
     registers: registers.sort((one, other) => Number(other.differs) - Number(one.differs)),
     errors: errors.filter(({ count }) => count > 0).sort((one, other) => other.count - one.count),
-    advice: (values["advice"] ?? "").split("\n").map((line) => line.trim()).filter((line) => line !== ""),
+    advice: (values.advice ?? "").split("\n").map((line) => line.trim()).filter((line) => line !== ""),
   };
 }
 

@@ -5,12 +5,7 @@ export const HANDLE_END = 1;
 const MIN_SHARE = 0.13;
 const MAX_SHARE = 0.3;
 
-/**
- * Return the length of the target's handles, from the target to the arrow's tip.
- *
- * @param clearance_m - half the width of the gripper, which the arrows are to begin beyond.
- * @param picture_m - height of the picture at the target's distance.
- */
+/** Return the length of the target's handles, which begin beyond half the width of the gripper, for the height of the picture there. */
 export function handleLength_m(clearance_m: number, picture_m: number): number {
   const wished_m = Math.max(clearance_m / HANDLE_START, MIN_SHARE * picture_m);
   return Math.min(wished_m, MAX_SHARE * picture_m);

@@ -32,11 +32,7 @@ export function live(window: TimeWindow): TimeWindow {
   return { ...window, end_s: null };
 }
 
-/**
- * Return the window zoomed about a time, which stays in its place; a live window keeps its end.
- *
- * @param factor - of the span: below 1 shows less.
- */
+/** Return the window zoomed about a time, which stays in its place; a live window keeps its end, and a factor below 1 shows less. */
 export function zoomed(window: TimeWindow, factor: number, about_s: number, extent: Extent): TimeWindow {
   const span_s = Math.min(Math.max(window.span_s * factor, MIN_SPAN_S), MAX_SPAN_S);
   if (window.end_s === null) return { ...window, span_s };

@@ -8,7 +8,7 @@ test("elements, attributes in either quotes and entities are read, comments are 
       upper='2'/></joint><link name="l"/>text</robot>`);
   expect(root?.attributes).toEqual({ name: "a & b" });
   const [joint] = childrenOf(root, "joint");
-  expect(joint?.attributes["name"]).toBe("j");
+  expect(joint?.attributes.name).toBe("j");
   expect(numberOf(childrenOf(joint ?? null, "limit")[0], "lower")).toBe(-1.5);
   expect(numberOf(childrenOf(joint ?? null, "limit")[0], "velocity")).toBeNaN();
   expect(childrenOf(root, "link")).toHaveLength(1);

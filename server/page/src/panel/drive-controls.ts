@@ -1,8 +1,10 @@
+import { createContext, type RefObject } from "preact";
+import { useContext, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { JogCommand, TipAxis } from "../logic/jog";
+import { loadPreference, storePreference } from "../state/preferences";
 import { t } from "../texts/texts";
-import { el, loadPreference, option, storePreference } from "./dom";
 
-/** What a press of any input of this panel does: the chosen speed, and the chosen step. */
+/** Effect of a press of any input of this panel: the chosen speed, and the chosen step. */
 export interface JogControls {
   /** Share of the full speed, 0 to 1. */
   share: () => number;
@@ -13,36 +15,39 @@ export interface JogControls {
   release: (input: string) => void;
 }
 
+export const Controls = createContext({} as JogControls);
+export const useControls = (): JogControls => useContext(Controls);
+
 /** Return the text of an axis. */
 export function axisText(axis: TipAxis): string {
   return t(`drive.axis.${axis}`);
 }
 
-/** Create a choice that the browser stores. */
-export function choice(
-  testid: string,
-  label: string,
-  values: readonly string[],
-  texts: readonly string[],
-  take: (value: string) => void = () => undefined,
-): HTMLSelectElement {
-  const options = values.map((value, index) => option(value, texts[index] ?? value));
-  const select = el("select", { testid, label }, ...options);
-  const stored = loadPreference(testid, "");
-  if (values.includes(stored)) select.value = stored;
-  take(select.value);
-  select.addEventListener("change", () => {
-    storePreference(testid, select.value);
-    take(select.value);
-  });
-  return select;
+/** Return a choice among values that the browser stores, and the function that changes it. */
+export function useStored<Value extends string>(key: string, values: readonly Value[]): [Value, (value: string) => void] {
+  const known = (value: string): Value => values.find((each) => each === value) ?? (values[0] as Value);
+  const [chosen, choose] = useState(() => known(loadPreference(key, "")));
+  const change = (value: string): void => {
+    storePreference(key, value);
+    choose(known(value));
+  };
+  return [chosen, change];
+}
+
+/** Return a reference to an element whose press and release are reported. */
+export function useHold<Element extends HTMLElement>(press: () => void, release: () => void): RefObject<Element | null> {
+  const element = useRef<Element>(null);
+  const newest = useRef({ press, release });
+  newest.current = { press, release };
+  useLayoutEffect(() => void (element.current && watchHold(element.current, () => newest.current.press(), () => newest.current.release())), []);
+  return element;
 }
 
 /** Ends of a press. The window hears them also of an element that is gone or disabled by then. */
 const ENDS = ["pointerup", "pointercancel", "lostpointercapture"] as const;
 
 /** Report the press and the release of a button by a pointer, or by Space or Enter while it has the focus. */
-export function watchHold(element: HTMLElement, press: () => void, release: () => void): void {
+function watchHold(element: HTMLElement, press: () => void, release: () => void): void {
   watchPointer(element, press, release);
   let by_key = false;
   const end = (): void => {
@@ -72,14 +77,14 @@ export function watchPointer(
     if (held !== null || (event.pointerType === "mouse" && event.button !== 0)) return;
     held = event.pointerId;
     element.setPointerCapture(event.pointerId);
-    element.dataset["held"] = "true";
+    element.dataset.held = "true";
     for (const name of ENDS) window.addEventListener(name, end, { capture: true });
     press(event);
   });
   const end = ({ pointerId }: PointerEvent): void => {
     if (pointerId !== held) return;
     held = null;
-    delete element.dataset["held"];
+    delete element.dataset.held;
     for (const name of ENDS) window.removeEventListener(name, end, { capture: true });
     release();
   };

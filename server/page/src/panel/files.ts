@@ -1,5 +1,3 @@
-import { el } from "./dom";
-
 /** Time until the text of a saved file is let go of [ms]: browsers read it after the click. */
 const RELEASE_AFTER_MS = 10_000;
 
@@ -11,19 +9,8 @@ export function saveFile(name: string, type: string, text: string): void {
 /** Offer bytes to the user as a file. */
 export function saveBlob(name: string, blob: Blob): void {
   const url = URL.createObjectURL(blob);
-  el("a", { attributes: { href: url, download: name } }).click();
+  Object.assign(document.createElement("a"), { href: url, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(url), RELEASE_AFTER_MS);
-}
-
-/** Create an input for a JSON file of the user; `take` is called with each file that is chosen. */
-export function fileInput(testid: string, label: string, take: (file: File) => Promise<void>): HTMLLabelElement {
-  const input = el("input", { type: "file", testid, attributes: { accept: ".json,application/json" } });
-  input.addEventListener("change", () => {
-    const file = input.files?.[0];
-    // The same file can be chosen again.
-    if (file) void take(file).finally(() => (input.value = ""));
-  });
-  return el("label", { class: "scene-upload" }, label, input);
 }
 
 /** Copy a text; return false where the browser does not let the page. */
@@ -38,7 +25,8 @@ export async function copyText(text: string): Promise<boolean> {
 
 /** Copy by a selection: pages without HTTPS have no clipboard of their own. */
 function copySelection(text: string): boolean {
-  const area = document.body.appendChild(el("textarea", { attributes: { readonly: "" } }));
+  const area = document.body.appendChild(document.createElement("textarea"));
+  area.readOnly = true;
   area.value = text;
   area.select();
   const copied = document.execCommand("copy");

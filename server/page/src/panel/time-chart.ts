@@ -1,6 +1,5 @@
 import "uplot/dist/uPlot.min.css";
 import uPlot from "uplot";
-import { el, setText } from "./dom";
 
 /** Curve of a chart. */
 export interface TimeCurve {
@@ -41,10 +40,12 @@ export class TimeChart {
   private range: [number, number] = [-1, 0];
 
   constructor(private readonly options: TimeChartOptions) {
-    this.host = el("div", { class: "plot" });
-    this.values = el("p", { class: "plot-values hint" });
-    const title = el("figcaption", { text: `${options.title} [${options.unit}]` });
-    this.element = el("figure", { class: "time-chart" }, title, this.host, this.values);
+    this.host = create("div", "plot");
+    this.values = create("p", "plot-values", "hint");
+    const title = create("figcaption");
+    title.textContent = `${options.title} [${options.unit}]`;
+    this.element = create("figure", "time-chart");
+    this.element.append(title, this.host, this.values);
     this.plot = this.createPlot();
     if (options.zoom && options.pan) this.listen(this.plot.over, options.zoom, options.pan);
   }
@@ -101,12 +102,12 @@ export class TimeChart {
     // The hook runs once before the constructor has the plot.
     const index = this.plot?.cursor.idx;
     const time_s = index === null || index === undefined ? undefined : this.plot.data[0]?.[index];
-    if (time_s === undefined) return setText(this.values, "");
+    if (time_s === undefined) return void (this.values.textContent = "");
     const texts = this.options.curves.map(({ label, digits }, curve) => {
       const value = this.plot.data[curve + 1]?.[index as number];
       return `${label} ${typeof value === "number" ? value.toFixed(digits) : "–"}`;
     });
-    setText(this.values, `${time_s.toFixed(2)} s: ${texts.join(", ")}`);
+    this.values.textContent = `${time_s.toFixed(2)} s: ${texts.join(", ")}`;
   }
 
   /** Wheel zooms, one pointer drags, two pinch. */
@@ -141,10 +142,17 @@ export class TimeChart {
   }
 }
 
+function create(tag: string, ...kinds: string[]): HTMLElement {
+  const element = document.createElement(tag);
+  element.classList.add(...kinds);
+  return element;
+}
+
 /** Return a function that gives a custom property's present colour, which theme and system change. */
 function colorsOf(host: HTMLElement): (name: string) => () => string {
   // The computed colour, as the custom property itself is a light-dark() pair.
-  const probe = host.appendChild(el("i", { attributes: { hidden: "" } }));
+  const probe = host.appendChild(create("i"));
+  probe.hidden = true;
   return (name) => () => {
     probe.style.color = `var(${name})`;
     return getComputedStyle(probe).color;

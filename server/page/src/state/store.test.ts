@@ -1,4 +1,4 @@
-import { expect, test } from "vitest";
+import { expect, test, vi } from "vitest";
 import { emptyState, type State } from "./state";
 import { setNotice, Store } from "./store";
 
@@ -41,19 +41,34 @@ test("one notice a key, replaced by a newer one and taken away by an empty one",
   setNotice(store, "b", "other");
   setNotice(store, "a", "second");
   expect(store.state.notices.map(({ text }) => text)).toEqual(["other", "second"]);
-  const before = store.state;
+  const before = store.state.notices;
   setNotice(store, "a", "second");
-  expect(store.state).toBe(before);
+  expect(store.state.notices).toBe(before);
   setNotice(store, "a", "");
   setNotice(store, "b", "");
   expect(store.state.notices).toEqual([]);
 });
 
-test("several parts are watched by one listener, which is called once a change", () => {
+test("a listener of several parts is called once a change of any of them", () => {
   const numbers = new Store({ one: 1, other: 2, third: 3 });
   const seen: number[] = [];
-  numbers.watch(["one", "other"], ({ one, other }) => void seen.push(one + other));
+  numbers.subscribe(({ one, other }) => one + other, (sum) => void seen.push(sum));
   numbers.set({ one: 2, other: 3 });
   numbers.set({ third: 4 });
   expect(seen).toEqual([3, 5]);
+});
+
+test("the error of a listener keeps nothing from the others", () => {
+  const s = store();
+  const heard: number[] = [];
+  const reported: unknown[] = [];
+  vi.stubGlobal("reportError", (error: unknown) => reported.push(error));
+  s.subscribe(({ count }) => count, (count) => {
+    if (count > 0) throw new Error("broken");
+  });
+  s.subscribe(({ count }) => count, (count) => void heard.push(count));
+  s.set({ count: 1 });
+  vi.unstubAllGlobals();
+  expect(heard).toEqual([0, 1]);
+  expect(reported).toHaveLength(1);
 });

@@ -1,77 +1,55 @@
+import { batch, effect, signal, untracked, type Signal } from "@preact/signals";
 import { noPlan, type GoalSelection, type JointValues, type Orientation, type Point, type State } from "./state";
 
-/** Callback with the new value of the selected part, and with the whole state. */
-type Listener<State, Value> = (value: Value, state: State) => void;
-
-interface Subscription<State> {
-  update: (state: State) => void;
-}
-
-/** State that is replaced, never changed in place, and notifies the subscribers of its parts. */
+/**
+ * State of which every part is a signal: a component or an effect that reads a part runs again when the part is replaced.
+ *
+ * Parts are replaced, never changed in place.
+ */
 export class Store<State extends object> {
-  private readonly subscriptions = new Set<Subscription<State>>();
-  private current: State;
+  /** The newest parts. */
+  readonly state: Readonly<State>;
+  private readonly parts: { [Key in keyof State]: Signal<State[Key]> };
 
   /** @param initial - the state before the first change. */
   constructor(initial: State) {
-    this.current = initial;
-  }
-
-  /** Newest state. */
-  get state(): State {
-    return this.current;
+    const keys = Object.keys(initial) as (keyof State)[];
+    this.parts = Object.fromEntries(keys.map((key) => [key, signal(initial[key])])) as typeof this.parts;
+    const part = (key: keyof State): PropertyDescriptor => ({ enumerable: true, get: () => this.parts[key].value });
+    this.state = Object.defineProperties({}, Object.fromEntries(keys.map((key) => [key, part(key)]))) as State;
   }
 
   /** Replace parts of the state. */
   set(patch: Partial<State>): void {
-    this.current = { ...this.current, ...patch };
-    for (const subscription of [...this.subscriptions]) this.update(subscription);
-  }
-
-  /** Update a subscriber; the error of one is reported, and keeps nothing from the others. */
-  private update(subscription: Subscription<State>): void {
-    try {
-      subscription.update(this.current);
-    } catch (error) {
-      queueMicrotask(() => {
-        throw error;
-      });
-    }
+    batch(() => {
+      for (const key of Object.keys(patch) as (keyof State)[]) this.parts[key].value = patch[key] as State[keyof State];
+    });
   }
 
   /** Replace fields of one part of the state. */
   patch<Key extends keyof State>(key: Key, patch: Partial<State[Key]>): void {
-    this.set({ [key]: { ...this.current[key], ...patch } } as unknown as Partial<State>);
+    this.set({ [key]: { ...this.parts[key].peek(), ...patch } } as unknown as Partial<State>);
   }
 
   /**
    * Call the listener at once, and whenever a part of the state is replaced (compared by identity).
    *
+   * The error of one listener is reported, and keeps nothing from the others.
+   *
    * @returns function that ends the subscription.
    */
-  subscribe<Value>(selector: (state: State) => Value, listener: Listener<State, Value>): () => void {
-    let known = selector(this.current);
-    const subscription: Subscription<State> = {
-      update: (state) => {
-        const value = selector(state);
-        if (Object.is(value, known)) return;
-        known = value;
-        listener(value, state);
-      },
-    };
-    this.subscriptions.add(subscription);
-    listener(known, this.current);
-    return () => this.subscriptions.delete(subscription);
-  }
-
-  /** Call the listener at once, and once for every replacement of any of these parts. */
-  watch(parts: readonly (keyof State)[], listener: (state: State) => void): void {
-    let known: unknown[] = [];
-    const values = (state: State): unknown[] => {
-      if (parts.some((part, index) => !Object.is(state[part], known[index]))) known = parts.map((part) => state[part]);
-      return known;
-    };
-    this.subscribe(values, (_, state) => listener(state));
+  subscribe<Value>(selector: (state: State) => Value, listener: (value: Value, state: State) => void): () => void {
+    let known: { value: Value } | null = null;
+    return effect(() => {
+      const value = selector(this.state);
+      if (known !== null && Object.is(value, known.value)) return;
+      known = { value };
+      try {
+        untracked(() => listener(value, this.state));
+      } catch (error) {
+        reportError(error);
+      }
+    });
   }
 }
 
@@ -103,11 +81,7 @@ export function selectGoal(
   store.set({ selection: { kind, joints_rad, name }, plan: noPlan() });
 }
 
-/**
- * Select a pose as the goal of the tool.
- *
- * @param orientation - null for a point that may be reached in any orientation.
- */
+/** Select a pose as the goal of the tool; without an orientation the point may be reached in any. */
 export function selectTarget(store: PageStore, position_m: Point, orientation: Orientation | null = null): void {
   const { target } = store.state;
   store.set({

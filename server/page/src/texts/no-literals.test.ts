@@ -1,12 +1,14 @@
 import { describe, expect, it, test } from "vitest";
 
 const SOURCES = import.meta.glob<string>(
-  ["../{link,logic,panel,state,view}/*.ts", "../main.ts", "!../*/*.test.ts"],
+  ["../{link,logic,panel,state,view}/*.{ts,tsx}", "../main.ts", "!../*/*.test.ts"],
   { query: "?raw", import: "default", eager: true },
 );
 
-/** Places of a text that a person sees or hears: options of `el`, arguments of its helpers, properties of elements. */
+/** Places of a text that a person sees or hears: children and attributes of elements, options of `el`, arguments of helpers. */
 const SHOWN = [
+  /(>)([^<>{}()=;]*\p{L}{2}[^<>{}()=;]*)<\//gu,
+  /\b(?:text|title|label|name|placeholder|aria-(?:label|valuetext|description))=(")(?=\p{Lu}|[^"\n]* )(.*?)"/gu,
   /\b(?:text|title|label|placeholder)"?: (["'`])(.*?)\1/g,
   /\.(?:title|textContent|placeholder|ariaLabel) = (["'`])(.*?)\1/g,
   /\bsetAttribute\("(?:title|placeholder|aria-(?:label|valuetext|description))", (["'`])(.*?)\1/g,
@@ -22,7 +24,7 @@ const SHOWN = [
 const NOT_SHOWN = [
   /\/\*[\s\S]*?\*\//g,
   /(?<=^|\s)\/\/[^\n]*/g,
-  /\bclass(?:Name = |: )(["'`])[^\n]*?\1/g,
+  /\bclass(?:Name = |: |=)(["'`])[^\n]*?\1/g,
   /\b(?:matchMedia|matches|includes|font =) ?\(?(["'`])[^\n]*?\1/g,
 ];
 
@@ -48,6 +50,8 @@ function withoutValues(text: string): string {
 
 describe("literals", () => {
   it.each([
+    ["a child of JSX", "<b>Joints</b>", ["Joints"]],
+    ["a label of JSX", '<input aria-label="Name" />', ["Name"]],
     ["a text option", 'el("b", { text: "Joints" })', ["Joints"]],
     ["a label", 'el("input", { testid: "x", label: "name of the pose" })', ["name of the pose"]],
     ["a button", 'button("Plan", "plan", press)', ["Plan"]],
@@ -65,6 +69,7 @@ describe("literals", () => {
   ])("finds %s", (_, source, found) => expect(literals(source)).toEqual(found));
 
   it.each([
+    ["a text of the table in JSX", '<b title={t("a")}>{t("move.plan")}</b>'],
     ["a text of the table", 'button(t("move.plan"), "plan", press, t("move.plan.hint"))'],
     ["a sign", 'button("×", "close", press)'],
     ["a value with its unit", "setText(text, `${value} mm`)"],

@@ -1,6 +1,6 @@
 import { afterEach, describe, expect, it, test } from "vitest";
-import { GERMAN } from "./de";
-import { ENGLISH } from "./en";
+import GERMAN from "./de.json";
+import ENGLISH from "./en.json";
 import { chosenLanguage, t, useLanguage, type TextKey } from "./texts";
 
 afterEach(() => useLanguage("en"));
@@ -16,8 +16,8 @@ describe("chosenLanguage", () => {
   });
 });
 
-test("a text is that of the present language", () => {
-  useLanguage("de");
+test("a text is that of the present language", async () => {
+  await useLanguage("de");
   expect(t("panel.settings")).toBe("Einstellungen");
 });
 

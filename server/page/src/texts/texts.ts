@@ -1,16 +1,15 @@
-import { GERMAN } from "./de";
-import { ENGLISH } from "./en";
+import ENGLISH from "./en.json";
 
 /** Key of a text. */
 export type TextKey = keyof typeof ENGLISH;
 
-/** Every text of the page in one language. */
+/** Every text of the page in one language; words in braces are filled in. */
 export type Texts = Record<TextKey, string>;
 
-/** Languages of the page by their tag, each with its name in itself; another one is a file beside en.ts and a line here. */
-export const LANGUAGES: Record<string, { name: string; texts: Texts }> = {
-  en: { name: "English", texts: ENGLISH },
-  de: { name: "Deutsch", texts: GERMAN },
+/** Languages of the page by their tag, each with its name in itself; another one is a file beside en.json and a line here. */
+export const LANGUAGES: Record<string, { name: string; load: () => Promise<Texts> }> = {
+  en: { name: "English", load: async () => ENGLISH },
+  de: { name: "Deutsch", load: async () => (await import("./de.json")).default },
 };
 
 let present: Texts = ENGLISH;
@@ -22,11 +21,16 @@ export function chosenLanguage(wanted: string, of_browser: readonly string[]): s
 }
 
 /** Use a language from now on; texts that are shown already stay as they are. */
-export function useLanguage(tag: string): void {
-  present = LANGUAGES[tag]?.texts ?? ENGLISH;
+export async function useLanguage(tag: string): Promise<void> {
+  present = (await LANGUAGES[tag]?.load()) ?? ENGLISH;
 }
 
-/** Return a text of the present language, with what stands in its braces. */
+/** Return a text of the present language, with the values in place of its braces. */
 export function t(key: TextKey, values: Record<string, string | number> = {}): string {
   return present[key].replace(/\{(\w+)\}/g, (braces, name: string) => String(values[name] ?? braces));
+}
+
+/** Return a text with a capital first letter. */
+export function capitalized(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1);
 }

@@ -79,7 +79,7 @@ const DARK: Theme = {
 
 /** Return the present theme: the user's choice, else that of the system. */
 export function currentTheme(): Theme {
-  const chosen = document.documentElement.dataset["theme"];
+  const chosen = document.documentElement.dataset.theme;
   if (chosen === "light") return LIGHT;
   if (chosen === "dark") return DARK;
   return matchMedia("(prefers-color-scheme: dark)").matches ? DARK : LIGHT;

@@ -47,7 +47,7 @@ export function backgroundMaterial(): ShaderMaterial {
 
 /** Set the colour of all vertices, or what theirs are multiplied by. */
 export function setTint(material: ShaderMaterial, color: ColorRepresentation, opacity: number): void {
-  (material.uniforms["tint"]!.value as Vector4).set(...srgb(color), opacity);
+  (material.uniforms.tint!.value as Vector4).set(...srgb(color), opacity);
 }
 
 /** Return the red, green and blue of a colour in sRGB, from 0 to 1. */

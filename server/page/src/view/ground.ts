@@ -7,7 +7,7 @@ import {
   Group,
   LineSegments,
   Mesh,
-  MeshBasicMaterial,
+  type MeshBasicMaterial,
   Sprite,
   SpriteMaterial,
   SRGBColorSpace,

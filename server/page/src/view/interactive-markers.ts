@@ -41,11 +41,7 @@ const HEAD_LENGTH = 0.1;
 const GRIP_RADIUS = 0.11;
 const GRIP_FROM = 0.75;
 
-/**
- * Form the handles of TransformControls: a ball that moves in the plane of the picture, and arrows that begin beside it.
- *
- * @returns the materials of the arrows.
- */
+/** Form a ball that moves in the plane of the picture, and arrows that begin beside it; return the materials of the arrows. */
 function offsetHandles(controls: TransformControls): Material[] {
   const materials: Material[] = [];
   const start = (HANDLE_START / HANDLE_END) * ARROWS_END;
@@ -72,8 +68,8 @@ function partOfTranslation(node: Mesh): "arrow" | "grip" | null {
   const group = node.parent;
   const gizmo = group?.parent as { gizmo?: Record<string, unknown>; picker?: Record<string, unknown> } | null | undefined;
   if (!group || !gizmo) return null;
-  if (group === gizmo.gizmo?.["translate"]) return "arrow";
-  return group === gizmo.picker?.["translate"] ? "grip" : null;
+  if (group === gizmo.gizmo?.translate) return "arrow";
+  return group === gizmo.picker?.translate ? "grip" : null;
 }
 
 /** Create what the pointer meets of an arrow along y: a little longer, and nearer to the middle than what is seen. */
@@ -106,13 +102,6 @@ export class TargetMarker implements SceneComponent {
   private measured: RobotModel | null = null;
   private clearance_m = 0;
 
-  /**
-   * @param viewer - viewer of the scene; its camera is locked during a drag.
-   * @param canvas - canvas with the pointer events.
-   * @param store - updated with the dragged position.
-   * @param ghost - ghost with the future position of the tool.
-   * @param robot - robot with the gripper that the arrows begin beyond.
-   */
   constructor(
     private readonly viewer: Viewer,
     canvas: HTMLCanvasElement,
@@ -203,13 +192,6 @@ export class ObjectMarkers implements SceneComponent {
   /** True once the present drag has moved or turned the object. */
   private is_moved = false;
 
-  /**
-   * @param viewer - viewer of the scene; its camera is locked during a drag.
-   * @param canvas - canvas with the pointer events.
-   * @param store - updated with the selected object.
-   * @param objects - objects that can be selected.
-   * @param moved - called with the pose that an object was dragged to.
-   */
   constructor(
     private readonly viewer: Viewer,
     private readonly canvas: HTMLCanvasElement,

@@ -20,16 +20,12 @@ export class Label {
   private readonly element = document.createElement("div");
   private anchor: Vector3 | null = null;
 
-  /**
-   * @param canvas - canvas below the text.
-   * @param camera - camera of the scene.
-   */
   constructor(
     private readonly canvas: HTMLCanvasElement,
     private readonly camera: Camera,
   ) {
     this.element.className = "view-label";
-    this.element.dataset["testid"] = "target-distance";
+    this.element.dataset.testid = "target-distance";
     this.element.setAttribute("role", "status");
     this.element.hidden = true;
     canvas.parentElement?.append(this.element);
@@ -70,11 +66,6 @@ export class Ghost implements SceneComponent {
   private arm: RobotModel | null = null;
   private shown: [unknown, unknown, unknown, unknown, unknown] | null = null;
 
-  /**
-   * @param robot - robot that is shown.
-   * @param materials - material of the ghost.
-   * @param label - shows the distance from a target out of reach.
-   */
   constructor(
     private readonly robot: Robot,
     private readonly materials: Materials,
@@ -143,12 +134,6 @@ export class ToolPath implements SceneComponent {
   private legs: readonly Plan[] = [];
   private arm: RobotModel | null = null;
 
-  /**
-   * @param scene - scene to add the line to.
-   * @param robot - robot that is shown.
-   * @param store - updated with the path.
-   * @param materials - material of the line.
-   */
   constructor(
     private readonly scene: Scene,
     private readonly robot: Robot,

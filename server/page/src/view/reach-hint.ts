@@ -24,10 +24,6 @@ export class ReachHint implements SceneComponent {
   private shown: unknown[] = [];
   private outline: ReachOutline | null = null;
 
-  /**
-   * @param robot - robot that is shown.
-   * @param is_in_hand - tells that the target is dragged, or under the pointer.
-   */
   constructor(
     private readonly robot: Robot,
     private readonly is_in_hand: () => boolean,

@@ -19,13 +19,6 @@ export class RobotModel {
   /** Joints that can move by themselves. */
   readonly joint_names: ReadonlySet<string>;
 
-  /**
-   * @param description - description of the robot.
-   * @param meshes - source of its meshes.
-   * @param geometry_kind - kind of geometry to draw.
-   * @param selectMaterial - selects the material of each shape.
-   * @param changed - called when a mesh has been loaded.
-   */
   constructor(
     description: Description,
     meshes: Meshes,
@@ -128,7 +121,7 @@ export function toQuaternion(orientation: Readonly<Orientation>): Quaternion {
 }
 
 function applyDescriptionMaterial(mesh: Object3D, material: Material): void {
-  mesh.userData["fetched"] = true;
+  mesh.userData.fetched = true;
   mesh.traverse((node) => {
     // A Collada file has its own colours; other files take those of the description.
     if (node instanceof Mesh && (node.material as Material).name === "") node.material = material;
@@ -136,7 +129,7 @@ function applyDescriptionMaterial(mesh: Object3D, material: Material): void {
 }
 
 function isFetched(node: Object3D): boolean {
-  for (let at: Object3D | null = node; at !== null; at = at.parent) if (at.userData["fetched"] === true) return true;
+  for (let at: Object3D | null = node; at !== null; at = at.parent) if (at.userData.fetched === true) return true;
   return false;
 }
 

@@ -22,13 +22,6 @@ export class Robot implements SceneComponent {
   /** Tool of a robot whose semantic description names none. */
   private farthest_link = "";
 
-  /**
-   * @param scene - scene to add the models to.
-   * @param store - updated with notices.
-   * @param materials - materials of the arm.
-   * @param theme - returns the present colours.
-   * @param changed - called when a mesh has been loaded, and with true for a new description.
-   */
   constructor(
     private readonly scene: Scene,
     private readonly store: PageStore,
@@ -85,11 +78,6 @@ export class JointStateDisplay implements SceneComponent {
   private arm: RobotModel | null = null;
   private collision: RobotModel | null = null;
 
-  /**
-   * @param robot - robot that is shown.
-   * @param store - updated with notices and the tool's position.
-   * @param materials - materials of the collision shapes.
-   */
   constructor(
     private readonly robot: Robot,
     private readonly store: PageStore,

@@ -127,12 +127,6 @@ export class SceneObjects implements SceneComponent {
   private objects: SceneObject[] = [];
   private arm: RobotModel | null = null;
 
-  /**
-   * @param scene - scene to add them to.
-   * @param robot - robot with the links that they may be attached to.
-   * @param store - updated with notices.
-   * @param materials - material of objects without a colour.
-   */
   constructor(
     private readonly scene: Scene,
     private readonly robot: Robot,

@@ -6,7 +6,7 @@ import {
   PlaneGeometry,
   Scene,
   ShaderMaterial,
-  Vector3,
+  type Vector3,
   WebGLRenderTarget,
   type Object3D,
   type WebGLRenderer,
@@ -71,10 +71,6 @@ export class SoftShadow {
   private readonly ground: Mesh<PlaneGeometry, ShaderMaterial>;
   private readonly blur_scene = new Scene();
 
-  /**
-   * @param scene - scene to add the shadow to.
-   * @param light - direction to the light.
-   */
   constructor(
     private readonly scene: Scene,
     light: Vector3,
@@ -115,7 +111,7 @@ export class SoftShadow {
 
   /** Set the darkness, from 0 to 1. */
   setStrength(strength: number): void {
-    this.ground.material.uniforms["strength"]!.value = strength;
+    this.ground.material.uniforms.strength!.value = strength;
   }
 
   /** Draw the shadow of an object into its texture; to be called when the object has moved. */
@@ -133,8 +129,8 @@ export class SoftShadow {
   }
 
   private pass(renderer: WebGLRenderer, from: WebGLRenderTarget, to: WebGLRenderTarget, step_uv: number[]): void {
-    this.blur.uniforms["picture"]!.value = from.texture;
-    this.blur.uniforms["step_uv"]!.value = step_uv;
+    this.blur.uniforms.picture!.value = from.texture;
+    this.blur.uniforms.step_uv!.value = step_uv;
     renderer.setRenderTarget(to);
     renderer.render(this.blur_scene, this.camera_of_blur);
   }

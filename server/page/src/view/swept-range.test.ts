@@ -1,4 +1,4 @@
-import { Box3, CircleGeometry, Mesh, MeshBasicMaterial, Object3D, PlaneGeometry, Vector3 } from "three";
+import { Box3, type CircleGeometry, Mesh, MeshBasicMaterial, Object3D, PlaneGeometry, Vector3 } from "three";
 import { expect, test } from "vitest";
 import { Sector, type AxisJoint } from "./swept-range";
 

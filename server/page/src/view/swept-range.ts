@@ -29,11 +29,6 @@ export class Sector {
   private readonly fan: Mesh;
   private readonly radius_m: number;
 
-  /**
-   * @param joint - joint to add it to.
-   * @param material - material of the sector.
-   * @param line_material - material of the line at the present position.
-   */
   constructor(joint: AxisJoint, material: Material, line_material: Material) {
     const along = directionOfChild(joint);
     this.radius_m = Math.min(Math.max(along.length(), MIN_RADIUS_M), MAX_RADIUS_M);
@@ -84,10 +79,6 @@ export class SweptRange implements SceneComponent {
   private shown: [unknown, unknown] = [null, null];
   private range: [number, number] | null = null;
 
-  /**
-   * @param robot - robot that is shown.
-   * @param materials - materials of the sector.
-   */
   constructor(
     private readonly robot: Robot,
     private readonly materials: Materials,

@@ -11,12 +11,6 @@ const HEIGHT_PX = 84;
 
 /** Pictures of the arm at the waypoints of the sequence, drawn one a frame while its panel is open. */
 export class Thumbnails implements SceneComponent {
-  /**
-   * @param viewer - viewer that draws them.
-   * @param robot - robot that is shown.
-   * @param store - updated with the pictures.
-   * @param background - object to draw behind the arm.
-   */
   constructor(
     private readonly viewer: Viewer,
     private readonly robot: Robot,

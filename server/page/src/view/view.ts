@@ -60,14 +60,7 @@ class FrameStatistics {
   }
 }
 
-/**
- * Start the 3D view on a canvas.
- *
- * @param canvas - canvas to draw on.
- * @param store - state to show; the view writes the target, the tool's position and notices to it.
- * @param moved - called with the pose that an object of the planning scene was dragged to.
- * @returns the view; null, with a notice to the user, where the browser cannot draw in 3D.
- */
+/** Start the 3D view on a canvas; null, with a notice to the user, where the browser cannot draw in 3D. */
 export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: ObjectMoved): SceneView | null {
   try {
     return new SceneView(canvas, store, moved);

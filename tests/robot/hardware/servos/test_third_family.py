@@ -1,4 +1,4 @@
-"""A family that was added as docs/architecture.md says is driven like the others."""
+"""A family that was added as ARCHITECTURE.md says is driven like the others."""
 
 from __future__ import annotations
 

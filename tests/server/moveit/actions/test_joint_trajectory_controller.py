@@ -33,13 +33,11 @@ from server.moveit.actions.joint_trajectory_controller import (
     check_trajectory,
     follow_code,
     read_segment_tolerances,
-    read_tolerances,
 )
 from server.moveit.trajectories import external_trajectory
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
-from tests.helpers.robots import so101
 
 ACTION = "/arm_controller/follow_joint_trajectory"
 TOPIC = "/arm_controller/joint_trajectory"
@@ -142,7 +140,7 @@ async def test_an_empty_trajectory_on_the_topic_stops_the_arm(desk: Desk) -> Non
     assert "stopped by an empty trajectory" in desk.results[0].values["error_string"]
 
 
-ARM = so101().groups["arm"].joints
+ARM = ROBOT.groups["arm"].joints
 END = Performed({}, (smooth_move(dict.fromkeys(ARM, (0.0, 0.5)), 1.0),))
 REACHED = Answer(MoveItErrorCode.SUCCESS, "the arm is there", performed=END)
 INTERFACES = MessageTypes(Registry.load())
@@ -315,7 +313,6 @@ def test_tolerances_that_cannot_be_kept_are_refused(fields: dict[str, Any], word
     assert words in refused.message
 
 
-GROUP = so101().groups["arm"]
 STATE = replace(FakeArm().state, goal_rad=np.full(len(JOINTS), 0.3), position_rad=np.full(len(JOINTS), 0.2))
 
 
@@ -325,17 +322,14 @@ async def test_subscribers_get_reference_and_feedback_of_the_joints(desk: Desk, 
     desk.controller.take_state(STATE)
     desk.controller.take_state(replace(STATE, goal_rad=None))
     assert len(heard) == 1
-    assert heard[0]["joint_names"] == list(GROUP.joints)
-    assert heard[0]["reference"]["positions"] == [0.3] * len(GROUP.joints)
-    assert heard[0]["error"]["positions"] == pytest.approx([0.1] * len(GROUP.joints))
+    assert heard[0]["joint_names"] == list(ARM)
+    assert heard[0]["reference"]["positions"] == [0.3] * len(ARM)
+    assert heard[0]["error"]["positions"] == pytest.approx([0.1] * len(ARM))
     assert heard[0]["speed_scaling_factor"] == 1.0
-
-
-def read(name: str, position_rad: float) -> object:
-    tolerance = message("control_msgs/msg/JointTolerance", name=name, position=position_rad)
-    return outcome(read_tolerances, [tolerance], "path_tolerance", JOINTS)
 
 
 @pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])
 def test_only_a_positive_tolerance_is_checked(position_rad: float, demanded: dict[str, float]) -> None:
-    assert read("elbow_flex", position_rad) == demanded
+    read = tolerances(path_tolerance=[{"name": "elbow_flex", "position": position_rad}])
+    assert isinstance(read, SegmentTolerances)
+    assert read.path == demanded

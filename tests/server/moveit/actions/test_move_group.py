@@ -53,21 +53,17 @@ def codes(planning_desk: ActionDesk) -> list[int]:
 
 
 @pytest.mark.parametrize("name", MOVE_ACTIONS)
-async def test_a_goal_is_carried_out_under_both_names(planning_desk: ActionDesk, name: str) -> None:
+async def test_a_goal_under_both_names_gets_each_state_once_and_then_its_result(
+    planning_desk: ActionDesk, name: str
+) -> None:
     await planning_desk.send(name, request=to(0.3))
-    planning_desk.finish()
-    await settle()
-    assert codes(planning_desk) == [1]
-
-
-async def test_a_goal_gets_each_state_once_and_then_its_result(planning_desk: ActionDesk) -> None:
-    await planning_desk.send("/move_group", request=to(0.3))
     for state in (GoalState.PLANNING, GoalState.EXECUTING, GoalState.EXECUTING):
         planning_desk.report(Progress(state, ""))
     planning_desk.finish()
     await settle()
     assert [message["state"] for message in planning_desk.feedback] == ["PLANNING", "MONITOR", "IDLE"]
     assert [result.status for result in planning_desk.results] == [GoalStatus.SUCCEEDED]
+    assert codes(planning_desk) == [1]
 
 
 async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(planning_desk: ActionDesk) -> None:
@@ -273,23 +269,17 @@ async def test_a_trajectory_without_points_is_done_at_once(execution_desk: Actio
     assert execution_desk.asked == []
 
 
-async def test_a_bad_trajectory_is_answered_and_the_motion_continues(execution_desk: ActionDesk) -> None:
-    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
-    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(9.0))
-    assert [result.values["error_code"]["val"] for result in execution_desk.results] == [-2]
-    assert "elbow_flex" in execution_desk.results[0].values["error_code"]["message"]
-    assert len(execution_desk.asked) == 1
+TOO_LONG = "trajectory.points[0].time_from_start is 3600 s, longer than goals.max_trajectory_duration_s = 600"
 
 
-async def test_a_trajectory_that_takes_too_long_is_answered_and_the_motion_continues(
-    execution_desk: ActionDesk,
+@pytest.mark.parametrize(("bad", "words"), [(trajectory(9.0), "elbow_flex"), (trajectory(0.5, 3600), TOO_LONG)])
+async def test_a_bad_trajectory_is_answered_and_the_motion_continues(
+    execution_desk: ActionDesk, bad: dict[str, object], words: str
 ) -> None:
     await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
-    await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5, 3600))
-    (result,) = execution_desk.results
-    assert result.values["error_code"]["message"] == (
-        "trajectory.points[0].time_from_start is 3600 s, longer than goals.max_trajectory_duration_s = 600"
-    )
+    await execution_desk.send(EXECUTE_ACTION, trajectory=bad)
+    assert [result.values["error_code"]["val"] for result in execution_desk.results] == [-2]
+    assert words in execution_desk.results[0].values["error_code"]["message"]
     assert len(execution_desk.asked) == 1
 
 

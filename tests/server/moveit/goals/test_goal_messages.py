@@ -149,14 +149,6 @@ def test_seven_joints_need_an_orientation(lifted: GoalTranslator, orientation: d
     assert "group arm has 7 joints" in failure.message
 
 
-def test_a_selected_group_is_that_of_later_goals(lifted: GoalTranslator) -> None:
-    before = lifted.named({"data": "bent"})
-    lifted.select_group("arm_with_torso")
-    after = lifted.named({"data": "raised"})
-    assert [motion.steps[0](LIFTED_HOME).group for motion in (before, after)] == ["arm", "arm_with_torso"]
-    assert after.joints - before.joints == {"lift"}
-
-
 GROUPS_OF_JOINTS = {
     "all of the group": (["a1", "a7"], "arm"),
     "some of a larger one": (["lift", "a1"], "arm_with_torso"),
@@ -169,13 +161,6 @@ GROUPS_OF_JOINTS = {
 def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator, names: list[str], group: str) -> None:
     motion = lifted.joints(joint_state(name=names, position=[0.01] * len(names)))
     assert motion.steps[0](LIFTED_HOME).group == group
-
-
-def test_the_goals_of_one_arm_of_two_move_its_joints_alone() -> None:
-    pair = translator(UNREAD, PAIR)
-    pair.select_group("both_arms")
-    left = pair.joints(joint_state(name=["left_a1"], position=[0.1]))
-    assert left.joints == set(PAIR.groups["left_arm"].joints)
 
 
 def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:

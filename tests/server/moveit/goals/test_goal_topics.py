@@ -324,5 +324,5 @@ async def test_goals_of_several_groups_are_confirmed_one_after_the_other() -> No
     for waiting in (first, second):
         await asyncio.sleep(0)
         await asyncio.sleep(0)
-        confirmation._take_decision(go=True)
+        confirmation._decide("/moveit_goal_confirm", go=True)
         assert await asyncio.wait_for(waiting, 1.0) is None

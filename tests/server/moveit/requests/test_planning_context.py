@@ -59,13 +59,13 @@ HELD = {"link_name": "gripper_link", "object": {"id": "mug", "header": {"frame_i
 
 
 def test_an_assumed_state_counts_for_its_client_alone(rig: ServiceRig) -> None:
-    rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7}
+    rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7})
     assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
     assert rig.context.start(state(), Node("other")).start_rad == HOME
 
 
 def test_a_requests_state_overrides_the_assumed_one(rig: ServiceRig) -> None:
-    rig.assumed.by_node[rig.client] = {"elbow_flex": 0.7, "wrist_roll": 0.1}
+    rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7, "wrist_roll": 0.1})
     start = rig.context.start(state({"elbow_flex": 0.2}), rig.client).start_rad
     assert start == HOME | {"elbow_flex": 0.2, "wrist_roll": 0.1}
 

@@ -4,13 +4,28 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from planners.scene import Box, Plane, Pose, Sphere
+from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Sphere
+from planners.scene_checks import MAX_TRIANGLES
+from server.moveit.scene import collision_objects as shapes
 from server.moveit.scene.collision_objects import (
+    BOX,
+    CONE,
+    CYLINDER,
+    MAX_PRISM_CORNERS,
     MAX_SUBFRAMES,
+    PRISM,
+    SPHERE,
     AttachedCollisionObject,
+    prism_mesh,
     read_collision_object,
+    read_mesh,
+    read_plane,
+    read_primitive,
 )
 from tests.helpers.moveit import box, collision_object, pose, rejection
 
@@ -93,3 +108,117 @@ def test_a_bad_value_is_rejected_with_object_and_field(fields, words):
     assert words in refusal.message
     assert "'odd one'" in refusal.message
     assert refusal.details["object"] == "odd one"
+
+
+TRIANGLE = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 1.0, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 1.0, "z": 0.0}]
+FLAT = [{"x": float(x), "y": 0.0, "z": 0.0} for x in range(3)]
+
+
+def primitive(kind, *dimensions, points=()):
+    corners = [{"x": point[0], "y": point[1], "z": 9.0} for point in points]
+    return {"type": kind, "dimensions": list(dimensions), "polygon": {"points": corners}}
+
+
+def mesh(vertices, *triangles):
+    return {"vertices": vertices, "triangles": [{"vertex_indices": list(each)} for each in triangles]}
+
+
+@pytest.mark.parametrize(
+    ("message", "shape"),
+    [
+        (primitive(BOX, 1.0, 2.0, 3.0), Box((1.0, 2.0, 3.0))),
+        (primitive(SPHERE, 0.1), Sphere(0.1)),
+        (primitive(SPHERE, 0.1, 0.0, 0.0), Sphere(0.1)),
+        (primitive(CYLINDER, 0.5, 0.1), Cylinder(radius_m=0.1, height_m=0.5)),
+        (primitive(CONE, 0.5, 0.1), Cone(radius_m=0.1, height_m=0.5)),
+    ],
+)
+def test_a_primitive_is_read_by_its_type(message, shape):
+    assert read_primitive(message, "it") == shape
+
+
+def test_a_prism_is_a_mesh():
+    shape = read_primitive(primitive(PRISM, 0.5, points=[(0, 0), (1, 0), (0, 1)]), "it")
+    assert isinstance(shape, Mesh)
+    assert len(shape.triangles) == 8
+
+
+def test_a_plane_is_brought_to_a_unit_normal_and_is_solid_where_the_normal_does_not_point():
+    assert read_plane({"coef": [0.0, 0.0, 2.0, -1.0]}, "it") == Plane((0.0, 0.0, 1.0), 0.5)
+
+
+MANY = (0, 1, 2)
+BAD_SHAPES = {
+    "unknown type": (read_primitive, primitive(9, 1.0), "it.type must be one of 1 (box)"),
+    "a box of two edges": (read_primitive, primitive(BOX, 1.0, 1.0), "it.dimensions of a box are 3, not 2"),
+    "a box without height": (read_primitive, primitive(BOX, 1.0, 1.0, 0.0), "sizes are not all above 0"),
+    "a sphere inside out": (read_primitive, primitive(SPHERE, -1.0), "sizes are not all above 0"),
+    "a cylinder of NaN": (read_primitive, primitive(CYLINDER, math.nan, 1.0), "sizes are not all above 0"),
+    "a prism on a line": (read_primitive, primitive(PRISM, 1.0, points=[(0, 0), (1, 0)]), "has 2 points, not 3 to 100"),
+    "a flat prism": (read_primitive, primitive(PRISM, 0.0, points=[(0, 0), (1, 0), (0, 1)]), "must be above 0, not 0"),
+    "a prism of NaN": (read_primitive, primitive(PRISM, 1.0, points=[(math.nan, 0), (1, 0), (0, 1)]), "not finite"),
+    "a crossed prism": (
+        read_primitive,
+        primitive(PRISM, 1.0, points=[(0, 0), (2, 2), (2, 0), (0, 2)]),
+        "crosses itself",
+    ),
+    "a prism without area": (
+        read_primitive,
+        primitive(PRISM, 1.0, points=[(0, 0), (1, 1), (2, 2)]),
+        "crosses itself or has no area",
+    ),
+    "no triangles": (read_mesh, mesh(TRIANGLE), "mesh of 0 triangles"),
+    "nothing at all": (read_mesh, mesh([]), "mesh of 0 triangles"),
+    "absent vertices": (read_mesh, mesh(TRIANGLE, (0, 1, 3)), "name the vertex 3; there are 3"),
+    "vertices beyond 32 bits": (read_mesh, mesh(TRIANGLE, (0, 1, 2**32 - 1)), "name the vertex 4294967295"),
+    "a million triangles": (
+        read_mesh,
+        mesh(TRIANGLE, *([MANY] * (MAX_TRIANGLES + 1))),
+        f"{MAX_TRIANGLES} triangles are",
+    ),
+    "no area": (read_mesh, mesh(FLAT, (0, 1, 2)), "triangles have no area"),
+    "a plane without normal": (read_plane, {"coef": [0.0, 0.0, 0.0, 1.0]}, "it.coef has no normal"),
+    "a plane of NaN": (read_plane, {"coef": [math.nan, 0.0, 1.0, 1.0]}, "it.coef has no normal"),
+    "a plane nowhere": (read_plane, {"coef": [0.0, 0.0, 1.0, math.inf]}, "offset is not finite"),
+}
+
+
+@pytest.mark.parametrize(("read", "message", "words"), BAD_SHAPES.values(), ids=BAD_SHAPES.keys())
+def test_a_bad_shape_is_rejected_with_its_field(read, message, words):
+    refusal = rejection(read, message, "it")
+    assert words in refusal.message
+    assert refusal.message.startswith("it")
+
+
+def volume_m3(mesh):
+    """By the divergence theorem, above 0 when every triangle is seen counter-clockwise from outside."""
+    a, b, c = (mesh.vertices_m[mesh.triangles[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def spiral(corners):
+    """A polygon between two spirals, of whose corners few are ears."""
+    inner = [((1.0 + 0.1 * k) * math.cos(0.3 * k), (1.0 + 0.1 * k) * math.sin(0.3 * k)) for k in range(corners // 2)]
+    outer = [((1.3 + 0.1 * k) * math.cos(0.3 * k), (1.3 + 0.1 * k) * math.sin(0.3 * k)) for k in range(corners // 2)]
+    return [*inner, *reversed(outer)]
+
+
+def test_the_most_corners_of_a_prism_take_few_searches_for_ears(monkeypatch):
+    searches = []
+    is_ear = shapes._is_ear
+    monkeypatch.setattr(shapes, "_is_ear", lambda *arguments: searches.append(1) or is_ear(*arguments))
+    assert prism_mesh(spiral(MAX_PRISM_CORNERS), 1.0) is not None
+    assert len(searches) < 4 * MAX_PRISM_CORNERS
+
+
+@given(st.lists(st.floats(0.5, 2.0), min_size=3, max_size=12), st.booleans())
+def test_a_star_of_any_radii_is_closed_and_keeps_its_area(radii_m, clockwise):
+    angles = np.linspace(0.0, 2.0 * math.pi, len(radii_m), endpoint=False)
+    polygon = [(r * math.cos(a), r * math.sin(a)) for r, a in zip(radii_m, angles, strict=True)]
+    following = [*polygon[1:], polygon[0]]
+    area_m2 = 0.5 * sum(x * v - u * y for (x, y), (u, v) in zip(polygon, following, strict=True))
+    surface = prism_mesh(polygon[::-1] if clockwise else polygon, 1.0)
+    assert volume_m3(surface) == pytest.approx(area_m2)
+    edges = [tuple(t[[i, (i + 1) % 3]]) for t in surface.triangles for i in range(3)]
+    assert len(set(edges)) == len(edges)
+    assert all((b, a) in edges for a, b in edges)

@@ -348,7 +348,7 @@ BAD_ATTACHED = {
     "unknown by name": (
         [held("ghost")],
         MoveItErrorCode.INVALID_OBJECT_NAME,
-        "'ghost' has no shape, and there is none",
+        "'ghost' has no shape, and the scene has no object",
     ),
     "not held": ([held("cup", operation=REMOVE)], MoveItErrorCode.INVALID_OBJECT_NAME, "no link holds an object 'cup'"),
     "held by another": (

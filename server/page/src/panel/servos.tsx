@@ -1,0 +1,144 @@
+import type { JSX } from "preact";
+import { useContext, useEffect, useRef, useState } from "preact/hooks";
+import { fetchServoHistory } from "../link/servo-history";
+import { HISTORY_S, ServoHistories } from "../logic/servo-history";
+import { amperes, complaints, percent, servoReport, type ServoReport } from "../logic/servo-report";
+import type { ServoState } from "../state/state";
+import { t } from "../texts/texts";
+import type { TimeChart } from "./time-chart";
+import { Button, Section, Shown, TextList, usePage, useSlowState } from "./ui";
+
+/** Levels of diagnostic_msgs/DiagnosticStatus. */
+const DIAGNOSTIC_LEVELS = ["ok", "warn", "error", "stale"];
+
+/** Time between two updates [ms]; diagnostics come once a second. */
+const UPDATE_PERIOD_MS = 500;
+
+/** Time between two requests for the server's history, which has the events too [ms]. */
+const FETCH_PERIOD_MS = 10_000;
+
+/** Events that are shown, newest first. */
+const MAX_EVENTS = 30;
+
+/** Table of the servos' condition, each of which opens its details. */
+export function ServosSection(): JSX.Element {
+  const { store } = usePage();
+  const { servos, selected_servo } = useSlowState(UPDATE_PERIOD_MS);
+  const [histories] = useState(() => new ServoHistories());
+  useEffect(() => store.subscribe((state) => state.servos, (newest) => histories.record(newest, now_s())), []);
+  const selected = servos.find(({ name }) => name === selected_servo);
+  const heads = [t("servos.joint"), "°C", "A", t("servos.load"), t("servos.torque"), t("servos.condition")];
+  return (
+    <Section name="servos" title={t("servos.title")}>
+      <p class="hint" data-testid="servos-empty" hidden={servos.length > 0}>{t("servos.empty")}</p>
+      <div class="wide">
+        <table class="servos" hidden={servos.length === 0}>
+          <thead><tr>{heads.map((head) => <th key={head}>{head}</th>)}</tr></thead>
+          <tbody data-testid="servos">{servos.map((servo) => <ServoRow key={servo.name} servo={servo} />)}</tbody>
+        </table>
+      </div>
+      {selected && <ServoDetails key={selected.name} servo={selected} histories={histories} />}
+    </Section>
+  );
+}
+
+function now_s(): number {
+  return performance.now() / 1000;
+}
+
+function ServoRow({ servo: { name, level, message, values } }: { servo: ServoState }): JSX.Element {
+  const { store } = usePage();
+  const is_open = store.state.selected_servo === name;
+  const bits = values.status_bits ?? "0";
+  const text = level === 0 ? t("servos.ok") : message;
+  const condition = bits === "0" ? text : t("servos.bits", { text, bits });
+  const { temperature_c, current_a, load, torque } = values;
+  return (
+    <tr data-testid={`servo-${name}`} data-level={DIAGNOSTIC_LEVELS[level] ?? "stale"}>
+      <td><Button testid={`servo-open-${name}`} title={t("servos.open")} aria-expanded={is_open} press={() => store.set({ selected_servo: is_open ? "" : name })}>{name}</Button></td>
+      {[temperature_c, amperes(current_a), percent(load), torque, condition].map((cell, index) => <td key={index}>{cell ?? "–"}</td>)}
+    </tr>
+  );
+}
+
+/** Details of a servo: condition, advice, lines, errors, events and registers. */
+function ServoDetails({ servo, histories }: { servo: ServoState; histories: ServoHistories }): JSX.Element {
+  const { store } = usePage();
+  const report = servoReport(servo);
+  const errors = report.errors.length === 0 ? [t("servos.errors.none")] : report.errors.map(({ kind, count }) => `${kind}: ${count}`);
+  return (
+    <div class="servo" data-testid="servo-details" role="region" aria-label={t("servos.details")}>
+      <div class="row-head"><b data-testid="servo-title">{`${servo.name} (${servo.hardware})`}</b><Button testid="servo-close" press={() => store.set({ selected_servo: "" })}>{t("servos.close")}</Button></div>
+      <p class="hint" data-testid="servo-condition">{conditionText(servo)}</p>
+      <TextList kind="findings" testid="servo-advice" label={t("servos.advice")} texts={complaints(servo)} />
+      <HistoryLines name={servo.name} histories={histories}><h4>{t("servos.errors")}</h4><TextList kind="plain" testid="servo-errors" texts={errors} /></HistoryLines>
+      <h4>{t("servos.registers")}</h4>
+      <Registers registers={report.registers} />
+    </div>
+  );
+}
+
+function conditionText({ values }: ServoState): string {
+  const { voltage_v, temperature_c, current_a, load, torque } = values;
+  const measured = [temperature_c && `${temperature_c} °C`, voltage_v && `${voltage_v} V`, current_a && `${amperes(current_a)} A`, load && t("servos.of_load", { load: percent(load) })];
+  return [...measured.filter(Boolean), t("servos.of_torque", { torque: torque ?? t("servos.unknown") })].join(", ");
+}
+
+/** Curves of the last minutes, and the events behind what stands between them. */
+function HistoryLines({ name, histories, children }: { name: string; histories: ServoHistories; children: JSX.Element[] }): JSX.Element {
+  const { connection, store } = usePage();
+  const shown = useContext(Shown);
+  const [events, setEvents] = useState<readonly string[]>([]);
+  const [charts, setCharts] = useState<readonly TimeChart[]>([]);
+  const box = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    // Loaded with the first servo that is looked at.
+    void import("./time-chart").then(({ TimeChart: chart_class }) => {
+      const created = CHARTS.map(({ key, ...look }) => new chart_class({ title: t(key), curves: [{ label: t(key), color: look.color, digits: 0 }], ...look }));
+      box.current?.replaceChildren(...created.map(({ element }) => element));
+      setCharts(created);
+    });
+    const fetch = async (): Promise<void> => {
+      if (!store.state.link.connected || document.visibilityState === "hidden") return;
+      const history = await fetchServoHistory(connection, name);
+      if (history === null) return;
+      histories.replace(name, history, now_s());
+      setEvents(history.events.slice(-MAX_EVENTS).reverse());
+    };
+    void fetch();
+    const timer = setInterval(() => void fetch(), FETCH_PERIOD_MS);
+    return () => clearInterval(timer);
+  }, []);
+  useEffect(() => {
+    if (!shown || charts.length === 0 || box.current === null) return;
+    const [times = [], ...curves] = histories.columns(name, now_s());
+    charts.forEach((chart, index) => chart.draw([times, curves[index] ?? []], [-HISTORY_S, 0]));
+    box.current.dataset.samples = String(times.length);
+  });
+  return (
+    <>
+      <div ref={box} class="servo-lines" data-testid="servo-lines" />
+      {children}
+      <h4>{t("servos.events")}</h4>
+      <TextList kind="plain" testid="servo-events" texts={events} />
+    </>
+  );
+}
+
+/** Charts of a servo; noise of a degree or a percent must not look like a mountain. */
+const CHARTS = [
+  { key: "servos.temperature", unit: "°C", color: "--measured", least_range: 40 },
+  { key: "servos.load_percent", unit: "%", color: "--commanded", least_range: 100 },
+] as const;
+
+function Registers({ registers }: Pick<ServoReport, "registers">): JSX.Element {
+  const has_expected = registers.some(({ expected }) => expected !== "");
+  return (
+    <table class="servos">
+      <thead><tr><th>{t("servos.register")}</th><th>{t("servos.value")}</th><th hidden={!has_expected}>{t("servos.expected")}</th></tr></thead>
+      <tbody data-testid="servo-registers">
+        {registers.map(({ name, value, expected, differs }) => <tr key={name} data-level={differs ? "warn" : undefined}><td>{name}</td><td>{value}</td><td>{expected}</td></tr>)}
+      </tbody>
+    </table>
+  );
+}

@@ -1,0 +1,137 @@
+"""Requests that are read in one step: websockets reads the same in them, and gives the same answer."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.http11 import Request
+from websockets.server import ServerProtocol
+
+from server.gateway.websocket import MAX_UPGRADE_BYTES, accept, read_upgrade
+
+KEY = "dGhlIHNhbXBsZSBub25jZQ=="
+PLAIN = {
+    "Host": "localhost:9090",
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec-WebSocket-Key": KEY,
+    "Sec-WebSocket-Version": "13",
+}
+
+
+def request(fields: list[tuple[str, str]], line: str = "GET / HTTP/1.1") -> bytes:
+    return "\r\n".join((line, *(f"{name}: {value}" for name, value in fields), "", "")).encode("latin-1", "replace")
+
+
+def plain(**changes: str | None) -> bytes:
+    """The plain request with other values of some headers; None leaves one out."""
+    named = {name.replace("_", "-"): value for name, value in changes.items()}
+    fields = {**PLAIN, **named}
+    return request([(name, value) for name, value in fields.items() if value is not None])
+
+
+def by_websockets(data: bytes) -> tuple[Request | None, bytes]:
+    """What websockets reads in a request, and its answer to it."""
+    protocol = ServerProtocol()
+    protocol.receive_data(data)
+    (event,) = protocol.events_received() or (None,)
+    if not isinstance(event, Request):
+        return None, b""
+    protocol.send_response(protocol.accept(event))
+    return event, protocol.data_to_send()[0]
+
+
+def assert_like_websockets(data: bytes) -> None:
+    ours = read_upgrade(data)
+    if ours is not None:
+        theirs, answer = by_websockets(data)
+        assert theirs is not None
+        assert (ours.method, ours.path, ours.protocol) == (theirs.method, theirs.path, theirs.protocol)
+        assert list(ours.headers.raw_items()) == list(theirs.headers.raw_items())
+        # A switch of protocols needs no date (RFC 9110, 6.6.1).
+        assert accept(ours) == re.sub(rb"Date: [^\r]*\r\n", b"", answer)
+
+
+# Values that matter, right and wrong, and any other.
+ODD = st.text(st.characters(max_codepoint=255), max_size=12)
+VALUES = {
+    "Upgrade": st.sampled_from(["websocket", "WebSocket", "websocket, h2c", "h2c", "websocket/13"]),
+    "Connection": st.sampled_from(["Upgrade", "keep-alive, Upgrade", "upgrade,close", "keep-alive", "Upgrade, @"]),
+    "Sec-WebSocket-Key": st.sampled_from([KEY, KEY[:-1], "AAAAAAAAAAAAAAAAAAAAAB==", "A" * 24, f"{KEY}, {KEY}"]),
+    "Sec-WebSocket-Version": st.sampled_from(["13", "8", "13, 8", "١٣".encode().decode("latin-1")]),
+    "Sec-WebSocket-Protocol": st.sampled_from(["rosbridge", "a, b", ", ,", "@"]),
+    "Sec-WebSocket-Extensions": st.sampled_from(["permessage-deflate", "x; y=", "@"]),
+    "Content-Length": st.sampled_from(["0", "5", "x"]),
+    "Transfer-Encoding": st.just("chunked"),
+    "Origin": st.sampled_from(["http://localhost", "null"]),
+    "Host": st.sampled_from(["localhost", "[::1]:9090", ""]),
+}
+NAMES = st.sampled_from(sorted(VALUES)) | st.text(st.characters(min_codepoint=32, max_codepoint=255), max_size=8)
+
+
+@st.composite
+def field(draw: st.DrawFn) -> tuple[str, str]:
+    name = draw(NAMES)
+    return draw(st.sampled_from([name, name.lower(), name.upper()])), draw(VALUES.get(name, ODD) | ODD)
+
+
+REQUESTS = st.builds(
+    lambda kept, more, line, end: request([*((name, PLAIN[name]) for name in kept), *more], line) + end,
+    st.permutations(sorted(PLAIN)).flatmap(lambda names: st.sampled_from([names, names[1:]])),
+    st.lists(field(), max_size=4),
+    st.sampled_from([*(f"{part} HTTP/1.1" for part in ("GET /", "GET /a?token=b%20c", "GET /\t", "POST /")), "GET"]),
+    st.sampled_from([b"", b"\x81\x80\x00\x00\x00\x00", b"\r\n"]),
+)
+
+
+@given(REQUESTS)
+def test_what_is_read_in_one_step_websockets_reads_and_answers_alike(data: bytes) -> None:
+    assert_like_websockets(data)
+
+
+@given(st.data(), st.binary(min_size=1, max_size=3))
+def test_a_plain_request_with_other_bytes_in_it_is_read_alike_or_not_at_all(data: st.DataObject, other: bytes) -> None:
+    whole = plain()
+    place = data.draw(st.integers(0, len(whole)))
+    length = data.draw(st.integers(0, 3))
+    assert_like_websockets(whole[:place] + other + whole[place + length :])
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        plain(),
+        plain(Upgrade="WebSocket", Connection="keep-alive, Upgrade"),
+        plain(Origin="http://localhost", User_Agent="Mozilla/5.0 (X11; Linux)", Cookie="a=b; c=d"),
+        plain(Sec_WebSocket_Extensions="permessage-deflate; client_max_window_bits"),
+        plain(Authorization="Bearer secret"),
+    ],
+)
+def test_a_request_as_clients_send_it_is_read_in_one_step(sent: bytes) -> None:
+    assert read_upgrade(sent) is not None
+    assert_like_websockets(sent)
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        plain()[:-1],
+        plain() + b"\x81",
+        plain(Upgrade=None),
+        plain(Connection="close"),
+        plain(Sec_WebSocket_Key="short"),
+        plain(Sec_WebSocket_Version="8"),
+        plain(Sec_WebSocket_Protocol="rosbridge"),
+        plain(Content_Length="5"),
+        plain(Transfer_Encoding="chunked"),
+        plain(X="\xe9"),
+        plain(X="a\r\n folded"),
+        request([*PLAIN.items(), *((f"X-{number}", "") for number in range(64))]),
+        request(list(PLAIN.items()), "HEAD / HTTP/1.1"),
+        request(list(PLAIN.items()), "GET http://localhost/ HTTP/1.1"),
+        plain(X="x" * MAX_UPGRADE_BYTES),
+    ],
+)
+def test_any_other_request_is_left_to_websockets(sent: bytes) -> None:
+    assert read_upgrade(sent) is None

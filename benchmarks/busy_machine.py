@@ -89,11 +89,11 @@ async def _send_goals(prefix: tuple[str, ...]) -> Run:
             await client.open_goals()
             await client.subscribe("/joint_states", "sensor_msgs/JointState")
             await client.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
-            await client.wait_for("/joint_states", bool)
+            await client.until("/joint_states", bool)
             for number in range(GOALS):
                 side = SWING_RAD if number % 2 else -SWING_RAD
                 goal = {"name": ["shoulder_pan", "wrist_roll"], "position": [side, -side]}
-                answer = await client.goal("/moveit_goal_joints", goal, GOAL_TIMEOUT_S)
+                answer = await client.reach("/moveit_goal_joints", goal, GOAL_TIMEOUT_S)
                 found.codes[answer["val"]] += 1
             _look_back(client, found)
     return found

@@ -88,7 +88,7 @@ async def _measure(process: psutil.Process, urls: Sequence[str], states: Sequenc
 async def _move(client: FrameClient, states: Sequence[str], codes: list[int]) -> None:
     """Move to and fro, and note the code of each result."""
     for state in itertools.cycle(states):
-        result = await client.goal("/moveit_goal_named", {"data": state})
+        result = await client.reach("/moveit_goal_named", {"data": state})
         codes.append(int(result["val"]))
 
 

@@ -43,11 +43,11 @@ async def _send_goals(url: str) -> list[float]:
     sent_s = []
     async with frame_client(url) as client:
         await client.open_goals()
-        await client.goal("/moveit_goal_named", {"data": "ready"})
+        await client.reach("/moveit_goal_named", {"data": "ready"})
         for number in range(GOALS):
             sent_s.append(time.monotonic())
             goal = {"name": ["shoulder_pan"], "position": [STEP_RAD * (1 - number % 2)]}
-            result = await client.goal("/moveit_goal_joints", goal)
+            result = await client.reach("/moveit_goal_joints", goal)
             assert result["val"] == 1, result
     return sent_s
 

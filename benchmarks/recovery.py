@@ -45,17 +45,17 @@ async def _measure(server: RunningServer) -> list[list[str]]:
 
 async def _recovery_s(server: RunningServer, client: FrameClient, *, moves: bool, side: int) -> tuple[float, ...]:
     """Return the times from a kill to the next process's holding arm, and to the end of a new goal [s]."""
-    await client.goal("/moveit_goal_joints", {"name": [JOINT], "position": [side * FAR_RAD]})
+    await client.reach("/moveit_goal_joints", {"name": [JOINT], "position": [side * FAR_RAD]})
     if moves:
         await client.publish("/moveit_goal_joints", {"name": [JOINT], "position": [-side * FAR_RAD]})
-        await client.wait_for("/moveit_goal_status", goal_is("executing"))
+        await client.until("/moveit_goal_status", goal_is("executing"))
         await asyncio.sleep(IN_MOTION_S)
     seen, killed_s = len(client.messages("/arm/state")), time.monotonic()
     _arm_process(server).kill()
-    states = await client.wait_for("/arm/state", lambda all_: _held_again_s(all_[seen:]) is not None)
+    states = await client.until("/arm/state", lambda all_: _held_again_s(all_[seen:]) is not None)
     held_s = _held_again_s(states[seen:])
     near_rad = client.messages("/joint_states")[-1]["position"][0] - side * NEAR_RAD
-    result = await client.goal("/moveit_goal_joints", {"name": [JOINT], "position": [near_rad]})
+    result = await client.reach("/moveit_goal_joints", {"name": [JOINT], "position": [near_rad]})
     if held_s is None or result["val"] != 1:
         raise RuntimeError(f"the goal is refused: {result}")
     return held_s - killed_s, result["_at_s"] - killed_s

@@ -96,7 +96,7 @@ async def _send_goals(url: str, until_s: float, log: Log) -> None:
         while time.monotonic() < until_s:
             topic = chance.choices(list(GOAL_SHARES), list(GOAL_SHARES.values()))[0]
             try:
-                answer = await client.goal(topic, _goal(topic, chance), ANSWER_TIMEOUT_S)
+                answer = await client.reach(topic, _goal(topic, chance), ANSWER_TIMEOUT_S)
             except TimeoutError:
                 log.unanswered += 1
             else:
@@ -119,7 +119,7 @@ def _goal(topic: str, chance: random.Random) -> dict[str, object]:
 
 def _forget(client: FrameClient) -> None:
     """Discard received messages, which would grow in this process."""
-    client.received.clear()
+    client.topics.clear()
 
 
 async def _repair(url: str) -> bool:

@@ -154,7 +154,7 @@ async def unread_latency_s(port: int, observer: FrameClient) -> float:
         await asyncio.sleep(SETTLE_S)
         await loop.sock_sendall(deaf, stop)
         sent_s = time.monotonic()
-        results = await observer.wait_for("/moveit_goal_result", lambda all_: len(all_) > seen)
+        results = await observer.until("/moveit_goal_result", lambda all_: len(all_) > seen)
         ended = results[-1]
         return float(ended["_at_s"]) - sent_s if ended["val"] == -7 else float("inf")
     finally:
@@ -246,7 +246,7 @@ async def _measure(url: str, port: int) -> list[list[str]]:
     async with frame_client(url) as observer:
         await observer.subscribe("/joint_states", "sensor_msgs/JointState")
         await observer.open_goals()
-        await observer.wait_for("/joint_states", bool)
+        await observer.until("/joint_states", bool)
         unread_s = [await unread_latency_s(port, observer) for _ in range(TRIALS)]
         behind = "replies unread (to the end of a motion)"
         rows.append(["raw TCP, JSON", behind, "3", *percentiles(unread_s, 50, 100)])

@@ -34,7 +34,7 @@ class FrameClient:
 
     def __init__(self, websocket: ClientConnection) -> None:
         self.websocket = websocket
-        self.received: dict[str, list[dict[str, Any]]] = {}
+        self.topics: dict[str, list[dict[str, Any]]] = {}
         self._news = asyncio.Condition()
         self._reader = asyncio.create_task(self._read())
 
@@ -54,35 +54,38 @@ class FrameClient:
     async def publish(self, topic: str, msg: dict[str, Any]) -> None:
         await self.send({"op": "publish", "topic": topic, "msg": msg})
 
-    async def goal(self, topic: str, msg: dict[str, Any], timeout_s: float = 60.0) -> dict[str, Any]:
+    async def reach(self, topic: str, msg: dict[str, Any], timeout_s: float = 60.0) -> dict[str, Any]:
         """Publish a goal and wait for the next result."""
         seen = len(self.messages("/moveit_goal_result"))
         await self.publish(topic, msg)
-        return (await self.wait_for("/moveit_goal_result", lambda all_: len(all_) > seen, timeout_s))[seen]
+        return (await self.until("/moveit_goal_result", lambda all_: len(all_) > seen, timeout_s))[seen]
 
     def messages(self, topic: str) -> list[dict[str, Any]]:
-        return self.received.get(topic, [])
+        return self.topics.get(topic, [])
 
-    async def wait_for(
+    async def until(
         self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = 60.0
     ) -> list[dict[str, Any]]:
+        """The messages of a topic, once there are some and they fulfil a condition."""
         async with asyncio.timeout(timeout_s), self._news:
-            await self._news.wait_for(lambda: condition(self.messages(topic)))
+            await self._news.wait_for(lambda: bool(self.messages(topic)) and condition(self.messages(topic)))
         return self.messages(topic)
 
     async def positions(self) -> dict[str, float]:
         """Return the position of every joint [rad or m], by a state that comes from now on."""
         seen = len(self.messages("/joint_states"))
-        state = (await self.wait_for("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
+        state = (await self.until("/joint_states", lambda all_: len(all_) > seen + 1))[-1]
         return dict(zip(state["name"], state["position"], strict=True))
 
     async def _read(self) -> None:
         async for frame in self.websocket:
-            operation = json.loads(frame)
-            operation["msg"]["_at_s"] = time.monotonic()
             async with self._news:
-                self.received.setdefault(operation["topic"], []).append(operation["msg"])
+                self._take(json.loads(frame))
                 self._news.notify_all()
+
+    def _take(self, operation: dict[str, Any]) -> None:
+        operation["msg"]["_at_s"] = time.monotonic()
+        self.topics.setdefault(operation["topic"], []).append(operation["msg"])
 
     async def close(self) -> None:
         await self.websocket.close()
@@ -99,27 +102,19 @@ async def frame_client(url: str) -> AsyncIterator[FrameClient]:
         await client.close()
 
 
-def status_state(status: dict[str, Any]) -> str:
-    """``state`` of a goal's status."""
-    return str(next(pair["value"] for pair in status["values"] if pair["key"] == "state"))
-
-
 def goal_is(state: str) -> Callable[[list[dict[str, Any]]], bool]:
     """Condition on the messages of /moveit_goal_status: the latest tells this state."""
-    return lambda messages: bool(messages) and status_state(messages[-1]) == state
+    return lambda messages: values_of(messages[-1])["state"] == state
 
 
-class ArmClient:
-    """A rosbridge client that knows which answer belongs to which request."""
+class ArmClient(FrameClient):
+    """A client that knows which answer belongs to which request."""
 
     def __init__(self, websocket: ClientConnection) -> None:
-        self.websocket = websocket
-        self.topics: dict[str, list[dict[str, Any]]] = {}
         self.feedback: dict[str, list[dict[str, Any]]] = {}
         self._answers: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._ids = map(str, itertools.count(1))
-        self._news = asyncio.Condition()
-        self.reader = asyncio.create_task(self._read())
+        super().__init__(websocket)
 
     async def say(self, op: str, **fields: Any) -> None:
         await self.websocket.send(json.dumps({"op": op, **fields}))
@@ -145,23 +140,9 @@ class ArmClient:
         await self.say("advertise", topic=topic, type=type_name)
         await self.say("publish", topic=topic, msg=msg)
 
-    async def until(
-        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = ANSWER_TIMEOUT_S
-    ) -> list[dict[str, Any]]:
-        """The messages of a topic, once they fulfil a condition."""
-        async with asyncio.timeout(timeout_s), self._news:
-            await self._news.wait_for(lambda: bool(self.topics.get(topic)) and condition(self.topics[topic]))
-        return self.topics[topic]
-
     async def until_mode(self, mode: str) -> dict[str, Any]:
         """The state, once the arm is in a mode."""
         return (await self.until("/arm/state", lambda states: values_of(states[-1])["mode"] == mode))[-1]
-
-    async def positions(self) -> dict[str, float]:
-        """Return the position of every joint [rad or m], by a state that comes from now on."""
-        self.topics.pop("/joint_states", None)
-        state = (await self.until("/joint_states", bool))[-1]
-        return dict(zip(state["name"], state["position"], strict=True))
 
     async def change_scene(self, *objects: dict[str, Any]) -> None:
         """Add or remove objects of the planning scene."""
@@ -173,17 +154,13 @@ class ArmClient:
         self._answers[request_id] = answer
         return answer
 
-    async def _read(self) -> None:
-        async for frame in self.websocket:
-            operation = json.loads(frame)
-            async with self._news:
-                if operation["op"] == "publish":
-                    self.topics.setdefault(operation["topic"], []).append(operation["msg"])
-                elif operation["op"] == "action_feedback":
-                    self.feedback.setdefault(operation["id"], []).append(operation["values"])
-                elif operation.get("id") in self._answers and not self._answers[operation["id"]].done():
-                    self._answers[operation["id"]].set_result(operation)
-                self._news.notify_all()
+    def _take(self, operation: dict[str, Any]) -> None:
+        if operation["op"] == "publish":
+            super()._take(operation)
+        elif operation["op"] == "action_feedback":
+            self.feedback.setdefault(operation["id"], []).append(operation["values"])
+        elif operation.get("id") in self._answers and not self._answers[operation["id"]].done():
+            self._answers[operation["id"]].set_result(operation)
 
 
 def values_of(status: dict[str, Any]) -> dict[str, str]:
@@ -201,8 +178,7 @@ async def arm_client(url: str) -> AsyncIterator[ArmClient]:
     try:
         yield client
     finally:
-        await websocket.close()
-        await asyncio.gather(client.reader, return_exceptions=True)
+        await client.close()
 
 
 def call(url: str, service: str, args: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from websockets.asyncio.client import connect
 
-from harness.clients import FrameClient, frame_client, goal_is, status_state
+from harness.clients import FrameClient, frame_client, goal_is, values_of
 from harness.server import RunningServer, read_write_log
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
@@ -70,7 +70,7 @@ async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
 
 
 async def goal_named(client: FrameClient, name: str) -> dict[str, Any]:
-    return await client.goal("/moveit_goal_named", {"data": name})
+    return await client.reach("/moveit_goal_named", {"data": name})
 
 
 async def test_the_unreal_client_moves_the_arm(server: RunningServer, write_log: Path) -> None:
@@ -81,7 +81,7 @@ async def test_the_unreal_client_moves_the_arm(server: RunningServer, write_log:
         await client.subscribe(RESULT, "moveit_msgs/MoveItErrorCodes")
         for count, frame in enumerate((NAMED, JOINTS, POSE), start=1):
             await client.send(frame)
-            results = await client.wait_for(RESULT, lambda all_, count=count: len(all_) == count)
+            results = await client.until(RESULT, lambda all_, count=count: len(all_) == count)
             assert (results[-1]["val"], results[-1]["message"]) == (1, "the arm is there")
             if frame is JOINTS:
                 await assert_arrived(client, write_log, [0.3, -0.5, 0.5, 0.2, 0.0])
@@ -91,7 +91,7 @@ async def test_the_unreal_client_moves_the_arm(server: RunningServer, write_log:
 async def assert_arrived(client: FrameClient, write_log: Path, position_rad: list[float]) -> None:
     """The servos stand where the goal was, and /joint_states says what the servos say."""
     seen = len(client.messages("/joint_states"))
-    states = await client.wait_for("/joint_states", lambda all_: len(all_) > seen + 2)
+    states = await client.until("/joint_states", lambda all_: len(all_) > seen + 2)
     latest = dict(zip(states[-1]["name"], states[-1]["position"], strict=True))
     present = read_write_log(write_log)[-1]["present"]
     for joint, goal_rad in zip(nominal_calibration().joints[:5], position_rad, strict=True):
@@ -132,7 +132,7 @@ def goal_ticks(entry: dict[str, Any], servo: str) -> int:
 async def test_joint_states_come_at_50_hz_with_every_joint(client: FrameClient) -> None:
     await client.send(SUBSCRIBE)
     # An arm that nobody watches reports more slowly until the first one does.
-    states = (await client.wait_for("/joint_states", lambda all_: len(all_) >= 120))[20:]
+    states = (await client.until("/joint_states", lambda all_: len(all_) >= 120))[20:]
     stamps = [state["header"]["stamp"]["sec"] + state["header"]["stamp"]["nanosec"] / 1e9 for state in states]
     assert stamps == sorted(stamps)
     # A machine that does other things as well delays some of them, and the mean with them.
@@ -151,7 +151,7 @@ async def test_a_goal_is_answered_once_with_its_topic_and_id(client: FrameClient
     assert topic == "/moveit_goal_named"
     same = [answer for answer in client.messages(RESULT) if answer["source"] == result["source"]]
     assert len(same) == 1
-    states = [status_state(s) for s in client.messages("/moveit_goal_status") if s["hardware_id"] == goal_id]
+    states = [values_of(s)["state"] for s in client.messages("/moveit_goal_status") if s["hardware_id"] == goal_id]
     order = ["queued", "planning", "executing", "done"]
     assert [key for key, _ in itertools.groupby(states)] == order
 
@@ -159,8 +159,8 @@ async def test_a_goal_is_answered_once_with_its_topic_and_id(client: FrameClient
 async def test_joints_that_are_not_named_keep_their_position(client: FrameClient) -> None:
     await client.send(SUBSCRIBE)
     assert (await goal_named(client, "ready"))["val"] == 1
-    assert (await client.goal("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [0.2]}))["val"] == 1
-    state = (await client.wait_for("/joint_states", bool))[-1]
+    assert (await client.reach("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [0.2]}))["val"] == 1
+    state = (await client.until("/joint_states", bool))[-1]
     assert state["position"][:3] == pytest.approx([0.2, -0.5, 0.5], abs=ARRIVED_RAD)
 
 
@@ -172,9 +172,9 @@ async def test_stop_ends_the_motion_along_its_path_and_empties_the_queue(client:
     await client.publish("/moveit_goal_joints", far)
     for _ in range(3):
         await client.publish("/moveit_goal_named", {"data": "ready"})
-    await client.wait_for("/joint_states", lambda all_: bool(all_) and all_[-1]["position"][0] > 0.2)
+    await client.until("/joint_states", lambda all_: all_[-1]["position"][0] > 0.2)
     await client.publish("/stop", {})
-    results = (await client.wait_for(RESULT, lambda all_: len(all_) == seen + 4))[seen:]
+    results = (await client.until(RESULT, lambda all_: len(all_) == seen + 4))[seen:]
     assert [result["val"] for result in results] == [-7] * 4
     await asyncio.sleep(0.3)
     stopped = client.messages("/joint_states")[-1]
@@ -188,21 +188,21 @@ async def test_a_goal_of_a_client_that_vanishes_is_finished(server: RunningServe
     async with frame_client(server.url) as other:
         await other.open_goals()
         assert (await goal_named(other, "home"))["val"] == 1
-    await client.wait_for(RESULT, bool)
+    await client.until(RESULT, bool)
     seen = len(client.messages(RESULT))
     leaving = await connect(server.url)
     await leaving.send(ADVERTISE[0])
     await leaving.send(NAMED)
-    await client.wait_for("/moveit_goal_status", goal_is("executing"))
+    await client.until("/moveit_goal_status", goal_is("executing"))
     leaving.transport.abort()
-    results = await client.wait_for(RESULT, lambda all_: len(all_) > seen)
+    results = await client.until(RESULT, lambda all_: len(all_) > seen)
     assert results[-1]["val"] == 1
 
 
 async def test_a_goal_topic_keeps_its_type(server: RunningServer, client: FrameClient) -> None:
     await client.send({"op": "advertise", "topic": "/moveit_goal_named", "type": "sensor_msgs/JointState"})
     assert server.has_logged("already established with type std_msgs/msg/String")
-    assert (await client.goal("/moveit_goal_named", {"name": ["shoulder_pan"]}))["val"] == -16
+    assert (await client.reach("/moveit_goal_named", {"name": ["shoulder_pan"]}))["val"] == -16
 
 
 def test_the_page_is_on_the_same_port_or_how_to_get_it(server: RunningServer) -> None:
@@ -231,10 +231,10 @@ async def test_a_planner_that_dies_costs_its_goal_only(server: RunningServer, cl
     for worker in workers:
         worker.suspend()
     await client.publish("/moveit_goal_named", {"data": "home"})
-    await client.wait_for("/moveit_goal_status", goal_is("planning"))
+    await client.until("/moveit_goal_status", goal_is("planning"))
     for worker in workers:
         worker.kill()
-    results = await client.wait_for(RESULT, lambda all_: len(all_) == 2)
+    results = await client.until(RESULT, lambda all_: len(all_) == 2)
     # A goal that was not yet in the hands of the planner waits for the next one.
     assert results[-1]["val"] in (-29, 1)
     # The spare was killed as well; a process of this size takes a moment to be gone.
@@ -270,7 +270,7 @@ async def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
             await client.open_goals()
             await goal_named(client, "ready")
             await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
-            await client.wait_for("/moveit_goal_status", goal_is("executing"))
+            await client.until("/moveit_goal_status", goal_is("executing"))
             code, seconds = await asyncio.to_thread(server.end, request.param)
             results = client.messages(RESULT)
     _, alive = psutil.wait_procs(children, timeout=30)
@@ -323,7 +323,7 @@ async def test_a_killed_server_leaves_an_arm_at_rest_no_process_behind_and_its_r
                 while not has_joint_states(recording):
                     await asyncio.sleep(0.1)
             await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
-            await client.wait_for("/moveit_goal_status", goal_is("executing"))
+            await client.until("/moveit_goal_status", goal_is("executing"))
             await asyncio.to_thread(server.end, signal.SIGKILL)
     _, alive = psutil.wait_procs(children, timeout=30)
     assert not alive

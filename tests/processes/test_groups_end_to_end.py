@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.clients import ArmClient, FrameClient, arm_client, frame_client, status_state
+from harness.clients import ArmClient, FrameClient, arm_client, frame_client, values_of
 from harness.server import RunningServer
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
@@ -71,7 +71,7 @@ async def opened(client: FrameClient) -> None:
 
 async def select(client: FrameClient, group: str) -> None:
     await client.publish(GROUP_TOPIC, {"data": group})
-    await client.wait_for(GROUP_TOPIC, lambda told: bool(told) and told[-1]["data"] == group)
+    await client.until(GROUP_TOPIC, lambda told: told[-1]["data"] == group)
 
 
 def joint_message(joints: dict[str, float]) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def joint_message(joints: dict[str, float]) -> dict[str, Any]:
 
 async def joints_goal(client: FrameClient, joints: dict[str, float]) -> dict[str, float]:
     """Send a goal of joints; returns where they are when it is reached."""
-    result = await client.goal("/moveit_goal_joints", joint_message(joints))
+    result = await client.reach("/moveit_goal_joints", joint_message(joints))
     assert result["val"] == 1, result
     return await client.positions()
 
@@ -96,10 +96,10 @@ def turn_rad(first: Any, second: Any) -> float:
 
 async def test_a_named_goal_moves_the_selected_group(lifted: FrameClient) -> None:
     await select(lifted, "arm_with_torso")
-    assert (await lifted.goal("/moveit_goal_named", {"data": "raised"}))["val"] == 1
+    assert (await lifted.reach("/moveit_goal_named", {"data": "raised"}))["val"] == 1
     assert await lifted.positions() | {"lift": 0.2, **BENT} == pytest.approx(await lifted.positions(), abs=ARRIVED)
     await select(lifted, "arm")
-    result = await lifted.goal("/moveit_goal_named", {"data": "raised"})
+    result = await lifted.reach("/moveit_goal_named", {"data": "raised"})
     assert "there is no named target 'raised'" in result["message"]
 
 
@@ -115,7 +115,7 @@ async def test_a_pose_goal_is_met_with_its_orientation(lifted: FrameClient, grou
     await select(lifted, group)
     at = await joints_goal(lifted, BENT)
     wanted = ForwardPlacements(LIFTED).transforms({**at, "a1": 0.4, "a2": 0.7, "a5": 0.5, "a6": 0.6})["tool"]
-    result = await lifted.goal("/moveit_goal_pose", pose_message(wanted))
+    result = await lifted.reach("/moveit_goal_pose", pose_message(wanted))
     assert result["val"] == 1, result
     reached = ForwardPlacements(LIFTED).transforms(await lifted.positions())["tool"]
     np.testing.assert_allclose(reached[:3, 3], wanted[:3, 3], atol=POSITION_M)
@@ -130,7 +130,7 @@ def moving(client: FrameClient, joint: str) -> list[float]:
 
 
 async def results(client: FrameClient, seen: int, count: int) -> list[dict[str, Any]]:
-    all_ = await client.wait_for("/moveit_goal_result", lambda told: len(told) >= seen + count)
+    all_ = await client.until("/moveit_goal_result", lambda told: len(told) >= seen + count)
     return all_[seen:]
 
 
@@ -139,7 +139,7 @@ async def test_two_arms_move_at_the_same_time(pair: FrameClient) -> None:
     await pair.publish("/moveit_goal_joints", joint_message({"left_a1": 1.2, "left_a2": 0.4}))
     await pair.publish("/moveit_goal_joints", joint_message({"right_a1": -1.2, "right_a2": 0.4}))
     assert [result["val"] for result in await results(pair, seen, 2)] == [1, 1]
-    pair.received["/joint_states"] = pair.messages("/joint_states")[states:]
+    pair.topics["/joint_states"] = pair.messages("/joint_states")[states:]
     left, right = moving(pair, "left_a1"), moving(pair, "right_a1")
     together_s = min(left[-1], right[-1]) - max(left[0], right[0])
     assert together_s > 0.5 * (left[-1] - left[0])
@@ -178,10 +178,10 @@ async def until_executing(client: FrameClient, count: int) -> None:
     """Wait until so many goals of the latest move."""
 
     def moves(told: list[dict[str, Any]]) -> bool:
-        latest = {one["hardware_id"]: status_state(one) for one in told}
+        latest = {one["hardware_id"]: values_of(one)["state"] for one in told}
         return list(latest.values()).count("executing") >= count
 
-    await client.wait_for("/moveit_goal_status", moves)
+    await client.until("/moveit_goal_status", moves)
 
 
 async def test_the_actions_of_both_controllers_play_at_once(pair_server: RunningServer, pair: FrameClient) -> None:
@@ -190,7 +190,7 @@ async def test_the_actions_of_both_controllers_play_at_once(pair_server: Running
         goals = [await follow(client, side) for side in ("left", "right")]
         for goal in goals:
             assert (await client.result(goal))["values"]["error_code"] == 0
-    pair.received["/joint_states"] = pair.messages("/joint_states")[seen:]
+    pair.topics["/joint_states"] = pair.messages("/joint_states")[seen:]
     left, right = moving(pair, "left_a7"), moving(pair, "right_a7")
     assert min(left[-1], right[-1]) - max(left[0], right[0]) > 0.5
 
@@ -244,6 +244,6 @@ async def test_seven_joints_are_steered(lifted_server: RunningServer, lifted: Fr
 async def test_a_group_without_a_tip_takes_no_poses(pair: FrameClient) -> None:
     await select(pair, "both_arms")
     pose = {"position": {"x": 0.4, "y": 0.0, "z": 0.4}, "orientation": {"w": 1.0}}
-    result = await pair.goal("/moveit_goal_pose", {"header": {"frame_id": "table"}, "pose": pose})
+    result = await pair.reach("/moveit_goal_pose", {"header": {"frame_id": "table"}, "pose": pose})
     assert "group both_arms has no tip" in result["message"]
     await select(pair, "left_arm")

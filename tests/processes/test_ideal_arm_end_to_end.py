@@ -52,7 +52,7 @@ async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
 
 async def arrive(client: FrameClient, topic: str, msg: dict[str, Any]) -> dict[str, float]:
     """Send a goal; returns where the joints are when it is reached."""
-    result = await client.goal(topic, msg)
+    result = await client.reach(topic, msg)
     assert (result["val"], result["message"]) == (1, "the arm is there")
     return await client.positions()
 
@@ -64,7 +64,7 @@ async def test_a_named_goal_is_reached(client: FrameClient, robot: RobotModel) -
 
 async def test_its_joints_have_no_servos_to_tell_of(client: FrameClient) -> None:
     await client.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
-    arrays = await client.wait_for("/diagnostics", lambda all_: bool(all_) and len(all_[-1]["status"]) > 1)
+    arrays = await client.until("/diagnostics", lambda all_: len(all_[-1]["status"]) > 1)
     arm, *joints = arrays[-1]["status"]
     assert [joint["name"] for joint in joints] == [f"arm: a{number}" for number in range(1, 8)]
     assert (values_of(arm)["port"], {joint["hardware_id"] for joint in joints}) == ("ideal", {"ideal joint"})

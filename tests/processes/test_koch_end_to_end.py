@@ -28,7 +28,7 @@ async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
 
 @pytest.mark.parametrize("name", ["ready", "rest", "extended", "home"])
 async def test_the_arm_goes_to_each_of_its_named_states(client: FrameClient, name: str) -> None:
-    result = await client.goal("/moveit_goal_named", {"data": name})
+    result = await client.reach("/moveit_goal_named", {"data": name})
     assert (result["val"], result["message"]) == (1, "the arm is there")
     at = await client.positions()
     wanted = KOCH.model.named_states["arm"][name]

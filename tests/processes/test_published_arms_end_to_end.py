@@ -78,14 +78,14 @@ async def test_goals_of_joints_and_of_whole_poses_and_straight_paths_are_reached
         await client.subscribe("/joint_states", "sensor_msgs/JointState")
 
         goal = {"name": list(arm.bent), "position": list(arm.bent.values())}
-        result = await client.goal("/moveit_goal_joints", goal)
+        result = await client.reach("/moveit_goal_joints", goal)
         assert result["val"] == 1, result
         at = await client.positions()
         assert [at[name] for name in arm.joints] == pytest.approx(list(arm.bent.values()), abs=ARRIVED_RAD)
 
         turned = {**arm.bent, arm.joints[0]: arm.bent[arm.joints[0]] + 0.4, arm.joints[-1]: 0.1}
         wanted = arm.tip(turned)
-        result = await client.goal("/moveit_goal_pose", arm.pose(wanted))
+        result = await client.reach("/moveit_goal_pose", arm.pose(wanted))
         assert result["val"] == 1, result
         reached = arm.tip(await client.positions())
         np.testing.assert_allclose(reached[:3, 3], wanted[:3, 3], atol=POSITION_M)

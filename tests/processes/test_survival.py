@@ -61,17 +61,17 @@ def child_of(server: RunningServer, module: str) -> psutil.Process:
 
 async def moving(client: FrameClient) -> None:
     await client.publish("/moveit_goal_joints", FAR)
-    await client.wait_for("/moveit_goal_status", goal_is("executing"))
+    await client.until("/moveit_goal_status", goal_is("executing"))
 
 
 async def reaches(client: FrameClient) -> None:
-    result = await client.goal("/moveit_goal_joints", NEAR)
+    result = await client.reach("/moveit_goal_joints", NEAR)
     assert result["val"] == 1, result
 
 
 async def told(client: FrameClient, words: str, timeout_s: float) -> None:
     """Wait until the arm's state says something."""
-    await client.wait_for(STATE, lambda all_: bool(all_) and words in all_[-1]["message"], timeout_s)
+    await client.until(STATE, lambda all_: words in all_[-1]["message"], timeout_s)
 
 
 async def test_servos_that_are_gone_are_told_found_again_and_can_be_moved(
@@ -79,7 +79,7 @@ async def test_servos_that_are_gone_are_told_found_again_and_can_be_moved(
 ) -> None:
     await moving(client)
     on_bus.emulator.command(plugged=False)
-    result = (await client.wait_for(RESULT, bool, RECOVERY_S))[-1]
+    result = (await client.until(RESULT, bool, RECOVERY_S))[-1]
     assert (result["val"], "lost" in result["message"]) == (-25, True)
     await told(client, "the arm is not connected", RECOVERY_S)
     await asyncio.to_thread(on_bus.emulator.command, plugged=True)
@@ -92,13 +92,13 @@ async def test_an_arm_process_that_dies_costs_its_goal_and_comes_back_with_its_j
 ) -> None:
     await client.subscribe("/joint_states", "sensor_msgs/JointState")
     await moving(client)
-    await client.wait_for("/joint_states", lambda all_: bool(all_) and all_[-1]["position"][0] > HALF_WAY_RAD)
+    await client.until("/joint_states", lambda all_: all_[-1]["position"][0] > HALF_WAY_RAD)
     child_of(server, "robot.control.loop").kill()
-    result = (await client.wait_for(RESULT, bool, RECOVERY_S))[-1]
+    result = (await client.until(RESULT, bool, RECOVERY_S))[-1]
     assert result["val"] == -25
     await told(client, "the arm holds", 2 * RECOVERY_S)
     seen = len(client.messages("/joint_states"))
-    state = (await client.wait_for("/joint_states", lambda all_: len(all_) > seen))[-1]
+    state = (await client.until("/joint_states", lambda all_: len(all_) > seen))[-1]
     assert HALF_WAY_RAD < state["position"][0] < FAR["position"][0]
     await reaches(client)
 
@@ -113,8 +113,8 @@ async def test_a_simulated_arm_that_stands_still_for_seconds_reaches_its_goal_an
     await asyncio.sleep(STARVED_S)
     assert client.messages(RESULT) == []
     arm.resume()
-    await client.wait_for("/diagnostics", lambda all_: "this machine is busy" in all_[-1]["status"][0]["message"])
-    result = (await client.wait_for(RESULT, bool, ARRIVAL_S))[-1]
+    await client.until("/diagnostics", lambda all_: "this machine is busy" in all_[-1]["status"][0]["message"])
+    result = (await client.until(RESULT, bool, ARRIVAL_S))[-1]
     assert (result["val"], result["message"]) == (1, "the arm is there")
     await reaches(client)
 
@@ -126,7 +126,7 @@ async def test_a_server_that_stands_still_for_seconds_does_not_cost_its_simulate
     os.kill(server.process.pid, signal.SIGSTOP)
     await asyncio.sleep(STARVED_S)
     os.kill(server.process.pid, signal.SIGCONT)
-    result = (await client.wait_for(RESULT, bool, ARRIVAL_S))[-1]
+    result = (await client.until(RESULT, bool, ARRIVAL_S))[-1]
     assert (result["val"], result["message"]) == (1, "the arm is there")
     await reaches(client)
 
@@ -138,7 +138,7 @@ async def test_a_simulated_arm_that_is_silent_for_more_than_five_seconds_is_repl
     arm = child_of(server, "robot.control.loop")
     arm.suspend()
     suspended_s = time.monotonic()
-    result = (await client.wait_for(RESULT, bool, 5.0 + RECOVERY_S))[-1]
+    result = (await client.until(RESULT, bool, 5.0 + RECOVERY_S))[-1]
     assert result["_at_s"] - suspended_s > 5.0
     assert (result["val"], "the arm process ended" in result["message"]) == (-25, True)
     assert await asyncio.to_thread(server.has_logged, "the arm process has been silent for 5 s and is ended")
@@ -182,7 +182,7 @@ async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it(
         async with frame_client(await until_open(port)) as client:
             await client.open_goals()
             await client.subscribe(STATE, "diagnostic_msgs/DiagnosticStatus")
-            first = (await client.wait_for(STATE, bool))[0]
+            first = (await client.until(STATE, bool))[0]
             assert first["message"] == "the arm is not connected: the arm process is starting"
             await reaches(client)
         process.terminate()

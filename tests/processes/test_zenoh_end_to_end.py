@@ -117,10 +117,10 @@ async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: L
     async with frame_client(ready_arm.viewer.url) as client:
         await client.subscribe("/arm1/joint_states", JOINT_STATE)
         await client.subscribe("/arm1/moveit_goal_result", "moveit_msgs/MoveItErrorCodes")
-        await client.wait_for("/arm1/joint_states", bool)
+        await client.until("/arm1/joint_states", bool)
         await client.send({"op": "advertise", "topic": "/arm1/moveit_goal_named", "type": "std_msgs/String"})
         await client.publish("/arm1/moveit_goal_named", {"data": "rest"})
-        results = await client.wait_for("/arm1/moveit_goal_result", bool)
+        results = await client.until("/arm1/moveit_goal_result", bool)
     assert results[0]["val"] == SUCCESS, results[0]
 
 
@@ -136,7 +136,7 @@ async def test_a_client_of_another_server_stops_the_arm_by_a_topic_that_is_liste
         machine.publish("/arm1/moveit_goal_named", STRING, data=goal)
         await until(lambda: abs(states[-1][0].position - before).max() > 0.05)
         await client.publish("/arm1/stop", {})
-        results = await client.wait_for("/arm1/moveit_goal_result", bool)
+        results = await client.until("/arm1/moveit_goal_result", bool)
     assert results[0]["val"] == PREEMPTED, results[0]
 
 

@@ -277,6 +277,24 @@ async def test_a_given_trajectory_that_takes_too_long_is_refused(stage: Stage) -
     assert stage.arm.played == []
 
 
+@pytest.mark.parametrize("version", [0, 1])
+async def test_a_given_trajectory_is_checked_before_it_begins_also_in_a_scene_that_never_changed(
+    stage: Stage, version: int
+) -> None:
+    stage.scene, stage.contact = Scene(version), WALL
+    await stage.begin(given(0.0, 0.2))
+    assert (await stage.answer()).code is WALL.code
+    assert stage.arm.played == []
+
+
+async def test_motions_of_others_are_expected_at_their_ends(stage: Stage) -> None:
+    other = smooth_move({"gripper": (0.0, 0.9)}, 1.0)
+    assert len(other.time_s) > 2
+    stage.in_progress.add(other, asyncio.get_running_loop().create_future())
+    expected_rad = stage.in_progress.expected_rad({"gripper": 0.1, "shoulder_pan": 0.2}, frozenset(ARM))
+    assert expected_rad == {"gripper": pytest.approx(0.9), "shoulder_pan": 0.2}
+
+
 async def test_a_goal_that_comes_while_the_arm_is_being_started_waits_for_it(stage: Stage) -> None:
     stage.arm.started.clear()
     await stage.begin(to(shoulder_pan=0.4))

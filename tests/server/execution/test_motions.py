@@ -143,8 +143,10 @@ def test_a_motion_from_nearby_is_led_in_within_the_limits(held: list[float]) -> 
     whole = with_lead_in(GIVEN, dict(zip(JOINTS, held, strict=True)), ROBOT)
     assert not refusal(whole, JOINTS, BOUNDS, np.array(held))
     lead_s = whole.duration_s - GIVEN.duration_s
-    speeds = [whole.sample(time_s)[1] for time_s in np.linspace(0.0, lead_s, 20)]
-    assert (np.abs(speeds) <= LEAD_IN_SCALING * BOUNDS.max_velocity + 1e-9).all()
+    samples = [whole.sample(time_s) for time_s in np.linspace(0.0, max(lead_s - 1e-6, 0.0), 20)]
+    speeds, accelerations = np.abs([sample[1:] for sample in samples]).swapaxes(0, 1)
+    assert (speeds <= LEAD_IN_SCALING * BOUNDS.max_velocity + 1e-9).all()
+    assert lead_s == 0.0 or (accelerations <= LEAD_IN_SCALING * BOUNDS.max_acceleration + 1e-9).all()
     np.testing.assert_allclose(whole.sample(lead_s + 1.0)[0], GIVEN.sample(1.0)[0], atol=1e-9)
 
 

@@ -97,6 +97,15 @@ async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_b
     assert desk.queue.running() == RunningGoal("goal 2 from /goals", None, 0)
 
 
+async def test_a_goal_is_told_how_many_are_ahead_of_it(desk: Desk) -> None:
+    assert desk.queue.busy() == ""
+    goals = [desk.queue.submit(GoalRequest("/goal", desk.move(name))) for name in "abc"]
+    waiting = [goal.progress.message for goal in goals if goal.progress is not None]
+    assert waiting == ["next", "1 goals ahead", "2 goals ahead"]
+    await settle()
+    assert desk.queue.busy() == "goal 1 from /goal is worked on"
+
+
 async def test_a_rejected_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
     await desk.submit("a")
     goal = desk.queue.reject(GoalRequest("/goal"), PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
@@ -126,6 +135,17 @@ async def test_closing_answers_a_goal_that_does_not_end() -> None:
     await desk.queue.close(0.01)
     assert desk.codes() == [("1", MoveItErrorCode.PREEMPTED)]
     assert "did not come to rest in time" in desk.answers[0][1].message
+
+
+@pytest.mark.stepped_time
+async def test_closing_waits_no_longer_than_until_the_active_goal_has_ended() -> None:
+    desk = Desk(runner=DeafRunner())
+    await desk.submit("a")
+    closing = asyncio.create_task(desk.queue.close(60.0))
+    await asyncio.sleep(1.0)
+    desk.runner.finish()
+    await closing
+    assert asyncio.get_running_loop().time() < 2.0
 
 
 async def test_closing_that_is_cut_short_answers_the_active_goal() -> None:

@@ -251,7 +251,7 @@ async def test_a_loop_begins_again_until_a_signal_ends_it(
     playing = asyncio.create_task(ReplayServer(replace(options, loop=True)).run())
     async with frame_client(await url(caplog)) as client:
         await client.subscribe("/t", "std_msgs/String")
-        await client.wait_for("/t", lambda messages: [each["data"] for each in messages].count("2") >= 2)
+        await client.until("/t", lambda messages: [each["data"] for each in messages].count("2") >= 2)
         signal.raise_signal(signal.SIGTERM)
         await asyncio.wait_for(playing, 30.0)
     assert "replay ended" in caplog.text

@@ -324,10 +324,14 @@ async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
     assert len(stage.problems) == 1
 
 
-@pytest.mark.parametrize(("failures", "tried"), [(1, 2), (9, 3)], ids=["then there is a way", "never"])
-async def test_planning_is_repeated_up_to_the_limit_of_attempts(stage: Stage, failures: int, tried: int) -> None:
+@pytest.mark.parametrize(
+    ("failures", "attempts", "tried"), [(1, 3, 2), (9, 3, 3), (9, 2, 2)], ids=["then there is a way", "never", "of two"]
+)
+async def test_planning_is_repeated_up_to_the_limit_of_attempts(
+    stage: Stage, failures: int, attempts: int, tried: int
+) -> None:
     stage.failures = [NO_WAY] * failures
-    await stage.begin(replace(to(shoulder_pan=0.4), attempts=3))
+    await stage.begin(replace(to(shoulder_pan=0.4), attempts=attempts))
     stage.arm.end()
     await stage.answer()
     assert len(stage.problems) == tried

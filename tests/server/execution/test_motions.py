@@ -116,6 +116,7 @@ def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
     path_time = PathTime(5.0, fraction * UNDER_WAY.duration_s, speed)
     splice_point = splice_point_of(UNDER_WAY, path_time, 5.0, HORIZON_S)
     assert splice_point is not None
+    assert (np.diff(splice_point.lead.time_s) > 0.0).all()
     time_s = share * splice_point.lead.duration_s
     # Each derivative of a short piece has more of the rounding.
     for order, (ours, theirs) in enumerate(

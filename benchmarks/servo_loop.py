@@ -31,7 +31,7 @@ from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
 from robot.description.limits import within_calibration
 from robot.description.robot_folder import built_in
-from robot.hardware.config import FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
 from robot.trajectory import rest_to_rest
 
@@ -78,7 +78,7 @@ class Rig:
 
     async def start(self) -> None:
         """Start the arm process and wait until it holds."""
-        config = ArmConfig(ROBOT, FeetechConfig(CALIBRATION, self.emulator.port))
+        config = ArmConfig(ROBOT, SerialConfig(CALIBRATION, self.emulator.port))
         self.arm = Arm(config, self.states.append, self.healths.append)
         await self.arm.start(START_TIMEOUT_S)
         if self.arm.state.mode is not Mode.HOLDING:

@@ -31,7 +31,7 @@ from robot.calibration import Calibration
 from robot.control.pacing import PERIOD_S
 from robot.description.limits import JointBounds, within_calibration
 from robot.description.robot_folder import built_in
-from robot.hardware.config import FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, Commanded
 from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
 
@@ -166,7 +166,7 @@ async def _plan_for_ever(pool: PlannerPool) -> None:
 async def _wild() -> list[list[str]]:
     """Send random setpoints, and measure the servo loop's output at every tick."""
     with _emulator() as (emulator, _):
-        arm = Arm(ArmConfig(ROBOT, FeetechConfig(CALIBRATION, emulator.port)), lambda _state: None)
+        arm = Arm(ArmConfig(ROBOT, SerialConfig(CALIBRATION, emulator.port)), lambda _state: None)
         await arm.start(START_TIMEOUT_S)
         told = await _steered_wildly(arm)
         await arm.close()

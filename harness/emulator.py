@@ -15,7 +15,7 @@ class RunningEmulator:
         ours, theirs = socket.socketpair()
         with theirs:
             self.process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "robot.emulator.process", "--control-fd", str(theirs.fileno()), *options],
+                [sys.executable, "-P", "-m", "server.cli", "emulate", "--control-fd", str(theirs.fileno()), *options],
                 pass_fds=[theirs.fileno()],
             )
         ours.settimeout(TIMEOUT_S)

@@ -158,7 +158,7 @@ class ArmGroup(ArmClock):
                     trajectory.of_joints(tuple(joints)),
                     gripping=gripping,
                     torque_share=torque_share,
-                    continues=self._continued(name, continues),
+                    continues=None if continues is None else (self._part_of(name, continues[0]), continues[1]),
                     epoch=epoch,
                 )
         if len(begun) == 1:
@@ -169,14 +169,8 @@ class ArmGroup(ArmClock):
             motion.add_done_callback(functools.partial(self._one_ended, ended, name))
         return ended
 
-    def _continued(
-        self, name: str, continues: tuple[asyncio.Future[MotionEnded], float] | None
-    ) -> tuple[asyncio.Future[MotionEnded], float] | None:
-        if continues is None:
-            return None
-        motion, from_s = continues
-        together = self._together.get(motion)
-        return (motion if together is None else together.get(name, motion)), from_s
+    def _part_of(self, name: str, motion: asyncio.Future[MotionEnded]) -> asyncio.Future[MotionEnded]:
+        return self._together.get(motion, {}).get(name, motion)
 
     def _one_ended(self, ended: asyncio.Future[MotionEnded], name: str, motion: asyncio.Future[MotionEnded]) -> None:
         together = self._together.get(ended)

@@ -269,9 +269,7 @@ def _read_table(path: Path) -> Mapping[str, object]:
         raise CalibrationError(str(path), "", "must be a JSON object with one entry per joint")
     if "calib_mode" in table or isinstance(table.get("homing_offset"), list):
         raise CalibrationError(
-            str(path),
-            "",
-            "is of lerobot's schema before June 2025, whose zero is another: calibrate the arm again",
+            str(path), "", "is of lerobot's schema before June 2025, whose zero is another: calibrate the arm again"
         )
     return table
 
@@ -293,9 +291,7 @@ def _joint(file: str, servo: ServoSpec, entry: object) -> JointCalibration:
     range_min, range_max = number("range_min", 0, MAX_TICK), number("range_max", 0, MAX_TICK)
     if range_min >= range_max:
         raise CalibrationError(
-            file,
-            f"{name}.range_min",
-            f"must be below range_max {range_max}, not {range_min}: calibrate the arm again",
+            file, f"{name}.range_min", f"must be below range_max {range_max}, not {range_min}: calibrate the arm again"
         )
     return JointCalibration(
         servo=servo,

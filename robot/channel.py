@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-import logging
+import json
 import pickle
 import select
 import signal
 import socket
 import struct
+import sys
 from typing import Any
 
 from robot import logs
@@ -145,18 +145,13 @@ def leave_signals_to_server() -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS_OF_SERVER)
 
 
-def channel_of_child(arguments: list[str] | None = None) -> Channel:
+def channel_of_child() -> Channel:
     """Open the channel that a child was started with, log as its server does, and leave signals to the server."""
     leave_signals_to_server()
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--fd", type=int, required=True)
-    parser.add_argument("--log-level", type=int, default=logging.INFO)
-    parser.add_argument("--log-format", choices=("plain", "json"), default="plain")
-    parser.add_argument("--name", default="child")
-    parser.add_argument("--arm", default="")
-    options = parser.parse_args(arguments)
-    process = f"{options.name} of {options.arm}" if options.arm else options.name
-    logs.configure(options.log_level, options.log_format, process, options.arm)
-    channel = Channel(socket.socket(fileno=options.fd))
+    # Of :class:`robot.processes.StartedChild`.
+    started = json.loads(sys.argv[1])
+    process = f"{started['name']} of {started['arm']}" if started["arm"] else started["name"]
+    logs.configure(started["log_level"], started["log_format"], process, started["arm"])
+    channel = Channel(socket.socket(fileno=started["fd"]))
     send_log(channel, process)
     return channel

@@ -18,25 +18,6 @@ class PortError(RobotError):
         self.port = port
 
 
-class PortNotFound(PortError):  # noqa: N818 - named by the fact, as its siblings
-    """No such device: not plugged in, or under another name."""
-
-    def __init__(self, port: str) -> None:
-        super().__init__(port, "does not exist: is the adapter plugged in? /dev/serial/by-id/ lists those that are")
-
-
-class PortPermission(PortError):  # noqa: N818 - named by the fact, as its siblings
-    """Missing permission to open the device: of its group, a number if it has no name here, as in a container."""
-
-    def __init__(self, port: str, group: str = "dialout") -> None:
-        join = (
-            f"give the container its group, --group-add {group}"
-            if group.isdigit()
-            else f"join the group {group} (`sudo usermod -aG {group} $USER`, then log in again)"
-        )
-        super().__init__(port, f"may not be opened by this user: {join}, or add a udev rule (docs/hardware.md)")
-
-
 class PortBusy(PortError):  # noqa: N818 - named by the fact, as its siblings
     """Device in use by another process."""
 
@@ -51,11 +32,7 @@ class PortLost(PortError):  # noqa: N818 - named by the fact, as its siblings
         super().__init__(port, f"was lost: {reason}")
 
 
-class BusError(RobotError):
-    """Failure of the servos to do as asked."""
-
-
-class NoReply(BusError, TimeoutError):  # noqa: N818 - named by the fact
+class NoReply(RobotError, TimeoutError):  # noqa: N818 - named by the fact
     """Servo without a valid reply in time, after all attempts."""
 
     def __init__(self, servo_id: int, attempts: int) -> None:

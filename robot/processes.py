@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import signal
@@ -151,34 +152,33 @@ Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
 
 
 class StartedChild:
-    """Child started ahead with ``python -m``, which ends with this process; its log lines name an arm."""
+    """Child started ahead with ``python -m``, which ends with this process; its log lines name an arm.
 
-    def __init__(self, module: str, arm: str = "") -> None:
+    With a body to run it is a ``fork``, whose body gets its end of the channel: see :class:`ForkedProcess`.
+    """
+
+    def __init__(self, module: str, arm: str = "", body: Callable[[socket.socket], None] | None = None) -> None:
         self.adopted = False  # True once a Child owns it
-        level = str(logging.getLogger().getEffectiveLevel())
-        logging_as = ["--log-level", level, "--log-format", logs.format_in_use(), "--name", module, "--arm", arm]
+        ours, theirs = socket.socketpair()
+        self.socket = ours
+        level, form = logging.getLogger().getEffectiveLevel(), logs.format_in_use()
+        fd = theirs.fileno()
+        started_as = json.dumps({"fd": fd, "log_level": level, "log_format": form, "name": module, "arm": arm})
 
-        def start(_ours: socket.socket, theirs: socket.socket) -> Process:
-            return start_module(module, ["--fd", str(theirs.fileno()), *logging_as], (theirs.fileno(),))
+        def run() -> None:
+            # The server's end would keep the channel open when the server has died.
+            ours.close()
+            if body is not None:
+                body(theirs)
 
-        self.process, self.socket = _with_channel(start)
-
-    @classmethod
-    def forked(cls, run: Callable[[socket.socket], None]) -> StartedChild:
-        """Start a child by ``fork``, which runs a body with its end of the channel: see :class:`ForkedProcess`."""
-        started = cls.__new__(cls)
-        started.adopted = False
-
-        def start(ours: socket.socket, theirs: socket.socket) -> Process:
-            def child() -> None:
-                # The server's end would keep the channel open when the server has died.
+        with theirs:
+            try:
+                self.process: Process = (
+                    start_module(module, [started_as], (fd,)) if body is None else ForkedProcess(run)
+                )
+            except BaseException:
                 ours.close()
-                run(theirs)
-
-            return ForkedProcess(child)
-
-        started.process, started.socket = _with_channel(start)
-        return started
+                raise
 
     def close(self) -> None:
         """Kill the child, unless it is adopted."""
@@ -186,16 +186,6 @@ class StartedChild:
             self.socket.close()
             self.process.kill()
             self.process.wait(KILL_TIMEOUT_S)
-
-
-def _with_channel(start: Callable[[socket.socket, socket.socket], Process]) -> tuple[Process, socket.socket]:
-    ours, theirs = socket.socketpair()
-    with theirs:
-        try:
-            return start(ours, theirs), ours
-        except BaseException:
-            ours.close()
-            raise
 
 
 class Child(asyncio.Protocol):

@@ -66,13 +66,14 @@ def commands(page: str) -> list[str]:
 COMMANDS = sorted({line for page in (*TOP, *(f"docs/{page.name}" for page in PAGES)) for line in commands(page)})
 # A file of tokens is no configuration; it is read by the tests of tokens.
 SETTINGS = [block for page in PAGES for block in blocks(page, "toml") if "_tokens]" not in block]
-# They need two arms; tests/examples runs them with those.
-TWO_ARMS = (
+# They need two arms, or servos; tests/examples runs them with these.
+OF_OTHER_ARMS = (
     "python examples/two_hands.py",
+    "python examples/servo_experiments.py --serial auto",
     "python examples/leader_follower.py --leader /leader/joint_states",
 )
 OF_EXAMPLES = [line for line in COMMANDS if "examples/" in line and not line.startswith((*FOREIGN, "armbridge "))]
-EXAMPLES = [line for line in OF_EXAMPLES if line not in TWO_ARMS]
+EXAMPLES = [line for line in OF_EXAMPLES if line not in OF_OTHER_ARMS]
 
 
 def test_the_modules_that_pages_name_exist() -> None:
@@ -343,6 +344,7 @@ def test_no_sentence_uses_a_construction_that_readers_stumble_over() -> None:
     for path in (*written, *(path for folder in (*ROOMS, "clients", "examples") for path in paths(folder))):
         text = re.sub(r"\s*\n\s*(#\s+)?", " ", path.read_text())
         found += [f"{path.relative_to(ROOT)}: {text[hit.start() - 40 : hit.end()]}" for hit in STUMBLES.finditer(text)]
+        assert "<<<<<<< " not in text, f"{path.relative_to(ROOT)}: a merge was not resolved"
     assert found == [], "say the noun again, the verb, or the number itself"
 
 

@@ -18,15 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from planners.assistant.surface import (
-    ConvexPart,
-    Deviation,
-    Surface,
-    components,
-    measure,
-    sample,
-    sample_with_normals,
-)
+from planners.assistant.surface import ConvexPart, Deviation, Surface, components, measure, sample, sample_with_normals
 from planners.geometry.shapes import evenly_spread
 from planners.geometry.surfaces import INSIDE
 from robot.trajectory import Vector

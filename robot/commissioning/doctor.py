@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -55,17 +55,8 @@ def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Cal
     listed = f"servos {_list(sorted(result.ids))} answer"
     findings = [_judged("servos", missing, "See docs/troubleshooting.md, By symptom.", listed)]
     if servos:
-        findings += [
-            _kind(servos),
-            _firmware(servos),
-            _voltage(servos),
-            _temperature(servos),
-            _status(servos),
-            _phase(servos),
-            _return_delay(servos),
-            _lock(servos),
-            _calibration(servos, calibration),
-        ]
+        findings += [*_kind(servos), _voltage(servos), *_condition(servos), *_settings(servos)]
+        findings.append(_calibration(servos, calibration))
     return findings
 
 
@@ -94,11 +85,10 @@ def judge_long_reads(address: int, length: int, silent_ids: Sequence[int]) -> Fi
 
 
 def _judged(check: str, wrong: str, remedy: str, sound: str, verdict: Verdict = Verdict.PROBLEM) -> Finding:
-    """Return the finding about a wrong; good for an empty one."""
     return Finding(check, verdict, wrong, remedy) if wrong else Finding(check, Verdict.GOOD, sound)
 
 
-def _kind(servos: Sequence[ServoRegisters]) -> Finding:
+def _kind(servos: Sequence[ServoRegisters]) -> Iterator[Finding]:
     wrong = [
         f"servo {servo.servo_id} is model {servo[Register.MODEL_NUMBER]} in mode {servo[Register.OPERATING_MODE]}"
         for servo in servos
@@ -109,15 +99,11 @@ def _kind(servos: Sequence[ServoRegisters]) -> Finding:
         f"The driver takes {known} in position mode ({POSITION_MODE}): armbridge setup --registers sets the mode; "
         'name a clone in robot.toml, model = "NUMBER".'
     )
-    return _judged("model and mode", "; ".join(wrong), remedy, "all are known models in position mode")
-
-
-def _firmware(servos: Sequence[ServoRegisters]) -> Finding:
+    yield _judged("model and mode", "; ".join(wrong), remedy, "all are known models in position mode")
     listed = ", ".join(f"{servo.servo_id}: {servo.firmware}" for servo in servos)
-    differ = len({servo.firmware for servo in servos}) > 1
+    differ = f"versions differ ({listed})" if len({servo.firmware for servo in servos}) > 1 else ""
     remedy = "Bring all to the same version with Feetech's FD program; lerobot refuses a mixture."
-    sound = f"all have {servos[0].firmware}"
-    return _judged("firmware", f"versions differ ({listed})" if differ else "", remedy, sound, Verdict.NOTE)
+    yield _judged("firmware", differ, remedy, f"all have {servos[0].firmware}", Verdict.NOTE)
 
 
 def _voltage(servos: Sequence[ServoRegisters]) -> Finding:
@@ -133,46 +119,32 @@ def _voltage(servos: Sequence[ServoRegisters]) -> Finding:
     return _judged("voltage", along, "Look for a plug with bad contact.", says, Verdict.NOTE)
 
 
-def _temperature(servos: Sequence[ServoRegisters]) -> Finding:
+def _condition(servos: Sequence[ServoRegisters]) -> Iterator[Finding]:
     hottest = max(servos, key=lambda servo: servo[Register.PRESENT_TEMPERATURE])
     degrees = hottest[Register.PRESENT_TEMPERATURE]
     says = f"the hottest is servo {hottest.servo_id} with {degrees} degrees"
     verdict = Verdict.PROBLEM if degrees >= GuardLimits.stop_temperature_c else Verdict.NOTE
     warm = says if degrees >= GuardLimits.warn_temperature_c else ""
-    return _judged(
-        "temperature",
-        warm,
-        "Let the arm cool without torque (armbridge relax); do not hold it stretched out.",
-        says,
-        verdict,
-    )
-
-
-def _status(servos: Sequence[ServoRegisters]) -> Finding:
+    remedy = "Let the arm cool without torque (armbridge relax); do not hold it stretched out."
+    yield _judged("temperature", warm, remedy, says, verdict)
     flags = {servo.servo_id: status_names(servo[Register.STATUS]) for servo in servos if servo[Register.STATUS]}
     wrong = "; ".join(f"servo {servo_id}: {', '.join(names)}" for servo_id, names in flags.items())
     remedy = " ".join(advise(ServoAlert(name) for names in flags.values() for name in names))
-    return _judged("error bits", wrong, remedy, "no servo complains")
+    yield _judged("error bits", wrong, remedy, "no servo complains")
 
 
-def _phase(servos: Sequence[ServoRegisters]) -> Finding:
+def _settings(servos: Sequence[ServoRegisters]) -> Iterator[Finding]:
     counting = [servo.servo_id for servo in servos if servo[Register.PHASE] & PHASE_MULTI_TURN]
     wrong = f"servos {_list(counting)} count several turns, so their position may overflow" if counting else ""
-    return _judged("phase bit 4", wrong, _remedy(ServoAlert.SEVERAL_TURNS), "positions stay within one turn")
-
-
-def _return_delay(servos: Sequence[ServoRegisters]) -> Finding:
+    yield _judged("phase bit 4", wrong, _remedy(ServoAlert.SEVERAL_TURNS), "positions stay within one turn")
     delayed = {servo.servo_id: delay * RETURN_DELAY_US for servo in servos if (delay := servo[Register.RETURN_DELAY])}
     says = ", ".join(f"servo {servo_id}: {delay_us} us" for servo_id, delay_us in delayed.items())
     remedy = "armbridge setup --registers sets register RETURN_DELAY to 0; lerobot does so when it connects."
-    return _judged("return delay", says, remedy, "0", Verdict.NOTE)
-
-
-def _lock(servos: Sequence[ServoRegisters]) -> Finding:
+    yield _judged("return delay", says, remedy, "0", Verdict.NOTE)
     unlocked = [servo.servo_id for servo in servos if servo[Register.LOCK] != LOCKED]
     says = f"servos {_list(unlocked)} are unlocked, as lerobot leaves them: a value written by mistake stays"
     remedy = "It does no harm by itself; armbridge setup --registers locks the EPROM."
-    return _judged("EPROM lock", says if unlocked else "", remedy, "the EPROM is locked", Verdict.NOTE)
+    yield _judged("EPROM lock", says if unlocked else "", remedy, "the EPROM is locked", Verdict.NOTE)
 
 
 def _calibration(servos: Sequence[ServoRegisters], calibration: Calibration | None) -> Finding:

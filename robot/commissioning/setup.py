@@ -29,13 +29,7 @@ from robot.errors import BackupError, NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
-from robot.hardware.feetech.registers import (
-    EPROM,
-    MODELS,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
-    Register,
-)
+from robot.hardware.feetech.registers import EPROM, MODELS, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
@@ -43,7 +37,6 @@ MAX_FILE_BYTES = 100_000  # forty servos with all their registers; an arm has si
 
 
 def _by_register(held: Mapping[str | Register, int]) -> dict[Register, int]:
-    """Convert names of registers; raises ValueError for an unknown one, and for a value that it cannot hold."""
     found = {}
     for name, value in held.items():
         if name not in Register.__members__ and name not in list(Register):
@@ -213,12 +206,7 @@ class Change:
 
 
 def search(
-    line: ServoLine,
-    joint: ServoSpec,
-    arm: Sequence[ServoSpec],
-    say: Callable[[str], None],
-    *,
-    only_joint: bool = False,
+    line: ServoLine, joint: ServoSpec, arm: Sequence[ServoSpec], say: Callable[[str], None], *, only_joint: bool = False
 ) -> FoundServo:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
@@ -433,7 +421,6 @@ def _candidates(
 
 
 def _answers(bus: Bus, servo_id: int) -> bool:
-    """Return True when anything comes back from an id, garbled or not."""
     for _ in range(ATTEMPTS):
         before = bus.counters.discarded_bytes
         if bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES) or bus.counters.discarded_bytes > before:

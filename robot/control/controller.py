@@ -228,7 +228,8 @@ class ArmController:
         if self._relieves:
             # Limit joints that push for so long that the protection of their servos would latch.
             thresholds = self.guards.thresholds
-            lasting_s = self._loaded.lasting(np.abs(measured.load) > thresholds.sustained_torque, now_s)
+            loaded = (np.abs(measured.load) > thresholds.sustained_torque).tolist()
+            lasting_s = np.array(self._loaded.lasting(loaded, now_s))
             limited = np.minimum(self.torque_limit, thresholds.sustained_torque)
             self.torque_limit = np.where(lasting_s >= thresholds.relieve_after_s, limited, self.torque_limit)
         if found is not None:
@@ -279,7 +280,6 @@ class ArmController:
         return np.array(guarded)
 
     def _yielding(self) -> Flags | None:
-        """Return the joints of grips, for which a stall is no fault; None when there is no grip."""
         gripping = [motion for motion in self.motions if motion.gripping]
         if not gripping:
             return None
@@ -289,7 +289,7 @@ class ArmController:
         return yielding
 
     def _end_gripped(self, measured: Measured, yielding: Flags) -> list[MotionEnded]:
-        caught = self.guards.stalled & yielding
+        caught = yielding & self.guards.stalled
         ended = []
         for motion in [motion for motion in self.motions if caught[motion.columns].any()]:
             joint = int(motion.columns[np.argmax(caught[motion.columns])])
@@ -358,7 +358,7 @@ class ArmController:
         for motion in self._braking:
             # A joint on its way is behind its goal for no other reason.
             yielding[motion.columns] = False
-        yielding |= self.guards.stalled | self.guards.lost
+        yielding |= np.logical_or(self.guards.stalled, self.guards.lost)
         self._yielded |= yielding
         inside = np.clip(measured.position_rad, self.bounds.lower_rad, self.bounds.upper_rad)
         self._hold_rad = np.where(yielding, inside, self._hold_rad)

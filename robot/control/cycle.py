@@ -21,10 +21,7 @@ from robot.trajectory import Vector
 SAME_ERROR_S = 5.0  # a register check repeats what it finds, about once a second, until the servo is driven again
 
 # Findings of register checks that are counted.
-_FOUND = {
-    FaultCode.SERVO_REBOOTED: ServoAlert.SERVO_REBOOTED,
-    FaultCode.TORQUE_LOST: ServoAlert.TORQUE_LOST,
-}
+_FOUND = {FaultCode.SERVO_REBOOTED: ServoAlert.SERVO_REBOOTED, FaultCode.TORQUE_LOST: ServoAlert.TORQUE_LOST}
 
 
 class ErrorCounts:
@@ -103,11 +100,6 @@ class ControlCycle:
             yield
         finally:
             self._writing = True
-
-
-def disconnected(joint_names: tuple[str, ...], reason: str, fault: Fault | None, clock_s: float) -> ArmState:
-    """Build the state of an arm whose hardware is not open."""
-    return ArmState(time.time(), Mode.DISCONNECTED, joint_names, reason=reason, fault=fault, clock_s=clock_s)
 
 
 def arm_state(

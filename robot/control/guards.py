@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import and_
 from typing import Self
 
 import numpy as np
@@ -44,6 +47,8 @@ _STATUS_FAULTS = (
     (StatusFlag.CURRENT, FaultCode.OVERCURRENT),
     (StatusFlag.ENCODER, FaultCode.ENCODER_ERROR),
 )
+
+_VOLTAGE_BIT = int(StatusFlag.VOLTAGE)  # plain: an operation on a flag is slow
 
 _SENTENCES = {
     FaultCode.OVERHEATED: "joint {name} is at {temperature_c:.0f} degC",
@@ -100,32 +105,35 @@ class Persistence:
     """Timer of a condition for each joint."""
 
     def __init__(self, joints: int) -> None:
-        self._never = np.full(joints, np.inf)
+        self._never = [math.inf] * joints
+        self._not_at_all = [-math.inf] * joints
         self._since_s = self._never
 
-    def lasting(self, condition: Flags, now_s: float) -> Vector:
+    def lasting(self, condition: Sequence[bool], now_s: float) -> list[float]:
         """Update the condition of each joint; return for how long it has held, -inf where it does not [s]."""
-        if not condition.any():
+        if True not in condition:
             self._since_s = self._never
-            return -self._never
-        self._since_s = np.where(condition, np.minimum(self._since_s, now_s), np.inf)
-        return np.asarray(now_s - self._since_s)
+            return self._not_at_all
+        each = zip(self._since_s, condition, strict=True)
+        self._since_s = [min(since_s, now_s) if holds else math.inf for since_s, holds in each]
+        return [now_s - since_s for since_s in self._since_s]
 
 
 class Guards:
-    """Guards of one arm; the highest supply of a servo is infinite without such a limit, shape (joints,) [V]."""
+    """Guards of one arm; the highest supply of a servo is infinite without such a limit, shape (joints,) [V].
+
+    They reckon with plain numbers: for six joints an operation on arrays costs more than all of the arithmetic.
+    """
 
     def __init__(
         self, joint_names: tuple[str, ...], max_voltage_v: Vector, limits: GuardLimits, thresholds: ActuatorThresholds
     ) -> None:
         self._names = joint_names
         self.limits = limits
-        # No joint nearer to its goal can be stalled or lost.
-        self._near_goal_rad = min(STALL_ERROR_RAD, self.limits.tracking_error_rad)
         self.thresholds = thresholds
-        self._least_jump_rad = float(thresholds.jump_rad.min())
+        self._stall_time_s: list[float] = thresholds.stall_time_s.tolist()
+        self._jump_rad: list[float] = thresholds.jump_rad.tolist()
         self._max_voltage_v = max_voltage_v
-        self._none: Flags = np.zeros(len(joint_names), dtype=bool)
         self._last: tuple[Measured, float] | None = None
         self.restart()
 
@@ -134,41 +142,33 @@ class Guards:
         joints = len(self._names)
         self._behind, self._pushing = Persistence(joints), Persistence(joints)
         self._low, self._flagged = Persistence(joints), Persistence(joints)
-        self.stalled = self._none  # joints that push without moving, shape (joints,)
-        self.lost = self._none  # joints that are too far behind their goals, shape (joints,)
-        self._fresh = True
-        self._silent: list[bool] = []
-        self._silent_fault: Fault | None = None
+        self.stalled = [False] * joints  # of each joint: it pushes without moving
+        self.lost = [False] * joints  # of each joint: it is too far behind its goal
 
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None
     ) -> Fault | None:
         """Check one tick's readings; return the gravest fault, or None. A stall of yielding joints is no fault."""
         last, self._last = self._last, (measured, now_s)
-        if last is not None and self._unremarkable(goal_rad, measured, last[0]):
-            if not self._fresh:
-                self.restart()
-            return self._silence_fault(goal_rad, measured)
-        self._fresh = False
-        jumped = self._none if last is None else self._jumped(measured, now_s, *last)
-        error = np.abs(measured.position_rad - goal_rad)
-        self.stalled = self._stalling(error, measured, torque_limit, now_s)
-        lost_s = self._behind.lasting(error > self.limits.tracking_error_rad, now_s)
-        self.lost = lost_s >= self.limits.tracking_time_s
-        resisting = self._none if yielding is None else yielding
-        status_faults = _STATUS_FAULTS if measured.status.any() else ()
+        positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)
+        errors = [abs(at - goal) for at, goal in positions]
+        self.stalled = self._stalling(errors, measured, torque_limit, now_s)
+        behind_s = self._behind.lasting([error > self.limits.tracking_error_rad for error in errors], now_s)
+        self.lost = [lasting_s >= self.limits.tracking_time_s for lasting_s in behind_s]
+        firm = [True] * len(errors) if yielding is None else (~yielding).tolist()
+        status, stop_c = measured.status.tolist(), self.limits.stop_temperature_c
         findings = (
-            *((measured.status & bit != 0, code) for bit, code in status_faults),
-            (measured.temperature_c >= self.limits.stop_temperature_c, FaultCode.OVERHEATED),
-            (jumped, FaultCode.POSITION_JUMP),
-            (self._silent_joints(measured), FaultCode.SERVO_SILENT),
-            (self._badly_supplied(measured, now_s), FaultCode.VOLTAGE_LOW),
-            (self.stalled & ~resisting, FaultCode.STALLED),
-            (self.lost & ~resisting, FaultCode.TRACKING_LOST),
+            *(([bool(word & bit) for word in status], code) for bit, code in (_STATUS_FAULTS if any(status) else ())),
+            ([degrees >= stop_c for degrees in measured.temperature_c.tolist()], FaultCode.OVERHEATED),
+            ([] if last is None else self._jumped(measured, now_s, *last), FaultCode.POSITION_JUMP),
+            ([age_s > self.limits.silent_after_s for age_s in measured.age_s.tolist()], FaultCode.SERVO_SILENT),
+            (self._badly_supplied(measured.voltage_v.tolist(), status, now_s), FaultCode.VOLTAGE_LOW),
+            (list(map(and_, self.stalled, firm)), FaultCode.STALLED),
+            (list(map(and_, self.lost, firm)), FaultCode.TRACKING_LOST),
         )
         for flags, code in findings:
-            if flags.any():
-                return self._fault(code, flags, goal_rad, measured)
+            if any(flags):
+                return self._fault(code, flags, errors, measured)
         return None
 
     def warnings(self, measured: Measured, joint: int) -> tuple[ServoWarning, ...]:
@@ -185,54 +185,32 @@ class Guards:
             warnings.append(ServoWarning(ServoAlert.NO_ANSWER, f"no answer for {age_s:.1f} s"))
         return tuple(warnings)
 
-    def _unremarkable(self, goal_rad: Vector, measured: Measured, before: Measured) -> bool:
-        """Return True when only silence can be a fault, now or if it lasts: in plain numbers, faster for six joints."""
-        positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), before.position_rad.tolist(), strict=True)
-        near_rad, jump_rad = self._near_goal_rad, self._least_jump_rad
-        if not all(abs(at - goal) <= near_rad and abs(at - was) <= jump_rad for at, goal, was in positions):
-            return False
-        return (
-            not any(measured.status.tolist())
-            and not any(degrees >= self.limits.stop_temperature_c for degrees in measured.temperature_c.tolist())
-            and not any(volts < self.limits.min_voltage_v for volts in measured.voltage_v.tolist())
-        )
+    def _jumped(self, measured: Measured, now_s: float, before: Measured, before_s: float) -> list[bool]:
+        ways = zip(measured.position_rad.tolist(), before.position_rad.tolist(), self._jump_rad, strict=True)
+        further_rad = [abs(at - was) - jump_rad for at, was, jump_rad in ways]
+        if max(further_rad) <= 0.0:
+            return []
+        gaps_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
+        return [bool(jumped) for jumped in np.array(further_rad) > self.thresholds.free_speed_rad_s * gaps_s]
 
-    def _jumped(self, measured: Measured, now_s: float, before: Measured, before_s: float) -> Flags:
-        """Find the joints that cannot have turned from their last reading to this one in the time between."""
-        gap_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
-        way_rad = np.abs(measured.position_rad - before.position_rad)
-        return np.asarray(way_rad > self.thresholds.jump_rad + self.thresholds.free_speed_rad_s * gap_s)
+    def _stalling(self, errors: Sequence[float], measured: Measured, torque_limit: Vector, now_s: float) -> list[bool]:
+        stalling = [error > STALL_ERROR_RAD for error in errors]
+        if True in stalling:
+            loaded = np.abs(measured.load) > STALL_LOAD_SHARE * torque_limit
+            pushing = loaded | (np.abs(measured.current_a) > self.thresholds.stall_current_a)
+            standing = np.abs(measured.velocity_rad_s) < STALL_SPEED_RAD_S
+            stalling = (np.array(stalling) & pushing & standing).tolist()
+        each = zip(self._pushing.lasting(stalling, now_s), self._stall_time_s, strict=True)
+        return [lasting_s >= time_s for lasting_s, time_s in each]
 
-    def _silence_fault(self, goal_rad: Vector, measured: Measured) -> Fault | None:
-        """Return the fault of silent servos, the same object while the same servos are silent."""
-        silent = [age_s > self.limits.silent_after_s for age_s in measured.age_s.tolist()]
-        if silent != self._silent:
-            flags = self._silent_joints(measured)
-            fault = self._fault(FaultCode.SERVO_SILENT, flags, goal_rad, measured) if any(silent) else None
-            self._silent, self._silent_fault = silent, fault
-        return self._silent_fault
+    def _badly_supplied(self, volts: Sequence[float], status: Sequence[int], now_s: float) -> list[bool]:
+        low_s = self._low.lasting([each_v < self.limits.min_voltage_v for each_v in volts], now_s)
+        flagged_s = self._flagged.lasting([word & _VOLTAGE_BIT != 0 for word in status], now_s)
+        each = zip(low_s, flagged_s, strict=True)
+        return [low >= LOW_VOLTAGE_TIME_S or flagged >= VOLTAGE_BIT_TIME_S for low, flagged in each]
 
-    def _silent_joints(self, measured: Measured) -> Flags:
-        return np.asarray(measured.age_s > self.limits.silent_after_s)
-
-    def _stalling(self, error: Vector, measured: Measured, torque_limit: Vector, now_s: float) -> Flags:
-        far = error > STALL_ERROR_RAD
-        if not far.any():
-            return self._pushing.lasting(far, now_s) > 0.0
-        loaded = np.abs(measured.load) > STALL_LOAD_SHARE * torque_limit
-        pushing = loaded | (np.abs(measured.current_a) > self.thresholds.stall_current_a)
-        standing = np.abs(measured.velocity_rad_s) < STALL_SPEED_RAD_S
-        lasting_s = self._pushing.lasting(far & pushing & standing, now_s)
-        return np.asarray(lasting_s >= self.thresholds.stall_time_s)
-
-    def _badly_supplied(self, measured: Measured, now_s: float) -> Flags:
-        low, flagged = measured.voltage_v < self.limits.min_voltage_v, measured.status & StatusFlag.VOLTAGE != 0
-        low_s, flagged_s = self._low.lasting(low, now_s), self._flagged.lasting(flagged, now_s)
-        return np.asarray((low_s >= LOW_VOLTAGE_TIME_S) | (flagged_s >= VOLTAGE_BIT_TIME_S))
-
-    def _fault(self, code: FaultCode, flags: Flags, goal_rad: Vector, measured: Measured) -> Fault:
-        errors = [abs(at - goal) for at, goal in zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)]
-        joint = max((joint for joint, flag in enumerate(flags.tolist()) if flag), key=errors.__getitem__)
+    def _fault(self, code: FaultCode, flags: Sequence[bool], errors: Sequence[float], measured: Measured) -> Fault:
+        joint = max((joint for joint, flag in enumerate(flags) if flag), key=errors.__getitem__)
         if code is FaultCode.SERVO_SILENT and measured.age_s.min() > ALL_SILENT_AFTER_S:
             code = FaultCode.BUS_SILENT
         volts, most_volts = measured.voltage_v[joint], self._max_voltage_v[joint]

@@ -7,7 +7,7 @@ import socket
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.checks import checked
@@ -15,9 +15,12 @@ from robot.control.pacing import MAX_TICK_S, PERIOD_S, LoopClock, Pacer, Schedul
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
-from robot.hardware.config import DynamixelConfig, EmulatedConfig, EmulatedDynamixelConfig, FeetechConfig, IdealConfig
+from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.hardware.interface import HardwareInterface
 from robot.messages import ArmConfig, Command, Order
+
+if TYPE_CHECKING:
+    from robot.hardware.servos.family import ServoFamily
 
 
 def hardware_opener(config: ArmConfig, clock: LoopClock) -> Callable[[], HardwareInterface]:
@@ -28,32 +31,35 @@ def hardware_opener(config: ArmConfig, clock: LoopClock) -> Callable[[], Hardwar
     """
     joint_names = config.hardware.joint_names(config.robot)
     bounds = JointBounds.of(config.robot, joint_names)
+    limits = config.guard_limits
     match config.hardware:
-        case FeetechConfig():
-            from robot.hardware.feetech.family import Feetech
+        case SerialConfig():
             from robot.hardware.servos.hardware import open_servos
 
-            return partial(
-                open_servos, Feetech(config.hardware.profile), config.hardware, bounds, config.guard_limits, clock
-            )
-        case EmulatedConfig():
+            return partial(open_servos, _family(config.hardware), config.hardware, bounds, limits, clock)
+        case EmulatedConfig(kind="feetech"):
             from robot.emulator.feetech import emulated_feetech_arm
 
-            return emulated_feetech_arm(config.robot, config.hardware, bounds, config.guard_limits, clock).open
-        case DynamixelConfig():
-            from robot.hardware.dynamixel.family import Dynamixel
-            from robot.hardware.servos.hardware import open_servos
-
-            return partial(open_servos, Dynamixel(), config.hardware, bounds, config.guard_limits, clock)
-        case EmulatedDynamixelConfig():
+            return emulated_feetech_arm(config.robot, config.hardware, bounds, limits, clock).open
+        case EmulatedConfig():
             from robot.emulator.dynamixel import emulated_dynamixel_arm
 
-            return emulated_dynamixel_arm(config.robot, config.hardware, bounds, config.guard_limits, clock).open
+            return emulated_dynamixel_arm(config.robot, config.hardware, bounds, limits, clock).open
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 
             ideal = IdealArm(config.hardware, joint_names, bounds, clock)
             return lambda: ideal
+
+
+def _family(config: SerialConfig) -> ServoFamily:
+    if config.kind == "dynamixel":
+        from robot.hardware.dynamixel.family import Dynamixel
+
+        return Dynamixel()
+    from robot.hardware.feetech.family import Feetech
+
+    return Feetech(config.profile)
 
 
 # A step of a sequence is a transaction of 1 to 2 ms; when less time is left until the tick, only the first is taken.
@@ -125,7 +131,6 @@ class ArmLoop:
         return skipped
 
     def _handle(self, messages: list[Any]) -> None:
-        """Handle emergency stops first, the rest in order."""
         urgent = [each for each in messages if isinstance(each, Command) and each.order is Order.EMERGENCY_STOP]
         for message in (*urgent, *(each for each in messages if each not in urgent)):
             self._supervisor.handle(message)

@@ -35,12 +35,7 @@ class Streaming:
     rate = 1.0
 
     def __init__(
-        self,
-        command: Stream,
-        names: tuple[str, ...],
-        bounds: JointBounds,
-        held_rad: Vector,
-        speed_limit: float = 1.0,
+        self, command: Stream, names: tuple[str, ...], bounds: JointBounds, held_rad: Vector, speed_limit: float = 1.0
     ) -> None:
         self.motion_id = command.motion_id
         self.joint_names = command.joint_names

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robot.control.controller import RELAXING, ArmController
-from robot.control.cycle import ControlCycle, arm_health, arm_state, disconnected
+from robot.control.cycle import ControlCycle, arm_health, arm_state
 from robot.control.orders import Orders
 from robot.control.pacing import PERIOD_S, LoopClock, Pacer, Scheduling
 from robot.control.parking import Parking, Stage
@@ -24,6 +25,7 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     TORQUE_LEFT_ON,
     ArmConfig,
+    ArmState,
     ChangePace,
     Command,
     CommandDone,
@@ -85,7 +87,8 @@ def stays_at_rest(hardware: HardwareConfig) -> bool:
         case IdealConfig():
             return True
         case EmulatedConfig():
-            return not hardware.drop and not hardware.corrupt and hardware.control is None
+            lossless = not hardware.drop and not hardware.corrupt
+            return hardware.kind == "feetech" and lossless and hardware.control is None
         case _:
             return False
 
@@ -164,7 +167,8 @@ class Supervisor:
         self._interrupt(reason)
         self.arm = self._orders = None
         self._reason = reason
-        self._send(disconnected(self._joint_names, reason, self._fault, self._clock()), True)
+        lost_s, fault, names = self._clock(), self._fault, self._joint_names
+        self._send(ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s), True)
 
     def handle(self, message: object) -> None:
         """Handle one message of the server."""
@@ -445,7 +449,6 @@ class Supervisor:
         return "nothing moves"
 
     def _relax(self) -> None:
-        """Relax the arm without an order, unless it is being relaxed or stopped already."""
         busy = self._task
         if self._orders is not None and (busy is None or not (busy.urgent or busy.name == RELAXING_ARM)):
             self._begin(_Task(RELAXING_ARM, self._orders.relax(), None, self._clock()))

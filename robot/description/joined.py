@@ -12,6 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from robot.description import model
 from robot.description.model import Gripper, Joint, JointLimits, RobotModel
@@ -74,9 +75,7 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
     gripper = robot.gripper
     return replace(
         renamed,
-        hulls={prefix + link: hull for link, hull in robot.hulls.items()},
-        parts={prefix + link: shapes for link, shapes in robot.parts.items()},
-        surfaces={prefix + link: surface for link, surface in robot.surfaces.items()},
+        **_shapes([robot], prefix),
         gripper=None
         if gripper is None
         else Gripper(tuple(prefix + joint for joint in gripper.joints), gripper.open, gripper.closed),
@@ -111,14 +110,20 @@ def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
     first = robots[0]
     return replace(
         whole,
-        hulls={link: hull for robot in robots for link, hull in robot.hulls.items()},
-        parts={link: shapes for robot in robots for link, shapes in robot.parts.items()},
-        surfaces={link: surface for robot in robots for link, surface in robot.surfaces.items()},
+        **_shapes(robots),
         gripper=first.gripper,
         default_group=first.default_group,
         tip_link=first.tip_link,
         park_state=first.park_state,
     )
+
+
+def _shapes(robots: Sequence[RobotModel], prefix: str = "") -> dict[str, Any]:
+    """Return hulls, parts and surfaces of some robots by link, whose names get a prefix."""
+    kinds = ("hulls", "parts", "surfaces")
+    return {
+        kind: {prefix + link: each for one in robots for link, each in getattr(one, kind).items()} for kind in kinds
+    }
 
 
 def _renamed_urdf(robot: RobotModel, name: str, prefix: str) -> ET.Element:
@@ -169,7 +174,6 @@ def _rename(root: ET.Element, names: Mapping[str, Sequence[str]], prefix: str) -
 
 
 def _group_of_all(robots: Sequence[RobotModel]) -> Iterator[ET.Element]:
-    """Yield the group of all arms, and the named states that every arm has under the same name."""
     name = BOTH_ARMS if len(robots) == 2 else ALL_ARMS
     group = ET.Element("group", name=name)
     for robot in robots:

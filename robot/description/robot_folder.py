@@ -161,28 +161,28 @@ def load(
     if not path.is_file():
         raise DescriptionError(str(folder), f"has no {robot_file.FILE_NAME}: armbridge robot import URDF drafts one")
     file = robot_file.read(path)
-    found = _Problems(path)
+    problems: list[str] = []
     no_limits: dict[str, JointLimits] = {}
-    limits = found.of(lambda: _limits(folder, file), no_limits)
+    limits = _read(problems, lambda: _limits(folder, file), no_limits)
     own = urdf is None
-    urdf = urdf or found.of(lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
-    srdf = srdf or found.of(lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
+    urdf = urdf or _read(problems, lambda: _description_file(folder, file.robot.urdf, "urdf"), None)
+    srdf = srdf or _read(problems, lambda: _description_file(folder, file.robot.srdf, "srdf"), None)
     packages = (*package_directories, *((folder / package).resolve() for package in file.robot.packages))
     shapes: dict[str, Any] = {}
     readers: dict[str, Callable[[Path], Any]] = {"hulls": _hulls, "parts": _parts, "surfaces": _surfaces}
     for key, read in readers.items():
         named: Path | None = getattr(file.robot, key)
         if own and named is not None:
-            shapes[key] = found.of(partial(read, (folder / named).resolve()), {})
+            shapes[key] = _read(problems, partial(read, (folder / named).resolve()), {})
     if urdf is None or srdf is None:
-        raise found.error()
+        raise RobotFileError(path, problems)
     describe = partial(model.load, urdf, srdf, packages, limits, needs_meshes=not shapes.get("hulls"))
-    arm = found.of(describe, None)
+    arm = _read(problems, describe, None)
     if arm is None:
-        raise found.error()
-    found.add(_unknown_names(file, replace(arm, **shapes)))
-    if found:
-        raise found.error()
+        raise RobotFileError(path, problems)
+    problems += _unknown_names(file, replace(arm, **shapes))
+    if problems:
+        raise RobotFileError(path, problems)
     if file.held_joints:
         arm = describe(held=file.held_joints)
     group = file.planning.group or arm.default_group
@@ -199,31 +199,16 @@ def load(
     )
 
 
-class _Problems:
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._sentences: list[str] = []
-
-    def __bool__(self) -> bool:
-        return bool(self._sentences)
-
-    def of(self, read: Callable[[], Read], instead: Read) -> Read:
-        """Read something; when that fails, keep the problem and return the substitute."""
-        try:
-            return read()
-        except DescriptionError as error:
-            self._sentences.append(str(error))
-            return instead
-
-    def add(self, sentences: Iterable[str]) -> None:
-        self._sentences += sentences
-
-    def error(self) -> RobotFileError:
-        return RobotFileError(self._path, self._sentences)
+def _read(problems: list[str], read: Callable[[], Read], instead: Read) -> Read:
+    """Read something; when that fails, keep the problem and return the substitute."""
+    try:
+        return read()
+    except DescriptionError as error:
+        problems.append(str(error))
+        return instead
 
 
 def _description_file(folder: Path, named: Path | None, kind: str) -> Path:
-    """Return the folder's URDF or SRDF: the named one, or the only one."""
     if named is not None:
         path = folder / named
         if not path.is_file():
@@ -262,18 +247,14 @@ def moveit_limits(path: Path) -> dict[str, JointLimits]:
     for name, entry in joints.items():
         if not isinstance(entry, dict):
             raise DescriptionError(str(path), f"joint_limits.{name} must be a mapping, not {entry!r}")
-        own = {key: _rate(path, name, entry, key) for switch, key in MOVEIT_LIMITS if entry.get(switch)}
+        own = {key: _yaml_number(path, name, entry, key) for switch, key in MOVEIT_LIMITS if entry.get(switch)}
+        for key, value in own.items():
+            if value <= 0.0:
+                raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be above 0, not {value:g}")
         if entry.get("has_position_limits"):
             own |= {field: _yaml_number(path, name, entry, key) for key, field in MOVEIT_POSITION_LIMITS}
         limits[str(name)] = JointLimits(**own)
     return limits
-
-
-def _rate(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:
-    value = _yaml_number(path, name, entry, key)
-    if value <= 0.0:
-        raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be above 0, not {value:g}")
-    return value
 
 
 def _yaml_number(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:

@@ -6,6 +6,7 @@ import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from robot.description.urdf import Joint, Tree, attribute, number, root_of
 from robot.errors import DescriptionError
@@ -23,11 +24,9 @@ class Group:
     tip_link: str  # link to which the chain leads; empty where the joints are not one chain
 
 
-@dataclass(frozen=True)
-class EndEffector:
+class EndEffector(NamedTuple):
     """Group that is an end effector, and the link that carries it."""
 
-    name: str
     group: str
     parent_link: str
 
@@ -120,7 +119,6 @@ class _Reader:
         return Group(name, tuple(joint.name for joint in driven), base_link, tip_link)
 
     def _members(self, name: str, within: tuple[str, ...]) -> set[str]:
-        """Return the names of a group's joints: all that its elements name, together."""
         where = f"{self._source} group {name!r}"
         if name in within:
             raise DescriptionError(where, f"contains itself: {' -> '.join((*within, name))}")
@@ -192,7 +190,7 @@ class _Reader:
             group, where = attribute(element, "group", self._source), f"end_effector {name!r}"
             if group not in self._elements:
                 raise DescriptionError(f"{self._source} {where}", f"names the group {group!r}, which does not exist")
-            yield EndEffector(name, group, self._link(attribute(element, "parent_link", self._source), where))
+            yield EndEffector(group, self._link(attribute(element, "parent_link", self._source), where))
 
     def _with_tip(self, group: Group, effector: EndEffector) -> Group:
         """Return a group with the tip that an end effector gives it: where it names the arm itself, as Panda's does."""

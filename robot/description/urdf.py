@@ -38,8 +38,7 @@ def root_of(text: str, source: str) -> ET.Element:
         )
     if root.tag != "robot":
         raise DescriptionError(source, f"must start with <robot>, not <{root.tag}>")
-    macros = (macro for element in root.iter() for macro in _macros(element))
-    if macro := next(macros, ""):
+    if macro := next(_macros(root), ""):
         raise DescriptionError(
             source,
             f"is xacro, with {macro}: expand it first with "
@@ -70,10 +69,11 @@ def number(element: ET.Element, name: str, where: str) -> float:
     return value
 
 
-def _macros(element: ET.Element) -> list[str]:
-    if element.tag.startswith(tuple(f"{{{namespace}}}" for namespace in XACRO_NAMESPACES)):
-        return [f"the element <xacro:{element.tag.rpartition('}')[2]}>"]
-    return [f'{name}="{value}"' for name, value in element.attrib.items() if "${" in value or "$(" in value]
+def _macros(root: ET.Element) -> Iterator[str]:
+    for element in root.iter():
+        if element.tag.startswith(tuple(f"{{{namespace}}}" for namespace in XACRO_NAMESPACES)):
+            yield f"the element <xacro:{element.tag.rpartition('}')[2]}>"
+        yield from (f'{name}="{value}"' for name, value in element.attrib.items() if "${" in value or "$(" in value)
 
 
 MOVABLE_TYPES = ("revolute", "continuous", "prismatic")

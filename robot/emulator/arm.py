@@ -20,7 +20,7 @@ from robot.description.model import RobotModel
 from robot.emulator.servo import EmulatedServo
 from robot.emulator.servo_bus import BAUDRATE, Codec, Faults, Reply, S, ServoBus, WriteLog
 from robot.errors import PortError, PortLost
-from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
+from robot.hardware.config import EmulatedConfig
 from robot.hardware.interface import HardwareInterface
 from robot.hardware.servos.family import ServoFamily, full_torque
 from robot.hardware.servos.hardware import ServoHardware
@@ -146,7 +146,7 @@ class EmulatedArm(Generic[S]):
     def __init__(
         self,
         robot: RobotModel,
-        config: EmulatedConfig | EmulatedDynamixelConfig,
+        config: EmulatedConfig,
         family: ServoFamily,  # as the driver sees the servos
         servos: Sequence[S],  # in the order of the calibration
         codec: Codec,
@@ -181,7 +181,7 @@ class EmulatedArm(Generic[S]):
         )
 
 
-def start_pose_rad(config: EmulatedConfig | EmulatedDynamixelConfig) -> list[float]:
+def start_pose_rad(config: EmulatedConfig) -> list[float]:
     """Return the joints' positions at the start, each in its range."""
     joints = config.calibration.joints
     return [min(max(config.start_rad.get(joint.joint, 0.0), joint.lower_rad), joint.upper_rad) for joint in joints]
@@ -223,15 +223,11 @@ class LinkWeights:
             joint.name: (joint.child, joint.type != "prismatic", self._forward.axis(joint.child))
             for joint in robot.movable_joints
         }
-        # Links that hang on each movable joint.
-        self._carried: dict[str, list[str]] = {name: [] for name in self._axes}
-        for link in self._masses:
-            above = link
-            while above in by_child:
-                joint = by_child[above]
-                if joint.name in self._carried:
-                    self._carried[joint.name].append(link)
-                above = joint.parent
+        # Links that hang on each movable joint; links come parents before children.
+        above: dict[str, frozenset[str]] = {robot.root_link: frozenset()}
+        for link in robot.links[1:]:
+            above[link] = above[by_child[link].parent] | {by_child[link].name}
+        self._carried = {name: [link for link in self._masses if name in above[link]] for name in self._axes}
 
     def holding_torques(self, position_rad: Mapping[str, float]) -> dict[str, float]:
         """Compute the torque by joint that balances the links' weight [Nm, or N], at positions [rad or m]."""

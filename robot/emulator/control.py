@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -131,8 +132,7 @@ class LiveCommand(BaseModel):
     )
     frozen: bool = _command(True, "the adapter neither takes nor gives bytes; bytes that come meanwhile wait")
     plugged: Literal[True, False, "renamed"] = _command(
-        False,
-        'port and link are gone; true brings them back, "renamed" under another name of the port',
+        False, 'port and link are gone; true brings them back, "renamed" under another name of the port'
     )
 
 
@@ -163,21 +163,33 @@ def answer(line: bytes, emulation: Emulation) -> bytes:
     return _line({"ok": True, "port": emulation.adapter.port} if "plugged" in values else {"ok": True})
 
 
-class CommandStream:
-    """Lines of commands from one controller."""
+class Controller:
+    """Connection to a controller of the emulator, by the descriptors to read its commands from and to answer at."""
 
-    def __init__(self) -> None:
+    def __init__(self, reader: int, writer: int) -> None:
+        self.reader = reader
+        self._writer = writer
         self._rest = b""
+        self.gone = False  # True once it has closed its end, or sends no line end
 
-    def feed(self, data: bytes, emulation: Emulation) -> list[bytes]:
-        """Carry out the lines completed by ``data``; return their answers."""
+    def handle(self, emulation: Emulation) -> None:
+        """Carry out and answer the lines of commands that have arrived."""
+        try:
+            data = os.read(self.reader, READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        return [answer(line, emulation) for line in lines if line.strip()]
+        for line in lines:
+            if line.strip():
+                self.write(answer(line, emulation))
+        self.gone = not data or len(self._rest) > MAX_COMMAND_BYTES
 
-    @property
-    def overlong(self) -> bool:
-        """True if the controller sends no line end."""
-        return len(self._rest) > MAX_COMMAND_BYTES
+    def write(self, line: bytes) -> None:
+        """Send a line; it is lost when nobody reads."""
+        with contextlib.suppress(OSError):
+            os.write(self._writer, line)
 
 
 def json_object(line: bytes) -> dict[str, object]:
@@ -312,32 +324,19 @@ class ControlSocket:
             raise
         self._listener.listen()
         self._listener.setblocking(False)
-        self._streams: dict[socket.socket, CommandStream] = {}
+        self._controllers: dict[socket.socket, Controller] = {}
 
     def poll(self, emulation: Emulation) -> None:
         """Carry out and answer the commands that have arrived; never waits."""
         with contextlib.suppress(OSError):
-            controller, _ = self._listener.accept()
-            if len(self._streams) < MAX_CONTROLLERS:
-                controller.setblocking(False)
-                self._streams[controller] = CommandStream()
+            connection, _ = self._listener.accept()
+            if len(self._controllers) < MAX_CONTROLLERS:
+                connection.setblocking(False)
+                self._controllers[connection] = Controller(connection.fileno(), connection.fileno())
             else:
-                controller.close()
-        for controller, stream in list(self._streams.items()):
-            data = _received(controller)
-            if data is None:
-                continue
-            with contextlib.suppress(OSError):
-                controller.sendall(b"".join(stream.feed(data, emulation)))
-            if not data or stream.overlong:
-                del self._streams[controller]
-                controller.close()
-
-
-def _received(controller: socket.socket) -> bytes | None:
-    try:
-        return controller.recv(READ_BYTES)
-    except BlockingIOError:
-        return None
-    except OSError:
-        return b""
+                connection.close()
+        for connection, controller in list(self._controllers.items()):
+            controller.handle(emulation)
+            if controller.gone:
+                del self._controllers[connection]
+                connection.close()

@@ -20,7 +20,7 @@ from robot.emulator.arm import EmulatedArm, start_pose_rad
 from robot.emulator.plant import NO_LOAD_TICKS_S, STALL_CURRENT_A, Drive, Plant
 from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction
-from robot.hardware.config import EmulatedDynamixelConfig
+from robot.hardware.config import EmulatedConfig
 from robot.hardware.dynamixel.family import ALERT, HEADER, PREFIX_BYTES, Dynamixel, crc16, model_of, packet
 from robot.hardware.dynamixel.registers import (
     FULL_PWM,
@@ -52,11 +52,7 @@ ACCESS_ERROR = 7
 MEMORY_BYTES = 256  # the last documented address is 227, of the XL330; addresses without a register read as 0
 
 # Values of a new servo of every model.
-_DEFAULTS: Mapping[Register, int] = {
-    Register.FIRMWARE_VERSION: 52,
-    Register.BAUD_RATE: 3,
-    Register.PWM_LIMIT: FULL_PWM,
-}
+_DEFAULTS: Mapping[Register, int] = {Register.FIRMWARE_VERSION: 52, Register.BAUD_RATE: 3, Register.PWM_LIMIT: FULL_PWM}
 _DEFAULTS_OF_MODEL: Mapping[str, Mapping[Register, int]] = {
     "xl430-w250": {
         Register.TEMPERATURE_LIMIT: 72,
@@ -287,10 +283,7 @@ class DynamixelServo(EmulatedServo[Register]):
         return 0 if self._in_position_mode and abs(offset) > MAX_HOMING_OFFSET_IN_POSITION_MODE else offset
 
     def _thresholds_from_registers(self) -> Thresholds:
-        lowest, highest = (
-            self.value(Register.MIN_VOLTAGE_LIMIT),
-            self.value(Register.MAX_VOLTAGE_LIMIT),
-        )
+        lowest, highest = (self.value(Register.MIN_VOLTAGE_LIMIT), self.value(Register.MAX_VOLTAGE_LIMIT))
         return Thresholds(
             voltage_v=((lowest - 0.5) * VOLT_PER_UNIT, (highest + 0.5) * VOLT_PER_UNIT),
             temperature_c=self.value(Register.TEMPERATURE_LIMIT),
@@ -379,11 +372,7 @@ DYNAMIXEL = DynamixelCodec()
 
 
 def emulated_dynamixel_arm(
-    robot: RobotModel,
-    config: EmulatedDynamixelConfig,
-    bounds: JointBounds,
-    limits: GuardLimits,
-    clock: Callable[[], float],
+    robot: RobotModel, config: EmulatedConfig, bounds: JointBounds, limits: GuardLimits, clock: Callable[[], float]
 ) -> EmulatedArm[DynamixelServo]:
     """Build the emulated Dynamixel servos of an arm."""
     joints = config.calibration.joints

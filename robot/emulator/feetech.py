@@ -18,10 +18,11 @@ from robot.emulator.servo import FULL_DUTY_PERMILLE, EmulatedServo, Thresholds
 from robot.emulator.servo_bus import Codec, Instruction, WriteLog
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.bus import HEADER, LENGTH_OVERHEAD, checksum
-from robot.hardware.feetech.family import Feetech
+from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
     MODELS,
+    PROTECTION_TIME_UNIT_S,
     TABLE,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,
@@ -64,9 +65,6 @@ FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
 # Register ACCELERATION 0 means the greatest one; lerobot writes this value to the limit register.
 MAX_ACCELERATION = 254
 
-# Register PHASE, bit 4: the position counts on beyond one turn of the encoder, instead of beginning again.
-PHASE_MULTI_TURN = 0x10
-
 STANDSTILL_TICKS_S = 3.0  # Register MOVING is 0 for a slower joint
 
 # This value in register TORQUE_ENABLE makes the present position the middle; torque stays as it was.
@@ -74,7 +72,6 @@ TORQUE_ENABLE_MAKES_MIDDLE = 128
 MIDDLE_TICKS = 2048
 
 PERMILLE_PER_PERCENT = 10
-PROTECTION_TIME_UNIT_S = 0.01
 
 OVERCURRENT_TIME_S = 2.0  # factory value of register 38, which is not emulated
 

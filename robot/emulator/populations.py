@@ -88,11 +88,5 @@ KIT = Population(
 )
 
 POPULATIONS: Mapping[str, Population] = MappingProxyType(
-    {
-        "factory": FACTORY,
-        "lerobot": LEROBOT_CONFIGURED,
-        "ros2_driver": ROS2_DRIVER,
-        "clone": CLONE,
-        "kit": KIT,
-    }
+    {"factory": FACTORY, "lerobot": LEROBOT_CONFIGURED, "ros2_driver": ROS2_DRIVER, "clone": CLONE, "kit": KIT}
 )

@@ -30,21 +30,12 @@ from robot.control.pacing import take_priority
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.emulator.arm import Adapter, weight_of
-from robot.emulator.control import (
-    COMMANDS_HELP,
-    CommandStream,
-    Emulation,
-    LiveCommand,
-    answer,
-    carry_out,
-    check,
-    json_object,
-)
+from robot.emulator.control import Controller, Emulation, LiveCommand, answer, carry_out, check, json_object
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.populations import POPULATIONS
 from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
-from robot.errors import CalibrationError, DescriptionError
+from robot.errors import DescriptionError
 
 MAX_AT_S = 86_400.0  # a day; a later time is likely a mistaken unit
 MIN_REPEATED_S = 0.1  # shortest duration of a repeated script [s]: a shorter one would keep the loop that plays it busy
@@ -332,29 +323,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "joint and lets go; stall, an obstacle is in a joint's way, and later goes",
     )
     add("--repeat", action="store_true", help="play the script again and again")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the emulator of ``python -m robot.emulator.process``, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m robot.emulator.process",
-        description="Emulate the servo bus of an SO-101 on a pseudo terminal and print the terminal's path.",
-        epilog=f"The control socket or standard input takes:\n\n{COMMANDS_HELP}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add_options(parser)
-    parser.add_argument(
-        "--control-fd",
-        type=int,
-        metavar="N",
-        help="inherited socket: announce the port there, take live commands, end when the other side is gone",
-    )
-    options = parser.parse_args(arguments)
-    try:
-        run(options, options.control_fd)
-    except (CalibrationError, ValueError, OSError) as error:
-        parser.error(str(error))
-    return 0
+    # Inherited socket of a controlling process: its end ends the emulator.
+    add("--control-fd", type=int, help=argparse.SUPPRESS)
 
 
 def build_bus(
@@ -402,13 +372,13 @@ def build_rehearsal(options: argparse.Namespace, bus: ServoBus[FeetechServo]) ->
     return Rehearsal()
 
 
-def run(options: argparse.Namespace, control_descriptor: int | None = None) -> None:
+def run(options: argparse.Namespace) -> None:
     """Run an emulator until a signal or its controlling process ends it.
 
-    The descriptor is a socket to a controlling process; None for a person at standard input and output. Raises
-    CalibrationError, ValueError for a start pose or script that cannot be, and OSError for files and pseudo terminals.
+    Raises CalibrationError, ValueError for a start pose or script that cannot be, and OSError for files and terminals.
     """
-    _end_on_signals(controlled=control_descriptor is not None)
+    controlled = options.control_fd is not None
+    _end_on_signals(controlled=controlled)
     with contextlib.ExitStack() as resources:
         bus = build_bus(options, resources, time.monotonic())
         rehearsal = build_rehearsal(options, bus)
@@ -416,17 +386,20 @@ def run(options: argparse.Namespace, control_descriptor: int | None = None) -> N
         resources.callback(adapter.unplug)
         configure(options, Emulation(bus, adapter))
         take_priority()  # servos do not wait for a busy computer
-        ends = (STDIN, STDOUT) if control_descriptor is None else (control_descriptor, control_descriptor)
-        serve(bus, adapter, Control(*ends, essential=control_descriptor is not None), rehearsal)
+        ends = (options.control_fd,) * 2 if controlled else (STDIN, STDOUT)
+        controller = Controller(*ends)
+        controller.write((json.dumps({"port": adapter.port}) if controlled else adapter.port).encode() + b"\n")
+        serve(bus, adapter, controller, rehearsal, essential=controlled)
 
 
-def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, rehearsal: Rehearsal) -> None:
+def serve(
+    bus: ServoBus[FeetechServo], adapter: UsbAdapter, controller: Controller, rehearsal: Rehearsal, *, essential: bool
+) -> None:
     """Serve the bus until an essential controller has ended; the rehearsal starts with the first byte from a host."""
     emulation = Emulation(bus, adapter)
-    control.announce(adapter.port)
     last_heard_s = time.monotonic()
-    while control.wanted or time.monotonic() - last_heard_s < LINGER_S:
-        watched = [*adapter.descriptors, *control.descriptors]
+    while not (essential and controller.gone) or time.monotonic() - last_heard_s < LINGER_S:
+        watched = adapter.descriptors if controller.gone else [*adapter.descriptors, controller.reader]
         ready, _, _ = select.select(watched, [], [], adapter.wait_s(time.monotonic(), TICK_S))
         now_s = time.monotonic()
         if ready:
@@ -440,47 +413,8 @@ def serve(bus: ServoBus[FeetechServo], adapter: UsbAdapter, control: Control, re
         adapter.deliver(now_s)
         for due in rehearsal.commands_due(now_s):
             _play(due, emulation)
-        if any(descriptor in ready for descriptor in control.descriptors):
-            control.handle(emulation)
-
-
-class Control:
-    """Connection to a person, or to a controlling process, which is essential: its end ends the emulator."""
-
-    def __init__(self, reader: int, writer: int, *, essential: bool) -> None:
-        self.essential = essential
-        self._reader = reader
-        self._writer = writer
-        self._stream = CommandStream()
-        self._gone = False
-
-    @property
-    def descriptors(self) -> list[int]:
-        """File descriptors to wait on for commands."""
-        return [] if self._gone else [self._reader]
-
-    @property
-    def wanted(self) -> bool:
-        """True until the end of an essential controller."""
-        return not (self._gone and self.essential)
-
-    def announce(self, port: str) -> None:
-        """Announce the bus's port: to a controlling process in JSON, to a person as plain text."""
-        self._say(json.dumps({"port": port}).encode() + b"\n" if self.essential else port.encode() + b"\n")
-
-    def handle(self, emulation: Emulation) -> None:
-        """Carry out and answer the commands that have arrived."""
-        try:
-            data = os.read(self._reader, READ_BYTES)
-        except OSError:
-            data = b""
-        for line in self._stream.feed(data, emulation):
-            self._say(line)
-        self._gone = not data or self._stream.overlong
-
-    def _say(self, line: bytes) -> None:
-        with contextlib.suppress(OSError):
-            os.write(self._writer, line)
+        if not controller.gone and controller.reader in ready:
+            controller.handle(emulation)
 
 
 def _play(due: TimedCommand, emulation: Emulation) -> None:
@@ -541,7 +475,3 @@ def _positions(text: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of numbers") from error
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -90,14 +90,7 @@ class Protection:
         self._overload_s = self._overcurrent_s = 0.0
 
     def step(
-        self,
-        duration_s: float,
-        limits: Thresholds,
-        *,
-        load_permille: float,
-        current_a: float,
-        temperature_c: float,
-        voltage_v: float,
+        self, duration_s: float, limits: Thresholds, load_permille: float, current_a: float, heat_c: float, volts: float
     ) -> None:
         """Advance by a time [s] with the measurements at its end, each in the unit of its threshold."""
         detected = 0
@@ -107,9 +100,9 @@ class Protection:
         self._overcurrent_s = self._overcurrent_s + duration_s if abs(current_a) > limits.current_a else 0.0
         if self._overcurrent_s > limits.overcurrent_s:
             detected |= StatusFlag.CURRENT
-        if not limits.voltage_v[0] <= voltage_v <= limits.voltage_v[1]:
+        if not limits.voltage_v[0] <= volts <= limits.voltage_v[1]:
             detected |= StatusFlag.VOLTAGE
-        if temperature_c > limits.temperature_c:
+        if heat_c > limits.temperature_c:
             detected |= StatusFlag.TEMPERATURE
         if detected:
             self.latched |= detected & limits.latching
@@ -286,14 +279,8 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         """Advance motor temperature and protection by ``duration_s`` [s]."""
         current_a, before = self.plant.current_a, self.protection.status
         self.motor.step(duration_s, current_a)
-        self.protection.step(
-            duration_s,
-            self._thresholds,
-            load_permille=self._load_permille,
-            current_a=current_a,
-            temperature_c=self.motor.temperature_c,
-            voltage_v=self.voltage_v,
-        )
+        heat_c, volts = self.motor.temperature_c, self.voltage_v
+        self.protection.step(duration_s, self._thresholds, self._load_permille, current_a, heat_c, volts)
         if self.protection.status != before:
             self._follow_status()
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Self, TypeAlias
+from typing import ClassVar, Literal, Self, TypeAlias
 
 from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.hardware.feetech.profiles import ServoProfile
+
+ServoKind: TypeAlias = Literal["feetech", "dynamixel"]
 
 
 @dataclass(frozen=True)
@@ -21,10 +23,15 @@ class _ServosConfig:
 
 
 @dataclass(frozen=True)
-class _SerialConfig(_ServosConfig):
+class SerialConfig(_ServosConfig):
+    """Servos on a serial port."""
+
     simulated: ClassVar[bool] = False
 
     port: str  # serial device, ``socket://host:port``, USB id or ``auto``
+    kind: ServoKind = "feetech"
+    baud: int = 1_000_000  # bits per second
+    profile: ServoProfile | None = None  # settings that Feetech's should have; None for the nearest known profile
 
     def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> Self:  # noqa: ARG002 - as simulated joints
         """Return the same: servos stay where they are when the arm process ends."""
@@ -44,53 +51,26 @@ class _SimulatedConfig:
         return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _EmulatedBusConfig(_SimulatedConfig):
-    """Bus of servos emulated inside the arm process; the calibration's ranges are the joints' mechanical stops."""
+@dataclass(frozen=True)
+class EmulatedConfig(_SimulatedConfig, _ServosConfig):
+    """Servos emulated inside the arm process; the calibration's ranges are the joints' mechanical stops."""
 
     port: ClassVar[str] = "simulated"  # name in place of a port
 
+    kind: ServoKind = "feetech"
     drop: float = 0.0  # probability that a reply is lost
     corrupt: float = 0.0  # probability that a reply has a wrong byte
     seed: int = 0  # seed of these faults
-
-
-@dataclass(frozen=True)
-class FeetechConfig(_SerialConfig):
-    """Feetech servos on a serial port."""
-
-    baud: ClassVar[int] = 1_000_000  # bits per second
-
-    # Settings that they should have; None for the nearest known profile.
+    resumes: bool = False  # True if the servos existed before, in an arm process that has ended
+    # Of Feetech's alone: settings that they should have, None for the nearest known profile.
     profile: ServoProfile | None = None
-
-
-@dataclass(frozen=True)
-class EmulatedConfig(_EmulatedBusConfig, _ServosConfig):
-    """Feetech servos emulated inside the arm process."""
-
-    # Settings that the servos should have; None for the nearest known profile.
-    profile: ServoProfile | None = None
-    population: str = "factory"  # state in which the servos are found (:mod:`robot.emulator.populations`)
+    population: str = "factory"  # state in which they are found (:mod:`robot.emulator.populations`)
     write_log: Path | None = None  # log file with a line of JSON for every write to a servo; None for no log
     control: Path | None = None  # Unix socket for the emulator's live commands (:mod:`robot.emulator.control`)
-    resumes: bool = False  # True if the servos existed before, in an arm process that has ended
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the servos as an arm process that has ended left them."""
         return replace(super().resumed(position_rad, driven=driven), resumes=True)
-
-
-@dataclass(frozen=True)
-class DynamixelConfig(_SerialConfig):
-    """Dynamixel servos of the X series on a serial port."""
-
-    baud: int = 1_000_000  # bits per second
-
-
-@dataclass(frozen=True)
-class EmulatedDynamixelConfig(_EmulatedBusConfig, _ServosConfig):
-    """Dynamixel servos emulated inside the arm process."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +86,7 @@ class IdealConfig(_SimulatedConfig):
         return tuple(joint.name for joint in robot.movable_joints)
 
 
-HardwareConfig: TypeAlias = FeetechConfig | EmulatedConfig | DynamixelConfig | EmulatedDynamixelConfig | IdealConfig
-"""Hardware interface of an arm: servos of Feetech or Dynamixel, on a serial port or emulated, and the ideal arm."""
+HardwareConfig: TypeAlias = SerialConfig | EmulatedConfig | IdealConfig
+"""Hardware interface of an arm: servos on a serial port or emulated, and the ideal arm."""
 
-SIMULATED_PORTS = frozenset({_EmulatedBusConfig.port, IdealConfig.port})  # names of their ports
+SIMULATED_PORTS = frozenset({EmulatedConfig.port, IdealConfig.port})  # names of their ports

@@ -30,7 +30,7 @@ from scservo_sdk import PortHandler
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from robot.errors import PortBusy, PortError, PortLost, PortNotFound, PortPermission
+from robot.errors import PortBusy, PortError, PortLost
 
 # Device names that do not depend on the order in which boards were plugged in: of the device (vendor, product and its
 # serial number), and of the socket it is plugged into.
@@ -64,27 +64,6 @@ KNOWN_BOARDS = (
     Board((0x10C4, 0xEA60), "CP210x: Waveshare Servo Driver with ESP32", certain=False),
     Board((0x0403, 0x6014), "FT232H: ROBOTIS U2D2", certain=False),
 )
-
-
-def find_board() -> str:
-    """Return the device of the one known board that is plugged in; raises PortError for none and for several."""
-    plugged_in = usb_ports()
-    for certain in (True, False):
-        usb_ids = {board.usb_id for board in KNOWN_BOARDS if board.certain is certain}
-        found = [info for info in plugged_in if (info.vid, info.pid) in usb_ids]
-        if found:
-            return _only("auto", found)
-    raise PortError("auto", f"found no known servo board: {_explain_missing(plugged_in)}")
-
-
-def find_usb_id(usb_id: UsbId) -> str:
-    """Return the one device with a USB id; raises PortError for none and for several."""
-    plugged_in = usb_ports()
-    found = [info for info in plugged_in if (info.vid, info.pid) == usb_id]
-    name = usb_id_text(usb_id)
-    if not found:
-        raise PortError(name, f"is the USB id of no serial device here: {_explain_missing(plugged_in)}")
-    return _only(name, found)
 
 
 def usb_ports() -> list[ListPortInfo]:
@@ -221,18 +200,26 @@ def wire_time_s(byte_count: int, baudrate: int) -> float:
 
 def resolve_port(port: str) -> str:
     """Find the device: a path or URL as it stands, or the one board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``."""
-    if port == AUTO:
-        return find_board()
-    if usb_id := _USB_ID.fullmatch(port):
-        return find_usb_id((int(usb_id[1], 16), int(usb_id[2], 16)))
-    return port
+    named = _USB_ID.fullmatch(port)
+    if port != AUTO and named is None:
+        return port
+    plugged_in = usb_ports()
+    if named is None:
+        choices = [{board.usb_id for board in KNOWN_BOARDS if board.certain is certain} for certain in (True, False)]
+        problem = "found no known servo board"
+    else:
+        usb_id = int(named[1], 16), int(named[2], 16)
+        choices, port, problem = [{usb_id}], usb_id_text(usb_id), "is the USB id of no serial device here"
+    for usb_ids in choices:
+        if found := [info for info in plugged_in if (info.vid, info.pid) in usb_ids]:
+            return _only(port, found)
+    raise PortError(port, f"{problem}: {_explain_missing(plugged_in)}")
 
 
 def open_port(port: str, baudrate: int) -> SerialPort:
     """Open a serial port for this process alone: a device path, or a pyserial URL such as ``socket://host:port``.
 
-    Raises PortError, usually PortNotFound, PortPermission or PortBusy, and ValueError for a baud rate that no servo
-    has.
+    Raises PortError, which is PortBusy for a port in use, and ValueError for a baud rate that no servo has.
     """
     handler = SerialPort(port)
     if not handler.setBaudRate(baudrate):
@@ -342,11 +329,7 @@ class SerialPort(PortHandler):
 def _open_line(port: str, baudrate: int) -> serial.Serial:
     try:
         return serial.serial_for_url(
-            port,
-            baudrate=baudrate,
-            timeout=BLOCKING_READ_S,
-            write_timeout=WRITE_TIMEOUT_S,
-            exclusive=True,
+            port, baudrate=baudrate, timeout=BLOCKING_READ_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True
         )
     except (OSError, ValueError, termios.error) as error:
         raise _refusal(port, getattr(error, "errno", None), str(error)) from error
@@ -354,9 +337,14 @@ def _open_line(port: str, baudrate: int) -> serial.Serial:
 
 def _refusal(port: str, code: int | None, reason: str) -> PortError:
     if code in _NOT_FOUND:
-        return PortNotFound(port)
+        return PortError(port, "does not exist: is the adapter plugged in? /dev/serial/by-id/ lists those that are")
     if code in _PERMISSION:
-        return PortPermission(port, _owning_group(port))
+        group = _owning_group(port)
+        join = f"join the group {group} (`sudo usermod -aG {group} $USER`, then log in again)"
+        if group.isdigit():
+            # A group without a name here, as in a container.
+            join = f"give the container its group, --group-add {group}"
+        return PortError(port, f"may not be opened by this user: {join}, or add a udev rule (docs/hardware.md)")
     if code in _BUSY:
         return PortBusy(port)
     return PortError(port, f"cannot be opened: {reason}")

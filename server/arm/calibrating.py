@@ -12,8 +12,7 @@ from pathlib import Path
 
 from robot.arm import ORDER_TIMEOUT_S, SILENT_S, Arm
 from robot.calibration import TICKS_PER_TURN, Calibration, lerobot_directories, reserved, save
-from robot.commissioning.directions import asked_motions
-from robot.commissioning.session import Act, CalibrationSession
+from robot.commissioning.session import Act, CalibrationSession, asked_motions
 from robot.errors import CalibrationError, OrderRefused
 from robot.messages import ArmHealth, ArmState, Mode, Order
 from server.arm.arms import ServedArm, without_prefix

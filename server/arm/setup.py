@@ -13,14 +13,7 @@ from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
-from robot.hardware.config import (
-    DynamixelConfig,
-    EmulatedConfig,
-    EmulatedDynamixelConfig,
-    FeetechConfig,
-    HardwareConfig,
-    IdealConfig,
-)
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
 from robot.hardware.feetech.profiles import ServoProfile, profile_of
 from robot.messages import ArmConfig, GuardLimits
 from server.config import ArmSettings, EmulatorSettings, Settings
@@ -121,8 +114,8 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     dynamixel = description.hardware.kind == "dynamixel"
     if settings.arm.serial is not None:
         if dynamixel:
-            return DynamixelConfig(description.calibration, settings.arm.serial, description.hardware.baud)
-        return FeetechConfig(description.calibration, settings.arm.serial, _profile(description))
+            return SerialConfig(description.calibration, settings.arm.serial, "dynamixel", description.hardware.baud)
+        return SerialConfig(description.calibration, settings.arm.serial, profile=_profile(description))
     if dynamixel:
         return _emulated_dynamixels(settings, description.calibration)
     if emulator.write_log is not None:
@@ -150,11 +143,12 @@ def _profile(description: Description) -> ServoProfile | None:
         raise ConfigurationError(str(error)) from error
 
 
-def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedDynamixelConfig:
+def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedConfig:
     emulator = settings.emulator
     _refuse_options(emulator, ("write_log", "control", "population"), "emulated Dynamixel servos have nothing that")
-    return EmulatedDynamixelConfig(
+    return EmulatedConfig(
         calibration,
+        kind="dynamixel",
         drop=emulator.drop,
         corrupt=emulator.corrupt,
         seed=emulator.seed,

@@ -102,7 +102,7 @@ def _server_member(student: Student, settings: Settings, inherited: Inherited) -
     def run() -> None:
         for name in OF_SERVICE_MANAGER:
             os.environ.pop(name, None)
-        arm_process = StartedChild.forked(robot.control.loop.run_forked)
+        arm_process = StartedChild("", body=robot.control.loop.run_forked)
         try:
             serve(settings, arm_process, inherited)
         finally:

@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from robot.calibration import Calibration, new_calibration_path, reserved, save
-from robot.commissioning.directions import asked_motions
 from robot.commissioning.scan import explain_missing, read_telemetry, scan
-from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step
+from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step, asked_motions
 from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError

@@ -23,13 +23,7 @@ from robot.calibration import Calibration, find_calibration
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.emulator.populations import POPULATIONS
-from robot.hardware.config import (
-    EmulatedConfig,
-    EmulatedDynamixelConfig,
-    FeetechConfig,
-    HardwareConfig,
-    IdealConfig,
-)
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
 from robot.messages import ArmConfig, ArmState, EmergencyPolicy, Mode, MotionEnded, Order, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers import dynamixel
@@ -139,18 +133,18 @@ async def place_of(kind: str, real_arm: str | None = None) -> AsyncIterator[Plac
     if kind == "emulated":
         made = place_with(EmulatedConfig(NOMINAL, start_rad=START, population=population))
     elif kind == "emulated Dynamixel servos":
-        config = EmulatedDynamixelConfig(dynamixel.CALIBRATION, start_rad=START)
+        config = EmulatedConfig(dynamixel.CALIBRATION, kind="dynamixel", start_rad=START)
         made = place_with(config, dynamixel.CALIBRATION, model=dynamixel.KOCH.model)
     elif kind == "ideal":
         made = place_with(IdealConfig(start_rad=START))
     elif kind == "pseudo terminal":
         bus = RunningEmulator(f"--start={','.join(map(str, START_RAD))}", "--population", population)
         calibration = recalibrated(NOMINAL, POPULATIONS[population])
-        made = place_with(FeetechConfig(calibration, bus.port), calibration)
+        made = place_with(SerialConfig(calibration, bus.port), calibration)
     elif real_arm:
         port, _, file = real_arm.partition(",")
         calibration = Calibration.load(find_calibration(file, SO101.hardware.calibrations, os.environ), SO101_SERVOS)
-        made = place_with(FeetechConfig(calibration, port), calibration, may_fall=False)
+        made = place_with(SerialConfig(calibration, port), calibration, may_fall=False)
     else:
         pytest.skip("no real arm is named by --arm PORT,CALIBRATION")
     try:

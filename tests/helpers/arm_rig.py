@@ -10,7 +10,7 @@ from robot.control.guards import ActuatorThresholds, Guards
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import Supervisor
 from robot.description.limits import JointBounds, within_calibration
-from robot.hardware.config import EmulatedConfig, FeetechConfig, IdealConfig
+from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
@@ -84,7 +84,7 @@ BOUNDS = JointBounds.of(ROBOT, NAMES)
 
 # A simulated arm's configuration, and that of one on metal, whose rules are stricter.
 CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
-METAL = FeetechConfig(CALIBRATION, "/dev/arm")
+METAL = SerialConfig(CALIBRATION, "/dev/arm")
 
 # A transaction takes 1 to 2 ms, and the tick's own a third of its period.
 STEPS_A_TICK = 4
@@ -120,7 +120,7 @@ class ArmRig:
         config = self.config
         if isinstance(config.hardware, IdealConfig):
             return IdealArm(config.hardware, NAMES, BOUNDS, self.clock)
-        assert isinstance(config.hardware, FeetechConfig | EmulatedConfig)
+        assert isinstance(config.hardware, SerialConfig | EmulatedConfig)
         return ServoHardware(
             Feetech(),
             self.bus,

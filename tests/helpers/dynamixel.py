@@ -8,7 +8,7 @@ from robot.calibration import Calibration, JointCalibration
 from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
 from robot.emulator.dynamixel import DynamixelServo, emulated_dynamixel_arm
-from robot.hardware.config import DynamixelConfig, EmulatedDynamixelConfig
+from robot.hardware.config import EmulatedConfig, SerialConfig
 from robot.hardware.dynamixel.family import Bus, Dynamixel
 from robot.hardware.dynamixel.registers import Register
 from robot.hardware.interface import HardwareInterface, Measured, Survey, run_to_end
@@ -38,7 +38,7 @@ CALIBRATION = Calibration(
 )
 ROBOT = within_calibration(KOCH.model, CALIBRATION)
 BOUNDS = JointBounds.of(ROBOT, NAMES)
-METAL = DynamixelConfig(CALIBRATION, "/dev/arm")
+METAL = SerialConfig(CALIBRATION, "/dev/arm", "dynamixel")
 
 
 class SteppedDynamixels:
@@ -46,7 +46,7 @@ class SteppedDynamixels:
 
     def __init__(self, **settings: Any) -> None:
         self.clock = SteppedClock()
-        self.config = EmulatedDynamixelConfig(**{"calibration": CALIBRATION, **settings})
+        self.config = EmulatedConfig(kind="dynamixel", **{"calibration": CALIBRATION, **settings})
         self.source = emulated_dynamixel_arm(ROBOT, self.config, BOUNDS, GuardLimits(), self.clock)
         self.servo_bus = self.source.bus
         self.port = self.source.port
@@ -78,7 +78,7 @@ class DynamixelsInUse:
     """Hardware on emulated servos, found and read once, which it takes for real ones."""
 
     def __init__(
-        self, emulator: SteppedDynamixels | None = None, config: DynamixelConfig = METAL, **limits: float
+        self, emulator: SteppedDynamixels | None = None, config: SerialConfig = METAL, **limits: float
     ) -> None:
         self.emulator = emulator or SteppedDynamixels()
         self.hardware = unread_hardware(self.emulator, config, GuardLimits(**limits))
@@ -107,7 +107,7 @@ class DynamixelsInUse:
 
 def unread_hardware(
     emulator: SteppedDynamixels,
-    config: DynamixelConfig | EmulatedDynamixelConfig = METAL,
+    config: SerialConfig | EmulatedConfig = METAL,
     limits: GuardLimits | None = None,
     bounds: JointBounds = BOUNDS,
 ) -> ServoHardware:
@@ -133,7 +133,7 @@ class DynamixelRig(ArmRig):
 
     def _hardware(self) -> HardwareInterface:
         config = self.config
-        assert isinstance(config.hardware, DynamixelConfig | EmulatedDynamixelConfig)
+        assert isinstance(config.hardware, SerialConfig | EmulatedConfig)
         return unread_hardware(self.dynamixels, config.hardware, config.guard_limits)
 
     def torque(self) -> list[int]:

@@ -10,7 +10,7 @@ from playwright.sync_api import Browser
 
 from harness.page import OpenPage, opened
 from harness.server import EmulatorControl, ServerOnBus, server_on_bus
-from robot.commissioning.directions import asked_motions
+from robot.commissioning.session import asked_motions
 from server.arm.setup import Description
 from server.config import ArmSettings
 

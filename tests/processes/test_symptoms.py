@@ -22,7 +22,7 @@ from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
 from robot.hardware import port
-from robot.hardware.config import FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
 from robot.hardware.interface import StatusFlag
@@ -138,7 +138,7 @@ def holding(servos: SteppedEmulator) -> ArmRig:
 
 
 # The offsets of this calibration are known: those of a flawless arm.
-CALIBRATED = FeetechConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm")
+CALIBRATED = SerialConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm")
 
 
 def refused_at_start(servos: SteppedEmulator) -> str:

@@ -151,18 +151,13 @@ def test_a_wrong_value_in_the_file_is_refused_also_where_the_command_line_overri
         load(file, {"server": {"port": 1}})
 
 
-def test_a_wrong_value_in_the_file_is_refused_also_where_the_environment_overrides_it(
+def test_a_wrong_value_is_refused_also_where_the_environment_or_the_command_line_overrides_it(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file.write_text("[server]\nport = -1\n")
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     with pytest.raises(ConfigurationError, match=r"server\.port: .*-1, from the file"):
         load(file, {})
-
-
-def test_a_wrong_value_in_the_environment_is_refused_also_where_the_command_line_overrides_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "many")
     with pytest.raises(ConfigurationError, match=r"server\.port: .*'many', from the environment"):
         load(None, {"server": {"port": 1}})

@@ -141,7 +141,7 @@ async def peak_share(
     running = asyncio.create_task(arm.run())
     try:
         await asyncio.sleep(0.1)
-        await arm.stage.teaching.motions.save("swing", SWING)
+        await arm.stage.teaching._motions.save("swing", SWING)
         arm.stage.call("/arm/set_speed_limit", speed_limit=limit)
         request(arm.stage)
         await asyncio.sleep(TRIAL_S)

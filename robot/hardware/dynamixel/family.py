@@ -164,15 +164,14 @@ _SURVEYED = (
 )
 
 
-# Longest delay of a reply, register RETURN_DELAY_TIME of 254; the factory's 250 is hardly less.
-LONGEST_RETURN_DELAY_S = 254 * 2e-6
-
-
 class Bus(ServoBus):
     """Bus of Dynamixel servos, protocol 2.0; the SDK would poll up to 34 ms for each reply, more than three ticks."""
 
     registers = TABLE
     word_bytes = 2
+    reply_delay_s = 254 * 2e-6  # register RETURN_DELAY_TIME of 254; the factory's 250 is hardly less
+    # 4, 6 (out of range) or 7 (cannot be written now); e-manual, DYNAMIXEL Protocol 2.0, Status Packet.
+    instruction_error_bits = ~ALERT
     _make_sdk = staticmethod(partial(PacketHandler, PROTOCOL))
     _packet = staticmethod(instruction_packet)
     _parse_replies = staticmethod(parse_status_frames)
@@ -180,13 +179,6 @@ class Bus(ServoBus):
 
     def _added_bytes(self, received: bytes) -> int:
         return received.count(STUFFED)
-
-    def _answer_delay_s(self, replies: int) -> float:
-        return replies * LONGEST_RETURN_DELAY_S
-
-    def _instruction_error(self, error: int) -> int:
-        """Return 4, 6 (out of range) or 7 (cannot be written now); e-manual, DYNAMIXEL Protocol 2.0, Status Packet."""
-        return error & ~ALERT
 
     def _note_disturbance(self) -> None:
         super()._note_disturbance()

@@ -253,11 +253,8 @@ class Feetech(ServoFamily):
         """Return True for the torque limit of a servo after power-up."""
         return values.get(Register.TORQUE_LIMIT) == found.values[Register.MAX_TORQUE] != limit.value
 
-    def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:
-        return read_differences(bus, calibration)
-
-    def write_differences(self, bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:
-        return write_to_servos(bus, changes)
+    read_differences = staticmethod(read_differences)
+    write_differences = staticmethod(write_to_servos)
 
 
 def _firmware(values: Values) -> tuple[int, int]:

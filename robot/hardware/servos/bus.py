@@ -54,6 +54,9 @@ class ServoBus(ABC):
 
     registers: ClassVar[RegisterTable[Any]]
     word_bytes: ClassVar[int] = 1  # bytes of an address or length among the parameters, little endian
+    reply_delay_s: ClassVar[float] = 0.0  # longest time that a servo takes before it replies [s]
+    # Bits of the ERR byte with the number of an error of the instruction; 0 for a family that reports none.
+    instruction_error_bits: ClassVar[int] = 0
 
     def __init__(self, port: BusPort, clock: Callable[[], float] = time.monotonic) -> None:
         self.counters = BusCounters()
@@ -96,17 +99,9 @@ class ServoBus(ABC):
         """Count the bytes that replies have beyond :meth:`_reply_bytes`."""
         return 0
 
-    def _answer_delay_s(self, replies: int) -> float:  # noqa: ARG002 - for subclasses
-        """Return the time that servos may take before they reply [s]."""
-        return 0.0
-
     def _read_length(self, size: int) -> int:
         """Return the number of bytes to ask for in order to read a register of a size."""
         return size
-
-    def _instruction_error(self, error: int) -> int:  # noqa: ARG002 - for subclasses
-        """Return the number of the error of an instruction in the ERR byte of its reply, 0 for none."""
-        return 0
 
     @property
     def latency_s(self) -> float:
@@ -141,7 +136,7 @@ class ServoBus(ABC):
         servo may have taken the value. Raises ValueError for a value that the register cannot hold.
         """
         packet = self._write_packet(servo_id, register, value)
-        return self._instruction_error(self.ask(servo_id, packet, attempts).error)
+        return self.ask(servo_id, packet, attempts).error & self.instruction_error_bits
 
     def sync_read(self, ids: Sequence[int], address: int, length: int) -> dict[int, StatusFrame]:
         """Read the same block of several servos in one transaction; return the valid replies in time, by id."""
@@ -201,7 +196,7 @@ class ServoBus(ABC):
     def _collect(self, ids: Sequence[int], data_length: int) -> tuple[bytes, dict[int, StatusFrame]]:
         """Receive until every servo has replied, the replies have stopped, or their time is over."""
         whole_bytes = self._reply_bytes(data_length, len(ids))
-        replies_s = wire_time_s(whole_bytes, self._port.baudrate) + self._answer_delay_s(len(ids))
+        replies_s = wire_time_s(whole_bytes, self._port.baudrate) + len(ids) * self.reply_delay_s
         deadline_s = self._line_free_s + replies_s + self._port.latency_s
         received = b""
         frames: dict[int, StatusFrame] = {}

@@ -19,7 +19,7 @@ from robot.calibration import RAD_PER_TICK, Calibration
 from robot.description.limits import JointBounds
 from robot.errors import NoReply, PortLost, StartupError
 from robot.faults import Fault, FaultCode
-from robot.hardware.config import DynamixelConfig, FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.hardware.interface import Flags, HardwareInterface, Measured, Steps, Survey
 from robot.hardware.port import resolve_port
 from robot.hardware.servos import torque
@@ -416,7 +416,7 @@ class ServoHardware(HardwareInterface):
 
 def open_servos(
     family: ServoFamily,
-    config: FeetechConfig | DynamixelConfig,
+    config: SerialConfig,
     bounds: JointBounds,
     guard_limits: GuardLimits,
     clock: Callable[[], float],

@@ -17,7 +17,7 @@ from harness.write_log import Entry, read_entries
 from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.description.robot_folder import built_in
-from robot.hardware.config import FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.hardware.interface import StatusFlag
 from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
 from tests.helpers.motions import smooth_move
@@ -290,7 +290,7 @@ async def run_arm(scenario: Scenario, folder: Path) -> Result:
 def _config(scenario: Scenario, bus: CampaignBus) -> ArmConfig:
     return ArmConfig(
         ROBOT,
-        FeetechConfig(CALIBRATION, bus.port),
+        SerialConfig(CALIBRATION, bus.port),
         on_exit=scenario.on_exit,
         on_server_lost=scenario.on_server_lost,
         on_emergency_stop=scenario.on_emergency_stop,

@@ -16,7 +16,7 @@ from harness.server import read_write_log
 from harness.waiting import until
 from robot.arm import RESTART_LINES, Arm, start_arm_process
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
-from robot.hardware.config import FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.messages import ArmState, ChangePace, EndState, Mode, Order, Outcome, Pace
 from robot.processes import RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS
@@ -325,7 +325,7 @@ async def test_the_wait_for_an_arm_that_does_not_start_ends_at_its_timeout() -> 
 
 async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
     states: list[ArmState] = []
-    arm = Arm(replace(CONFIG, hardware=FeetechConfig(CALIBRATION, "/dev/does-not-exist")), states.append)
+    arm = Arm(replace(CONFIG, hardware=SerialConfig(CALIBRATION, "/dev/does-not-exist")), states.append)
     await arm.start(SOON_S)
     assert arm.state.mode is Mode.DISCONNECTED
     assert "/dev/does-not-exist does not exist" in arm.state.reason

@@ -7,12 +7,12 @@ import pytest
 
 from harness.waiting import until
 from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
-from robot.hardware.config import FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint, Stop
 from robot.processes import StartedChild
 from tests.helpers.robots import nominal_calibration, so101
 
-CONFIG = ArmConfig(so101(), FeetechConfig(nominal_calibration(), "/dev/does-not-exist"))
+CONFIG = ArmConfig(so101(), SerialConfig(nominal_calibration(), "/dev/does-not-exist"))
 
 
 class ProcessRig:

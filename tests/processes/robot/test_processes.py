@@ -176,7 +176,7 @@ def test_a_folder_of_the_same_name_in_the_working_directory_is_not_imported(
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "__init__.py").write_text("raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
-    process = processes.start_module("robot.emulator.process", ["--help"], ())
+    process = processes.start_module("server.cli", ["--help"], ())
     assert process.wait(20.0) == 0
     assert sys.executable
 
@@ -243,7 +243,7 @@ async def main(started):
     await child.wait(20)
     print(json.dumps([received[0], child.pid, running, child.ending]))
 
-asyncio.run(main(StartedChild.forked(echo)))
+asyncio.run(main(StartedChild("", body=echo)))
 """
 
 
@@ -269,7 +269,7 @@ def test_a_forked_child_that_nobody_adopts_is_killed() -> None:
     program = """
 import time
 from robot.processes import StartedChild
-started = StartedChild.forked(lambda sock: time.sleep(60))
+started = StartedChild("", body=lambda sock: time.sleep(60))
 started.close()
 print(started.process.poll())
 """

@@ -60,12 +60,7 @@ def test_an_arm_that_is_well_is_good_in_everything():
         ({Register.PRESENT_VOLTAGE: 45}, "voltage", Verdict.NOTE, "along the chain"),
         ({Register.PRESENT_TEMPERATURE: 56}, "temperature", Verdict.NOTE, "servo 3 with 56"),
         ({Register.PRESENT_TEMPERATURE: 66}, "temperature", Verdict.PROBLEM, "servo 3 with 66"),
-        (
-            {Register.STATUS: 33},
-            "error bits",
-            Verdict.PROBLEM,
-            "3: voltage, overload",
-        ),
+        ({Register.STATUS: 33}, "error bits", Verdict.PROBLEM, "3: voltage, overload"),
         ({Register.PHASE: 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count"),
         ({Register.RETURN_DELAY: 250}, "return delay", Verdict.NOTE, "servo 3: 500 us"),
         ({Register.LOCK: 0}, "EPROM lock", Verdict.NOTE, "servos 3 are unlocked"),

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.calibration import MAX_TICK, TICKS_PER_TURN
-from robot.commissioning.directions import LEAST_MOTION_TICKS, AskedMotion, asked_motions, turned_the_other_way
 from robot.commissioning.session import (
     AGAIN,
     AS_IT_IS,
     DONE,
+    LEAST_MOTION_TICKS,
     LEAST_SWEEP_TICKS,
     MIDDLE_TICK,
     RELAX,
@@ -22,12 +22,15 @@ from robot.commissioning.session import (
     WIDEST_SWEEP_TICKS,
     WRITE_NOW,
     Act,
+    AskedMotion,
     CalibrationSession,
     Sweep,
+    asked_motions,
     expected_width,
     met_both_stops,
     place,
     place_free,
+    turned_the_other_way,
 )
 from robot.commissioning.verify import LIMIT_MARGIN_RAD, Droop, poses, seen_findings
 from robot.description import robot_folder
@@ -284,11 +287,7 @@ def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_st
     assert abs((placed.range_min + placed.range_max) / 2 - MIDDLE_TICK) <= 1
 
 
-@given(
-    st.integers(-5000, 5000),
-    st.integers(-LARGEST_OFFSET, LARGEST_OFFSET),
-    st.floats(0.0, 1.0),
-)
+@given(st.integers(-5000, 5000), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET), st.floats(0.0, 1.0))
 @pytest.mark.parametrize(
     ("width", "reason"),
     [
@@ -388,10 +387,7 @@ A, G = frozenset({"a"}), frozenset({"g"})
 @pytest.mark.parametrize(
     ("seen", "words"),
     [
-        (
-            [("zero", A), ("first", A), ("second", NONE)],
-            "in 2 of 3 poses: its zero is off",
-        ),
+        ([("zero", A), ("first", A), ("second", NONE)], "in 2 of 3 poses: its zero is off"),
         ([("zero", NONE), ("first", A), ("second", A)], "turns the other way"),
         ([("zero", NONE), ("open gripper", G)], "drive_mode"),
     ],

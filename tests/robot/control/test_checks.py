@@ -10,12 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.checks import (
-    ACCELERATION_TOLERANCE,
-    VELOCITY_TOLERANCE,
-    checked,
-    refusal,
-)
+from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE, checked, refusal
 from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmConfig, GuardLimits

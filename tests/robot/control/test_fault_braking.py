@@ -30,10 +30,7 @@ class Moving:
         self.rig = ArmRig(**settings)
         self.rig.until_mode(Mode.HOLDING)
         held = self.controller.goal_rad
-        moves = {
-            "shoulder_pan": (float(held[PAN]), PAN_END_RAD),
-            "wrist_flex": (float(held[WRIST]), WRIST_END_RAD),
-        }
+        moves = {"shoulder_pan": (float(held[PAN]), PAN_END_RAD), "wrist_flex": (float(held[WRIST]), WRIST_END_RAD)}
         self.rig.execute(smooth_move(moves, DURATION_S))
         self.goals: list[np.ndarray] = []
 

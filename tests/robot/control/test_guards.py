@@ -79,9 +79,7 @@ def test_some_readings_are_a_fault_when_they_last(
 
 
 @pytest.mark.parametrize(
-    "readings",
-    [{"load": at(1, 0.5)}, {"load": at(1, 0.7), "velocity_rad_s": at(1, 0.1)}],
-    ids=["no load", "moving"],
+    "readings", [{"load": at(1, 0.5)}, {"load": at(1, 0.7), "velocity_rad_s": at(1, 0.1)}], ids=["no load", "moving"]
 )
 def test_a_joint_behind_that_does_not_push_or_does_move_is_not_stalled(readings: dict[str, Any]) -> None:
     assert never(at(1, 0.2), **readings)
@@ -92,7 +90,7 @@ def test_a_yielding_joint_may_stall_and_is_flagged() -> None:
     for tick in range(50):
         measured = reading(at(5, 0.2), load=at(5, 0.5))
         assert checked.check(GOAL, measured, FULL, tick * PERIOD_S, yielding) is None
-    assert checked.stalled.tolist() == yielding.tolist()
+    assert checked.stalled == yielding.tolist()
 
 
 def test_every_threshold_can_be_set() -> None:

@@ -12,14 +12,8 @@ from robot.channel import Channel
 from robot.control.loop import ArmLoop, hardware_opener
 from robot.control.pacing import MAX_TICK_S, Pacer, Scheduling
 from robot.description.limits import within_calibration
-from robot.errors import PortError, PortNotFound
-from robot.hardware.config import (
-    DynamixelConfig,
-    EmulatedConfig,
-    EmulatedDynamixelConfig,
-    FeetechConfig,
-    IdealConfig,
-)
+from robot.errors import PortError
+from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.messages import ArmConfig, Mode
 from tests.helpers import dynamixel
 from tests.helpers.emulator import SteppedClock
@@ -35,7 +29,7 @@ NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
     [
         ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)),
         ArmConfig(ROBOT, IdealConfig()),
-        ArmConfig(dynamixel.ROBOT, EmulatedDynamixelConfig(dynamixel.CALIBRATION)),
+        ArmConfig(dynamixel.ROBOT, EmulatedConfig(dynamixel.CALIBRATION, kind="dynamixel")),
     ],
 )
 def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> None:
@@ -46,16 +40,16 @@ def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> 
 
 
 @pytest.mark.parametrize(
-    ("config", "error"),
+    "config",
     [
-        (ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "/dev/none")), PortNotFound),
-        (ArmConfig(dynamixel.ROBOT, DynamixelConfig(dynamixel.CALIBRATION, "/dev/none")), PortNotFound),
-        (ArmConfig(ROBOT, FeetechConfig(CALIBRATION, "usb:0000:0001")), PortError),
+        ArmConfig(ROBOT, SerialConfig(CALIBRATION, "/dev/none")),
+        ArmConfig(dynamixel.ROBOT, SerialConfig(dynamixel.CALIBRATION, "/dev/none", "dynamixel")),
+        ArmConfig(ROBOT, SerialConfig(CALIBRATION, "usb:0000:0001")),
     ],
 )
-def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened(config: ArmConfig, error: type[PortError]) -> None:
+def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened(config: ArmConfig) -> None:
     open_hardware = hardware_opener(config, SteppedClock())
-    with pytest.raises(error, match=r"/dev/none|0000:0001"):
+    with pytest.raises(PortError, match=r"/dev/none|0000:0001"):
         open_hardware()
 
 

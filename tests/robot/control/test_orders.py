@@ -13,7 +13,7 @@ from robot.calibration import Calibration
 from robot.emulator.populations import POPULATIONS
 from robot.errors import StartupError
 from robot.faults import Fault, FaultCode
-from robot.hardware.config import EmulatedConfig, FeetechConfig
+from robot.hardware.config import EmulatedConfig, SerialConfig
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
@@ -120,7 +120,7 @@ SHIFTED_TICKS = -85
 
 def calibrated(emulator: SteppedEmulator, **settings: object) -> ArmRig:
     """An arm whose calibration says which homing offsets its servos should have, as a file does."""
-    return ArmRig(emulator, hardware=FeetechConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm"), **settings)
+    return ArmRig(emulator, hardware=SerialConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm"), **settings)
 
 
 def test_an_arm_whose_zero_has_shifted_is_read_but_not_switched_on(emulator: SteppedEmulator) -> None:
@@ -266,9 +266,7 @@ def test_an_emergency_stop_at_any_step_of_a_write_leaves_servos_that_are_locked_
     assert steps > len(IDS) * len(CALIBRATED)
 
 
-def test_an_emergency_stop_cuts_torque_before_the_write_that_it_interrupts_is_undone(
-    tmp_path: Path,
-) -> None:
+def test_an_emergency_stop_cuts_torque_before_the_write_that_it_interrupts_is_undone(tmp_path: Path) -> None:
     log = tmp_path / "writes.jsonl"
     emulator = SteppedEmulator("--write-log", str(log), wire_time=False)
     rig = relaxed(emulator)

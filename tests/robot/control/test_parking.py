@@ -140,11 +140,7 @@ def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
 
 @pytest.mark.parametrize(
     ("message", "words"),
-    [
-        (KeepParking(None), "the scene has changed"),
-        (Shutdown(hurry=True), "must not wait"),
-        (Stop(), ""),
-    ],
+    [(KeepParking(None), "the scene has changed"), (Shutdown(hurry=True), "must not wait"), (Stop(), "")],
     ids=["another scene", "a hurry", "a stop"],
 )
 def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str) -> None:

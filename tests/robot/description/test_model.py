@@ -276,12 +276,7 @@ URL = "package://arm_description/meshes/b.stl"
 def test_a_package_is_found_around_its_urdf_beside_another_and_in_folders_given(package: Path, tmp_path: Path) -> None:
     other, elsewhere = package.parent / "cell_description" / "urdf", tmp_path / "elsewhere"
     other.mkdir(parents=True)
-    for beside, given in (
-        (package / "urdf", ()),
-        (other, ()),
-        (elsewhere, (package.parent,)),
-        (elsewhere, (package,)),
-    ):
+    for beside, given in ((package / "urdf", ()), (other, ()), (elsewhere, (package.parent,)), (elsewhere, (package,))):
         assert find_mesh(URL, beside, given) == package / "meshes" / "b.stl"
 
 

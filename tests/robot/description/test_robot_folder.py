@@ -189,10 +189,7 @@ def problems(folder: Path, text: str) -> tuple[str, ...]:
         ("[hardwear]", "hardwear: there is no such key; did you mean hardware?"),
         ("[gripper]\njoints = ['a']\nopen = 1", "gripper.closed: is missing"),
         ("[held_joints]\na = 'up'", "held_joints.a: input should be a valid number"),
-        (
-            "[hardware]\nkind = 'feetec'",
-            "hardware.kind: input should be 'feetech', 'dynamixel' or 'ideal', not",
-        ),
+        ("[hardware]\nkind = 'feetec'", "hardware.kind: input should be 'feetech', 'dynamixel' or 'ideal', not"),
         ("[hardware]\nkind = 'feetech'", 'hardware: the kind "feetech" needs its table [[hardware.servos]]'),
         ("[joints.a]\nmax_velocity = 0", "joints.a.max_velocity: input should be greater than 0, not 0"),
         (
@@ -227,7 +224,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 # Of the arms, those whose files lack something, and the sentence about it.
 LACKING = {
-    "z1": "z1.srdf group 'end_effector' <chain> names the link 'base', which the URDF of 'z1_description' does not",
+    "z1": "z1.srdf group 'end_effector' <chain> names the link 'base', which the URDF of 'z1_description' does not"
 }
 
 # Planning group, its joints and its tip.

@@ -7,6 +7,7 @@ import json
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from robot.emulator.arm import EmulatedArm, LinkWeights, weight_of
 from robot.emulator.dynamixel import emulated_dynamixel_arm
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos, emulated_feetech_arm
 from robot.errors import StartupError
-from robot.hardware.config import EmulatedConfig, EmulatedDynamixelConfig
+from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import HardwareInterface, run_to_end
 from robot.messages import GuardLimits
@@ -50,7 +51,13 @@ class Arm:
 
 
 SO101 = Arm(so101(), arm_rig.CALIBRATION, arm_rig.BOUNDS, emulated_feetech_arm, EmulatedConfig)
-KOCH = Arm(dynamixel.ROBOT, dynamixel.CALIBRATION, dynamixel.BOUNDS, emulated_dynamixel_arm, EmulatedDynamixelConfig)
+KOCH = Arm(
+    dynamixel.ROBOT,
+    dynamixel.CALIBRATION,
+    dynamixel.BOUNDS,
+    emulated_dynamixel_arm,
+    partial(EmulatedConfig, kind="dynamixel"),
+)
 OF_BOTH_FAMILIES = pytest.mark.parametrize("arm", [SO101, KOCH], ids=["Feetech", "Dynamixel"])
 
 

@@ -195,7 +195,7 @@ def clock() -> SteppedClock:
 
 def close(control: ControlSocket) -> None:
     control._listener.close()
-    for controller in control._streams:
+    for controller in control._controllers:
         controller.close()
 
 

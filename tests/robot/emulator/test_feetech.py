@@ -4,17 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.emulator.feetech import (
-    FACTORY_EPROM,
-    MEMORY_BYTES,
-    PHASE_MULTI_TURN,
-    FeetechServo,
-)
+from robot.emulator.feetech import FACTORY_EPROM, MEMORY_BYTES, FeetechServo
 from robot.emulator.plant import Plant
-from robot.hardware.feetech.registers import (
-    Area,
-    Register,
-)
+from robot.hardware.feetech.family import PHASE_MULTI_TURN
+from robot.hardware.feetech.registers import Area, Register
 from robot.hardware.interface import StatusFlag
 from tests.helpers.emulated_family import run
 
@@ -75,10 +68,7 @@ def test_a_joint_that_is_stuck_overloads_and_goes_weak_until_torque_is_off():
 
 @pytest.mark.parametrize(
     ("registers", "error"),
-    [
-        ({"TORQUE_LIMIT": 500}, 0),
-        ({"PROTECTION_CURRENT": 100, "OVERLOAD_TORQUE": 200}, StatusFlag.CURRENT),
-    ],
+    [({"TORQUE_LIMIT": 500}, 0), ({"PROTECTION_CURRENT": 100, "OVERLOAD_TORQUE": 200}, StatusFlag.CURRENT)],
     ids=["below its overload torque", "above its protection current"],
 )
 def test_a_stuck_joint_overloads_above_its_torque_and_is_cut_off_above_its_current(registers, error):

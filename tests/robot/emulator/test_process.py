@@ -16,12 +16,11 @@ import serial
 
 from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator.arm import InProcessPort
-from robot.emulator.control import Emulation, LiveCommand, answer, check
+from robot.emulator.control import Controller, Emulation, LiveCommand, answer, check
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.process import (
     LEAD_S,
     REHEARSALS,
-    Control,
     Rehearsal,
     TimedCommand,
     UsbAdapter,
@@ -29,13 +28,14 @@ from robot.emulator.process import (
     build_bus,
     build_rehearsal,
     configure,
-    main,
     push,
     read_script,
+    run,
     stall,
     sweep,
 )
 from robot.emulator.servo_bus import Faults, Reply, ServoBus
+from robot.errors import CalibrationError
 from robot.hardware.feetech.registers import Register
 from tests.helpers.robots import nominal_calibration
 
@@ -167,17 +167,14 @@ def test_an_adapter_that_comes_back_has_dropped_its_queue_and_the_link_leads_the
     assert (adapter.port, adapter.descriptors) == (there, descriptors)
 
 
-@pytest.mark.parametrize("essential", [True, False])
-def test_only_an_essential_controller_that_is_gone_ends_the_emulator(essential):
+def test_a_controller_that_has_closed_its_end_is_gone():
     reader, writer = os.pipe()
-    control = Control(reader, writer, essential=essential)
-    assert control.wanted
-    assert control.descriptors == [reader]
+    controller = Controller(reader, writer)
+    assert not controller.gone
     os.close(writer)
-    control.handle(None)
+    controller.handle(None)
     os.close(reader)
-    assert control.wanted is not essential
-    assert control.descriptors == []
+    assert controller.gone
 
 
 def parser():
@@ -251,21 +248,9 @@ def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sen
         (["--write-log", "/nowhere/log"], "/nowhere/log"),
     ],
 )
-def test_what_cannot_be_emulated_is_refused_in_a_sentence(capsys, arguments, sentence):
-    with pytest.raises(SystemExit) as ended:
-        main(arguments)
-    assert ended.value.code == 2
-    assert sentence in capsys.readouterr().err
-
-
-def test_help_names_options_and_live_commands(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["--help"])
-    assert ended.value.code == 0
-    printed = capsys.readouterr().out
-    for option in ("drop", "corrupt", "seed", "start", "calibration", "write-log", "link", "control-fd"):
-        assert f"--{option}" in printed
-    assert '{"obstacle": {"3": 2100}}' in printed
+def test_what_cannot_be_emulated_is_refused_in_a_sentence(arguments, sentence):
+    with pytest.raises((CalibrationError, ValueError, OSError), match=sentence):
+        run(parser().parse_args(arguments))
 
 
 TICK_S = 0.02

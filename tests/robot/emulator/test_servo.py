@@ -10,15 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot.emulator.feetech import MEMORY_BYTES
-from robot.emulator.plant import (
-    AMBIENT_C,
-    SQUEEZING,
-    STALL_CURRENT_A,
-    WELL_COOLED,
-    Drive,
-    Motor,
-    Plant,
-)
+from robot.emulator.plant import AMBIENT_C, SQUEEZING, STALL_CURRENT_A, WELL_COOLED, Drive, Motor, Plant
 from robot.emulator.servo import Memory
 from robot.hardware.feetech.registers import TABLE, Register
 from robot.hardware.interface import StatusFlag

@@ -13,14 +13,7 @@ import pytest
 from robot.calibration import Calibration, JointCalibration, new_calibration_path, save
 from robot.description.robot_folder import built_in
 from robot.emulator.populations import POPULATIONS
-from robot.hardware.config import (
-    DynamixelConfig,
-    EmulatedConfig,
-    EmulatedDynamixelConfig,
-    FeetechConfig,
-    HardwareConfig,
-    IdealConfig,
-)
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
 from robot.hardware.feetech.registers import Register
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.arm.setup import Description, arm_config, check_parameters
@@ -84,9 +77,9 @@ def hardware_of(**settings: Any) -> HardwareConfig:
 
 def test_a_port_means_servos_there(tmp_path: Path) -> None:
     nominal = nominal_calibration()
-    assert hardware_of(arm=ArmSettings(serial="/dev/arm")) == FeetechConfig(nominal, "/dev/arm")
+    assert hardware_of(arm=ArmSettings(serial="/dev/arm")) == SerialConfig(nominal, "/dev/arm")
     files = described(tmp_path, so101().urdf, so101().srdf)
-    assert hardware_of(arm=ArmSettings(serial="auto", **files)) == FeetechConfig(nominal, "auto")
+    assert hardware_of(arm=ArmSettings(serial="auto", **files)) == SerialConfig(nominal, "auto")
 
 
 def own_profile(folder: Path, profile: str) -> Path:
@@ -101,7 +94,7 @@ def own_profile(folder: Path, profile: str) -> Path:
 def test_the_servos_should_have_the_settings_of_the_arms_own_profile(tmp_path: Path, serial: str | None) -> None:
     robot = own_profile(tmp_path, 'base = "lerobot"\nregisters = { P_GAIN = 20 }')
     hardware = hardware_of(arm=ArmSettings(robot=str(robot), serial=serial))
-    assert isinstance(hardware, FeetechConfig | EmulatedConfig)
+    assert isinstance(hardware, SerialConfig | EmulatedConfig)
     assert hardware.profile is not None
     assert hardware.profile.expected(gripper=True)[Register.P_GAIN] == 20
     assert hardware.profile.expected(gripper=True)[Register.MAX_TORQUE] == 500
@@ -127,11 +120,11 @@ def test_a_koch_has_dynamixel_servos_on_a_port_and_emulated() -> None:
     servos = dynamixel.SERVOS
     nominal = Calibration.nominal(servos)
     on_port = hardware_of(arm=ArmSettings(robot="koch_v1_1", serial="/dev/arm"))
-    assert on_port == DynamixelConfig(nominal, "/dev/arm", 1_000_000)
-    assert isinstance(on_port, DynamixelConfig)
+    assert on_port == SerialConfig(nominal, "/dev/arm", "dynamixel", 1_000_000)
+    assert isinstance(on_port, SerialConfig)
     assert not on_port.calibration.zero_is_known
     emulated = hardware_of(arm=ArmSettings(robot="koch_v1_1"), emulator=EmulatorSettings(drop=0.1, corrupt=0.2, seed=3))
-    assert emulated == EmulatedDynamixelConfig(nominal, drop=0.1, corrupt=0.2, seed=3, driven=True)
+    assert emulated == EmulatedConfig(nominal, kind="dynamixel", drop=0.1, corrupt=0.2, seed=3, driven=True)
 
 
 @pytest.mark.parametrize("name", ["write_log", "control", "population"])
@@ -149,7 +142,7 @@ def test_a_calibration_of_a_koch_may_have_whole_turns_in_its_homing_offsets(tmp_
     joints = tuple(replace(joint, homing_offset=-7000) for joint in dynamixel.CALIBRATION.joints)
     save(Calibration(joints), tmp_path / "koch.json")
     on_port = hardware_of(arm=ArmSettings(robot="koch_v1_1", serial="/dev/arm", calibration=tmp_path / "koch.json"))
-    assert isinstance(on_port, DynamixelConfig)
+    assert isinstance(on_port, SerialConfig)
     assert on_port.calibration.joints == joints
     assert on_port.calibration.zero_is_known
 

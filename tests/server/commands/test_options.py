@@ -6,7 +6,7 @@ import pytest
 from pydantic import Field
 
 from robot.calibration import save
-from robot.errors import PortBusy, PortNotFound
+from robot.errors import PortBusy, PortError
 from server import cli
 from server.commands.options import (
     add_calibration,
@@ -42,7 +42,7 @@ def test_a_calibration_is_read_from_its_file_and_one_of_unknown_id_is_refused(tm
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (PortNotFound("/dev/x"), "does not exist"),
+        (PortError("/dev/x", "does not exist"), "does not exist"),
         (PortBusy("/dev/x"), "armbridge serve"),
         (KeyboardInterrupt(), "stop"),
     ],

@@ -32,7 +32,7 @@ from planners.scene import Scene
 from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
-from robot.hardware.config import EmulatedConfig, FeetechConfig, HardwareConfig
+from robot.hardware.config import EmulatedConfig, HardwareConfig, SerialConfig
 from robot.messages import ArmConfig, ArmState, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
@@ -152,7 +152,7 @@ async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: 
 
 async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
     robot = so101()
-    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
+    arm = Arm(ArmConfig(robot, SerialConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     executor = executor_of(arm, robot, PlannerPool(robot))
     answer = await executor.run(Goal("1", GoalRequest("/goal", to(shoulder_pan=0.5))))
     assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
@@ -160,7 +160,7 @@ async def test_an_arm_that_is_not_connected_plans_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "hardware", [FeetechConfig(nominal_calibration(), "/dev/nothing"), EmulatedConfig(nominal_calibration())]
+    "hardware", [SerialConfig(nominal_calibration(), "/dev/nothing"), EmulatedConfig(nominal_calibration())]
 )
 def test_the_scene_monitor_waits_for_planners_as_long_as_for_the_arm(hardware: HardwareConfig) -> None:
     robot = so101()

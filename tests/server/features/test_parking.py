@@ -181,9 +181,12 @@ async def test_a_scene_that_changes_takes_the_way_back_at_once_and_has_another_p
     assert world.arm.kept[2] is not None
 
 
-async def test_a_way_that_was_planned_in_a_scene_before_is_not_kept(world: World) -> None:
+@pytest.mark.parametrize("settings", [{}, {"on_server_lost": "hold", "on_exit": "park"}])
+async def test_a_way_that_was_planned_in_a_scene_before_is_not_kept(settings: dict[str, str]) -> None:
+    world = World(**settings)
     world.while_planning = world.change_scene
     await world.run()
+    await world.parkings.stop()
     assert world.arm.kept == []
 
 
@@ -272,7 +275,8 @@ def left_is_elsewhere(two_arms: World) -> None:
 
 
 def a_goal_begins(two_arms: World) -> None:
-    two_arms.parkings.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
+    (listener,) = two_arms.goals.listeners
+    listener.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
 
 
 @pytest.mark.parametrize("happens", [left_moves, left_is_elsewhere, a_goal_begins])

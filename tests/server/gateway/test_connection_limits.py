@@ -53,7 +53,7 @@ def test_one_address_leaves_room_for_others_by_default() -> None:
     assert acquire(limiter, THERE).rejection is None
 
 
-def test_one_connection_too_many_from_an_address_is_told_the_limit_and_others_connect() -> None:
+def test_one_connection_too_many_from_an_address_or_in_all_is_told_the_limit() -> None:
     limiter = limits(per_address=2)
     acquire(limiter)
     acquire(limiter)
@@ -62,9 +62,6 @@ def test_one_connection_too_many_from_an_address_is_told_the_limit_and_others_co
         "2 connections are open from this address, the limit is 2 (server.max_clients_per_address)",
     )
     assert acquire(limiter, THERE).rejection is None
-
-
-def test_one_connection_too_many_in_all_is_told_the_limit() -> None:
     limiter = limits(clients=2)
     acquire(limiter)
     acquire(limiter, THERE)

@@ -80,7 +80,7 @@ def standalone(*options):
     """Emulator as a person starts it."""
     pipe = subprocess.PIPE
     return running(
-        [sys.executable, "-P", "-m", "robot.emulator.process", *options], stdin=pipe, stdout=pipe, stderr=pipe
+        [sys.executable, "-P", "-m", "server.cli", "emulate", *options], stdin=pipe, stdout=pipe, stderr=pipe
     )
 
 
@@ -117,9 +117,9 @@ def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path
     script, link = tmp_path / "script.jsonl", tmp_path / "arm"
     script.write_text('{"at_s": 0, "hand": {"3": 5000}}\n')
     link.symlink_to("/dev/pts/of_another")
-    command = [sys.executable, "-P", "-m", "robot.emulator.process", "--script", str(script), "--link", str(link)]
+    command = [sys.executable, "-P", "-m", "server.cli", "emulate", "--script", str(script), "--link", str(link)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert (done.returncode, done.stdout) == (1, "")
     assert f"{script}, line 1: hand.3: must be less than or equal to 4095, not 5000" in done.stderr
     assert str(link.readlink()) == "/dev/pts/of_another"
 

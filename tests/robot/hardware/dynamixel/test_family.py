@@ -25,13 +25,7 @@ from robot.hardware.dynamixel.family import (
     parse_status_frames,
     status_bytes,
 )
-from robot.hardware.dynamixel.registers import (
-    FULL_PWM,
-    TICKS_S_PER_VELOCITY_UNIT,
-    OperatingMode,
-    Register,
-    status_of,
-)
+from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, status_of
 from robot.hardware.interface import StatusFlag, run_to_end
 from robot.hardware.servos.bus import write_verified
 from robot.hardware.servos.family import ServoFound, ServoMap

@@ -18,8 +18,8 @@ from serial.tools.list_ports_common import ListPortInfo
 from robot.calibration import RAD_PER_TICK, TICKS_PER_TURN
 from robot.description.limits import FASTEST_TICKS_S
 from robot.emulator.process import UsbAdapter
-from robot.errors import PortNotFound, StartupError
-from robot.hardware.config import DynamixelConfig, FeetechConfig
+from robot.errors import PortError, StartupError
+from robot.hardware.config import SerialConfig
 from robot.hardware.dynamixel.family import ALERT
 from robot.hardware.dynamixel.registers import MOTION
 from robot.hardware.interface import StatusFlag, run_to_end
@@ -233,9 +233,9 @@ def plugged_in() -> Iterator[UsbAdapter]:
 
 def test_an_adapter_is_looked_for_each_time_that_it_is_opened(monkeypatch: pytest.MonkeyPatch, family: Family) -> None:
     monkeypatch.setattr(list_ports, "comports", Adapter.comports)
-    config = FeetechConfig(family.calibration, "auto")
+    config = SerialConfig(family.calibration, "auto")
     opener = partial(open_servos, family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
-    with pytest.raises(PortNotFound):
+    with pytest.raises(PortError):
         opener()
     with plugged_in() as terminal:
         monkeypatch.setattr(Adapter, "device", terminal.port)
@@ -245,7 +245,7 @@ def test_an_adapter_is_looked_for_each_time_that_it_is_opened(monkeypatch: pytes
 
 def test_a_port_is_opened_with_the_baud_rate_of_its_configuration(family: Family) -> None:
     with plugged_in() as terminal:
-        config = DynamixelConfig(family.calibration, terminal.port, 57_600)
+        config = SerialConfig(family.calibration, terminal.port, "dynamixel", 57_600)
         opened = open_servos(family.driver, config, family.bounds, GuardLimits(), lambda: 0.0)
         with contextlib.closing(opened) as hardware:
             assert hardware.bus._port.baudrate == 57_600

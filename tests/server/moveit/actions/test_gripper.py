@@ -13,7 +13,7 @@ from harness.server import ServerOnBus
 from robot.arm import Arm
 from robot.description.model import parse
 from robot.description.urdf import Joint
-from robot.hardware.config import FeetechConfig
+from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, MotionEnded, MotionProgress, Outcome
 from server.errors import RefusedError
 from server.execution.player import BRAKING_TIMEOUT_S
@@ -134,7 +134,7 @@ async def test_gripper_and_arm_move_at_the_same_time(client: ArmClient) -> None:
 
 async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
     robot = so101()
-    arm = Arm(ArmConfig(robot, FeetechConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
+    arm = Arm(ArmConfig(robot, SerialConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     await arm.launch()
     gripper = Gripper(arm, [robot.joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, TimeLimits()))
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))

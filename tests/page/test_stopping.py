@@ -160,3 +160,13 @@ def cancelled(websocket: blocking.ClientConnection, goal_id: str) -> bool:
         values = values_of(status)
         if status["hardware_id"] == goal_id and values["state"] == "done":
             return values["code"] == "-7"
+
+
+def test_stop_is_there_while_the_texts_of_the_language_do_not_come(tab: OpenPage, server: RunningServer) -> None:
+    tab.open(server.port)
+    tab.page.evaluate("localStorage.setItem('armbridge-language', 'de')")
+    # Never answered.
+    tab.page.route("**/assets/de.js", lambda _: None)
+    tab.page.reload(wait_until="commit")
+    tab.part("stop").wait_for()
+    tab.page.unroute_all(behavior="ignoreErrors")

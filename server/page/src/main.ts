@@ -23,12 +23,16 @@ import { Store } from "./state/store";
 import { chosenLanguage, useLanguage } from "./texts/texts";
 import { startView } from "./view/view";
 
+/** Time for the texts of the language [ms], a file of 30 kB beside this one. */
+const LANGUAGE_TIMEOUT_MS = 2000;
+
 /** Start the page: the panel first, so that STOP is there even if the rest fails. */
 async function startPage(): Promise<void> {
   const language = chosenLanguage(loadPreference("language", ""), navigator.languages);
   document.documentElement.lang = language;
-  // English where the texts of another language do not come.
-  await useLanguage(language).catch(() => undefined);
+  // English where the texts of another language do not come: STOP must not wait for them.
+  const patience = new Promise((resolve) => setTimeout(resolve, LANGUAGE_TIMEOUT_MS));
+  await Promise.race([useLanguage(language).catch(() => undefined), patience]);
   const url = serverUrl(location.href);
   const store = new Store(emptyState(url));
   takeTokenFromUrl();

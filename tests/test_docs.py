@@ -338,8 +338,9 @@ QUESTIONS = ("What ", "Whether ", "Who", "Where ", "Which ", "Why ", "How ")
 
 
 def test_no_sentence_uses_a_construction_that_readers_stumble_over() -> None:
-    """Docs, docstrings, comments, log lines, errors and `--help`; also across the end of a line."""
-    written = [ROOT / name for name in (*TOP, "CHANGELOG.md")] + PAGES + sorted((ROOT / "clients").rglob("README.md"))
+    """Docs, docstrings, comments, log lines, errors, `--help` and the page; also across the end of a line."""
+    named = (*TOP, "CHANGELOG.md", "server/page/src/texts/en.json")
+    written = [ROOT / name for name in named] + PAGES + sorted((ROOT / "clients").rglob("README.md"))
     found = []
     for path in (*written, *(path for folder in (*ROOMS, "clients", "examples") for path in paths(folder))):
         text = re.sub(r"\s*\n\s*(#\s+)?", " ", path.read_text())

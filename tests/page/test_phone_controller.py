@@ -153,7 +153,7 @@ def started_by_tilt(page: OpenPage) -> None:
 def test_without_sensors_the_page_says_so(page: OpenPage) -> None:
     page.page.evaluate("window.sensors = false")
     page.part("phone-start").click()
-    page.until_text("phone-status", "has told no orientation within 2 s")
+    page.until_text("phone-status", "gave no orientation within 2 s")
     assert page.part("phone-clutch").is_hidden()
 
 

@@ -76,7 +76,7 @@ test("a good thing stays the very same", () => {
 test("a shape that cannot be drawn is left out, and told", () => {
   const { objects, problems } = drawableObjects([sceneObject([box, { ...box, dimensions: [0.1, 0, 0.1] }])]);
   expect(objects[0]?.shapes).toEqual([box]);
-  expect(problems).toEqual(["“thing” is not drawn as it is: a box has a size of 0 m."]);
+  expect(problems).toEqual(["“thing” is drawn differently: a box has a size of 0 m."]);
 });
 
 test("a thing without a place is left out, and told", () => {

@@ -256,3 +256,10 @@ def test_chunks_of_a_policy_are_followed_and_refused_with_the_servers_sentence(a
         chunks.send(JOINTS, times_s, onward, blend="real_time")
         wait_until(lambda: abs(arm.state().position_rad["shoulder_pan"] - onward[-1][0]) < 0.05)
     arm.stop()
+
+
+def test_the_state_is_there_also_while_the_same_client_goes_over_the_states(arm: Arm) -> None:
+    states = arm.states()
+    first = next(states)
+    assert arm.state(timeout_s=5.0).position_rad.keys() == first.position_rad.keys()
+    states.close()

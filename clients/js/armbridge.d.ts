@@ -2,6 +2,67 @@
 //
 // uint8[] is base64 text. NaN and infinite numbers are null. A message that you send may leave fields out.
 
+/** builtin_interfaces/msg/Time */
+export interface Time {
+  sec: number;
+  nanosec: number;
+}
+
+/** std_msgs/msg/Header */
+export interface Header {
+  stamp: Time;
+  frame_id: string;
+}
+
+/** builtin_interfaces/msg/Duration */
+export interface Duration {
+  sec: number;
+  nanosec: number;
+}
+
+/** trajectory_msgs/msg/JointTrajectoryPoint */
+export interface JointTrajectoryPoint {
+  positions: number[];
+  velocities: number[];
+  accelerations: number[];
+  effort: number[];
+  time_from_start: Duration;
+}
+
+/** trajectory_msgs/msg/JointTrajectory */
+export interface JointTrajectory {
+  header: Header;
+  joint_names: string[];
+  points: JointTrajectoryPoint[];
+}
+
+/** armbridge_msgs/msg/ActionChunk */
+export interface ActionChunk {
+  id: string;
+  trajectory: JointTrajectory;
+  blend: string;
+  weight: number;
+}
+
+/** moveit_msgs/msg/MoveItErrorCodes */
+export interface MoveItErrorCodes {
+  val: number;
+  message: string;
+  source: string;
+}
+
+/** armbridge_msgs/msg/ActionChunkAnswer */
+export interface ActionChunkAnswer {
+  id: string;
+  error_code: MoveItErrorCodes;
+  message: string;
+  followed_until: Time;
+  change: number;
+  refused_from: number;
+  joint_names: string[];
+  nearest: number[];
+}
+
 /** armbridge_msgs/msg/TeachState */
 export interface TeachState {
   recording: boolean;
@@ -22,18 +83,6 @@ export interface TeleopState {
   speed_scale: number;
 }
 
-/** builtin_interfaces/msg/Time */
-export interface Time {
-  sec: number;
-  nanosec: number;
-}
-
-/** std_msgs/msg/Header */
-export interface Header {
-  stamp: Time;
-  frame_id: string;
-}
-
 /** control_msgs/msg/JointJog */
 export interface JointJog {
   header: Header;
@@ -41,21 +90,6 @@ export interface JointJog {
   displacements: number[];
   velocities: number[];
   duration: number;
-}
-
-/** builtin_interfaces/msg/Duration */
-export interface Duration {
-  sec: number;
-  nanosec: number;
-}
-
-/** trajectory_msgs/msg/JointTrajectoryPoint */
-export interface JointTrajectoryPoint {
-  positions: number[];
-  velocities: number[];
-  accelerations: number[];
-  effort: number[];
-  time_from_start: Duration;
 }
 
 /** geometry_msgs/msg/Vector3 */
@@ -151,13 +185,6 @@ export interface KinematicSolverInfo {
   link_names: string[];
 }
 
-/** moveit_msgs/msg/MoveItErrorCodes */
-export interface MoveItErrorCodes {
-  val: number;
-  message: string;
-  source: string;
-}
-
 /** sensor_msgs/msg/JointState */
 export interface JointState {
   header: Header;
@@ -251,13 +278,6 @@ export interface CollisionObject {
   subframe_names: string[];
   subframe_poses: Pose[];
   operation: number;
-}
-
-/** trajectory_msgs/msg/JointTrajectory */
-export interface JointTrajectory {
-  header: Header;
-  joint_names: string[];
-  points: JointTrajectoryPoint[];
 }
 
 /** moveit_msgs/msg/AttachedCollisionObject */
@@ -985,6 +1005,8 @@ export interface ExecuteTrajectoryFeedback {
 }
 
 export interface Messages {
+  "armbridge_msgs/msg/ActionChunk": ActionChunk;
+  "armbridge_msgs/msg/ActionChunkAnswer": ActionChunkAnswer;
   "armbridge_msgs/msg/TeachState": TeachState;
   "armbridge_msgs/msg/TeleopState": TeleopState;
   "control_msgs/msg/JointJog": JointJog;

@@ -476,7 +476,10 @@ class Connection:
                     answer.set_result(operation)
             case "action_feedback":
                 if (on_feedback := self._feedback.get(str(number))) is not None:
-                    on_feedback(operation["values"])
+                    try:
+                        on_feedback(operation["values"])
+                    except Exception:  # the program's own function: its error must not end the connection
+                        log.exception("the function that takes the progress failed")
             case "status":
                 self._take_status(str(number), str(operation["msg"]), str(operation["level"]))
             case _:

@@ -21,7 +21,7 @@ def once_moving(arm: Arm, then: threading.Thread) -> None:
     """Move slowly, and begin a thread once the arm moves."""
 
     def on_progress(progress: object) -> None:
-        if getattr(progress, "state", "") == "executing" and not then.is_alive():
+        if getattr(progress, "state", "") == "executing" and then.ident is None:
             then.start()
 
     arm.move_named("home")
@@ -52,6 +52,15 @@ def test_a_signal_handler_stops_the_arm_while_the_program_waits(arm: Arm) -> Non
         signal.signal(signal.SIGUSR1, before)
     assert caught.value.code == PREEMPTED
     assert sentences
+
+
+def test_an_error_of_the_function_that_takes_the_progress_costs_neither_motion_nor_connection(arm: Arm) -> None:
+    def fail(_progress: object) -> None:
+        raise RuntimeError("a bug of the program")
+
+    arm.move_named("home")
+    assert arm.move("ready", on_progress=fail).message
+    assert arm.state().mode == "holding"
 
 
 def test_ctrl_c_cancels_the_motion(arm: Arm) -> None:

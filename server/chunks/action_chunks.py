@@ -48,6 +48,9 @@ ACTION_TYPE = "armbridge_msgs/action/FollowActionChunk"
 ANSWER = "/arm/chunks/answer"
 ANSWER_TYPE = "armbridge_msgs/ActionChunkAnswer"
 
+# A policy that was stopped has ended when it sends nothing for this time: slow ones send a chunk every two seconds [s].
+PAUSE_S = 5.0
+
 # Policies send 50 to 100 targets. With positions and velocities of eight joints.
 MAX_POINTS = 500
 CHUNK_LIMITS = ListLimits({"trajectory_msgs/msg/JointTrajectory.points": MAX_POINTS}, 24 * MAX_POINTS)
@@ -264,7 +267,7 @@ class ActionChunks:
         self._followed: _Followed | None = None
         self._gripper = None if gripper is None else GripperTargets(gripper, context.clock)
         self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
-        self._stream = MessageStream(graph.resolve(NAME), context.clock)
+        self._stream = MessageStream(graph.resolve(NAME), context.clock, PAUSE_S)
         node = self._node = Node("chunks")
         graph.advertise(node, ANSWER, ANSWER_TYPE)
         graph.offer_action(node, NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)

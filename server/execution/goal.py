@@ -113,8 +113,8 @@ class CancelScope:
 class MessageStream:
     """Stream of messages on a topic that move the arm, which a stop ends until the topic is silent for a moment."""
 
-    def __init__(self, topic: str, clock: Callable[[], float]) -> None:
-        self._topic, self._clock = topic, clock
+    def __init__(self, topic: str, clock: Callable[[], float], pause_s: float = STREAM_PAUSE_S) -> None:
+        self._topic, self._clock, self._pause_s = topic, clock, pause_s
         # Time of the latest message, and stop epoch of the stream's first one.
         self._heard_s, self._epoch = -math.inf, 0
 
@@ -122,10 +122,10 @@ class MessageStream:
         """Take a message; raise RefusedError where the arm's last stop has ended the stream."""
         now_s = self._clock()
         silence_s, self._heard_s = now_s - self._heard_s, now_s
-        if silence_s > STREAM_PAUSE_S:
+        if silence_s > self._pause_s:
             self._epoch = arrival_epoch()
         elif is_stopped(last_stop, self._epoch):
-            text = f"the arm was stopped: publish nothing on {self._topic} for {STREAM_PAUSE_S:g} s to move it again"
+            text = f"the arm was stopped: publish nothing on {self._topic} for {self._pause_s:g} s to move it again"
             raise refused(MoveItErrorCode.PREEMPTED, text)
 
 

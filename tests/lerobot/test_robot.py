@@ -225,9 +225,11 @@ def test_a_policy_of_lerobots_policy_server_drives_the_arm_by_chunks(
     lines = tmp_path / "policy.log"
     with (
         camera(server.port),
-        running(serving, env=offline, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL),
+        running(serving, env=offline, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL),
         lines.open("w") as out,
-        running([BIN / "armbridge-policy", *options], env=offline, stdout=out, stderr=subprocess.STDOUT) as client,
+        running(
+            [BIN / "armbridge-policy", *options], env=offline, cwd=tmp_path, stdout=out, stderr=subprocess.STDOUT
+        ) as client,
     ):
         followed = list(
             itertools.islice(

@@ -18,7 +18,7 @@ from robot.control.pacing import PERIOD_S
 from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Vector
 from server.arrival import arrived_in
-from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME, TYPE
+from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME, PAUSE_S, TYPE
 from server.chunks.gripper import SETTLES_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
@@ -331,6 +331,23 @@ async def test_a_stop_at_any_moment_ends_the_chunks_until_they_pause(policy: Pol
     await asyncio.sleep(0.5)
     assert (np.array(policy.goals_rad[at_rest:]) == policy.goals_rad[at_rest]).all()
     assert "the arm was stopped: publish nothing on" in policy.refusals[-1]
+
+
+async def test_a_stop_ends_also_a_policy_that_sends_a_chunk_every_two_seconds(policy: Policy) -> None:
+    policy.publish(chunk(ramp(90, 0.6)))
+    await asyncio.sleep(1.0)
+    policy.stage.call("/arm/stop")
+    await asyncio.sleep(1.0)
+    stands = policy.arm_rad[-1]
+    for _ in range(3):
+        policy.publish(chunk(ramp(60, stands[0] + 0.4, stands[0])))
+        await asyncio.sleep(2.0)
+    assert (policy.arm_rad[-1] == stands).all()
+    assert "publish nothing on /arm/chunks for 5 s" in policy.refusals[-1]
+    await asyncio.sleep(PAUSE_S)
+    policy.publish(chunk(ramp(30, stands[0] + 0.2, stands[0])))
+    await asyncio.sleep(2.0)
+    assert policy.arm_rad[-1, 0] == pytest.approx(stands[0] + 0.2, abs=1e-3)
 
 
 async def test_a_second_policy_is_refused_while_the_chunks_of_the_first_are_followed(policy: Policy) -> None:

@@ -236,7 +236,9 @@ REQUESTS: dict[str, Callable[[ServerStage], None]] = {
     "a verification": verify,
     "a following": follow,
     "a jog": jog,
-    "a chunk": lambda stage: stage.publish("/arm/chunks", "armbridge_msgs/ActionChunk", {"trajectory": CHUNK}),
+    "a chunk": lambda stage: stage.send(
+        "/arm/chunks", "armbridge_msgs/action/FollowActionChunk", chunk={"trajectory": CHUNK}
+    ),
 }
 
 

@@ -8,7 +8,7 @@ import pytest
 from harness.server import ServerOnBus, free_port, server_on_bus
 from server import cli
 from server.commands.terminal import ExitCode
-from server.commands.verify import ANSWER_TIMEOUT_S
+from server.commands.verification_client import ANSWER_TIMEOUT_S
 
 TOKEN = "only-the-admin-knows-it"
 

@@ -48,11 +48,7 @@ class Orders:
         """Survey the actuators, take over the holding ones, and enable the arm where permitted."""
         hardware = self._arm.hardware
         found = yield from hardware.survey()
-        polls = iter(range(POLLS))
-        while (measured := self._arm.measured) is None:
-            if next(polls, None) is None:
-                raise StartupError("not every servo can be read")
-            yield POLL_S
+        measured = yield from self._first_readings()
         controller = self._begin(found)
         joints = range(len(hardware.joint_names))
         holding = [joint for joint in joints if found.driven[joint]]
@@ -71,6 +67,13 @@ class Orders:
             limp = ", ".join(hardware.label(joint) for joint in joints if joint not in wanted)
             self._latch(FaultCode.TORQUE_LOST, f"the arm was found holding, but relaxed at {limp}")
         return "the arm was holding" if wanted == holding else "the arm holds"
+
+    def _first_readings(self) -> Steps[Measured]:
+        for _ in range(POLLS):
+            if self._arm.measured is not None:
+                return self._arm.measured
+            yield POLL_S
+        raise StartupError("not every servo can be read")
 
     def _begin(self, found: Survey) -> ArmController:
         hardware, config = self._arm.hardware, self._config

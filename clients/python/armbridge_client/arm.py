@@ -13,7 +13,7 @@ from armbridge_client.async_gripper import AsyncGripper
 from armbridge_client.async_library import AsyncEpisodes, AsyncNamedStates, AsyncTeaching
 from armbridge_client.async_scene import AsyncScene
 from armbridge_client.async_steering import COMMAND_TIMEOUT_S, AsyncChunks, AsyncJog, AsyncTeleop
-from armbridge_client.blocking import Face, LoopThread, blocking, iterate, iterating, making
+from armbridge_client.blocking import ContextFace, Face, LoopThread, blocking, iterate, iterating, making
 from armbridge_client.connection import CALL_TIMEOUT_S, ServerInfo
 from armbridge_client.errors import ConnectionLost
 from armbridge_client.interface import ArmInfo
@@ -128,36 +128,18 @@ class Episodes(Face[AsyncEpisodes]):
     discard = blocking(AsyncEpisodes.discard)
 
 
-class Jog(Face[AsyncJog]):
+class Jog(ContextFace[AsyncJog]):
     """Steering with a dead-man's switch, for the length of a ``with``; as :class:`AsyncJog`."""
 
     tip = blocking(AsyncJog.tip)
     joints = blocking(AsyncJog.joints)
     release = blocking(AsyncJog.release)
 
-    def __enter__(self) -> Jog:
-        self.loop.run(self.asynchronous.__aenter__())
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.loop.run(self.asynchronous.__aexit__(kind, error, trace))
-
-
-class Chunks(Face[AsyncChunks]):
+class Chunks(ContextFace[AsyncChunks]):
     """Chunks of joint targets of a learned policy, for the length of a ``with``; as :class:`AsyncChunks`."""
 
     send = blocking(AsyncChunks.send)
-
-    def __enter__(self) -> Chunks:
-        self.loop.run(self.asynchronous.__aenter__())
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.loop.run(self.asynchronous.__aexit__(kind, error, trace))
 
 
 class Plan(Face[AsyncPlan]):

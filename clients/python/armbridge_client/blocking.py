@@ -12,7 +12,8 @@ import enum
 import functools
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
-from typing import Any, Concatenate, Generic, Literal, ParamSpec, TypeVar
+from types import TracebackType
+from typing import Any, Concatenate, Generic, Literal, ParamSpec, Protocol, TypeVar
 
 from armbridge_client.errors import ConnectionLost
 
@@ -96,6 +97,36 @@ class Face(Generic[A]):
     def __init__(self, asynchronous: A, loop: LoopThread) -> None:
         self.asynchronous = asynchronous
         self.loop = loop
+
+
+class Context(Protocol):
+    """Asynchronous context manager."""
+
+    async def __aenter__(self) -> object:
+        """Enter."""
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave."""
+
+
+C = TypeVar("C", bound=Context)
+# typing.Self came with Python 3.11.
+Entered = TypeVar("Entered", bound="ContextFace[Any]")
+
+
+class ContextFace(Face[C]):
+    """Face of an asynchronous context manager, for the length of a ``with``."""
+
+    def __enter__(self: Entered) -> Entered:
+        self.loop.run(self.asynchronous.__aenter__())
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.loop.run(self.asynchronous.__aexit__(kind, error, trace))
 
 
 class blocking(Generic[A, P, T]):  # noqa: N801 - used as a decorator

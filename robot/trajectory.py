@@ -76,20 +76,30 @@ class Trajectory:
         return position, velocity, acceleration
 
 
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of the joints of a motion, each of shape (joints,)."""
+
+    velocity: Vector  # [rad/s]
+    acceleration: Vector  # [rad/s^2]
+    jerk: Vector  # [rad/s^3]
+
+
 def bridge(
     joint_names: tuple[str, ...],
     start: tuple[Vector, Vector, Vector],
     end: tuple[Vector, Vector],
-    limits: tuple[Vector, Vector],
+    limits: MotionLimits,
     least_s: float,
 ) -> Trajectory:
     """Plan the motion from one state of the joints to another within limits, in a time or as fast as the limits allow.
 
-    The start has position, velocity and acceleration, the end position (NaN: at rest anywhere) and velocity, the limits
-    velocity and acceleration. The profile is ruckig's, bounded in jerk; raises RuckigError where it finds none.
+    The start has position, velocity and acceleration, the end position (NaN: at rest anywhere) and velocity. The
+    profile is ruckig's; raises RuckigError where it finds none.
     """
     joints = len(joint_names)
-    (position, velocity, acceleration), (max_velocity, max_acceleration) = start, limits
+    position, velocity, acceleration = start
+    max_velocity, max_acceleration = limits.velocity, limits.acceleration
     given, profile = InputParameter(joints), Profile(joints)
     given.current_position, given.current_velocity = position.tolist(), velocity.tolist()
     given.current_acceleration = np.clip(acceleration, -max_acceleration, max_acceleration).tolist()
@@ -99,9 +109,9 @@ def bridge(
     # A joint may be faster already: the limits may have changed since.
     given.max_velocity = np.maximum(max_velocity, np.abs(velocity)).tolist()
     given.max_acceleration = max_acceleration.tolist()
-    given.max_jerk = (max_acceleration / TIME_TO_FULL_ACCELERATION_S).tolist()
+    given.max_jerk = limits.jerk.tolist()
     # Joints that come to rest do so by then, so that none goes on after the end.
-    rests_s = np.abs(velocity) / max_acceleration + 2.0 * TIME_TO_FULL_ACCELERATION_S
+    rests_s = np.abs(velocity) / max_acceleration + 2.0 * max_acceleration / limits.jerk
     given.minimum_duration = max(least_s, float(np.max(rests_s, where=stopping, initial=0.0)))
     interfaces = ControlInterface.Position, ControlInterface.Velocity
     given.per_dof_control_interface = [interfaces[int(each)] for each in stopping]

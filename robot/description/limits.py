@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robot.calibration import Calibration, JointCalibration
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from robot.trajectory import Vector
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, MotionLimits, Vector
 
 # Distance of the soft limits from the calibrated end stops: covers backlash (1 deg) and rounding.
 END_STOP_MARGIN_RAD = 0.03
@@ -95,6 +95,14 @@ class JointBounds:
                     "joint's range: write the calibration to the servos",
                 )
         return replace(self, lower_rad=lower, upper_rad=upper)
+
+
+def motion_limits(robot: RobotModel, joint_names: tuple[str, ...], speed_limit: float) -> MotionLimits:
+    """Return the limits of motions of the robot's joints, with a share of their velocities."""
+    joints, bounds = [robot.joints[name] for name in joint_names], JointBounds.of(robot, joint_names)
+    jerk = np.array([np.inf if joint.max_jerk is None else joint.max_jerk for joint in joints])
+    steepest = bounds.max_acceleration / TIME_TO_FULL_ACCELERATION_S
+    return MotionLimits(speed_limit * bounds.max_velocity, bounds.max_acceleration, np.minimum(steepest, jerk))
 
 
 def _range_of_servo(joint: JointCalibration, limits_ticks: tuple[int, int]) -> tuple[float, float]:

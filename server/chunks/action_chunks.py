@@ -7,27 +7,25 @@ it begins, is followed up to the first contact, and takes the place of the chunk
 from __future__ import annotations
 
 import functools
-import logging
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from planners.problem import MoveItErrorCode
+from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm
 from robot.control.checks import refusal
-from robot.description.limits import JointBounds
+from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector
+from server.arrival import arrival_epoch, arrived_in
 from server.chunks.gripper import GripperTargets
-from server.chunks.targets import Blend, MotionLimits, Targets, blended, deviation_rad, follow
+from server.chunks.targets import Blend, Targets, blended, deviation_rad, follow
 from server.errors import GraphError, RefusedError, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
-from server.execution.motions import ExternalTrajectory, Positions, SplicePoint
+from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
@@ -39,8 +37,6 @@ from server.moveit.actions.gripper import Gripper
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.messages import Message, error_code
 from server.moveit.trajectories import read_points, read_seconds, smallest_group
-
-log = logging.getLogger("armbridge.chunks")
 
 NAME = "/arm/chunks"
 TYPE = "armbridge_msgs/ActionChunk"
@@ -150,10 +146,10 @@ class ChunkMotion:
     """
 
     def __init__(self, chunk: Chunk, targets: Targets, group: Group, robot: RobotModel, speed_limit: float) -> None:
-        self._chunk, self._targets, self._robot = chunk, targets, robot
+        self.chunk, self._targets, self._robot = chunk, targets, robot
         self._joints, self._bounds = group.joints, JointBounds.of(robot, group.joints)
-        self._limits = MotionLimits.of(robot, group.joints, speed_limit)
-        self._begins_s, self._contact_s = 0.0, 0.0
+        self._limits = motion_limits(robot, group.joints, speed_limit)
+        self._begins_s = 0.0
         self._cuts = list(CUTS_S)
         self.made = 0
         self.end = chunk.end
@@ -172,10 +168,7 @@ class ChunkMotion:
         return ExternalTrajectory(self._make, frozenset(self._joints), cut=self._cut)
 
     def _make(self, held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
-        still = np.zeros(len(self._joints))
-        start = np.array([held_rad[name] for name in self._joints]), still, still
-        if point is not None:
-            start = point.lead.sample(point.lead.duration_s)
+        start = start_of(self._joints, held_rad, point)
         if self.until_s <= at_s:
             raise _invalid(f"the last target was due {at_s - self.until_s:.3g} s ago")
         targets = self._of_all_joints(start[0])
@@ -193,7 +186,7 @@ class ChunkMotion:
             raise _invalid(reason)
         self.made += 1
         self._begins_s = at_s - (0.0 if point is None else point.lead.duration_s)
-        self.change_rad = max(self._chunk.moved_rad, self._change_rad(motion, at_s))
+        self.change_rad = max(self.chunk.moved_rad, self._change_rad(motion, at_s))
         self.positions_rad = dict(zip(self._joints, motion.positions_rad[-1].tolist(), strict=True))
         return motion
 
@@ -209,20 +202,17 @@ class ChunkMotion:
         return Targets(self._joints, targets.time_s, np.stack(columns, axis=-1))
 
     def _change_rad(self, motion: Trajectory, at_s: float) -> float:
-        names = tuple(name for name in self._joints if name in self._chunk.targets.joint_names)
-        return float(
-            deviation_rad(self._chunk.targets.of_joints(names), motion.of_joints(names), at_s).max(initial=0.0)
-        )
+        names = tuple(name for name in self._joints if name in self.chunk.targets.joint_names)
+        return float(deviation_rad(self.chunk.targets.of_joints(names), motion.of_joints(names), at_s).max(initial=0.0))
 
-    def _cut(self, details: Mapping[str, Any]) -> ExternalTrajectory | None:
-        """Return the motion that ends before a contact; None where the answer reports none, or no target is left."""
-        if "contact_s" not in details or not self._cuts:
+    def _cut(self, failure: PlanningFailure) -> ExternalTrajectory | None:
+        """Return the motion that ends before a contact; None where the failure is another, or no target is left."""
+        if "contact_s" not in failure.details or not self._cuts:
             return None
         # A later attempt may find the same contact a little earlier.
-        contact_s = self._begins_s + details["contact_s"]
+        contact_s = self._begins_s + failure.details["contact_s"]
         self.until_s = min(self.until_s, contact_s) - self._cuts.pop(0)
-        index = int(np.searchsorted(self._chunk.targets.time_s, self.until_s, side="right"))
-        self.end = index, str(details.get("reason", "the arm would touch something there"))
+        self.end = int(np.searchsorted(self.chunk.targets.time_s, self.until_s, side="right")), failure.message
         return self.motion if self.until_s > self._begins_s else None
 
 
@@ -243,10 +233,13 @@ def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: Rob
 
 @dataclass
 class _Followed:
-    """Chunk whose motion the arm follows."""
+    """Chunk that is followed, or waits for its turn; ``goal`` is the action's, ``begun`` the number of its motions."""
 
     publisher: object
     motion: ChunkMotion
+    epoch: int
+    goal: Goal | None
+    begun: int = 0
     over: bool = False
 
 
@@ -266,7 +259,7 @@ class ActionChunks:
         self._robot, self._clock = context.planning.robot, context.clock
         self._followed: _Followed | None = None
         self._gripper = None if gripper is None else GripperTargets(gripper, context.clock)
-        self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
+        self._fingers = frozenset(() if gripper is None else (joint.name for joint in gripper.joints))
         self._stream = MessageStream(graph.resolve(NAME), context.clock, PAUSE_S)
         node = self._node = Node("chunks")
         graph.advertise(node, ANSWER, ANSWER_TYPE)
@@ -283,34 +276,23 @@ class ActionChunks:
         message = published.msg
         try:
             self._stream.check(self._arm.last_stop)
-            self._submit(NAME, message, published.publisher, lambda _answer: None, lambda _answer, _code: None)
+            self._submit(NAME, message, published.publisher)
         except RefusedError as error:
             self._publish(refused_answer(message, error))
             raise GraphError("topic", self._graph.resolve(NAME), error.failure.message) from error
 
     def _start(self, goal: Goal) -> None:
         message = goal.request["chunk"]
-
-        def end(answer: Message, code: MoveItErrorCode) -> None:
-            goal.finish(goal_status(code), {"answer": answer})
-
         try:
-            number = self._submit(goal.action, message, goal.sender, lambda each: goal.feedback({"answer": each}), end)
+            number = self._submit(goal.action, message, goal.sender, goal)
         except RefusedError as error:
             answer = refused_answer(message, error)
             self._publish(answer)
-            end(answer, error.failure.code)
+            goal.finish(goal_status(error.failure.code), {"answer": answer})
         else:
             cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
 
-    def _submit(
-        self,
-        source: str,
-        message: Message,
-        publisher: object,
-        on_begin: Callable[[Message], None],
-        on_end: Callable[[Message, MoveItErrorCode], None],
-    ) -> str:
+    def _submit(self, source: str, message: Message, publisher: object, goal: Goal | None = None) -> str:
         """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
         now_s, former = self._clock(), self._followed
         chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
@@ -320,41 +302,46 @@ class ActionChunks:
                 f"the arm follows the chunks of {former.publisher}: they must end before another client's are followed",
             )
         motion = self._motion(chunk, None if former is None or former.over else former.motion.targets, now_s)
-        followed, begun = _Followed(publisher, motion), 0
-
-        def take_progress(progress: Progress) -> None:
-            nonlocal begun
-            if progress.state is GoalState.EXECUTING and motion.made > begun:
-                begun = motion.made
-                self._follow_with_gripper(chunk, motion)
-                answer = self._answer(chunk, motion, MoveItErrorCode.SUCCESS, begun_message(motion))
-                self._publish(answer)
-                on_begin(answer)
-
-        def take_answer(answer: Answer) -> None:
-            followed.over = True
-            replaced = answer.code is MoveItErrorCode.PREEMPTED
-            end = self._answer(chunk, motion, answer.code, answer.message)
-            if answer.code is not MoveItErrorCode.SUCCESS and not (replaced and self._followed is not followed):
-                # The arm holds, and so does its gripper.
-                if self._gripper is not None:
-                    self._gripper.end(answer.message)
-                self._publish(end)
-            on_end(end, answer.code)
-
-        self._followed = followed
-        goal = self._queue.submit(
+        followed = self._followed = _Followed(publisher, motion, arrival_epoch(), goal)
+        queued = self._queue.submit(
             GoalRequest(
                 source,
                 motion.motion,
                 client=publisher,
                 policy=GoalPolicy.PREEMPT,
-                on_progress=take_progress,
-                on_answer=take_answer,
+                on_progress=functools.partial(self._take_progress, followed),
+                on_answer=functools.partial(self._take_answer, followed),
                 streamed=True,
             )
         )
-        return goal.goal_id
+        return queued.goal_id
+
+    def _take_progress(self, followed: _Followed, progress: Progress) -> None:
+        motion = followed.motion
+        if progress.state is not GoalState.EXECUTING or motion.made <= followed.begun:
+            return
+        followed.begun = motion.made
+        if self._gripper is not None and self._gripper.joint in motion.chunk.targets.joint_names:
+            fingers = motion.chunk.targets.of_joints((self._gripper.joint,)).until(motion.until_s)
+            # A stop that came after the chunk keeps its gripper still, too.
+            with arrived_in(followed.epoch):
+                self._gripper.follow(fingers)
+        answer = self._answer(motion, MoveItErrorCode.SUCCESS, begun_message(motion))
+        self._publish(answer)
+        if followed.goal is not None:
+            followed.goal.feedback({"answer": answer})
+
+    def _take_answer(self, followed: _Followed, answer: Answer) -> None:
+        followed.over = True
+        end = self._answer(followed.motion, answer.code, answer.message)
+        joined = answer.code is MoveItErrorCode.PREEMPTED and self._followed is not followed
+        if answer.code is not MoveItErrorCode.SUCCESS and not joined:
+            # The arm holds, and so does its gripper.
+            if self._gripper is not None:
+                self._gripper.end(answer.message)
+            self._publish(end)
+        if followed.goal is not None:
+            followed.goal.finish(goal_status(answer.code), {"answer": end})
 
     def _motion(self, chunk: Chunk, former: Targets | None, now_s: float) -> ChunkMotion:
         """Make the motion of the arm's joints, after the targets that the arm follows now; may raise RefusedError."""
@@ -375,16 +362,11 @@ class ActionChunks:
         targets = blended(former, targets, chunk.blend, chunk.weight, now_s)
         return ChunkMotion(chunk, targets, group, self._robot, current.speed_limit(group.joints))
 
-    def _follow_with_gripper(self, chunk: Chunk, motion: ChunkMotion) -> None:
-        finger = self._fingers[:1]
-        if self._gripper is not None and set(finger) <= set(chunk.targets.joint_names):
-            self._gripper.follow(chunk.targets.of_joints(finger).until(motion.until_s))
-
-    def _answer(self, chunk: Chunk, motion: ChunkMotion, code: MoveItErrorCode, message: str) -> Message:
+    def _answer(self, motion: ChunkMotion, code: MoveItErrorCode, message: str) -> Message:
         until_s = time.time() + motion.until_s - self._clock() if motion.made else 0.0
         held = motion.positions_rad if motion.end is not None and motion.made else {}
         return {
-            "id": chunk.chunk_id,
+            "id": motion.chunk.chunk_id,
             "error_code": error_code(code),
             "message": message,
             "followed_until": Stamp.from_seconds(until_s).as_message(),

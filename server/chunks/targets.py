@@ -13,8 +13,7 @@ import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization
 from ruckig import Trajectory as Profile
 
-from robot.description.model import RobotModel
-from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, Trajectory, Vector, bridge
+from robot.trajectory import MotionLimits, Trajectory, Vector, bridge
 
 # Time between two samples of the motion; the cubics between them are exact while the jerk does not change [s].
 SAMPLE_S = 0.02
@@ -106,27 +105,6 @@ def _share_of_new(time_s: Vector, blend: Blend, weight: float, first_s: float, e
     return share
 
 
-@dataclass(frozen=True)
-class MotionLimits:
-    """Limits of the joints of a motion, each of shape (joints,), in rad and s."""
-
-    velocity: Vector
-    acceleration: Vector
-    jerk: Vector
-
-    @classmethod
-    def of(cls, robot: RobotModel, joint_names: tuple[str, ...], speed_limit: float) -> MotionLimits:
-        """Return the limits of the robot's joints, with a share of their velocities."""
-        joints = [robot.joints[name] for name in joint_names]
-        acceleration = np.array([joint.max_acceleration for joint in joints])
-        jerk = [math.inf if joint.max_jerk is None else joint.max_jerk for joint in joints]
-        return cls(
-            speed_limit * np.array([joint.max_velocity for joint in joints]),
-            acceleration,
-            np.minimum(acceleration / TIME_TO_FULL_ACCELERATION_S, jerk),
-        )
-
-
 def follow(targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, limits: MotionLimits) -> Trajectory:
     """Return the motion that follows targets within limits from a state of the joints, and comes to rest at the last.
 
@@ -147,7 +125,7 @@ def follow(targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, 
         names,
         states[-1],
         (targets.positions_rad[-1], np.zeros(len(names))),
-        (limits.velocity, limits.acceleration),
+        limits,
         0.0,
     )
     time_s = np.concatenate((SAMPLE_S * np.arange(brakes), tail.time_s + SAMPLE_S * brakes))

@@ -155,8 +155,8 @@ class GoalExecutor:
         self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._player = Player(arm, context.robot, self._scene_monitor, in_progress, context.clock)
-        # Time that the last check of a trajectory in motion took [s].
-        self._check_s = HORIZON_S
+        # Time that the last check of a trajectory in motion took [s]; the first is checked within the horizon.
+        self._check_s = (HORIZON_S - SENDING_S) / CHECKS_AHEAD
 
     async def run(self, goal: Goal) -> Answer:
         """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
@@ -246,38 +246,48 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
-        answer, in_time = None, False
-        while answer is None and not in_time and not goal.reason:
-            outgoing, asked_s = self._player.outgoing, self._context.clock()
-            if outgoing is None or not request.spliced:
-                return None
-            if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
-                return None
-            horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, outgoing.until_s - asked_s)
-            point = outgoing.splice_point(asked_s, horizon_s)
-            if point is None or horizon_s <= SENDING_S:
-                return None
-            held_rad = self._held_rad()
-            motion = request.trajectory({**held_rad, **point.positions_rad}, asked_s + horizon_s, point)
-            whole = point.splice(motion)
-            goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-            planned = PlannedSequence(Performed({**held_rad, **point.start_rad}, (whole,)))
-            group, version = _group_of(self._context.robot, whole), self._scene.scene.version
-            checked = CheckedMotion(group, whole, version, planned.summary)
+        while not goal.reason:
+            asked_s, version = self._context.clock(), self._scene.scene.version
+            if (joined := self._joined(goal, request, asked_s)) is None:
+                break
+            whole, point, leaves_s = joined
+            planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
+            checked = CheckedMotion(_group_of(self._context.robot, whole), whole, version, planned.summary)
             goal.defer_replacement()
             await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
             self._check_s = self._context.clock() - asked_s
             # Else the arm has passed the point by now, or will have: the next point is further ahead.
-            in_time = self._check_s + SENDING_S <= horizon_s
-            if in_time and not goal.reason:
-                answer = await self._play_spliced(goal, planned, checked, point)
-        return answer
+            if self._context.clock() + SENDING_S <= leaves_s and not goal.reason:
+                return await self._play_spliced(goal, planned, checked, point)
+        return None
+
+    def _joined(
+        self, goal: Goal, request: ExternalTrajectory, now_s: float
+    ) -> tuple[Trajectory, SplicePoint, float] | None:
+        """Return a trajectory behind the lead to the splice point, the point, and its time; None without one."""
+        outgoing = self._player.outgoing
+        if outgoing is None or not request.spliced:
+            return None
+        if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
+            return None
+        horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, outgoing.until_s - now_s)
+        point = outgoing.splice_point(now_s, horizon_s)
+        if point is None or horizon_s <= SENDING_S:
+            return None
+        leaves_s = now_s + horizon_s
+        whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
+        goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+        return whole, point, leaves_s
 
     async def _play_given(self, goal: Goal, motion: ExternalTrajectory) -> Answer:
         """Play a trajectory, up to a first contact where it may be cut."""
         while True:
             answer = await _answered(self._play_external(goal, motion))
-            shorter = None if goal.reason or motion.cut is None else motion.cut(answer.details)
+            shorter = (
+                None
+                if goal.reason or motion.cut is None
+                else motion.cut(PlanningFailure(answer.code, answer.message, answer.details))
+            )
             if shorter is None:
                 break
             motion = shorter

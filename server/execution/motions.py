@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -72,14 +72,14 @@ class ExternalTrajectory:
         trajectory: makes it from the position of every joint [rad] and the monotonic time [s] at its start, and
             the splice point at which it begins, or None at rest; or raises RefusedError.
         spliced: False for a motion that can only begin at rest.
-        cut: makes the part before a contact from the details of the answer that reports it, None where no part is left;
-            None for a trajectory that is played whole.
+        cut: makes the part before the contact that a failure reports, None where no part is left; None for a trajectory
+            that is played whole.
     """
 
     trajectory: Callable[[Positions, float, SplicePoint | None], Trajectory]
     joints: Joints
     spliced: bool = True
-    cut: Callable[[Mapping[str, Any]], ExternalTrajectory | None] | None = None
+    cut: Callable[[PlanningFailure], ExternalTrajectory | None] | None = None
 
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
@@ -243,6 +243,16 @@ class SplicePoint:
             np.vstack((lead.velocities_rad_s, motion.velocities_rad_s[1:])),
             np.vstack((lead.accelerations_rad_s2, motion.accelerations_rad_s2[1:])),
         )
+
+
+def start_of(
+    joints: Sequence[str], held_rad: Positions, point: SplicePoint | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return position, velocity and acceleration of joints at a splice point, or at rest where the arm holds."""
+    if point is not None:
+        return point.lead.sample(point.lead.duration_s)
+    still = np.zeros(len(joints))
+    return np.array([held_rad[name] for name in joints]), still, still
 
 
 @dataclass(frozen=True)

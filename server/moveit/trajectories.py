@@ -13,11 +13,11 @@ from ruckig import RuckigError
 from planners.problem import MoveItErrorCode
 from protocol.messages import Stamp
 from robot.control.checks import VELOCITY_TOLERANCE, refusal
-from robot.description.limits import JointBounds
+from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector, bridge
 from server.errors import RefusedError, invalid, refused
-from server.execution.motions import ExternalTrajectory, Positions, SplicePoint
+from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.moveit.messages import Message
 
 NANOSECONDS_PER_S = 1_000_000_000
@@ -112,10 +112,7 @@ def _joined_trajectory(
     columns, bounds = np.array([group.joints.index(name) for name in names]), JointBounds.of(robot, group.joints)
     first = min(int(np.searchsorted(time_s, passed_s, side="right")), len(time_s) - 1)
     time_s, positions = np.maximum(time_s[first:] - passed_s, 0.0), positions[first:]
-    still = np.zeros(len(group.joints))
-    start = (np.array([held_rad[name] for name in group.joints]), still, still)
-    if point is not None:
-        start = point.lead.sample(point.lead.duration_s)
+    still, start = np.zeros(len(group.joints)), start_of(group.joints, held_rad, point)
     if velocities is None and time_s[0] > 0.0:
         here = start[0][columns]
         velocities = knot_velocities(np.insert(time_s, 0, 0.0), np.vstack((here, positions)))[1:]
@@ -124,7 +121,7 @@ def _joined_trajectory(
     velocities[-1] = 0.0
     end, end_velocity = np.full(len(still), np.nan), still.copy()
     end[columns], end_velocity[columns] = positions[0], velocities[0]
-    limits = speed_limit * bounds.max_velocity, bounds.max_acceleration
+    limits = motion_limits(robot, group.joints, speed_limit)
     try:
         way = bridge(group.joints, start, (end, end_velocity), limits, float(time_s[0]))
     except (RuckigError, ValueError) as error:

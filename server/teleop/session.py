@@ -10,17 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-import numpy as np
-
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
-from robot.messages import Outcome
-from robot.trajectory import Vector
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError
-from server.execution.goal import Answer, CancelScope, Goal
+from server.execution.goal import Answer, Goal
 from server.execution.monitors import check_ready
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
@@ -34,8 +30,8 @@ from server.teleop.following import (
     Phase,
     TrackingLimits,
     tracking_velocities,
-    tracking_velocity,
 )
+from server.teleop.gripper_following import GripperFollowing
 from server.teleop.leader import JitterBuffer, JointMap, LeaderPose
 
 log = logging.getLogger("armbridge.teleop")
@@ -45,12 +41,6 @@ PERIOD_S = 0.01
 
 # Share of the limits on the way to the leader: somebody holds the leader and watches.
 RAMP_SCALING = 0.3
-
-# Once it has gripped, or another client has moved it, the gripper follows again when its leader has gone so far [rad].
-GRIPPER_STEP_RAD = 0.02
-
-# Goals of the gripper are read a tick late, and its velocities take effect a tick later.
-GRIPPER_LATENCY_S = 0.02
 
 # A way to the leader that does not begin, because planners are slow or another motion is in the way, is given up [s].
 RAMP_BEGINS_WITHIN_S = 2.0
@@ -149,11 +139,13 @@ class FollowingSession:
         self._warning = ""
         self._ramp: Goal | None = None
         self._ramp_moved_s = 0.0
-        self._gripper: asyncio.Task[None] | None = None
-        self._gripper_claim: CancelScope | None = None
-        # Position [rad or m] and velocity of the gripper's leader, and the former when the gripper stopped to follow.
+        # Position [rad or m] and velocity of the gripper's leader.
         self._gripper_lead = 0.0, 0.0
-        self._gripper_left_at: float | None = None
+        gripper = follower.gripper
+        self._gripper: GripperFollowing | None = None
+        if gripper is not None:
+            limits = self._limits[gripper.joints[0].name]
+            self._gripper = GripperFollowing(gripper, limits, lambda: self._gripper_lead)
         self._read_at_s = clock()
         self._latency_s = self._lag_rad = 0.0
         # Set by a sample that is followed at once.
@@ -185,11 +177,12 @@ class FollowingSession:
     async def close(self) -> None:
         """End at once; the arm comes to rest by itself."""
         self.end("the server is ending")
-        for task in (self._task, self._gripper):
-            if task is not None:
-                task.cancel()
-                with contextlib.suppress(asyncio.CancelledError):
-                    await task
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._task
+        if self._gripper is not None:
+            await self._gripper.close()
         await self._servo.close()
 
     async def _run(self) -> None:
@@ -310,38 +303,17 @@ class FollowingSession:
     def _follow_with_gripper(self, targets: Mapping[str, float], leader_rad_s: Mapping[str, float]) -> None:
         gripper = self._follower.gripper
         name = "" if gripper is None else gripper.joints[0].name
-        if gripper is None or name not in targets:
-            return
-        self._gripper_lead = targets[name], leader_rad_s.get(name, 0.0)
-        if self._gripper is not None and not self._gripper.done():
-            return
-        left_at = self._gripper_left_at
-        if left_at is not None and abs(targets[name] - left_at) < GRIPPER_STEP_RAD:
-            return
-        claim = self._gripper_claim = gripper.claim()
-        self._gripper = asyncio.create_task(self._steer_gripper(gripper, claim), name="the gripper's following")
-
-    async def _steer_gripper(self, gripper: Gripper, claim: CancelScope) -> None:
-        limits = self._limits[gripper.joints[0].name]
-
-        def velocities(goals: Vector) -> Vector:
-            target, speed = self._gripper_lead
-            return np.array([tracking_velocity(target - goal, speed, limits, GRIPPER_LATENCY_S) for goal in goals])
-
-        # A refusal is one of the whole arm, which the next tick finds.
-        with contextlib.suppress(RefusedError):
-            ended = await gripper.follow(claim, velocities)
-            # After a pause of the server's own it goes on at once.
-            self._gripper_left_at = None if ended.outcome is Outcome.UNSTEERED else self._gripper_lead[0]
+        if self._gripper is not None and name in targets:
+            self._gripper_lead = targets[name], leader_rad_s.get(name, 0.0)
+            self._gripper.go_on()
 
     def _brake(self) -> None:
         self._servo.release()
         if self._ramp is not None:
             ramp, self._ramp = self._ramp, None
             self._queue.cancel(ramp.goal_id, self.following.message)
-        if self._gripper_claim is not None:
-            self._gripper_claim.cancel(self.following.message)
-        self._gripper_left_at = None
+        if self._gripper is not None:
+            self._gripper.end(self.following.message)
         self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
     async def _asked(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:

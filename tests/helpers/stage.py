@@ -4,10 +4,10 @@ The parts are the real ones, in stepped time; the arm is one that a test chooses
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextvars import Context
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 import pytest
@@ -17,12 +17,16 @@ from planners.problem import Answer, Request
 from planners.scene import EMPTY_SCENE, Scene
 from protocol.registry import Registry
 from robot.arm import Arm, ArmProcess
+from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
 from robot.control.pacing import PERIOD_S
 from robot.description.servo_table import HardwareTable
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmState, Command, Mode, Order
+from robot.stop_epochs import STOP_EPOCHS
+from robot.trajectory import Vector
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
+from server.arrival import arrived_in
 from server.config import Settings
 from server.features.arms import (
     ArmControl,
@@ -38,8 +42,10 @@ from server.features.parking import Parkings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.teaching.taught_motion import TaughtMotion
-from tests.helpers.arm_rig import ArmRig
-from tests.helpers.moveit import ROBOT, DirectPool
+from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ROBOT, DirectPool, box, diff
+from tests.helpers.moveit import point as frame_point
 
 # The planners' time for each question [s].
 PLANNING_S = 0.02
@@ -48,6 +54,7 @@ DEFAULTS = Settings()
 
 PAN = {"name": ["shoulder_pan"], "position": [0.4]}
 ARM_JOINTS = ROBOT.groups["arm"].joints
+COLUMNS = [NAMES.index(name) for name in ARM_JOINTS]
 WAVE = TaughtMotion(ARM_JOINTS, np.arange(6) * 0.2, np.linspace(0.1, 0.3, 6)[:, np.newaxis] * np.ones(len(ARM_JOINTS)))
 TRAJECTORY = {
     "joint_names": list(ARM_JOINTS),
@@ -112,10 +119,11 @@ class ServerStage:
         for feature in self._features:
             feature.on_state("", state)
 
-    def publish(self, topic: str, type_name: str, message: dict[str, Any]) -> None:
-        if self.client not in self.graph.publishers(topic):
-            self.graph.advertise(self.client, topic, type_name)
-        self.graph.publish(self.client, topic, message)
+    def publish(self, topic: str, type_name: str, message: dict[str, Any], sender: Node | None = None) -> None:
+        node = sender or self.client
+        if node not in self.graph.publishers(topic):
+            self.graph.advertise(node, topic, type_name)
+        self.graph.publish(node, topic, message)
 
     def call(self, service: str, **request: Any) -> None:
         self.graph.services.call(self.client, service, request, self.answers.append)
@@ -174,6 +182,73 @@ class RigArm(Arm):
     @property
     def state_age_s(self) -> float:
         return 0.0
+
+
+class RecordedStage:
+    """Server with an arm whose goals are recorded, and a client of topics.
+
+    Attributes:
+        goals_rad: goals of all joints, one each tick, each of shape (joints,).
+        refusals: of the client's messages.
+    """
+
+    def __init__(self) -> None:
+        self.arm = RigArm(DEFAULTS)
+        self.stage = self.arm.stage
+        self.goals_rad: list[Vector] = []
+        self.refusals: list[str] = []
+        self._tick = self.arm.rig.tick
+        self.arm.rig.tick = self._note  # type: ignore[method-assign]
+
+    def _note(self) -> None:
+        self._tick()
+        controller = self.arm.rig.supervisor._controller
+        assert controller is not None
+        self.goals_rad.append(controller.goal_rad.copy())
+
+    def publish_now(self, topic: str, type_name: str, message: dict[str, Any], sender: Node | None = None) -> None:
+        """Publish a message, as in a frame that arrives now."""
+
+        def arrive() -> None:
+            with arrived_in(STOP_EPOCHS.present):
+                self.stage.publish(topic, type_name, message, sender)
+
+        try:
+            Context().run(arrive)
+        except Exception as error:  # noqa: BLE001 - any refusal is for the client
+            self.refusals.append(str(error))
+
+    @property
+    def arm_rad(self) -> Vector:
+        """Goals of the arm's joints, shape (ticks, joints) [rad]."""
+        return np.array(self.goals_rad)[:, COLUMNS]
+
+    @property
+    def velocity_rad_s(self) -> Vector:
+        """Velocities of the arm's goals, shape (ticks - 1, joints) [rad/s]."""
+        return np.diff(self.arm_rad, axis=0) / PERIOD_S
+
+    def assert_within_limits(self) -> None:
+        """Assert that each tick keeps the limits of velocity and acceleration."""
+        velocity = self.velocity_rad_s
+        assert (np.abs(velocity) <= BOUNDS.max_velocity[COLUMNS] * VELOCITY_TOLERANCE).all()
+        change = np.abs(np.diff(velocity, axis=0)) / PERIOD_S
+        assert (change <= BOUNDS.max_acceleration[COLUMNS] * ACCELERATION_TOLERANCE).all()
+
+    def add_walls(self, y_m: float = 0.2) -> None:
+        """Put walls on both sides of the arm."""
+        solid = {"type": 1, "dimensions": [0.5, 0.02, 0.4]}
+        walls = [box(f"wall {y}", at=frame_point(0.2, y, 0.2), primitives=[solid]) for y in (-y_m, y_m)]
+        self.stage.context.planning.scene_state.apply_diff(diff(world={"collision_objects": walls}), HOME)
+
+    async def run(self) -> AsyncIterator[Self]:
+        """Have time pass; for a fixture."""
+        running = asyncio.create_task(self.arm.run())
+        await asyncio.sleep(0.1)
+        self.goals_rad.clear()
+        yield self
+        await self.stage.close()
+        running.cancel()
 
 
 def at_once(work: Coroutine[Any, Any, None]) -> None:

@@ -6,18 +6,14 @@ Server, supervisor and controller are the real ones, in stepped time; the joints
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable
-from contextvars import Context
 from typing import Any
 
 import numpy as np
 import pytest
 
 from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
-from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
 from robot.control.pacing import PERIOD_S
-from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Vector
-from server.arrival import arrived_in
 from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME, PAUSE_S, TYPE
 from server.chunks.gripper import SETTLES_S
 from server.graph.node import Node
@@ -25,13 +21,11 @@ from server.graph.topics import Subscriber
 from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import box, diff, planner
-from tests.helpers.moveit import point as frame_point
-from tests.helpers.stage import ARM_JOINTS, DEFAULTS, RigArm, inline_threads
+from tests.helpers.moveit import planner
+from tests.helpers.stage import ARM_JOINTS, COLUMNS, RecordedStage, inline_threads
 
 pytestmark = pytest.mark.stepped_time
 
-COLUMNS = [NAMES.index(name) for name in ARM_JOINTS]
 GRIPPER = NAMES.index("gripper")
 HZ = 30.0
 FAR_S = 1_000.0
@@ -61,80 +55,32 @@ def ramp(count: int = 30, to_rad: float = 0.4, from_rad: float = 0.0) -> Vector:
     return targets
 
 
-class Policy:
-    """Server with an arm, and a policy that publishes chunks.
-
-    Attributes:
-        goals_rad: goals of all joints, one each tick, each of shape (joints,).
-        answers: to chunks.
-        refusals: of the policy's messages.
-    """
+class Policy(RecordedStage):
+    """Policy that publishes chunks; ``answers`` are to them."""
 
     def __init__(self) -> None:
-        self.arm = RigArm(DEFAULTS)
-        self.stage = self.arm.stage
-        self.goals_rad: list[Vector] = []
+        super().__init__()
         self.answers: list[dict[str, Any]] = []
-        self.refusals: list[str] = []
-        self._tick = self.arm.rig.tick
-        self.arm.rig.tick = self._note  # type: ignore[method-assign]
         take = Subscriber(lambda each: self.answers.append(dict(each.msg)))
         self.stage.graph.subscribe(Node("listener"), ANSWER, ANSWER_TYPE, take)
 
-    def _note(self) -> None:
-        self._tick()
-        controller = self.arm.rig.supervisor._controller
-        assert controller is not None
-        self.goals_rad.append(controller.goal_rad.copy())
-
     def publish(self, message: dict[str, Any], sender: Node | None = None) -> None:
         """Publish a chunk, as in a frame that arrives now."""
-
-        def arrive() -> None:
-            node = sender or self.stage.client
-            with arrived_in(STOP_EPOCHS.present):
-                if node not in self.stage.graph.publishers(NAME):
-                    self.stage.graph.advertise(node, NAME, TYPE)
-                self.stage.graph.publish(node, NAME, message)
-
-        try:
-            Context().run(arrive)
-        except Exception as error:  # noqa: BLE001 - any refusal is for the client
-            self.refusals.append(str(error))
-
-    @property
-    def arm_rad(self) -> Vector:
-        return np.array(self.goals_rad)[:, COLUMNS]
+        self.publish_now(NAME, TYPE, message, sender)
 
     @property
     def codes(self) -> list[int]:
         return [answer["error_code"]["val"] for answer in self.answers]
 
-    def assert_within_limits(self) -> None:
-        velocity = np.diff(self.arm_rad, axis=0) / PERIOD_S
-        assert (np.abs(velocity) <= BOUNDS.max_velocity[COLUMNS] * VELOCITY_TOLERANCE).all()
-        change = np.abs(np.diff(velocity, axis=0)) / PERIOD_S
-        assert (change <= BOUNDS.max_acceleration[COLUMNS] * ACCELERATION_TOLERANCE).all()
-
-    def add_walls(self, y_m: float = 0.2) -> None:
-        solid = {"type": 1, "dimensions": [0.5, 0.02, 0.4]}
-        walls = [box(f"wall {y}", at=frame_point(0.2, y, 0.2), primitives=[solid]) for y in (-y_m, y_m)]
-        self.stage.context.planning.scene_state.apply_diff(diff(world={"collision_objects": walls}), HOME)
-
 
 @pytest.fixture
 async def policy(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Policy]:
     inline_threads(monkeypatch)
-    made = Policy()
     loop = asyncio.get_running_loop()
     # The wall clock goes with that of the arm.
     monkeypatch.setattr(time, "time", lambda: FAR_S + loop.time())
-    running = asyncio.create_task(made.arm.run())
-    await asyncio.sleep(0.1)
-    made.goals_rad.clear()
-    yield made
-    await made.stage.close()
-    running.cancel()
+    async for made in Policy().run():
+        yield made
 
 
 def now_s() -> float:
@@ -284,6 +230,7 @@ async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: P
     (answer,) = policy.answers
     assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
     assert 5 < answer["refused_from"] < 60
+    assert "wall" in answer["message"]
     assert "the arm holds before it" in answer["message"]
     stands_rad = policy.arm_rad[-1, 0]
     assert 0.1 < stands_rad < ramp(60, 1.4)[answer["refused_from"], 0]
@@ -380,8 +327,13 @@ async def test_a_stop_holds_the_gripper_as_well(policy: Policy) -> None:
     policy.stage.call("/arm/stop")
     await asyncio.sleep(0.3)
     stands = policy.goals_rad[-1]
-    await asyncio.sleep(1.0)
+    await asyncio.sleep(PAUSE_S)
     assert (policy.goals_rad[-1] == stands).all()
+    # After the pause the gripper follows as the arm does.
+    here = stands[[*COLUMNS, GRIPPER]]
+    policy.publish(chunk(here + np.linspace(0.0, 0.2, 30)[:, np.newaxis], (*ARM_JOINTS, "gripper")))
+    await asyncio.sleep(2.0)
+    np.testing.assert_allclose(policy.goals_rad[-1][[*COLUMNS, GRIPPER]], here + 0.2, atol=0.01)
 
 
 async def test_the_action_gives_the_answer_as_feedback_and_its_end_as_result(policy: Policy) -> None:

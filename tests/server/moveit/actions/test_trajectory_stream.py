@@ -10,26 +10,19 @@ import logging
 import math
 import time
 from collections.abc import AsyncIterator, Callable
-from contextvars import Context
 from typing import Any
 
 import numpy as np
 import pytest
 
-from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
 from robot.control.pacing import PERIOD_S
-from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Vector
-from server.arrival import arrived_in
 from server.execution.goal import STREAM_PAUSE_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
 from tests.helpers import stage as stage_module
-from tests.helpers.arm_rig import BOUNDS, NAMES
-from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import box, diff
-from tests.helpers.moveit import point as frame_point
-from tests.helpers.stage import ARM_JOINTS, DEFAULTS, RigArm, inline_threads
+from tests.helpers.arm_rig import NAMES
+from tests.helpers.stage import ARM_JOINTS, RecordedStage, inline_threads
 
 pytestmark = pytest.mark.stepped_time
 
@@ -61,40 +54,13 @@ def point(positions_rad: Vector, time_s: float = AHEAD_S, **fields: Any) -> dict
     return {"positions": positions_rad.tolist(), "time_from_start": seconds(time_s), **fields}
 
 
-class Controller:
-    """Server with an arm, and a client that publishes trajectories.
-
-    Attributes:
-        goals_rad: goals of the arm's joints, one each tick, each of shape (joints,).
-        refusals: of the client's messages.
-    """
-
-    def __init__(self) -> None:
-        self.arm = RigArm(DEFAULTS)
-        self.stage = self.arm.stage
-        self.goals_rad: list[Vector] = []
-        self.refusals: list[str] = []
-        self._tick = self.arm.rig.tick
-        self.arm.rig.tick = self._note  # type: ignore[method-assign]
-
-    def _note(self) -> None:
-        self._tick()
-        controller = self.arm.rig.supervisor._controller
-        assert controller is not None
-        self.goals_rad.append(controller.goal_rad[COLUMNS].copy())
+class Controller(RecordedStage):
+    """Client that publishes trajectories."""
 
     def publish(self, *points: dict[str, Any], names: tuple[str, ...] = ARM_JOINTS, stamp_s: float = 0.0) -> None:
         """Publish a trajectory, as in a frame that arrives now."""
         message = {"header": {"stamp": seconds(stamp_s)}, "joint_names": list(names), "points": list(points)}
-
-        def arrive() -> None:
-            with arrived_in(STOP_EPOCHS.present):
-                self.stage.publish(TOPIC, "trajectory_msgs/JointTrajectory", message)
-
-        try:
-            Context().run(arrive)
-        except Exception as error:  # noqa: BLE001 - any refusal is for the client
-            self.refusals.append(str(error))
+        self.publish_now(TOPIC, "trajectory_msgs/JointTrajectory", message)
 
     async def stream(self, duration_s: float, points: Callable[[float], list[dict[str, Any]]] | None = None) -> None:
         """Publish at 30 Hz, by default one point of the sine 0.1 s ahead."""
@@ -105,28 +71,12 @@ class Controller:
             at_s = loop.time() - began_s
             self.publish(*(points(at_s) if points else [point(sine(at_s + AHEAD_S)[0])]))
 
-    @property
-    def velocity_rad_s(self) -> Vector:
-        return np.diff(self.goals_rad, axis=0) / PERIOD_S
-
 
 @pytest.fixture
 async def controller(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Controller]:
     inline_threads(monkeypatch)
-    made = Controller()
-    running = asyncio.create_task(made.arm.run())
-    await asyncio.sleep(0.1)
-    made.goals_rad.clear()
-    yield made
-    await made.stage.close()
-    running.cancel()
-
-
-def assert_within_limits(controller: Controller) -> None:
-    velocity = controller.velocity_rad_s
-    assert (np.abs(velocity) <= BOUNDS.max_velocity[COLUMNS] * VELOCITY_TOLERANCE).all()
-    change = np.abs(np.diff(velocity, axis=0)) / PERIOD_S
-    assert (change <= BOUNDS.max_acceleration[COLUMNS] * ACCELERATION_TOLERANCE).all()
+    async for made in Controller().run():
+        yield made
 
 
 async def test_a_stream_of_points_moves_the_arm_without_a_stop_and_within_a_lag(controller: Controller) -> None:
@@ -140,11 +90,11 @@ async def test_a_stream_of_points_moves_the_arm_without_a_stop_and_within_a_lag(
     share = controller.velocity_rad_s[fast] / wanted[fast]
     assert share.min() > 0.6
     assert share.max() < 1.7
-    reached = np.array(controller.goals_rad)
+    reached = np.array(controller.arm_rad)
     late = np.array([sine(tick * PERIOD_S)[0] for tick in range(len(reached))]) - reached
     lag_s = np.abs(late)[50:].max(axis=0) / (0.5 * AMPLITUDE_RAD * RATE_RAD_S)
     assert lag_s.max() < LAG_S
-    assert_within_limits(controller)
+    controller.assert_within_limits()
 
 
 async def test_slow_planners_make_the_stream_later_and_never_stop_the_arm(
@@ -155,7 +105,7 @@ async def test_slow_planners_make_the_stream_later_and_never_stop_the_arm(
     await controller.stream(3.0)
     speed = np.abs(controller.velocity_rad_s[60:280]).max(axis=1)
     assert speed.min() > 0.05
-    assert_within_limits(controller)
+    controller.assert_within_limits()
 
 
 async def test_a_stop_ends_the_stream_until_it_pauses(controller: Controller) -> None:
@@ -163,14 +113,14 @@ async def test_a_stop_ends_the_stream_until_it_pauses(controller: Controller) ->
     await asyncio.sleep(1.0)
     controller.stage.call("/arm/stop")
     await asyncio.sleep(0.5)
-    at_rest = len(controller.goals_rad)
+    at_rest = len(controller.arm_rad)
     await streaming
-    assert (np.array(controller.goals_rad[at_rest:]) == controller.goals_rad[at_rest]).all()
+    assert (np.array(controller.arm_rad[at_rest:]) == controller.arm_rad[at_rest]).all()
     assert "the arm was stopped: publish nothing on" in controller.refusals[-1]
     await asyncio.sleep(1.1 * STREAM_PAUSE_S)
-    controller.publish(point(controller.goals_rad[-1] + 0.1, 1.0))
+    controller.publish(point(controller.arm_rad[-1] + 0.1, 1.0))
     await asyncio.sleep(1.5)
-    np.testing.assert_allclose(controller.goals_rad[-1], controller.goals_rad[at_rest] + 0.1, atol=1e-6)
+    np.testing.assert_allclose(controller.arm_rad[-1], controller.arm_rad[at_rest] + 0.1, atol=1e-6)
 
 
 @pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.013).tolist())
@@ -179,10 +129,10 @@ async def test_a_stop_at_any_moment_of_a_message_ends_the_stream(controller: Con
     await asyncio.sleep(0.7 + after_s)
     controller.stage.call("/arm/stop")
     await asyncio.sleep(0.4)
-    at_rest = len(controller.goals_rad)
+    at_rest = len(controller.arm_rad)
     await streaming
     await asyncio.sleep(0.3)
-    assert (np.array(controller.goals_rad[at_rest:]) == controller.goals_rad[at_rest]).all()
+    assert (np.array(controller.arm_rad[at_rest:]) == controller.arm_rad[at_rest]).all()
 
 
 async def test_a_stream_into_an_object_stops_before_it_and_is_logged_once(
@@ -192,9 +142,7 @@ async def test_a_stream_into_an_object_stops_before_it_and_is_logged_once(
     listener = Node("listener")
     subscriber = Subscriber(lambda each: statuses.append(each.msg))
     controller.stage.graph.subscribe(listener, "/moveit_goal_status", "diagnostic_msgs/DiagnosticStatus", subscriber)
-    solid = {"type": 1, "dimensions": [0.5, 0.02, 0.4]}
-    walls = [box(f"wall {y}", at=frame_point(0.2, y, 0.2), primitives=[solid]) for y in (-0.2, 0.2)]
-    controller.stage.context.planning.scene_state.apply_diff(diff(world={"collision_objects": walls}), HOME)
+    controller.add_walls()
     caplog.set_level(logging.INFO)
     await controller.stream(4.0, lambda at_s: [point(np.array([-0.3 * at_s, 0.6, -0.3, 0.0, 0.0]))])
     await asyncio.sleep(0.5)
@@ -202,7 +150,7 @@ async def test_a_stream_into_an_object_stops_before_it_and_is_logged_once(
     assert len(touching) > 10
     lines = [each.getMessage() for each in caplog.records if "wall" in each.getMessage()]
     assert len(lines) <= 3, lines
-    assert controller.goals_rad[-1][0] > -1.2
+    assert controller.arm_rad[-1][0] > -1.2
 
 
 async def test_a_refused_stream_tells_its_sender_each_time_and_the_log_once(
@@ -228,8 +176,8 @@ NEAR = np.array([0.1, 0.1, -0.1, 0.1, 0.0])
 async def test_a_point_at_time_0_is_reached_as_fast_as_the_limits_allow(controller: Controller) -> None:
     controller.publish(point(FAR, 0.0))
     await asyncio.sleep(1.0)
-    np.testing.assert_allclose(controller.goals_rad[-1], FAR, atol=1e-6)
-    assert_within_limits(controller)
+    np.testing.assert_allclose(controller.arm_rad[-1], FAR, atol=1e-6)
+    controller.assert_within_limits()
 
 
 @pytest.mark.parametrize("starts_in_s", [0.5, -0.5])
@@ -238,8 +186,8 @@ async def test_the_stamp_is_the_time_of_the_trajectorys_start(controller: Contro
     controller.publish(point(NEAR, 0.2), point(FAR, 1.5), stamp_s=time.time() + starts_in_s)
     due = round((1.5 + starts_in_s) / PERIOD_S)
     await asyncio.sleep(2.5)
-    np.testing.assert_allclose(controller.goals_rad[due + 8], FAR, atol=1e-4)
-    assert np.abs(controller.goals_rad[due - 20] - FAR).max() > 1e-3
+    np.testing.assert_allclose(controller.arm_rad[due + 8], FAR, atol=1e-4)
+    assert np.abs(controller.arm_rad[due - 20] - FAR).max() > 1e-3
     assert controller.refusals == []
 
 
@@ -250,7 +198,7 @@ async def test_what_lies_behind_is_dropped_and_joints_without_a_name_come_to_res
     await asyncio.sleep(3.0)
     velocity = controller.velocity_rad_s[:, 0]
     # It came from 0.5 rad on its way to -0.5 rad, and has stopped for good, without a jump.
-    assert 0.0 < controller.goals_rad[-1][0] < 0.5
-    assert controller.goals_rad[-1][3] == pytest.approx(0.0, abs=1e-6)
+    assert 0.0 < controller.arm_rad[-1][0] < 0.5
+    assert controller.arm_rad[-1][3] == pytest.approx(0.0, abs=1e-6)
     assert (velocity[-100:] == 0.0).all()
-    assert_within_limits(controller)
+    controller.assert_within_limits()

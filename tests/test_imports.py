@@ -29,7 +29,6 @@ ALLOWED = {
         "planners.errors",
         "planners.pool",
         "planners.shared_pool",
-        "planners.shared_pool",
         "planners.servo.question",
     ),
     "planners": (
@@ -129,6 +128,14 @@ def test_a_server_starts_without_planning_libraries_and_without_what_only_few_ne
     assert loaded & PLANNING_LIBRARIES == set(), "import them in the functions that need them, not in the module"
     assert {"server.monitoring.monitor", "server.zenoh.bridge", "prometheus_client"} <= loaded
     assert not {"zenoh", "mcap", "distributed"} & loaded
+
+
+def test_the_command_line_loads_nothing_of_the_server_before_a_command_needs_it() -> None:
+    command = [sys.executable, "-c", "import sys, server.cli; print(*sys.modules)"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    loaded = set(done.stdout.split())
+    assert "server.commands.verify" in loaded
+    assert not {"websockets", "uvloop", "server.app", *PLANNING_LIBRARIES} & loaded
 
 
 def import_table() -> str:

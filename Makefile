@@ -100,7 +100,7 @@ test-processes: install-dev
 # The page from its lock: types and build, then its logic, then in the browser, which each worker starts once.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page -n 2 --dist loadfile $(ARGS)
+	$(PYTEST) tests/page $(ARGS)
 
 # The pictures of README.md and docs/page.md, and the digest of the page that they show.
 pictures: install-dev page

@@ -49,7 +49,7 @@ def test_a_value_out_of_range_is_said_at_the_field_with_the_range_in_the_chosen_
     page.open_panel("settings")
     page.part("units").select_option("rad")
     page.open_panel("move")
-    assert page.part("target-x").get_attribute("aria-label") == "target x in m"
+    page.until("document.querySelector('[data-testid=target-x]').getAttribute('aria-label') === 'target x in m'")
 
 
 def test_a_relaxed_arm_says_so_and_holds_at_one_click(page: OpenPage) -> None:

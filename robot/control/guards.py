@@ -133,6 +133,8 @@ class Guards:
         self.thresholds = thresholds
         self._stall_time_s: list[float] = thresholds.stall_time_s.tolist()
         self._jump_rad: list[float] = thresholds.jump_rad.tolist()
+        # No joint nearer to its goal can be stalled or lost.
+        self._near_goal_rad = min(STALL_ERROR_RAD, limits.tracking_error_rad)
         self._max_voltage_v = max_voltage_v
         self._last: tuple[Measured, float] | None = None
         self.restart()
@@ -144,6 +146,7 @@ class Guards:
         self._low, self._flagged = Persistence(joints), Persistence(joints)
         self.stalled = [False] * joints  # of each joint: it pushes without moving
         self.lost = [False] * joints  # of each joint: it is too far behind its goal
+        self._idle = True  # no timer runs
 
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None
@@ -152,6 +155,11 @@ class Guards:
         last, self._last = self._last, (measured, now_s)
         positions = zip(measured.position_rad.tolist(), goal_rad.tolist(), strict=True)
         errors = [abs(at - goal) for at, goal in positions]
+        if last is not None and self._sound(errors, measured, last[0]):
+            if not self._idle:
+                self.restart()
+            return None
+        self._idle = False
         self.stalled = self._stalling(errors, measured, torque_limit, now_s)
         behind_s = self._behind.lasting([error > self.limits.tracking_error_rad for error in errors], now_s)
         self.lost = [lasting_s >= self.limits.tracking_time_s for lasting_s in behind_s]
@@ -184,6 +192,19 @@ class Guards:
         if age_s > self.limits.silent_after_s:
             warnings.append(ServoWarning(ServoAlert.NO_ANSWER, f"no answer for {age_s:.1f} s"))
         return tuple(warnings)
+
+    def _sound(self, errors: Sequence[float], measured: Measured, before: Measured) -> bool:
+        """Return True where nothing is a fault, now or if it lasts: so in nearly every tick, in a third of the time."""
+        limits = self.limits
+        ways = zip(measured.position_rad.tolist(), before.position_rad.tolist(), self._jump_rad, strict=True)
+        return (
+            all(error <= self._near_goal_rad for error in errors)
+            and all(abs(at - was) <= jump_rad for at, was, jump_rad in ways)
+            and not any(measured.status.tolist())
+            and not any(degrees >= limits.stop_temperature_c for degrees in measured.temperature_c.tolist())
+            and not any(volts < limits.min_voltage_v for volts in measured.voltage_v.tolist())
+            and not any(age_s > limits.silent_after_s for age_s in measured.age_s.tolist())
+        )
 
     def _jumped(self, measured: Measured, now_s: float, before: Measured, before_s: float) -> list[bool]:
         ways = zip(measured.position_rad.tolist(), before.position_rad.tolist(), self._jump_rad, strict=True)

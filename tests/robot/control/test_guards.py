@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot.control.guards import LOW_VOLTAGE_TIME_S, MARGIN, VOLTAGE_BIT_TIME_S, ActuatorThresholds
+from robot.control.guards import LOW_VOLTAGE_TIME_S, MARGIN, STALL_ERROR_RAD, VOLTAGE_BIT_TIME_S, ActuatorThresholds
 from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import Actuation, Measured, StatusFlag
 from robot.messages import GuardLimits
@@ -273,3 +273,33 @@ def test_a_quick_protection_makes_stalls_be_told_sooner() -> None:
     assert made.stall_time_s == pytest.approx(0.1)
     assert (made.stall_time_s < made.relieve_after_s).all()
     assert (made.relieve_after_s < 0.4).all()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_short_way_through_the_guards_finds_what_the_long_one_finds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    short, long = guards(), guards()
+    long._sound = lambda *_: False  # type: ignore[method-assign]
+    limits = (LIMITS.tracking_error_rad, LIMITS.stop_temperature_c, LIMITS.min_voltage_v, LIMITS.silent_after_s)
+    near, hot, low, silent = limits
+    taken = 0
+    for tick in range(400):
+        # Mostly at rest, sometimes beyond one of the limits, for a while.
+        if tick % 80 == 0:
+            beyond = rng.random(5) < 0.2
+            offset = rng.choice([0.0, 1.5 * STALL_ERROR_RAD, 2.0 * near]) * rng.random(6)
+            load = rng.uniform(0.0, 1.0)
+        position = offset + rng.normal(0.0, 0.002, 6)
+        measured = reading(
+            position,
+            temperature_c=rng.uniform(hot - 3.0, hot + 0.5) if beyond[1] else 40.0,
+            voltage_v=rng.uniform(low - 0.1, low + 1.0) if beyond[2] else 6.0,
+            status=np.full(6, rng.choice([0, FLAGGED])) if beyond[3] else np.zeros(6, dtype=int),
+            age_s=rng.uniform(0.0, 1.2 * silent, 6) if beyond[4] else 0.0,
+            load=load,
+        )
+        found = [each.check(GOAL, measured, FULL, tick * PERIOD_S) for each in (short, long)]
+        assert found[0] == found[1]
+        assert (list(short.stalled), list(short.lost)) == (list(long.stalled), list(long.lost))
+        taken += short._idle
+    assert 0 < taken < 400

@@ -85,10 +85,11 @@ def stays_at_rest(hardware: HardwareConfig) -> bool:
     """Return True for simulated hardware that at rest has nothing to see: no lost replies, and nobody's hand on it."""
     match hardware:
         case IdealConfig():
-            return True
+            return not hardware.physics
         case EmulatedConfig():
             lossless = not hardware.drop and not hardware.corrupt
-            return hardware.kind == "feetech" and lossless and hardware.control is None
+            untouched = hardware.control is None and not hardware.physics
+            return hardware.kind == "feetech" and lossless and untouched
         case _:
             return False
 

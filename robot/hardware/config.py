@@ -45,6 +45,7 @@ class _SimulatedConfig:
     # Joint -> position at the start [rad]; joints not named start at 0, or at the limit nearest to it.
     start_rad: Mapping[str, float] = field(default_factory=dict)
     driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
+    physics: bool = False  # True if MuJoCo moves the joints (:mod:`robot.physics`)
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""

@@ -38,7 +38,7 @@ log = logging.getLogger("armbridge.physics")
 
 
 def arm_model(robot: RobotModel) -> mujoco.MjSpec:
-    """Return the model of an arm on a floor, one body a link; raises DescriptionError for a URDF that MuJoCo cannot read."""
+    """Return the model of an arm on a floor, one body a link; raises DescriptionError for what cannot be read."""
     root = ET.fromstring(with_mesh_paths(robot.urdf, robot.mesh_directory, robot.package_directories))  # noqa: S314
     for mesh in root.iterfind("link/collision/geometry/mesh"):
         if (path := Path(mesh.get("filename", ""))).suffix.lower() not in MESH_FORMATS:

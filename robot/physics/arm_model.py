@@ -8,8 +8,8 @@ from pathlib import Path
 
 import mujoco
 
+from robot.description.meshes import with_mesh_paths
 from robot.description.model import RobotModel
-from robot.description.urdf import with_mesh_paths
 from robot.errors import DescriptionError
 
 TIMESTEP_S = 0.002

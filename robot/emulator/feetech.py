@@ -341,7 +341,6 @@ def _servo(
         )
 
     def own(each: Sequence[int]) -> int:
-        """Return the value of this joint."""
         return each[place % len(each)]
 
     zero = joint.homing_offset + own(population.horn_ticks)

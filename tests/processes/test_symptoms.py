@@ -22,16 +22,17 @@ from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
 from robot.hardware import port
+from robot.hardware.boards import resolve_port
 from robot.hardware.config import SerialConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
 from robot.hardware.interface import StatusFlag
-from robot.hardware.port import _refusal, resolve_port
+from robot.hardware.port import _refusal
 from robot.messages import ArmState, Mode, Order
 from server.arm.topics import LEVEL_ERROR, LEVEL_OK
 from server.commands.terminal import ExitCode
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
-from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator, goal_block
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101_SERVOS
 from tests.server.commands.conftest import Run, armbridge, emulator  # noqa: F401 - fixtures

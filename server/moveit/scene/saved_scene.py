@@ -31,7 +31,7 @@ from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene_message
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
-from server.named_files import NamedFiles, read_json
+from server.named_files import NamedFiles, read_json, set_aside
 from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
@@ -121,7 +121,7 @@ class SavedScene:
         except FileNotFoundError:
             return
         except (ValueError, MessageError, RefusedError) as error:
-            aside = files.set_aside(self._path)
+            aside = set_aside(self._path)
             log.warning("the planning scene in %s cannot be restored: %s; the file is now %s", self._path, error, aside)
             return
         world, held = len(self._state.contents.objects), len(self._state.contents.attached)

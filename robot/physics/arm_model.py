@@ -42,7 +42,7 @@ def arm_model(robot: RobotModel) -> mujoco.MjSpec:
     root = ET.fromstring(with_mesh_paths(robot.urdf, robot.mesh_directory, robot.package_directories))  # noqa: S314
     for mesh in root.iterfind("link/collision/geometry/mesh"):
         if (path := Path(mesh.get("filename", ""))).suffix.lower() not in MESH_FORMATS:
-            raise DescriptionError(f"mesh {path}", f"is none of {', '.join(MESH_FORMATS)}, which physics can load")
+            raise DescriptionError(f"mesh {path}", f"cannot be loaded by physics, only {', '.join(MESH_FORMATS)}")
     compiler = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler")
     for name, value in {"fusestatic": "false", "strippath": "false", "balanceinertia": "true"}.items():
         compiler.set(name, value)

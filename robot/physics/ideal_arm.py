@@ -20,7 +20,7 @@ RELAXED_DAMPING = 10.0  # a gear that is turned from outside: a push of 1 Nm tur
 
 
 class PhysicalArm(IdealArm):
-    """Ideal arm whose joints have the ideal arm's positions for targets, and touch what is there.
+    """Ideal arm whose joints have the ideal arm's positions for targets, and touch other bodies.
 
     The torque is M (w^2 e + 2 w de/dt) + h with the mass matrix M, the following error e, the pole w and the torques h
     of gravity and motion (computed torque, Siciliano et al., Robotics, section 8.5.2).

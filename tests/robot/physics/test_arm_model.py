@@ -50,7 +50,7 @@ def test_a_mesh_that_mujoco_cannot_read_is_named(tmp_path) -> None:
     mesh.write_text("<COLLADA/>")
     urdf = robots.SEVEN_JOINT_URDF.replace('<cylinder radius="0.06" length="0.1"/>', f'<mesh filename="{mesh}"/>')
     robot = model.parse(urdf, robots.SEVEN_JOINT_SRDF, mesh_directory=tmp_path)
-    with pytest.raises(DescriptionError, match=r"base\.dae is none of \.stl, \.obj, \.msh, which physics can load"):
+    with pytest.raises(DescriptionError, match=r"base\.dae cannot be loaded by physics, only \.stl, \.obj, \.msh"):
         arm_model(robot)
 
 

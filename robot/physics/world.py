@@ -242,6 +242,7 @@ class World:
                 conaffinity=bits,
                 condim=CONTACT_DIMENSIONS,
                 density=BODY_DENSITY_KG_M3,
+                priority=1,  # MuJoCo takes the greater friction of two shapes of equal priority
             )
             geom.friction[0] = body.friction
             if shape.kind == "hull":

@@ -17,8 +17,8 @@ from server.errors import ConfigurationError, RefusedError
 from server.features.context import ServerContext
 from server.graph.node import Node
 from server.graph.permissions import WORKING
-from server.graph.services import Response
 from server.lifecycle import Feature
+from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import CollisionObject
 from server.moveit.scene.frames import in_root
 from server.moveit.scene.planning_scene import SceneDraft
@@ -29,7 +29,9 @@ RESET = "/simulation/reset"
 
 UPDATE_S = 0.1  # interval of changes of the scene by objects that move
 
-DROPPED_AFTER_S = 0.5  # time without a finger on each side after which an attached object counts as dropped
+# Time without a finger on each side after which an attached object counts as dropped: longer once the gripper has
+# another goal, since its client detaches the object then.
+DROPPED_AFTER_S, RELEASED_AFTER_S = 0.5, 5.0
 
 # Poses nearer than the reports of the arm process are the same.
 SAME_M, SAME_QUATERNION = 2e-4, 1e-3
@@ -68,7 +70,10 @@ class Physics(Feature):
         # Objects of the scene at the poses of their bodies, which need not be moved there.
         self._known: dict[str, CollisionObject] = {}
         self._states: dict[str, BodyState] = {}
-        self._held_at_s: dict[str, float] = {}
+        # Of each body: time by the arm's clock at which it was held last [s], and the gripper's goals then.
+        self._held_at_s: dict[str, tuple[float, list[float]]] = {}
+        gripper = context.whole.robot.gripper
+        self._gripper_joints = () if gripper is None else gripper.joints
         self._version = 0
         self._updated_at_s = -math.inf
         node = Node("simulation")
@@ -88,21 +93,23 @@ class Physics(Feature):
         if state.bodies is not None and state.bodies.version == self._version:
             self._states.update({each.name: each for each in state.bodies.bodies})
         contents = self._scene.contents
+        goals = {} if state.goal_rad is None else dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
+        goal_rad = [goals[name] for name in self._gripper_joints if name in goals]
         for name, body in self._states.items():
             if body.held or name not in contents.attached or name not in self._held_at_s:
-                self._held_at_s[name] = state.clock_s
+                self._held_at_s[name] = state.clock_s, goal_rad
         if not 0.0 <= state.clock_s - self._updated_at_s < UPDATE_S:
             self._updated_at_s = state.clock_s
-            self._update(state.clock_s)
+            self._update(state.clock_s, goal_rad)
 
-    def _update(self, clock_s: float) -> None:
+    def _update(self, clock_s: float, goal_rad: list[float]) -> None:
         contents = self._scene.contents
         moved, dropped = {}, {}
         for name, state in self._states.items():
             pose = Pose(state.position_m, state.orientation)
             if name in contents.objects and _differ(contents.objects[name].pose, pose):
                 moved[name] = replace(contents.objects[name], pose=pose)
-            elif name in contents.attached and clock_s - self._held_at_s[name] > DROPPED_AFTER_S:
+            elif name in contents.attached and self._is_dropped(name, clock_s, goal_rad):
                 held = contents.attached[name].collision_object
                 dropped[name] = replace(held, frame=self._scene.frame, pose=pose)
                 x, y, z = state.position_m
@@ -110,6 +117,10 @@ class Physics(Feature):
         if moved or dropped:
             self._known.update(moved | dropped)
             self._apply(moved | dropped, tuple(dropped))
+
+    def _is_dropped(self, name: str, clock_s: float, goal_rad: list[float]) -> bool:
+        held_at_s, held_with_rad = self._held_at_s[name]
+        return clock_s - held_at_s > (DROPPED_AFTER_S if goal_rad == held_with_rad else RELEASED_AFTER_S)
 
     def _apply(self, objects: dict[str, CollisionObject], detached: tuple[str, ...]) -> None:
         def change(draft: SceneDraft) -> None:
@@ -152,7 +163,7 @@ class Physics(Feature):
         pose, movable = each.pose, each.name in self._movable
         return Body(each.name, shapes, pose.position_m, pose.orientation, movable, mass_kg, friction)
 
-    def _set_body(self, request: dict[str, Any]) -> Response:
+    def _set_body(self, request: dict[str, Any]) -> Message:
         name, mass_kg, friction = request["id"], request["mass"], request["friction"]
         each = self._scene.contents.objects.get(name)
         refusal = ""
@@ -172,7 +183,7 @@ class Physics(Feature):
         self._send({**self._bodies, name: self._body_of(each)})
         return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
 
-    def _reset(self, _request: dict[str, Any]) -> Response:
+    def _reset(self, _request: dict[str, Any]) -> Message:
         contents, moved = self._scene.contents, {}
         for name, body in self._bodies.items():
             if body.movable:

@@ -47,11 +47,6 @@ VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
 MOST_CHECKS = 100  # checks after which a tree finds a path sooner: no quick via point is free then as a rule
 
 
-def checks_in(time_s: float) -> int:
-    """Return the number of checks that a time is worth."""
-    return int(time_s * NOMINAL_CHECKS_PER_S)
-
-
 @lru_cache
 def coarse_first(pieces: int) -> Vector:
     """Return the fractions at which a line's pieces end: the end first, then well spread, shape (pieces, 1)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -100,11 +101,15 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
 
 
 def _hardware(settings: Settings, description: Description) -> HardwareConfig:
-    emulator = settings.emulator
+    emulator, physics = settings.emulator, settings.arm.simulation == "physics"
+    if physics and settings.arm.serial is not None:
+        raise ConfigurationError(f"arm.simulation: the arm at {settings.arm.serial} is real; leave it out")
+    if physics and importlib.util.find_spec("mujoco") is None:
+        raise ConfigurationError("arm.simulation: physics needs MuJoCo: pip install 'armbridge[physics]'")
     if description.calibration is None:
         no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
         _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)
-        return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled)
+        return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled, physics=physics)
     dynamixel = description.hardware.kind == "dynamixel"
     if settings.arm.serial is not None:
         if dynamixel:
@@ -127,6 +132,7 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
         control=emulator.control,
         # Nothing can jump or fall when it is switched on: the half second that this takes is for real arms.
         driven=settings.arm.start_enabled,
+        physics=physics,
     )
 
 
@@ -147,6 +153,7 @@ def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> Emulat
         corrupt=emulator.corrupt,
         seed=emulator.seed,
         driven=settings.arm.start_enabled,
+        physics=settings.arm.simulation == "physics",
     )
 
 

@@ -201,6 +201,10 @@ class Graph:
         topic = self._topics.get(name)
         return topic is not None and bool(topic.latching)
 
+    def latched(self, name: str) -> PublishedMessage | None:
+        """Return the latched message of a topic, given by its fully qualified name."""
+        return self._latched_messages.latched(name, self._clock())
+
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False, depth: int = 0) -> None:
         """Register ``node`` as publisher; raises GraphError for an unknown type, or another type than the topic's.
 

@@ -15,7 +15,7 @@ from server.errors import invalid, refused
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.messages import Message, composed, read_point, read_pose
 from server.moveit.named_states import NamedStates
-from server.moveit.parameters import MoveItParameters
+from server.moveit.parameters import MAX_PLANNING_ATTEMPTS, MoveItParameters
 from server.moveit.requests.constraints import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import GoalStep
@@ -40,11 +40,13 @@ class GoalOptions:
     """Choices of a goal for itself, in place of those selected and configured for a topic's goals."""
 
     group: Group | None = None
-    velocity_scaling: float = 0.0
-    acceleration_scaling: float = 0.0
+    parameters: MoveItParameters | None = None
 
 
 AS_SELECTED = GoalOptions()
+
+# Fields of armbridge_msgs/MoveitGoal that are parameters for one goal: as configured if 0 or empty.
+PARAMETER_FIELDS = ("optimization", "optimization_time", "allowed_planning_time")
 
 
 @dataclass(frozen=True)
@@ -86,15 +88,22 @@ class GoalTranslator:
             self._states.select_group(self.group.name)
 
     def options(self, message: Message) -> GoalOptions:
-        """Read the fields of an armbridge_msgs/MoveitGoal that choose group and speed."""
+        """Read the fields of an armbridge_msgs/MoveitGoal that choose group, speed and planning time."""
         group = self._group(message["group"]) if message["group"] else None
-        scalings = []
+        chosen = {field: message[field] for field in PARAMETER_FIELDS if message[field]}
+        if "optimization_time" in chosen:
+            # Time that a goal asks for is spent, however many searches that takes.
+            chosen["num_planning_attempts"] = MAX_PLANNING_ATTEMPTS
         for field in ("velocity_scaling", "acceleration_scaling"):
             value = float(message[field])
             if not 0.0 <= value <= 1.0:
                 raise invalid(f"{field} must be from 0 to 1, 0 for the configured one, not {value:g}", value=value)
-            scalings.append(value)
-        return GoalOptions(group, *scalings)
+            if value:
+                chosen[f"max_{field}"] = value
+        try:
+            return GoalOptions(group, self._parameters.changed(chosen))
+        except ValueError as error:
+            raise invalid(str(error)) from error
 
     def named(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a std_msgs/String with the name of a state; case and blanks do not matter."""
@@ -206,7 +215,7 @@ class GoalTranslator:
         warnings: tuple[str, ...] = (),
     ) -> PlannedMotion:
         self._check_own(group)
-        step = GoalStep(self._problems, group, goal, options.velocity_scaling, options.acceleration_scaling, frame)
+        step = GoalStep(self._problems, group, goal, options.parameters, frame)
         return PlannedMotion((step,), frozenset(group.joints), warnings=warnings)
 
 

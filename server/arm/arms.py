@@ -51,7 +51,7 @@ class ArmFiles:
 
 
 def read_arms(settings: Settings, alone: Description | None = None) -> dict[str, ArmFiles]:
-    """Read the files of all arms, each by its name; raises ConfigurationError for one that cannot be used."""
+    """Read the files of all arms, each by its name; raises ConfigurationError for a file that cannot be used."""
     if not settings.arms:
         description = alone or Description.read(settings.arm)
         return {"": ArmFiles(settings.arm, description, arm_config(settings, description))}

@@ -191,7 +191,7 @@ def complete_scene(message_types: MessageTypes, content: Any) -> Message:
 
 
 def encoded_bounded(message: Message, max_bytes: int) -> bytes:
-    """Return a message as JSON, made in a thread beside the event loop; raises ValueError for a message that is too large."""
+    """Return a message as JSON, made in a thread beside the event loop; raises ValueError if it is too large."""
     pieces, size = [], 0
     # With numbers that are not finite, in pieces of at most a millisecond.
     for piece in encoded_pieces(message, _NOTATION):

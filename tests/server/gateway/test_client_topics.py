@@ -25,7 +25,7 @@ def test_an_operation_over_the_limit_leaves_no_trace_in_the_graph(
 ) -> None:
     for topic in ("/a", "/b", "/c"):
         world.say("x", op=op, topic=topic, type="std_msgs/String")
-    assert list(world.graph.topic_types()) == ["/a", "/b"]
+    assert list(world.graph.topic_names.types()) == ["/a", "/b"]
     assert "limit is 2" in caplog.text
 
 

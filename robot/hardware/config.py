@@ -46,6 +46,7 @@ class _SimulatedConfig:
     # Joint -> position at the start [rad]; joints not named start at 0, or at the limit nearest to it.
     start_rad: Mapping[str, float] = field(default_factory=dict)
     driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
+    physics: bool = False  # True if MuJoCo moves the joints (:mod:`robot.physics`)
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""
@@ -71,8 +72,9 @@ class EmulatedConfig(_SimulatedConfig, _ServosConfig):
 
     @property
     def stays_at_rest(self) -> bool:
-        """True for servos that at rest have nothing to see: no lost replies, and no commands to them."""
-        return self.kind == "feetech" and not self.drop and not self.corrupt and self.control is None
+        """True for servos that at rest have nothing to see: no lost replies, no commands to them, and no contact."""
+        lossless = self.kind == "feetech" and not self.drop and not self.corrupt
+        return lossless and self.control is None and not self.physics
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the servos as an arm process that has ended left them."""
@@ -84,9 +86,12 @@ class IdealConfig(_SimulatedConfig):
     """Joints without actuators, which follow their goals."""
 
     port: ClassVar[str] = "ideal"  # name in place of a port
-    stays_at_rest: ClassVar[bool] = True
-
     lag_s: float = 0.03  # time constant with which they follow [s]; 0 follows within one tick
+
+    @property
+    def stays_at_rest(self) -> bool:
+        """True for joints that nothing touches."""
+        return not self.physics
 
     def joint_names(self, robot: RobotModel) -> tuple[str, ...]:
         """Return every movable joint of the robot."""

@@ -192,6 +192,7 @@ _FURTHER_OPTIONS = (
     ("--tcp-port", "server.tcp_port", "PORT"),
     ("--log-level", "server.log_level", "LEVEL"),
     ("--serial", "arm.serial", "PORT"),
+    ("--simulation", "arm.simulation", "KIND"),
     ("--robot", "arm.robot", "NAME_OR_FOLDER"),
     ("--calibration", "arm.calibration", "NAME_OR_PATH"),
     ("--urdf", "arm.urdf", "FILE"),

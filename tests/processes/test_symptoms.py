@@ -21,7 +21,7 @@ from harness.waiting import wait_until
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
-from robot.hardware import port
+from robot.hardware import boards
 from robot.hardware.boards import resolve_port
 from robot.hardware.config import SerialConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
@@ -91,7 +91,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPort
     found: list[ListPortInfo] = []
     monkeypatch.setattr(list_ports, "comports", lambda: found)
     for name in ("NAMES_BY_DEVICE", "NAMES_BY_SOCKET", "KERNEL_RELEASE", "BOARD_MODEL"):
-        monkeypatch.setattr(port, name, tmp_path / name)
+        monkeypatch.setattr(boards, name, tmp_path / name)
     return found
 
 

@@ -54,7 +54,7 @@ class Desk(ActionDesk):
         """The problem of the motion that was asked for."""
         (motion,) = self.asked
         assert isinstance(motion, PlannedMotion)
-        problem = motion.steps[0](HOME)
+        problem = motion.steps[0].problem(HOME)
         assert isinstance(problem, PlanningProblem)
         return problem
 

@@ -40,8 +40,7 @@ class Student:
     def settings(self, base: Settings, teacher_token: str, ports: Mapping[str, int]) -> Settings:
         """Return the settings of the student's server, which lets the pages of all servers in by their ports.
 
-        Raises:
-            ConfigurationError: they name a token or a name twice.
+        Raises ConfigurationError for a token or a name given twice.
         """
         access, recording = base.access, base.recording
         operators, admins = dict(access.operate_tokens), dict(access.admin_tokens)

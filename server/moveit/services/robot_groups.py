@@ -28,7 +28,7 @@ def publish_groups(
 
 
 def groups_document(robot: RobotModel, arms: Mapping[str, RobotModel], parameters: MoveItParameters) -> dict[str, Any]:
-    """Return the joints with their types, the groups but those of grippers, and a bound of the tips' reach [m]."""
+    """Return the joints with their types, the groups without grippers, and a bound of the tips' reach [m]."""
     grippers = {joint for arm in arms.values() if arm.gripper for joint in arm.gripper.joints}
     groups = [group for group in robot.groups.values() if not grippers.issuperset(group.joints)]
     return {

@@ -74,9 +74,7 @@ async def told(client: FrameClient, words: str, timeout_s: float) -> None:
     await client.until(STATE, lambda all_: words in all_[-1]["message"], timeout_s)
 
 
-async def test_servos_that_are_gone_are_told_found_again_and_can_be_moved(
-    on_bus: ServerOnBus, client: FrameClient
-) -> None:
+async def test_servos_that_are_gone_are_found_again_and_can_be_moved(on_bus: ServerOnBus, client: FrameClient) -> None:
     await moving(client)
     on_bus.emulator.command(plugged=False)
     result = (await client.until(RESULT, bool, RECOVERY_S))[-1]

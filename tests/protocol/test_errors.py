@@ -2,12 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.errors import (
-    MAX_QUOTED_CHARACTERS,
-    describe,
-    one_line,
-    shorten,
-)
+from protocol.errors import MAX_QUOTED_CHARACTERS, describe, one_line, shorten
 
 
 @pytest.mark.parametrize(

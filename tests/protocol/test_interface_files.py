@@ -221,12 +221,7 @@ def test_a_service_or_action_with_another_number_of_parts_is_refused(kind: Kind,
 
 def test_ros1_has_times_headers_and_names_of_its_own() -> None:
     fields, constants = rows("Header header\nroslib/Header other\ntime[] T\nduration d\nint32 low=1", "ros1")
-    assert fields == [
-        ["header", "std_msgs/Header"],
-        ["other", "std_msgs/Header"],
-        ["T", "time[]"],
-        ["d", "duration"],
-    ]
+    assert fields == [["header", "std_msgs/Header"], ["other", "std_msgs/Header"], ["T", "time[]"], ["d", "duration"]]
     assert constants == [["int32", "low", "1"]]
 
 

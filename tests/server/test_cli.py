@@ -62,18 +62,14 @@ def test_a_command_that_does_not_exist_is_called_wrongly() -> None:
     assert exit_code_of("dance") == 2
 
 
-def test_an_option_that_does_not_exist_is_answered_with_the_one_that_was_meant(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_unknown_option_is_answered_with_the_one_that_was_meant(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code_of("serve", "--prot", "9191") == 2
     said = capsys.readouterr().err
     assert said.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
 
 
 @pytest.mark.usefixtures("alone")
-def test_a_start_that_fails_is_one_line_and_exit_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_start_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def fail(*_arguments: object) -> None:
         raise StartError("port in use: 127.0.0.1:9090")
 

@@ -143,9 +143,7 @@ OVERRIDDEN = {
 
 
 @pytest.mark.parametrize(("text", "words"), OVERRIDDEN.values(), ids=OVERRIDDEN.keys())
-def test_a_wrong_value_in_the_file_is_refused_also_where_the_command_line_overrides_it(
-    file: Path, text: str, words: str
-) -> None:
+def test_a_wrong_value_in_the_file_is_refused_under_the_command_line_as_well(file: Path, text: str, words: str) -> None:
     file.write_text(text)
     with pytest.raises(ConfigurationError, match=words):
         load(file, {"server": {"port": 1}})

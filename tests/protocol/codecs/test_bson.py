@@ -60,13 +60,7 @@ def test_unsigned_integers_beyond_bson_go_out_as_floats():
 
 @pytest.mark.parametrize(
     "value",
-    [
-        dt.datetime(2020, 1, 1, tzinfo=dt.UTC),
-        Regex("a"),
-        Code("a"),
-        pymongo_bson.ObjectId(),
-        {"$ref": "a", "$id": 1},
-    ],
+    [dt.datetime(2020, 1, 1, tzinfo=dt.UTC), Regex("a"), Code("a"), pymongo_bson.ObjectId(), {"$ref": "a", "$id": 1}],
 )
 def test_types_that_json_has_not_are_refused_by_name(value):
     with pytest.raises(FrameError, match="type"):

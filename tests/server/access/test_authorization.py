@@ -27,11 +27,7 @@ REGISTRY = Registry.load()
 SERVER, SEVERAL = with_server_rules(Graph(REGISTRY)), with_server_rules(Graph(REGISTRY), "left", "right")
 
 # The server listens to these, as far as the tests are about them.
-STOPS = {
-    "/stop": "std_msgs/Empty",
-    "/emergency_stop": "std_msgs/Empty",
-    "/move_group/cancel": "actionlib_msgs/GoalID",
-}
+STOPS = {"/stop": "std_msgs/Empty", "/emergency_stop": "std_msgs/Empty", "/move_group/cancel": "actionlib_msgs/GoalID"}
 
 
 class World:
@@ -426,9 +422,7 @@ IN_OPTIONS, IN_CALL = permissions.PLANNING_GOAL, permissions.CALLED_GOAL
         (IN_CALL, None, False),
     ],
 )
-def test_a_goal_says_in_its_options_or_itself_that_it_only_asks_for_a_plan(
-    rule: permissions.Rule, goal: object, planned_only: bool
-) -> None:
+def test_a_goal_may_only_ask_for_a_plan(rule: permissions.Rule, goal: object, planned_only: bool) -> None:
     assert authorization.plans_only(rule, goal) is planned_only
 
 

@@ -246,9 +246,7 @@ def test_a_client_is_told_what_it_is_called_and_what_it_may_do(world: World) -> 
     assert json.loads(answered["message"]) == told
 
 
-async def test_over_sockets_one_drives_others_are_answered_and_anyone_stops(
-    client: ArmClient, served: ServerOnBus
-) -> None:
+async def test_over_sockets_one_drives_others_are_told_and_anyone_stops(client: ArmClient, served: ServerOnBus) -> None:
     async with arm_client(served.server.url) as other:
         for each in (client, other):
             await each.say("subscribe", topic="/moveit_goal_result", type="moveit_msgs/MoveItErrorCodes")

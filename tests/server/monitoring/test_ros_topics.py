@@ -105,9 +105,7 @@ LEVELS = {
 
 
 @pytest.mark.parametrize(("state", "changes", "of_arm", "of_servo", "words"), LEVELS.values(), ids=LEVELS.keys())
-def test_a_complaint_is_told_of_the_servo_and_of_the_arm(
-    state: ArmState, changes: dict[str, Any], of_arm: int, of_servo: int, words: str
-) -> None:
+def test_one_servo_complains(state: ArmState, changes: dict[str, Any], of_arm: int, of_servo: int, words: str) -> None:
     arm, servo = statuses(state, replace(HEALTH, **changes))
     assert (arm["level"], servo["level"]) == (of_arm, of_servo)
     assert arm["message"].startswith(str(state.fault or ""))
@@ -308,9 +306,7 @@ async def test_loggers_without_end_are_refused(graph: Graph) -> None:
 @pytest.mark.parametrize(
     ("service", "field", "entry"), [(GET_LEVELS, "names", "armbridge"), (SET_LEVELS, "levels", {})]
 )
-async def test_more_than_there_are_loggers_are_refused_at_once(
-    graph: Graph, service: str, field: str, entry: object
-) -> None:
+async def test_more_than_all_loggers_are_refused_at_once(graph: Graph, service: str, field: str, entry: object) -> None:
     responses: list[Any] = []
     graph.services.call(CALLER, service, {field: [entry] * (MAX_REQUESTED + 1)}, responses.append)
     assert (responses[0].ok, responses[0].values) == (

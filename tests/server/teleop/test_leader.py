@@ -169,8 +169,6 @@ def test_pairs_name_who_follows_whom() -> None:
         (JOINTS, ([], []), float("nan"), "scale: must be above 0 and at most 2, not nan"),
     ],
 )
-def test_a_map_that_does_not_fit_is_refused_with_the_field(
-    leader: list[str], pairs: tuple[list[str], list[str]], scale: float, said: str
-) -> None:
+def test_a_wrong_map_is_refused(leader: list[str], pairs: tuple[list[str], list[str]], scale: float, said: str) -> None:
     with pytest.raises(ServiceError, match=said):
         joint_map(ROBOT, "", leader, scale=scale, pairs=pairs)

@@ -95,9 +95,7 @@ def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:
         ("", "/joint_states", "/joint_states"),
     ],
 )
-async def test_names_lose_the_namespace_of_this_server_and_no_other_on_their_way_in(
-    alone: Network, namespace: str, there: str, here: str
-) -> None:
+async def test_names_lose_this_server_s_namespace_alone(alone: Network, namespace: str, there: str, here: str) -> None:
     found = replace(alone, tokens=LivelinessTokens(0, "us", namespace))
     assert found.to_local(there) == here
     assert found.is_local(there) == there.startswith(f"{namespace}/")

@@ -165,17 +165,13 @@ async def test_a_relaxed_follower_does_not_begin(client: ArmClient) -> None:
         ({"follower": "", "leader": "leader", "scale": -1.0}, "scale: must be above 0"),
     ],
 )
-async def test_a_following_that_cannot_be_is_refused_in_one_sentence(
-    client: ArmClient, request_: dict[str, Any], said: str
-) -> None:
+async def test_an_impossible_following_is_refused(client: ArmClient, request_: dict[str, Any], said: str) -> None:
     refused = await client.call("/teleop/start", **request_)
     assert not refused["success"]
     assert refused["message"].startswith(said)
 
 
-async def test_the_follower_stops_before_what_stands_in_the_way_of_its_joints(
-    client: ArmClient, hand: EmulatorControl
-) -> None:
+async def test_the_follower_stops_before_an_obstacle_to_its_joints(client: ArmClient, hand: EmulatorControl) -> None:
     await start(client, leader="leader")
     # A wall beside the follower's gripper, which reaches 0.39 m forward from its foot at y = 0.4 m.
     wall = box("wall", at=pose(0.3, 0.55, 0.15), frame="world")

@@ -65,9 +65,7 @@ def assert_no_jump(states: list[dict[str, Any]]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-async def test_a_fault_on_either_bus_ends_the_following_once_and_without_a_jump(
-    server: RunningServer, folder: Path, seed: int
-) -> None:
+async def test_a_fault_ends_the_following_once_without_a_jump(server: RunningServer, folder: Path, seed: int) -> None:
     random = np.random.default_rng(seed)
     bus = ("leader", "follower")[seed % 2]
     fault = sorted(FAULTS)[int(random.integers(len(FAULTS)))]

@@ -14,12 +14,7 @@ from planners.problem import CartesianProblem, Line, MoveItErrorCode
 from planners.scene import Pose
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory
-from server.moveit.services.cartesian_path import (
-    JumpThresholds,
-    cut_lines,
-    first_jump,
-    length_m,
-)
+from server.moveit.services.cartesian_path import JumpThresholds, cut_lines, first_jump, length_m
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, TIP, ServiceRig, point
 from tests.helpers.resources import examples

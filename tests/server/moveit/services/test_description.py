@@ -357,9 +357,7 @@ def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
-def test_a_machines_clock_that_is_set_neither_silences_transforms_nor_brings_more(
-    screen: Screen, jump_s: float
-) -> None:
+def test_a_clock_that_is_set_neither_silences_transforms_nor_brings_more(screen: Screen, jump_s: float) -> None:
     for tick in range(100):
         screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
     assert len(screen.heard) == pytest.approx(1 + 50, abs=1)

@@ -5,7 +5,6 @@ import base64
 import json
 import shutil
 import subprocess
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,9 +76,8 @@ async def listen(url: str, topics: set[str]) -> Heard:
 
 
 @pytest.fixture(scope="module")
-def heard() -> Iterator[Heard]:
-    with RunningServer() as server:
-        yield asyncio.run(listen(server.url, shown_topics() | set(SHOWN_UNASKED)))
+def heard(server: RunningServer) -> Heard:
+    return asyncio.run(listen(server.url, shown_topics() | set(SHOWN_UNASKED)))
 
 
 @pytest.fixture(scope="module")

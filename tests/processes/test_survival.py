@@ -8,6 +8,7 @@ import socket
 import subprocess
 import time
 from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
 
 import psutil
 import pytest
@@ -173,16 +174,28 @@ async def deaf_client(url: str) -> ClientConnection:
     return deaf
 
 
-async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it() -> None:
+# Python runs a module of this name at its start: the arm process waits there for a file.
+WAITING_ARM = """
+import pathlib, sys, time
+while "robot.control.loop" in sys.orig_argv and not pathlib.Path(__file__).with_name("begin").exists():
+    time.sleep(0.01)
+"""
+
+
+async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(WAITING_ARM)
     port = free_port()
-    command = run_command(f"--port {port}")
-    with running(command, cwd=ROOT, stderr=subprocess.DEVNULL) as process:
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    with running(run_command(f"--port {port}"), cwd=ROOT, stderr=subprocess.DEVNULL, env=environment) as process:
         async with frame_client(await until_open(port)) as client:
             await client.open_goals()
             await client.subscribe(STATE, "diagnostic_msgs/DiagnosticStatus")
             first = (await client.until(STATE, bool))[0]
             assert first["message"] == "the arm is not connected: the arm process is starting"
-            await reaches(client)
+            await client.publish("/moveit_goal_joints", NEAR)
+            await client.until("/moveit_goal_status", bool)
+            (tmp_path / "begin").touch()
+            assert (await client.until(RESULT, bool))[0]["val"] == 1
         process.terminate()
         assert await asyncio.to_thread(process.wait, 30.0) == 0
 

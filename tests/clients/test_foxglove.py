@@ -95,11 +95,8 @@ def decoded(heard: Heard, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return messages
 
 
-def test_every_panel_has_its_place_and_its_settings() -> None:
+def test_every_panel_has_its_place_and_its_topics_are_readable(heard: Heard, decoded: dict[str, Any]) -> None:
     assert sorted(placed(LAYOUT["layout"])) == sorted(PANELS)
-
-
-def test_every_topic_that_is_shown_is_there_and_readable(heard: Heard, decoded: dict[str, Any]) -> None:
     assert shown_topics() <= heard.types.keys()
     assert decoded.keys() == shown_topics() | set(SHOWN_UNASKED)
 

@@ -118,11 +118,8 @@ def test_a_topic_is_subscribed_compressed(of_javascript: Heard, compression: str
     assert len(state["position"]) == 6
 
 
-def test_a_message_goes_from_one_client_to_another(answers: Heard) -> None:
+def test_a_message_goes_to_another_client_and_a_goal_moves_the_arm(answers: Heard) -> None:
     assert answers["relayed"] == "hello"
-
-
-def test_a_goal_moves_the_arm(answers: Heard) -> None:
     assert answers["goal"]["val"] == 1
 
 

@@ -162,7 +162,7 @@ def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: Runni
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]
         wave.send_signal(signal.SIGINT)
-        rest, _ = wave.communicate(timeout=20)
+        rest, _ = wave.communicate(timeout=EXAMPLE_TIMEOUT_S)
     assert lines == ["there\n", "there\n"]
     assert wave.returncode == 0
     assert rest.splitlines()[-1] == "the arm does not move"
@@ -175,7 +175,7 @@ def test_the_wave_tells_why_it_may_not_move_the_arm(server: RunningServer) -> No
         assert wave.stdout is not None
         sentence = next(line for line in wave.stdout if line != "there\n")
         wave.send_signal(signal.SIGINT)
-        wave.communicate(timeout=20)
+        wave.communicate(timeout=EXAMPLE_TIMEOUT_S)
     assert "has controlled the arm since" in sentence
 
 

@@ -200,18 +200,12 @@ def test_files_folders_and_their_size_are_bounded(tmp_path: Path, monkeypatch: p
     assert "more than 2 folders to look through" in problem(tmp_path / "empty")
 
 
-def test_a_folder_without_interfaces_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_interfaces_or_with_a_bad_package_xml_is_refused(tmp_path: Path) -> None:
     assert problem(package(tmp_path / "tools")).endswith("has msg/*.msg, srv/*.srv or action/*.action files")
     assert problem(tmp_path / "nowhere").endswith("nowhere: wanted a folder with ROS packages, and there is none")
-
-
-def test_a_package_xml_that_is_none_is_told_with_its_line(tmp_path: Path) -> None:
     folder = package(tmp_path / "my_msgs", ("msg/A.msg", ""))
     (folder / "package.xml").write_text("<package>\n<name>my_msgs</nam>")
     assert "my_msgs/package.xml:2: is no XML" in problem(folder)
-
-
-def test_a_name_that_no_package_can_have_is_refused(tmp_path: Path) -> None:
     told = problem(package(tmp_path / "my-msgs", ("msg/A.msg", "")))
     assert told.endswith("my-msgs/package.xml: 'my-msgs': wanted a package's name of letters, digits and underscores")
 

@@ -53,12 +53,9 @@ def test_without_a_token_everybody_drives_where_there_are_none_and_may_look_wher
     assert tokens(token=ONE, without_token="view").anonymous == Identity("", Role.VIEW)
 
 
-def test_a_server_that_lets_nobody_in_is_refused() -> None:
+def test_tokens_of_nobody_or_of_two_owners_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"without_token: none lets nobody in.*set access\.token"):
         tokens(without_token="none")
-
-
-def test_a_token_of_two_owners_is_refused_without_being_shown() -> None:
     with pytest.raises(ConfigurationError, match="otto and screen have the same token") as refused:
         tokens(operate_tokens={"otto": ONE}, view_tokens={"screen": ONE})
     assert ONE not in str(refused.value)

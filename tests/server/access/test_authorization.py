@@ -349,13 +349,10 @@ def test_without_limits_all_drive_at_once() -> None:
         assert authorizer.publishing("/moveit_goal_named", {}) is None
 
 
-async def test_every_service_of_the_server_stands_in_the_table_and_no_other(client: ArmClient) -> None:
+async def test_every_service_and_action_of_the_server_stands_in_the_table_and_no_other(client: ArmClient) -> None:
     offered = set((await client.call("/rosapi/services"))["services"])
     cancelling = {name for name in offered if name.endswith(authorization.CANCEL_SERVICE)}
     assert offered - cancelling == set(SERVER.services.rules)
-
-
-async def test_every_action_of_the_server_but_that_of_transforms_drives(client: ArmClient) -> None:
     offered = (await client.call("/rosapi/action_servers"))["action_servers"]
     assert set(offered) == set(SERVER.actions.rules)
     assert [name for name in offered if not authorization.rule_of_action(name, SERVER).drives] == [description.ACTION]

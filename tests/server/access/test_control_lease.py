@@ -253,6 +253,8 @@ async def test_over_sockets_one_drives_others_are_told_and_anyone_stops(client: 
         # Another test may have left the arm at either place.
         turned = (await client.until("/joint_states", bool))[-1]["position"][0] > 0.0
         goal = {"name": ["shoulder_pan"], "position": [-1.2 if turned else 1.2]}
+        # The motion lasts for all that follows, however busy the machine is.
+        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.02})
         await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
         await client.until_mode("moving")
 
@@ -266,4 +268,5 @@ async def test_over_sockets_one_drives_others_are_told_and_anyone_stops(client: 
 
         await other.goal("/stop", "std_msgs/Empty", {})
         stopped = (await client.until("/moveit_goal_result", bool))[0]
+        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
         assert (stopped["val"], "/stop" in stopped["message"]) == (-7, True)

@@ -251,12 +251,9 @@ async def test_parking_is_refused_where_there_is_no_rest_pose(monkeypatch: pytes
     assert "name one by arm.park_state" in answer.message
 
 
-def test_a_rest_pose_that_does_not_exist_is_refused_with_those_that_do() -> None:
+def test_a_rest_pose_is_one_of_the_srdf() -> None:
     with pytest.raises(ConfigurationError, match=r"arm\.park_state: the SRDF has no state 'bed', but closed, extended"):
         rest_pose(ROBOT, ArmSettings(park_state="bed"))
-
-
-def test_an_arm_whose_description_has_no_such_state_has_no_rest_pose() -> None:
     assert rest_pose(replace(ROBOT, park_state="bed"), ArmSettings()) is None
 
 

@@ -301,12 +301,9 @@ def test_a_public_address_needs_a_token_or_the_option_insecure(addresses: list[s
     assert addresses[-1] in str(refused.value)
 
 
-def test_with_tokens_it_is_served_without_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_tokens_need_no_warning_and_an_insecure_address_one_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
     check_exposure("0.0.0.0", EVERYWHERE, WITH_TOKEN, insecure=False)
     assert not caplog.records
-
-
-def test_an_insecure_address_is_warned_of_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(2):
         check_exposure("0.0.0.0", EVERYWHERE, WITHOUT_TOKENS, insecure=True)
     assert caplog.text.count("INSECURE: anyone at 0.0.0.0 may connect without a token as admin") == 2

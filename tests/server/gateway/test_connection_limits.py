@@ -194,12 +194,9 @@ async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(capl
     assert caplog.text.count("new connections come too often; the limit is 5 a second") == 1
 
 
-def test_in_the_long_run_so_many_a_second() -> None:
+def test_a_rate_allows_a_burst_and_so_many_a_second() -> None:
     rate = RateLimiter(2.0, 1)
     assert [rate.take(100.0 + step / 10) for step in range(11)] == [step % 5 == 0 for step in range(11)]
-
-
-def test_a_long_rest_saves_up_a_burst_and_no_more() -> None:
     rate = RateLimiter(1.0, 2)
     assert [rate.take(1e6) for _ in range(3)] == [True, True, False]
 

@@ -160,13 +160,10 @@ def test_a_simulated_servo_has_the_advice_for_simulated_ones() -> None:
     assert told["advice"].endswith(SIMULATED_REMEDIES[FaultCode.OVERLOAD])
 
 
-def test_a_servo_that_is_not_read_is_stale() -> None:
+def test_what_says_nothing_more_is_stale() -> None:
     assert statuses(health=replace(HEALTH, joints=(replace(SERVO, age_s=2.0),)))[1]["level"] == 3
     assert statuses(health_age_s=4.0)[1]["level"] == 3
     assert statuses(replace(STATE, mode=Mode.DISCONNECTED))[1]["level"] == 3
-
-
-def test_an_arm_process_that_says_nothing_more_is_stale() -> None:
     arm = statuses(state_age_s=4.0)[0]
     assert (arm["level"], arm["message"]) == (3, "the last state of the arm is 4.0 s old")
 

@@ -538,6 +538,9 @@ export interface MoveitGoalRequest {
   velocity_scaling: number;
   acceleration_scaling: number;
   plan_only: boolean;
+  optimization: string;
+  optimization_time: number;
+  allowed_planning_time: number;
 }
 
 /** armbridge_msgs/msg/GoalTarget */
@@ -918,6 +921,9 @@ export interface MoveitGoalGoal {
   velocity_scaling: number;
   acceleration_scaling: number;
   plan_only: boolean;
+  optimization: string;
+  optimization_time: number;
+  allowed_planning_time: number;
 }
 
 /** armbridge_msgs/action/MoveitGoal_Result */

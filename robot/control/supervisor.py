@@ -16,7 +16,6 @@ from robot.control.pacing import PERIOD_S, LoopClock, Pacer, Scheduling
 from robot.control.parking import Parking, Stage
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
-from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface, Steps, run_to_end
 from robot.logs import LogLimiter
 from robot.messages import (
@@ -81,18 +80,6 @@ _NAMES = {
 Send = Callable[[object, bool], None]
 
 
-def stays_at_rest(hardware: HardwareConfig) -> bool:
-    """Return True for simulated hardware that at rest has nothing to see: no lost replies, and nobody's hand on it."""
-    match hardware:
-        case IdealConfig():
-            return True
-        case EmulatedConfig():
-            lossless = not hardware.drop and not hardware.corrupt
-            return hardware.kind == "feetech" and lossless and hardware.control is None
-        case _:
-            return False
-
-
 class Supervisor:
     """Supervisor of one arm; it sends messages, with True for those to drop while the server does not read."""
 
@@ -117,7 +104,6 @@ class Supervisor:
         self._retry_s = FIRST_RETRY_S
         self._check_at_s = clock()
         self._state_due, self._health_due = self._ticks_per_state, HEALTH_PERIOD_TICKS
-        self._undisturbed = stays_at_rest(config.hardware)
         self._observed = True
         self._rested_ticks = 0
         self._server_lost = False
@@ -203,7 +189,7 @@ class Supervisor:
         controller = self._controller
         if not self._config.hardware.simulated or controller is None or self._task or not controller.resting:
             return 0
-        if not self._observed and self._rested_ticks >= SETTLED_TICKS and self._undisturbed:
+        if not self._observed and self._rested_ticks >= SETTLED_TICKS and self._config.hardware.stays_at_rest:
             return IDLE_SPARE_TICKS
         return SPARE_TICKS if self._ticks_per_state > SPARE_TICKS else 0
 

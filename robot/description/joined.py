@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from robot.description import model
+from robot.description.meshes import find_mesh
 from robot.description.model import Gripper, Joint, JointLimits, RobotModel
-from robot.description.urdf import find_mesh, origin_transform
+from robot.description.urdf import origin_transform
 from robot.errors import DescriptionError
 
 COMMON_LINK = "world"  # the link on which all arms stand, which is the planning frame

@@ -169,7 +169,7 @@ class HardwareInterface(ABC):
     def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
         """Clear latched status flags where joints are; return all goals, shape (joints,) [rad], None if none holds."""
 
-    def write_calibration(self, calibration: Calibration) -> Steps[str]:  # noqa: ARG002 - for those who can
+    def write_calibration(self, calibration: Calibration) -> Steps[str]:
         """Write a calibration into relaxed actuators; return a sentence. Raises OrderRefused or StartupError."""
         yield 0.0
         raise OrderRefused(CALIBRATION_NOT_KEPT)

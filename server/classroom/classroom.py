@@ -52,12 +52,7 @@ class ClassroomOptions:
 
 
 def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
-    """Run a classroom until SIGINT or SIGTERM.
-
-    Raises:
-        ConfigurationError: settings that contradict each other, the robot, or a classroom.
-        StartError: a port is in use, or the folder cannot be used.
-    """
+    """Run a classroom until a signal; raises ConfigurationError for settings, StartError for a port or the folder."""
     _check_settings(settings)
     description = Description.read(settings.arm)
     check_parameters(settings.moveit, description.robot)

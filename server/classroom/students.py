@@ -38,11 +38,7 @@ class Student:
     folder: Path
 
     def settings(self, base: Settings, teacher_token: str) -> Settings:
-        """Return the settings of the student's server.
-
-        Raises:
-            ConfigurationError: they name a token or a name twice.
-        """
+        """Return the settings of the student's server; raises ConfigurationError for a token or a name given twice."""
         access, recording = base.access, base.recording
         operators, admins = dict(access.operate_tokens), dict(access.admin_tokens)
         if self.name in operators or TEACHER in admins:

@@ -26,11 +26,7 @@ from server.lifecycle import Feature
 
 
 class Clients(Feature):
-    """The listener, and the service that issues tokens for it.
-
-    Raises:
-        ConfigurationError: the certificate cannot be used.
-    """
+    """Listener, and the service that issues tokens for it; raises ConfigurationError for a certificate of no use."""
 
     name = "clients"
     deadline_s = 0.6

@@ -69,22 +69,18 @@ Watcher: TypeAlias = Callable[[PublishedMessage, bool], None]
 
 @dataclass(frozen=True)
 class Subscriber:
-    """Subscription of a node to a topic.
+    """Subscription of a node to a topic."""
 
-    Attributes:
-        deliver: called with every message, at once and in order. It raises GraphError for a message that the server
-            refuses: the other subscribers get it, and the publisher gets the sentence.
-        on_invalid: called with the error when somebody publishes what the topic's type does not allow.
-        on_unauthorized: called with a message, empty when it cannot be read, its sender, and the reason why that sender
-            may not publish it.
-        rule: requirements of publishing, where a part of the server subscribes.
-    """
-
+    # Called with every message, at once and in order. It raises GraphError for a message that the server refuses: the
+    # other subscribers get it, and the publisher gets the sentence.
     deliver: Callable[[PublishedMessage], None]
+    # Called with the error when somebody publishes what the topic's type does not allow.
     on_invalid: Callable[[MessageError], None] | None = None
+    # Called with a message, empty when it cannot be read, its sender, and the reason why that sender may not publish
+    # it.
     on_unauthorized: Callable[[Mapping[str, Any], Node, str], None] | None = None
     check_lists: CheckLists | None = None
-    rule: Rule | None = None
+    rule: Rule | None = None  # requirements of publishing, where a part of the server subscribes
 
 
 @dataclass
@@ -111,13 +107,7 @@ class Topic:
 
 
 class Graph:
-    """All topics, services and actions.
-
-    Attributes:
-        rules: rules of publishing on the topics that local parts subscribe to, by name.
-        remarks: sentences for the clients that publish on a topic, by name.
-        revision: number of changes in who publishes, latches or subscribes to which topic.
-    """
+    """All topics, services and actions."""
 
     def __init__(
         self,
@@ -143,9 +133,9 @@ class Graph:
         self._subscriptions: Index[Node, str] = Index()
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
-        self.rules: dict[str, Rule] = {}
-        self.remarks: Mapping[str, str] = {}
-        self.revision = 0
+        self.rules: dict[str, Rule] = {}  # rules of publishing on the topics that local parts subscribe to, by name
+        self.remarks: Mapping[str, str] = {}  # sentences for the clients that publish on a topic, by name
+        self.revision = 0  # number of changes in who publishes, latches or subscribes to which topic
 
     def remark(self, remarks: Mapping[str, str]) -> None:
         """Have clients that publish on these topics, and on no others, get the sentences as warnings."""
@@ -211,11 +201,14 @@ class Graph:
         topic = self._topics.get(name)
         return topic is not None and bool(topic.latching)
 
+    def latched(self, name: str) -> PublishedMessage | None:
+        """Return the latched message of a topic, given by its fully qualified name."""
+        return self._latched_messages.latched(name, self._clock())
+
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False, depth: int = 0) -> None:
         """Register ``node`` as publisher; raises GraphError for an unknown type, or another type than the topic's.
 
-        Args:
-            depth: number of the server's last messages that a new subscriber gets.
+        A new subscriber gets the server's last ``depth`` messages.
         """
         topic = self._topic(name, type_name, node)
         topic.depth = max(topic.depth, depth)

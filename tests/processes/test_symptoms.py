@@ -21,17 +21,18 @@ from harness.waiting import wait_until
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
-from robot.hardware import port
+from robot.hardware import boards
+from robot.hardware.boards import resolve_port
 from robot.hardware.config import SerialConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
 from robot.hardware.interface import StatusFlag
-from robot.hardware.port import _refusal, resolve_port
+from robot.hardware.port import _refusal
 from robot.messages import ArmState, Mode, Order
 from server.arm.topics import LEVEL_ERROR, LEVEL_OK
 from server.commands.terminal import ExitCode
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
-from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator, goal_block
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101_SERVOS
 from tests.server.commands.conftest import Run, armbridge, emulator  # noqa: F401 - fixtures
@@ -90,7 +91,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPort
     found: list[ListPortInfo] = []
     monkeypatch.setattr(list_ports, "comports", lambda: found)
     for name in ("NAMES_BY_DEVICE", "NAMES_BY_SOCKET", "KERNEL_RELEASE", "BOARD_MODEL"):
-        monkeypatch.setattr(port, name, tmp_path / name)
+        monkeypatch.setattr(boards, name, tmp_path / name)
     return found
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import shutil
 import socket
@@ -114,6 +115,22 @@ def test_no_port_means_emulated_servos_with_the_faults_that_are_set(tmp_path: Pa
     assert hardware_of(emulator=emulator) == wanted
     files = described(tmp_path, so101().urdf, so101().srdf)
     assert hardware_of(arm=ArmSettings(**files, calibration=calibrated(tmp_path)), emulator=emulator) == wanted
+
+
+def test_physics_moves_every_kind_of_simulated_arm_and_no_real_one() -> None:
+    for robot, kind in (("so101", EmulatedConfig), ("koch_v1_1", EmulatedConfig), ("fetch", IdealConfig)):
+        hardware = hardware_of(arm=ArmSettings(robot=robot, simulation="physics"))
+        assert isinstance(hardware, kind)
+        assert hardware.physics
+        assert hardware_of(arm=ArmSettings(robot=robot)) == replace(hardware, physics=False)
+    with pytest.raises(ConfigurationError, match=r"arm\.simulation: the arm at /dev/arm is real; leave it out"):
+        hardware_of(arm=ArmSettings(serial="/dev/arm", simulation="physics"))
+
+
+def test_physics_without_mujoco_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(ConfigurationError, match=r"physics needs MuJoCo: pip install 'armbridge\[physics\]'"):
+        hardware_of(arm=ArmSettings(simulation="physics"))
 
 
 def test_a_koch_has_dynamixel_servos_on_a_port_and_emulated() -> None:

@@ -47,6 +47,7 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.steps import StepOf
 
 TIMEOUT_S = 30.0
 
@@ -61,7 +62,7 @@ def to(**positions_rad: float) -> PlannedMotion:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("arm", start_rad, JointGoal(positions_rad))
 
-    return PlannedMotion((problem,), frozenset(ARM))
+    return PlannedMotion((StepOf(problem),), frozenset(ARM))
 
 
 @dataclass
@@ -347,7 +348,7 @@ async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion
         stage.scene, stage.contact = Scene(2), WALL
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
 
-    await stage.begin(PlannedMotion((change,), frozenset(ARM)))
+    await stage.begin(PlannedMotion((StepOf(change),), frozenset(ARM)))
     assert (await stage.answer()).code is WALL.code
     assert stage.arm.played == []
 
@@ -357,7 +358,7 @@ async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: S
         stage.arm.put(shoulder_pan=0.3)
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
 
-    await stage.begin(PlannedMotion((move,), frozenset(ARM)))
+    await stage.begin(PlannedMotion((StepOf(move),), frozenset(ARM)))
     await stage.arrive()
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
 
@@ -621,7 +622,7 @@ def fingers() -> PlannedMotion:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("gripper", start_rad, JointGoal({"gripper": 0.5}))
 
-    return PlannedMotion((problem,), frozenset(("gripper",)))
+    return PlannedMotion((StepOf(problem),), frozenset(("gripper",)))
 
 
 async def test_a_motion_that_begins_during_the_last_check_is_checked_as_well(stage: Stage) -> None:

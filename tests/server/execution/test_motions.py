@@ -35,6 +35,7 @@ from server.execution.motions import (
 )
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
+from tests.helpers.steps import StepOf
 
 START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})
@@ -44,7 +45,7 @@ def to(position_rad: float) -> Step:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("arm", dict(start_rad), JointGoal({"a": position_rad}))
 
-    return problem
+    return StepOf(problem)
 
 
 class Planning:
@@ -92,7 +93,7 @@ async def test_a_step_without_a_problem_is_not_planned() -> None:
     def refusing(_start_rad: Positions) -> PlanningProblem:
         raise RefusedError(WALL)
 
-    planned = await plan_sequence([refusing], START, EMPTY_SCENE, planning.ask)
+    planned = await plan_sequence([StepOf(refusing)], START, EMPTY_SCENE, planning.ask)
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 

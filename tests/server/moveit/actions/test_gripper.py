@@ -212,7 +212,7 @@ async def test_a_gripper_whose_goal_ends_by_an_error_is_braked() -> None:
     assert len(grippers.arm.stops) == 1
 
 
-@pytest.mark.parametrize(("velocity", "told"), [(1e-3, "1000"), (5e-324, "inf")])
+@pytest.mark.parametrize(("velocity", "told"), [(1e-3, "1000"), (5e-324, "1e+08")])
 async def test_a_gripper_motion_that_takes_too_long_is_refused(velocity: float, told: str) -> None:
     grippers = Grippers()
     await grippers.send(velocity=[velocity])

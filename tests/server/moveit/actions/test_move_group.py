@@ -178,7 +178,7 @@ async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn
     motion = planned_motion(asked(GOAL), rig.context)
     assert isinstance(motion, PlannedMotion)
     later_rad = {**HOME, "elbow_flex": 0.2}
-    problem = motion.steps[0](later_rad)
+    problem = motion.steps[0].problem(later_rad)
     assert isinstance(problem, PlanningProblem)
     assert problem.start_rad == later_rad
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from planners.problem import MoveItErrorCode, PlanningProblem
 from server.graph.node import Node
 from server.moveit.requests.planning_context import MAX_START_BOUNDS_ERROR_RAD, start_positions
+from server.moveit.requests.planning_problems import RequestStep
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome, rejection
 
@@ -89,8 +90,8 @@ def request(**fields):
 
 
 def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
-    step = rig.context.problems.step(request())
+    step = RequestStep(rig.context.problems, request())
     for start_rad in (HOME, HOME | {"wrist_roll": 0.3}):
-        problem = step(start_rad)
+        problem = step.problem(start_rad)
         assert isinstance(problem, PlanningProblem)
         assert problem.start_rad == start_rad

@@ -14,13 +14,10 @@ TOKEN = "t" * 24
 HOST = "127.0.0.1"
 
 
-def test_ports_follow_the_first_and_free_ones_and_tokens_are_all_different(tmp_path: Path) -> None:
+def test_ports_follow_the_first_and_end_where_ports_end(tmp_path: Path) -> None:
     assert [student.port for student in places(3, 9100, tmp_path, HOST)] == [9100, 9101, 9102]
     students = places(20, 0, tmp_path, HOST)
     assert len({student.port for student in students}) == len({student.token for student in students}) == 20
-
-
-def test_ports_that_do_not_exist_are_refused_with_the_last_that_does(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="65530 to 65539, there are none above 65535"):
         places(10, 65_530, tmp_path, HOST)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import json
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from importlib import metadata
@@ -19,6 +20,7 @@ from server.features.context import ArmContext, ServerContext
 from server.gateway import http_goals
 from server.gateway.http import HttpHandler, HttpResponse, Route
 from server.gateway.listener import Listener
+from server.graph.node import Node
 from server.graph.permissions import NameFilter, Role, Rule
 from server.graph.services import MAX_TIMEOUT_S
 from server.graph.topics import Graph
@@ -39,10 +41,18 @@ class Clients(Feature):
         self.listener = Listener(
             context.graph,
             context.settings.server,
-            HttpHandler(context.planning.robot, routes=self.routes, post_routes={http_goals.PATH: goals.answer}),
+            HttpHandler(
+                context.planning.robot,
+                routes=self.routes,
+                post_routes={http_goals.PATH: goals.answer},
+                classroom_ports=context.settings.server.classroom.values(),
+            ),
             access,
             takes_goals_along=stops,
         )
+        node = Node("classroom")
+        context.graph.advertise(node, CLASSROOM_TOPIC, "std_msgs/String", latch=True)
+        context.graph.publish(node, CLASSROOM_TOPIC, {"data": json.dumps(context.settings.server.classroom)})
         offer_one_time_tokens(
             context.graph, access.one_time_tokens, access.tokens, lambda: self.listener.page_urls_elsewhere
         )
@@ -53,6 +63,9 @@ class Clients(Feature):
     async def stop(self) -> None:
         await self.listener.close()
 
+
+# Names and ports of a classroom's servers; empty elsewhere.
+CLASSROOM_TOPIC = "/armbridge/classroom"
 
 PATH = "armbridge/interface.json"
 

@@ -111,9 +111,7 @@ def call_while_planning(world: InProcess, role: Role, service: str, count: int, 
         (Role.OPERATE, 64, "/left/moveit_goal", {"args": {"plan_only": True}}),
     ],
 )
-def test_calls_of_services_that_plan_are_limited_by_role(
-    role: Role, limit: int, service: str, fields: dict[str, Any]
-) -> None:
+def test_calls_that_plan_are_limited_by_role(role: Role, limit: int, service: str, fields: dict[str, Any]) -> None:
     world = InProcess(arms=("left", "right"))
     started = call_while_planning(world, role, service, limit + 1, **fields)
     assert len(started) == limit

@@ -10,13 +10,7 @@ from server.errors import GraphError
 from server.graph import latching, topics
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
-from server.graph.topics import (
-    MAX_TOPICS_FOR_VIEWERS,
-    MAX_TOPICS_OF_PUBLISHER,
-    UNREGISTER_TIMEOUT_S,
-    Graph,
-    Subscriber,
-)
+from server.graph.topics import MAX_TOPICS_FOR_VIEWERS, MAX_TOPICS_OF_PUBLISHER, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls
 

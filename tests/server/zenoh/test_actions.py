@@ -157,9 +157,7 @@ async def test_a_goal_that_is_not_taken_on_is_rejected_and_the_log_says_why(capl
     assert "a goal of another machine to /grip is rejected: another goal has its id" in caplog.text
 
 
-async def test_goals_of_other_machines_need_their_role_and_the_control_of_the_arm(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_goals_of_other_machines_need_their_role_and_control_of_the_arm(caplog: pytest.LogCaptureFixture) -> None:
     async with networked(offer=(GRIP,), role="view") as (site, machine):
         goals = offered(site)
         assert not await ActionClient(machine).send()

@@ -60,11 +60,7 @@ def with_certificate(authority: Pair, folder: Path) -> Path:
     """zenoh's file of a machine that has a certificate, as the page shows it."""
     machine = make_signed_pair(folder, authority)
     (text,) = blocks(ROOT / "docs" / "zenoh.md", "json5")
-    paths = {
-        "authority.pem": authority.certificate,
-        "machine.pem": machine.certificate,
-        "machine.key": machine.key,
-    }
+    paths = {"authority.pem": authority.certificate, "machine.pem": machine.certificate, "machine.key": machine.key}
     for name, path in paths.items():
         text = text.replace(f'"{name}"', f'"{path}"')
     (folder / "zenoh.json5").write_text(text)
@@ -191,9 +187,7 @@ async def test_a_topic_of_a_client_that_does_not_go_out_is_warned_of_once(caplog
     assert edge.graph.remarks["/arm1/last"] == f"topic /arm1/last {reason}"
 
 
-async def test_an_error_does_not_end_the_sharing(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_sharing_outlives_an_error(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     port, refresh, failures = free_port(), OutgoingTopics.refresh, iter([True])
 
     def fail_once(topics: OutgoingTopics, foreign: frozenset[str]) -> None:

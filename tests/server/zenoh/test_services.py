@@ -110,9 +110,7 @@ async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
     assert "client has controlled the arm since" in failure(reply)
 
 
-async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(offered_services, "MAX_INCOMING_CALLS", 2)
     monkeypatch.setattr(offered_services, "MAX_INCOMING_STOPS", 1)
     enable = "/arm/enable"

@@ -11,6 +11,8 @@ from ruckig import Trajectory as Profile
 
 Vector = NDArray[np.float64]
 
+LEAST_LIMIT = 1e-8  # limits below it are taken as it: ruckig finds no profile for some of them
+
 # Acceleration reaches its limit within two ticks, in bridges and streams. Joints that reverse then follow their
 # velocities so closely that what steering keeps away from stays away: with 0.06 s, random sticks drove a Koch v1.1 3 mm
 # into a table that is kept 5 mm away (40 runs of 3.2 s, 10 of them nearer than 5 mm); with 0.02 s no run came nearer
@@ -123,7 +125,7 @@ def rest_to_rest(
     """Plan the fastest motion of one joint from rest to rest: a trapezoid of its velocity."""
     given, profile = InputParameter(1), Profile(1)
     given.current_position, given.target_position = [start_rad], [end_rad]
-    given.max_velocity, given.max_acceleration = [max_velocity], [max_acceleration]
+    given.max_velocity, given.max_acceleration = [max(max_velocity, LEAST_LIMIT)], [max(max_acceleration, LEAST_LIMIT)]
     Ruckig(1).calculate(given, profile)
     return _of_profile((joint,), profile)
 

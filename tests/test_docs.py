@@ -221,9 +221,7 @@ def section(page: str, heading: str) -> str:
 
 
 @pytest.mark.parametrize(("heading", "engine"), [("Unreal", UNREAL), ("Unity", UNITY)])
-def test_the_numbers_of_coordinates_agree_with_the_mirrored_axes(
-    heading: str, engine: tuple[np.ndarray, float]
-) -> None:
+def test_the_numbers_of_coordinates_agree_with_mirrored_axes(heading: str, engine: tuple[np.ndarray, float]) -> None:
     axes, unit_m = engine
     rows = re.findall(r"^" + r"\| \(([-\d., ]+)\) " * 4, section("engines.md", heading), re.MULTILINE)
     assert len(rows) >= 3

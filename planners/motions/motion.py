@@ -36,8 +36,8 @@ from planners.motions.path import (
     NOMINAL_CHECKS_PER_S,
     PROJECTED_SEARCH,
     RRT_CONNECT,
+    ConnectSearch,
     Project,
-    ProjectedSearch,
     Query,
     TreeSearch,
     curve_free,
@@ -214,22 +214,21 @@ class _Searching:
         self._rng = np.random.default_rng(task.seed)
         self._number = count()
         # Searches that have not found a path, and the step of their checks.
-        self._searches: dict[int, TreeSearch | ProjectedSearch] = {}
+        self._searches: dict[int, TreeSearch | ConnectSearch] = {}
         self._step_m = SEARCH_STEPS_M[0]
         self._finer = self._blocked_paths = 0
         self._lead = lead
         # Where no via point of the quickest is free, others hardly ever are.
         self._try_via_points = self._name == RRT_CONNECT
-        # Checks after which no shorter motion is looked for, and no other curve in this round; None without a curve.
-        self._last_check: float | None = None
-        self._round_end: float | None = None
+        # Checks after which no shorter motion is looked for, and no other curve in this round; infinite without one.
+        self._last_check = self._round_end = np.inf
 
     def best(self) -> Motion | None:
         """Return the shortest in time of the motions found while there is work to be done."""
         best: Motion | None = None
         searches = self._task.attempts if np.isfinite(self._task.optimization_time_s) else np.inf
-        while searches > 0 and not self._budget.used_up() and not (best and self._over(self._last_check)):
-            found = self._found(searches)
+        while searches > 0 and not self._budget.used_up() and not (best and self._space.checks >= self._last_check):
+            found = self._found(searches, has_motion=best is not None)
             searches -= len(found) // 2
             longest_s = np.inf if best is None else best.trajectory.duration_s
             shorter = [(method, curve) for method, curve in found if TICK_S * curve.duration_ticks < longest_s]
@@ -238,7 +237,7 @@ class _Searching:
             if shorter and motion is None:
                 self._finer = min(self._finer + 1, len(SEARCH_STEPS_M) - 1)
             if best is None and found:
-                searches, self._last_check = self._task.attempts, None
+                searches = self._task.attempts
         return best
 
     def _shortest(self, found: Sequence[tuple[str, Curve]]) -> Motion | None:
@@ -252,17 +251,18 @@ class _Searching:
                 return Motion(trajectory, method, next(reached))
         return None
 
-    def _found(self, searches: float) -> list[tuple[str, Curve]]:
+    def _found(self, searches: float, *, has_motion: bool) -> list[tuple[str, Curve]]:
         """Return the curves found in a round, and by which search: as they were and shortened."""
         found: list[tuple[str, Curve]] = []
-        self._round_end = None if self._last_check is None else self._space.checks + CHECKS_A_ROUND
+        self._round_end = self._space.checks + CHECKS_A_ROUND if has_motion else np.inf
+        self._last_check = self._last_check if has_motion else np.inf
         while len(found) < 2 * searches and not self._enough():
             method, path = self._path(next(self._number))
             if path is None:
                 continue
             curve = polyline(path, self._task.limits, self._task.window)
             curve = curve if self._lead is None else self._lead.then(curve)
-            if self._last_check is None:
+            if np.isinf(self._round_end):
                 self._last_check = self._space.checks + NOMINAL_CHECKS_PER_S * self._task.optimization_time_s
                 self._round_end = self._space.checks + CHECKS_A_ROUND
             shorter = smooth(curve, self._task.limits, self._free, self._rng, self._enough)
@@ -288,8 +288,8 @@ class _Searching:
             self._searches, self._step_m = {}, query.step_m
         running = self._searches.pop(number % SEARCHES, None)
         if running is None:
-            project, seed = self._task.project, self._task.seed + number
-            running = TreeSearch(query, self._name, seed) if project is None else ProjectedSearch(query, project, seed)
+            seed, ours = self._task.seed + number, self._name in (RRT_CONNECT, PROJECTED_SEARCH)
+            running = ConnectSearch(query, self._task.project, seed) if ours else TreeSearch(query, self._name, seed)
         most = self._space.checks + CHECKS_A_TURN
         path = running.run(lambda: self._space.checks >= most or self._enough())
         if path is None and (number // SEARCHES + 1) % TURNS_A_SEARCH:
@@ -308,10 +308,7 @@ class _Searching:
 
     def _enough(self) -> bool:
         """Tell whether a round has done its share of the work, or the budget is used up."""
-        return self._budget.used_up() or self._over(self._last_check) or self._over(self._round_end)
-
-    def _over(self, checks: float | None) -> bool:
-        return checks is not None and self._space.checks >= checks
+        return self._budget.used_up() or self._space.checks >= min(self._last_check, self._round_end)
 
 
 def smooth(

@@ -292,7 +292,6 @@ def _parts(path: Path) -> dict[str, tuple[NDArray[np.float64], ...]]:
 
 
 def _surfaces(path: Path) -> dict[str, LinkSurface]:
-    """Return where the surface of each link is; the planners read them."""
     try:
         with np.load(path, allow_pickle=False) as file:
             names = file.files

@@ -46,9 +46,7 @@ class Description:
         """Read the files named in the settings, or the built-in arm's files.
 
         A URDF alone means an ideal arm: only a robot's folder, a serial port or a calibration say that it has servos.
-
-        Raises:
-            ConfigurationError: a file that cannot be used, or that the arm has no use for.
+        Raises ConfigurationError for a file that cannot be used, or that the arm has no use for.
         """
         try:
             alone = settings.robot is None and settings.serial is None and settings.calibration is None
@@ -81,11 +79,7 @@ class Description:
 
 
 def arm_config(settings: Settings, description: Description) -> ArmConfig:
-    """Make the arm process's configuration.
-
-    Raises:
-        ConfigurationError: a setting of the emulated servos that cannot be used, or that this arm has no use for.
-    """
+    """Make the arm process's configuration; raises ConfigurationError for a setting that this arm cannot use."""
     arm = settings.arm
     return ArmConfig(
         robot=description.robot,
@@ -204,11 +198,7 @@ def _check_socket(path: Path) -> None:
 
 
 def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:
-    """Check the parameters against the robot.
-
-    Raises:
-        ConfigurationError: a group, link or frame that the robot does not have.
-    """
+    """Raise ConfigurationError for a group, link or frame that the robot does not have."""
     group, link, frame = (
         parameters.group_name,
         parameters.end_effector_link,

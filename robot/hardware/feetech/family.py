@@ -228,7 +228,6 @@ class Feetech(ServoFamily):
         return telemetry
 
     def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:
-        """Return acceleration, and time and velocity cap."""
         cap = Register.GOAL_VELOCITY.encode(math.ceil(speed_ticks_s))
         return Register.ACCELERATION.encode(ACCELERATION), Register.GOAL_TIME.encode(0) + cap
 

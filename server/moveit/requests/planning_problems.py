@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -41,7 +41,7 @@ from robot.trajectory import Vector
 from server.errors import RefusedError, invalid, refused
 from server.execution.motions import Joints, Positions, Step
 from server.graph.list_limits import ListLimits
-from server.moveit.messages import Message, check_finite
+from server.moveit.messages import Message, check_finite, composed
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
     MAX_KINEMATICS_TIMEOUT_S,
@@ -180,9 +180,15 @@ class ProblemBuilder:
         """Return the joints of all groups of some moveit_msgs/MotionPlanRequest."""
         return frozenset().union(*(self.group(request["group_name"]).joints for request in requests))
 
-    def step(self, request: Message) -> Step:
-        """Return the function that builds the problem of a moveit_msgs/MotionPlanRequest once its start is known."""
-        return lambda start_rad: self.motion_plan(request, start_rad).problem
+    def placed(self, goal: Goal, frame: str, start_rad: Positions) -> Goal:
+        """Return a pose or position goal in a frame, which may move with the arm, as a goal in the root link."""
+        transform = self._frames.resolve(frame, start_rad)
+        match goal:
+            case PoseGoal():
+                return replace(goal, pose=composed(transform, goal.pose))
+            case PositionGoal():
+                return replace(goal, position_m=composed(transform, Pose(goal.position_m)).position_m)
+        raise AssertionError(f"a goal in a frame is {goal}")
 
     def cartesian_path(self, request: Message, start_rad: Positions) -> BuiltProblem[CartesianProblem]:
         """Build the problem of a moveit_msgs/GetCartesianPath request."""
@@ -224,6 +230,34 @@ class ProblemBuilder:
             allowed_time_s=min(timeout_s or context.parameters.kinematics_solver_timeout, MAX_KINEMATICS_TIMEOUT_S),
         )
         return BuiltProblem(question, tuple(context.warnings))
+
+
+@dataclass(frozen=True)
+class GoalStep(Step):
+    """Motion to a goal in the root link, or in a frame that may move with the arm, by parameters of its own if any."""
+
+    problems: ProblemBuilder
+    group: Group
+    goal: Goal
+    parameters: MoveItParameters | None = None
+    frame: str | None = None
+
+    def problem(self, start_rad: Positions) -> PlanningProblem:
+        """Build the problem of the goal at its place for this start."""
+        goal = self.goal if self.frame is None else self.problems.placed(self.goal, self.frame, start_rad)
+        return self.problems.goal(self.group, goal, start_rad, self.parameters)
+
+
+@dataclass(frozen=True)
+class RequestStep(Step):
+    """Motion of a moveit_msgs/MotionPlanRequest."""
+
+    problems: ProblemBuilder
+    request: Message
+
+    def problem(self, start_rad: Positions) -> PlanningProblem | CartesianProblem:
+        """Build the problem of the request."""
+        return self.problems.motion_plan(self.request, start_rad).problem
 
 
 def sequence_requests(sequence: Message) -> list[Message]:

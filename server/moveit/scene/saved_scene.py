@@ -177,11 +177,7 @@ def kept_message(contents: SceneContents, robot: RobotModel) -> Message:
 
 
 def complete_scene(message_types: MessageTypes, content: Any) -> Message:
-    """Return the complete moveit_msgs/PlanningScene of a file; objects are completed one by one, as they came.
-
-    Raises:
-        MessageError: it is none.
-    """
+    """Return the moveit_msgs/PlanningScene of a file, object by object, as they came; raises MessageError for none."""
     complete = message_types.complete
     world: list[Any] = []
     held: list[Any] = []
@@ -195,11 +191,7 @@ def complete_scene(message_types: MessageTypes, content: Any) -> Message:
 
 
 def encoded_bounded(message: Message, max_bytes: int) -> bytes:
-    """Return a message as JSON, made in a thread beside the event loop.
-
-    Raises:
-        ValueError: it is too large.
-    """
+    """Return a message as JSON, made in a thread beside the event loop; raises ValueError if it is too large."""
     pieces, size = [], 0
     # With numbers that are not finite, in pieces of at most a millisecond.
     for piece in encoded_pieces(message, _NOTATION):

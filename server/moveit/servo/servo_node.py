@@ -134,17 +134,13 @@ class CommandGate:
         timeout_s: after a silence of this time a stick counts as released [s].
         busy: returns the reason if the arm cannot be steered now, else an empty text.
         arm: the arm, whose stops release a held stick.
-
-    Attributes:
-        owner: the client in control, until it leaves or sends no more commands.
-        paused: true while all commands are rejected.
     """
 
     def __init__(
         self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: AnyArm
     ) -> None:
         self._present = present
-        self.owner: object = None
+        self.owner: object = None  # the client in control, until it leaves or sends no more commands
         self._timeout_s = timeout_s
         self._busy = busy
         self._arm = arm
@@ -156,7 +152,7 @@ class CommandGate:
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
-        self.paused = False
+        self.paused = False  # true while all commands are rejected
 
     def select(self, kind: CommandType) -> None:
         """Reject other types of commands, until the client in control gives it up."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ import numpy as np
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from robot.arm import Arm
 from robot.messages import ArmState
-from robot.physics.bodies import DEFAULT_FRICTION, Body, BodyShape, BodyState, SetBodies
+from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, MAX_HULL_CORNERS, Body, BodyShape, BodyState, SetBodies
+from robot.trajectory import Vector
 from server.errors import ConfigurationError, RefusedError
 from server.features.context import ServerContext
 from server.graph.node import Node
@@ -139,7 +141,9 @@ class Physics(Feature):
         for name, held in contents.attached.items():
             if name in self._bodies and self._bodies[name].movable:
                 bodies[name], known[name] = self._bodies[name], held.collision_object
-        for name, each in contents.objects.items():
+        if (left_out := len(bodies) + len(contents.objects) - MAX_BODIES) > 0:
+            log.warning("physics has %d objects at most: the last %d of the scene are left out", MAX_BODIES, left_out)
+        for name, each in islice(contents.objects.items(), max(0, MAX_BODIES - len(bodies))):
             before = self._known.get(name)
             # A detached object is where the fingers left it, not where its link would have carried it.
             same = before is each or (before is not None and before.frame != each.frame)
@@ -169,6 +173,8 @@ class Physics(Feature):
         refusal = ""
         if each is None:
             refusal = f"there is no object {name!r} in the planning scene"
+        elif name not in self._bodies:
+            refusal = f"physics has {MAX_BODIES} objects at most, and {name!r} is left out"
         elif not 0.0 <= mass_kg <= MAX_MASS_KG:
             refusal = f"mass must be 0 to {MAX_MASS_KG:g} kg, 0 for a mass by its volume, not {mass_kg:g}"
         elif not 0.0 <= friction <= MAX_FRICTION:
@@ -219,8 +225,22 @@ def _body_shape(shape: Shape, pose: Pose) -> BodyShape:
             foot = [(radius_m * math.cos(each), radius_m * math.sin(each), -0.5 * height_m) for each in angles]
             return BodyShape("hull", (), *at, ((0.0, 0.0, 0.5 * height_m), *foot))
         case Mesh():
-            x_y_z = np.unique(shape.vertices_m, axis=0).tolist()
-            return BodyShape("hull", (), *at, tuple((x, y, z) for x, y, z in x_y_z))
+            corners = _outermost(shape.vertices_m).tolist()
+            return BodyShape("hull", (), *at, tuple((x, y, z) for x, y, z in corners))
+
+
+def _outermost(points_m: Vector) -> Vector:
+    """Return the corners of a convex hull, or of one inside it whose corners are the outermost in many directions."""
+    points = np.unique(points_m, axis=0)
+    if len(points) <= MAX_HULL_CORNERS:
+        return points
+    # Directions on a Fibonacci sphere, which cover it evenly.
+    index = np.arange(MAX_HULL_CORNERS) + 0.5
+    z, turn = 1.0 - 2.0 * index / MAX_HULL_CORNERS, math.pi * (1.0 + math.sqrt(5.0)) * index
+    level = np.sqrt(1.0 - z * z)
+    directions = np.column_stack((level * np.cos(turn), level * np.sin(turn), z))
+    outermost: Vector = points[np.unique(np.argmax(points @ directions.T, axis=0))]
+    return outermost
 
 
 def _plane_pose(pose: Pose, normal: tuple[float, float, float], offset_m: float) -> tuple[Any, Any]:

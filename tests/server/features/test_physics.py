@@ -12,7 +12,7 @@ import pytest
 
 from protocol.registry import Registry
 from robot.messages import ArmState, Mode
-from robot.physics.bodies import MAX_BODIES, MAX_HULL_CORNERS, BodyState, BodyStates, SetBodies
+from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
 from server.config import Settings
 from server.errors import ConfigurationError
 from server.features.physics import DROPPED_AFTER_S, RELEASED_AFTER_S, Physics, physics_of
@@ -208,28 +208,6 @@ async def test_a_plane_cannot_be_movable(stage: Stage) -> None:
         False,
         "'floor' has a plane, and cannot be movable",
     )
-
-
-@pytest.mark.parametrize("kind", [2, 3, 4])
-async def test_round_shapes_become_bodies(kind: int, stage: Stage) -> None:
-    stage.apply({"id": "round", "primitives": [{"type": kind, "dimensions": [0.06, 0.02]}], "pose": pose()})
-    shape = stage.arm.bodies["round"].shapes[0]
-    assert (shape.kind, shape.size_m) == {2: ("sphere", (0.06,)), 3: ("cylinder", (0.02, 0.03)), 4: ("hull", ())}[kind]
-    if kind == 4:
-        assert np.ptp(np.array(shape.vertices_m), axis=0) == pytest.approx([0.04, 0.04, 0.06])
-
-
-async def test_a_mesh_of_many_corners_has_its_outermost_ones(stage: Stage) -> None:
-    vertices = np.random.default_rng(3).normal(size=(3000, 3))
-    vertices *= 0.05 / np.linalg.norm(vertices, axis=1)[:, np.newaxis]
-    mesh = {
-        "vertices": [dict(zip("xyz", each, strict=True)) for each in vertices.tolist()],
-        "triangles": [{"vertex_indices": [at, at + 1, at + 2]} for at in range(0, 2998, 3)],
-    }
-    stage.apply({"id": "ball", "meshes": [mesh], "mesh_poses": [pose()]})
-    corners = np.array(stage.arm.bodies["ball"].shapes[0].vertices_m)
-    assert 100 < len(corners) <= MAX_HULL_CORNERS
-    assert np.ptp(corners, axis=0) == pytest.approx([0.1] * 3, rel=0.02)
 
 
 async def test_more_objects_than_physics_has_are_left_out_with_a_sentence(

@@ -132,9 +132,10 @@ def rest_to_rest(
 
 def _of_profile(joint_names: tuple[str, ...], profile: Profile) -> Trajectory:
     # Between the corners of all joints' profiles the positions are cubics; corners within a microsecond are one.
-    corners = [0.0, *(corner for each in profile.profiles[0] for corner in np.cumsum((*each.brake.t, *each.t)))]
-    within_s = np.unique(np.round(corners, 6))
-    time_s = np.append(within_s[within_s < profile.duration - 0.5e-6], profile.duration)
+    ends = (np.cumsum((*each.brake.t, *each.t)) for each in profile.profiles[0])
+    corners = np.unique(np.concatenate(([0.0], *ends)))
+    corners = corners[np.diff(corners, prepend=-1.0) > 1e-6]
+    time_s = np.append(corners[corners < profile.duration - 1e-6], profile.duration)
     time_s[0] = 0.0
     columns = (np.array(each) for each in zip(*map(profile.at_time, time_s), strict=True))
     return Trajectory(joint_names, time_s, *columns)

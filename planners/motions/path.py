@@ -9,6 +9,7 @@ effort of a search is counted in checks, which is the same on every machine.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -203,8 +204,6 @@ class ConnectSearch:
             drawn = self._rng.uniform(space.lower_rad, space.upper_rad, (DRAWN, len(space.lower_rad)))
             for index, point in tree.near(drawn):
                 here = grower.grow(tree, index, point, STEPS_AT_ONCE if self._project else 1)
-                if should_stop():
-                    return None
                 if here == index:
                     continue
                 there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
@@ -269,6 +268,7 @@ class _Grower:
         self._project = project
         self._should_stop = should_stop
         self._edge_rad = TREE_EDGE_M / _travel_m_per_rad(query)
+        self._domain_rad = DOMAIN_EDGES * self._edge_rad if project is None else np.inf
 
     def grow(self, tree: _Tree, index: int, target: Vector, steps: int = STEPS_AT_ONCE) -> int:
         """Step from a point of a tree towards a target as far as it goes; the index of the last point."""
@@ -278,10 +278,7 @@ class _Grower:
                 break
             reached = self._edge(point, target) if self._project is None else self._step(point, target, self._project)
             if reached is None:
-                if self._project is None:
-                    tree.reach_rad[index] = DOMAIN_EDGES * self._edge_rad
-                break
-            if np.linalg.norm(target - reached) > np.linalg.norm(target - point):
+                tree.reach_rad[index] = self._domain_rad
                 break
             index = tree.add(reached, index)
             if reached is target:
@@ -290,7 +287,7 @@ class _Grower:
 
     def _edge(self, point: Vector, target: Vector) -> Vector | None:
         way = target - point
-        length = float(np.linalg.norm(way))
+        length = math.sqrt(way @ way)  # a third of numpy's norm
         reached = target if length <= self._edge_rad else point + way * (self._edge_rad / length)
         return reached if line_free_sparsely(self._query.space, point, reached, self._query.step_m) else None
 
@@ -302,6 +299,8 @@ class _Grower:
         step = min(STEP_RAD, 0.5 * length)
         reached = project(point + way * (step / max(length, STEP_RAD)))
         if reached is None or np.linalg.norm(reached - point) < LEAST_PROGRESS * step:
+            return None
+        if np.linalg.norm(target - reached) > length:
             return None
         return reached if space.line_free(point, reached, self._query.step_m) else None
 

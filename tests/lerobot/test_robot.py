@@ -206,9 +206,7 @@ def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, p
     assert any("teleoperation of arm: following" in line for line in server.lines)
 
 
-def test_a_policy_of_lerobots_policy_server_drives_the_arm_by_chunks(
-    server: RunningServer, arm: Arm, policy: Path, tmp_path: Path
-) -> None:
+def test_lerobots_policy_server_drives_the_arm(server: RunningServer, arm: Arm, policy: Path, tmp_path: Path) -> None:
     arm.release_control()
     port = free_port()
     serving = [BIN / "python", "-m", "lerobot.async_inference.policy_server", f"--port={port}", f"--fps={FPS}"]

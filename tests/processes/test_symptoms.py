@@ -300,9 +300,7 @@ def squeeze(servos: SteppedEmulator) -> None:
 
 
 @pytest.mark.parametrize("population", ["clone", "lerobot"])
-def test_an_overload_that_another_program_has_left_is_cleared_by_the_reset_or_asks_for_a_power_cut(
-    population: str,
-) -> None:
+def test_an_overload_left_by_another_program_is_cleared_by_the_reset_or_asks_for_a_power_cut(population: str) -> None:
     servos = SteppedEmulator("--population", population, wire_time=False)
     squeeze(servos)
     rig = ArmRig(servos)
@@ -370,8 +368,7 @@ def test_an_arm_that_stays_stiff_is_relaxed_without_a_server(
 
 
 def test_a_server_whose_servos_another_program_has_shifted_refuses_to_enable_them(
-    start_terminal: Callable[..., RunningEmulator],
-    tmp_path: Path,
+    start_terminal: Callable[..., RunningEmulator], tmp_path: Path
 ) -> None:
     joints = [replace(each, homing_offset=23) if each.joint == "elbow_flex" else each for each in CALIBRATION.joints]
     file = tmp_path / "my_arm.json"

@@ -215,9 +215,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize(("name", "place", "words"), PLACES.values(), ids=PLACES.keys())
-def test_a_place_that_cannot_be_used_is_named_with_its_setting(
-    tmp_path: Path, name: str, place: str, words: str
-) -> None:
+def test_an_unusable_place_is_named_with_its_setting(tmp_path: Path, name: str, place: str, words: str) -> None:
     (tmp_path / "taken").touch()
     with pytest.raises(ConfigurationError, match=rf"emulator\.{words}"):
         hardware_of(emulator=EmulatorSettings(**{name: tmp_path / place}))
@@ -239,9 +237,7 @@ def test_a_trim_of_a_zero_moves_the_limits_of_its_joint() -> None:
     assert trimmed.rad_from_ticks(2000) == pytest.approx(plain.rad_from_ticks(2000) + 0.02)
 
 
-def test_a_calibration_is_found_by_the_id_that_lerobot_has_it_under(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_calibration_is_found_by_its_id_in_lerobot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
     file = new_calibration_path("my_arm", robots.SO101.hardware.calibrations, os.environ)
     save(nominal_calibration(), file)

@@ -111,9 +111,7 @@ NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
 @given(st.floats(0.0, 0.9), st.floats(0.0, 1.0), st.floats(0.1, 1.0))
 # The lead begins by rounding alone before a point of the motion.
 @example(0.06, 1e-279, 1.0)
-def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
-    fraction: float, share: float, speed: float
-) -> None:
+def test_the_lead_is_the_motion_s_curve_up_to_the_splice_point(fraction: float, share: float, speed: float) -> None:
     path_time = PathTime(5.0, fraction * UNDER_WAY.duration_s, speed)
     splice_point = splice_point_of(UNDER_WAY, path_time, 5.0, HORIZON_S)
     assert splice_point is not None

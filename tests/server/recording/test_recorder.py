@@ -81,9 +81,7 @@ async def test_a_message_of_an_unknown_type_is_left_out_and_told_once(
     assert told == ["recording: /own is left out, the type my_msgs/msg/Thing is unknown"]
 
 
-async def test_the_recorder_tells_its_state_and_its_queue(
-    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_recorder_shows_its_queue(graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
     recorder = Recorder(graph, tmp_path / "run.mcap", RecordingSettings())
     recorder.start()
@@ -196,9 +194,7 @@ def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: py
     ]
 
 
-def test_a_recent_message_can_be_read_while_the_recording_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recent_message_is_read_while_the_recording_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
     writer = WriterThread(REGISTRY)
     writer.start(RecordingSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))

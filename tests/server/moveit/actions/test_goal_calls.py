@@ -101,9 +101,7 @@ async def test_a_proposal_preempts_no_motion_whatever_the_policy(desk: Desk) -> 
 
 
 @pytest.mark.parametrize("confirm", [True, False])
-async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_a_plan_needs_no_approval(
-    desk: Desk, *, confirm: bool
-) -> None:
+async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_no_plan_is(desk: Desk, *, confirm: bool) -> None:
     desk.confirmation.enabled = confirm
     await desk.ask(named="ready")
     (motion,) = desk.asked
@@ -167,9 +165,7 @@ async def test_exactly_one_goal_must_be_given(desk: Desk, request_: dict[str, An
         ("group", "leg", -15, "there is no planning group 'leg'"),
     ],
 )
-async def test_a_wrong_field_is_answered_with_its_code(
-    desk: Desk, field: str, value: object, code: int, words: str
-) -> None:
+async def test_a_wrong_field_gets_its_code(desk: Desk, field: str, value: object, code: int, words: str) -> None:
     await desk.ask(named="ready", **{field: value})
     assert (desk.answer["success"], desk.answer["code"]) == (False, code)
     assert words in desk.answer["message"]

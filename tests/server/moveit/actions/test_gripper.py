@@ -80,9 +80,7 @@ async def test_the_gripper_opens_and_closes_with_feedback(client: ArmClient) -> 
     assert way == sorted(way)
 
 
-async def test_an_object_between_the_jaws_is_gripped_gently_and_released(
-    client: ArmClient, served: ServerOnBus
-) -> None:
+async def test_an_object_in_the_jaws_is_gripped_gently_and_released(client: ArmClient, served: ServerOnBus) -> None:
     await move(client, 1.2)
     served.emulator.command(obstacle={"6": JOINTS["gripper"].ticks_from_rad(0.5)})
     ended = await move(client, 0.0, max_effort=0.4)

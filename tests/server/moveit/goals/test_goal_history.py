@@ -146,9 +146,7 @@ async def test_goals_of_the_last_ten_scenes_alone_have_a_problem_file(records: R
     assert kept["problem"]
 
 
-async def test_armbridge_plan_takes_a_record_as_a_problem_file(
-    client: ArmClient, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_plan_takes_a_record(client: ArmClient, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     await client.say("subscribe", topic="/moveit_goal_status", type="diagnostic_msgs/DiagnosticStatus")
     await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})
     statuses = await client.until("/moveit_goal_status", lambda all_: values_of(all_[-1])["state"] == "done")

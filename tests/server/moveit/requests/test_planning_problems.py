@@ -132,11 +132,7 @@ def test_time_and_attempts_are_bounded_with_a_warning() -> None:
     assert len(read.warnings) == 2
 
 
-IGNORED = {
-    "trajectory_constraints": {"constraints": [{}]},
-    "reference_trajectories": [{}],
-    "max_cartesian_speed": 0.1,
-}
+IGNORED = {"trajectory_constraints": {"constraints": [{}]}, "reference_trajectories": [{}], "max_cartesian_speed": 0.1}
 
 
 @pytest.mark.parametrize("field", IGNORED)

@@ -74,7 +74,7 @@ BLOCKED_PATHS_A_STEP = 3
 CHECKS_A_ROUND = 6000
 
 # A search that has found nothing by then, in some 10 s, is given up for another: trees would grow without a bound. Two
-# searches in turns, or one that is given up sooner, take as many checks.
+# searches in turns take as many checks.
 CHECKS_A_SEARCH = 300_000
 
 

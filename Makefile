@@ -45,7 +45,9 @@ run: install page-if-npm
 page: $(PAGE)/dist/index.html
 
 # The site that the server serves at /docs/; a wheel made after this has it. A broken link ends it, but not with --quiet.
-docs: build/docs/.installed
+docs: server/docs_site/index.html
+
+server/docs_site/index.html: mkdocs.yml mkdocs_hooks.py $(wildcard docs/*) build/docs/.installed
 	rm -rf server/docs_site
 	NO_MKDOCS_2_WARNING=1 build/docs/bin/mkdocs build
 

@@ -25,8 +25,8 @@ from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from planners.scene import Box, Cylinder, Pose, Scene, SceneObject, Shape
 from robot.description import robot_folder
+from robot.description.meshes import with_mesh_paths
 from robot.description.model import RobotModel
-from robot.description.urdf import with_mesh_paths
 from robot.trajectory import Trajectory, Vector
 
 SEED = 1

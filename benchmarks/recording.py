@@ -15,6 +15,7 @@ import uvloop
 from harness.figures import percentiles, print_table
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
+from server.config import RecordingSettings
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.recording.recorder import Recorder
@@ -82,7 +83,7 @@ async def _measure(rate_hz: int, file: Path | None) -> Cost:
     graph, talker = Graph(Registry.load()), Node("talker")
     graph.advertise(talker, "/joint_states", "sensor_msgs/JointState")
     graph.subscribe(Node("listener"), "/joint_states", None, Subscriber(_encode))
-    recorder = None if file is None else Recorder(graph, file)
+    recorder = None if file is None else Recorder(graph, file, RecordingSettings())
     if recorder is not None:
         recorder.start()
     # As the server does it: what lives as long as the process is not looked at again.

@@ -20,17 +20,17 @@ from typing import NamedTuple
 from robot.commissioning.doctor import Finding, Verdict
 from robot.commissioning.scan import measure_reads, read_telemetry
 from robot.errors import NoReply, RobotError, StartupError
+from robot.hardware.boards import resolve_port
 from robot.hardware.feetech.bus import SERVO_IDS, Bus
+from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import (
     GOAL_ADDRESS,
     TELEMETRY_ADDRESS,
     TELEMETRY_BYTES,
     Register,
     Telemetry,
-    goal_block,
 )
 from robot.hardware.interface import StatusFlag, run_to_end
-from robot.hardware.port import resolve_port
 from robot.hardware.servos.bus import write_verified
 
 GENTLE_TORQUE = 200  # Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper
@@ -113,7 +113,8 @@ class ServoRig:
 
     def set_goal(self, goal_ticks: int) -> None:
         """Set the servo's goal, to be approached slowly, and verify it."""
-        self.bus.sync_write(GOAL_ADDRESS, {self.servo_id: goal_block(goal_ticks, STEP_TICKS_S)})
+        head, tail = Feetech().around_goal(STEP_TICKS_S)
+        self.bus.sync_write(GOAL_ADDRESS, {self.servo_id: head + Register.GOAL_POSITION.encode(goal_ticks) + tail})
         self.set(Register.GOAL_POSITION, goal_ticks)
 
     def require_relaxed(self) -> None:

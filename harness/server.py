@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import re
@@ -38,17 +39,26 @@ READY = re.compile(r"armbridge is ready: ws://[^:]+:(\d+)")
 START_TIMEOUT_S = 120.0
 
 
-def run_command(arguments: str) -> list[str]:
-    """The command line behind ``make run ARGS=...``."""
+# Stands for the arguments, so that make, which takes 0.13 s, is asked once.
+ARGUMENTS = "@arguments@"
+
+
+@functools.cache
+def _run_line() -> str:
     dry = subprocess.run(
-        ["make", "--no-print-directory", "-n", "-o", "install", "run", f"ARGS={arguments}"],
+        ["make", "--no-print-directory", "-n", "-o", "install", "run", f"ARGS={ARGUMENTS}"],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=True,
         timeout=30,
     )
-    return shlex.split(dry.stdout.strip().splitlines()[-1].removeprefix("exec "))
+    return dry.stdout.strip().splitlines()[-1].removeprefix("exec ")
+
+
+def run_command(arguments: str) -> list[str]:
+    """The command line behind ``make run ARGS=...``."""
+    return shlex.split(_run_line().replace(ARGUMENTS, arguments))
 
 
 @dataclass

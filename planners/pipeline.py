@@ -192,7 +192,7 @@ class Planner:
             problem.seed,
             problem.attempts,
             problem.planner_id,
-            problem.optimization_time_s,
+            problem.optimization_time_s if problem.optimization_time_s < problem.allowed_time_s else np.inf,
             project,
         )
 

@@ -223,10 +223,7 @@ class SendQueue:
         self._count_leaving(0)
 
     def take_unready(self) -> list[EncodedMessage]:
-        """Take the messages that are still to be encoded; each is returned once.
-
-        Call it again when some of them have been encoded: their size is known then.
-        """
+        """Take the messages to be encoded, each once; call it again once some are encoded: their size is known then."""
         if self._unready:
             self._recount()
         to_encode, self._to_encode = self._to_encode, []
@@ -356,9 +353,13 @@ class SendQueue:
     def _drop_late(self, subscription: Subscription, now: float) -> None:
         """Drop the oldest messages of a subscription that could have left longer ago than they may wait."""
         since_s = now - self._limits.max_topic_delay_s
-        while (waiting := self._waiting.get(subscription)) and self._topic_data(waiting[0]).queued_s < since_s:
-            # It is not the client that is slow while a message is encoded, or waits for the client's own throttle.
-            if subscription.due_s >= since_s or not self._topic_data(waiting[0]).encoded.ready:
+        while waiting := self._waiting.get(subscription):
+            oldest = self._topic_data(waiting[0])
+            if max(subscription.due_s, oldest.queued_s) >= since_s:
+                return
+            # It is not the client that is slow while a message is encoded.
+            if not oldest.encoded.ready:
+                oldest.queued_s = now
                 return
             self._drop(waiting[0])
 

@@ -158,7 +158,7 @@ class ArmGroup(ArmClock):
                     trajectory.of_joints(tuple(joints)),
                     gripping=gripping,
                     torque_share=torque_share,
-                    continues=None if continues is None else (self._part_of(name, continues[0]), continues[1]),
+                    continues=continues and (self._part_of(name, continues[0]), continues[1]),
                     epoch=epoch,
                 )
         if len(begun) == 1:

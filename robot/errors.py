@@ -15,7 +15,6 @@ class PortError(RobotError):
 
     def __init__(self, port: str, problem: str) -> None:
         super().__init__(f"serial port {port} {problem}")
-        self.port = port
 
 
 class PortBusy(PortError):  # noqa: N818 - named by the fact, as its siblings
@@ -37,8 +36,6 @@ class NoReply(RobotError, TimeoutError):  # noqa: N818 - named by the fact
 
     def __init__(self, servo_id: int, attempts: int) -> None:
         super().__init__(f"servo {servo_id} gave no valid reply to {attempts} instructions")
-        self.servo_id = servo_id
-        self.attempts = attempts
 
 
 class CalibrationError(RobotError):
@@ -47,8 +44,6 @@ class CalibrationError(RobotError):
     def __init__(self, file: str, field: str, problem: str) -> None:
         where = f"{file}, {field}" if field else file
         super().__init__(f"calibration {where}: {problem}")
-        self.file = file
-        self.field = field
 
 
 class BackupError(RobotError):
@@ -56,7 +51,6 @@ class BackupError(RobotError):
 
     def __init__(self, path: Path, problem: str) -> None:
         super().__init__(f"backup {path} {problem}")
-        self.path = path
 
 
 class DescriptionError(RobotError):
@@ -64,7 +58,6 @@ class DescriptionError(RobotError):
 
     def __init__(self, source: str, problem: str) -> None:
         super().__init__(f"{source} {problem}")
-        self.source = source
 
 
 class RobotFileError(DescriptionError):

@@ -94,49 +94,6 @@ def replace(path: Path, content: bytes, mode: int | None = None) -> None:
     _sync_directory(path.parent)
 
 
-class FileSeries:
-    """Directory of files; the oldest make room for new ones. Names must sort by age between prefix and suffix."""
-
-    def __init__(self, directory: Path, prefix: str, suffix: str, max_files: int) -> None:
-        self._directory = directory
-        self._prefix = prefix
-        self._suffix = suffix
-        self._max_files = max_files
-
-    def add(self, name: str, content: Callable[[str], bytes]) -> Path:
-        """Write a file; a crash, and an OSError, leave all of it or nothing.
-
-        The name stands between prefix and suffix; a number is added when there is such a file. The content is made for
-        the name of the file without its suffix.
-        """
-        # A file of this name in the directory stands for its lock.
-        with locked(self._directory / self._prefix.rstrip("-")):
-            path, number = self._directory / f"{self._prefix}{name}{self._suffix}", 0
-            while path.exists():
-                number += 1
-                path = self._directory / f"{self._prefix}{name}-{number}{self._suffix}"
-            replace(path, content(path.stem))
-            # The new one stays also where its name is not the last: the clock that names it may be set back.
-            others = [each for each in self.paths() if each != path]
-            for oldest in others[: max(len(others) + 1 - self._max_files, 0)]:
-                oldest.unlink(missing_ok=True)
-        return path
-
-    def paths(self) -> list[Path]:
-        """Return the files, the oldest first."""
-        return sorted(self._directory.glob(f"{self._prefix}*{self._suffix}"))
-
-
-def set_aside(path: Path) -> Path:
-    """Rename a file that cannot be used, whose lock is held, to ``NAME.broken``, ``NAME.broken.1`` and so on."""
-    aside, number = path.with_name(f"{path.name}.broken"), 0
-    while aside.exists():
-        number += 1
-        aside = path.with_name(f"{path.name}.broken.{number}")
-    path.replace(aside)
-    return aside
-
-
 def lock_path(path: Path) -> Path:
     """Return the path of a file's lock; all names of one file have the same."""
     resolved = path.resolve()

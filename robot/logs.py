@@ -12,7 +12,10 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import TracebackType
-from typing import Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+if TYPE_CHECKING:
+    from robot.processes import Child
 
 LogFormat: TypeAlias = Literal["plain", "json"]
 
@@ -200,14 +203,7 @@ class LoggerLevel:
     level: int
 
 
-class Follower(Protocol):
-    """Child process that applies the levels it is sent."""
-
-    def send(self, message: object) -> None:
-        """Send it a message."""
-
-
-_followers: weakref.WeakSet[Follower] = weakref.WeakSet()
+_followers: weakref.WeakSet[Child] = weakref.WeakSet()
 _changed: dict[str, LoggerLevel] = {}
 
 
@@ -222,7 +218,7 @@ def change(level: LoggerLevel) -> bool:
     return True
 
 
-def follow(child: Follower) -> None:
+def follow(child: Child) -> None:
     """Send a child all changes of levels, from before and from now on, until it is no longer referenced."""
     _followers.add(child)
     for level in _changed.values():
@@ -250,12 +246,12 @@ class LogLine:
 
 
 class LineHandler(logging.Handler):
-    """Handler that passes each record of our loggers on as a line, in the thread that has logged it."""
+    """Handler that passes on each record of our loggers as a line, in the thread that has logged it, until closed."""
 
     def __init__(self, process: str, take: Callable[[LogLine], None]) -> None:
         super().__init__()
         self._process = process
-        self._take = take
+        self.take = take
         self.addFilter(FloodFilter())
         logging.getLogger(OUR_LOGGER).addHandler(self)
 
@@ -270,23 +266,11 @@ class LineHandler(logging.Handler):
         if record.exc_info:
             text = f"{text}\n{without_secrets(logging.Formatter().formatException(record.exc_info))}"
         text = text[:MAX_LINE_CHARACTERS]
-        self._take(LogLine(record.created, record.levelno, record.name, self._process, text, time.monotonic()))
-
-
-_listeners: set[Callable[[LogLine], None]] = set()
-
-
-def listen(take: Callable[[LogLine], None]) -> None:
-    """Have lines of child processes passed on, until :func:`forget`."""
-    _listeners.add(take)
-
-
-def forget(take: Callable[[LogLine], None]) -> None:
-    """Have no more lines passed on."""
-    _listeners.discard(take)
+        self.take(LogLine(record.created, record.levelno, record.name, self._process, text, time.monotonic()))
 
 
 def pass_on(line: LogLine) -> None:
-    """Pass on a line that a child process has sent."""
-    for take in list(_listeners):
-        take(line)
+    """Pass a line that a child process has sent to the handlers of this process."""
+    for handler in logging.getLogger(OUR_LOGGER).handlers:
+        if isinstance(handler, LineHandler):
+            handler.take(line)

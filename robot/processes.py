@@ -49,11 +49,6 @@ class DescriptorReserve:
         self._count = count
         self._held: list[int] = []
 
-    @property
-    def held(self) -> int:
-        """Number of descriptors in reserve."""
-        return len(self._held)
-
     def fill(self) -> None:
         """Take the descriptors, or as many as are left."""
         with contextlib.suppress(OSError):

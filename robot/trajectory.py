@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from ruckig import Trajectory as Profile
 
 Vector = NDArray[np.float64]
 
-SHORTEST_WAY_RAD = 1e-6  # shorter distances count as rest: a servo's tick is a thousand times as much
+LEAST_LIMIT = 1e-8  # limits below it are taken as it: ruckig finds no profile for some of them
 
 # Acceleration reaches its limit within two ticks, in bridges and streams. Joints that reverse then follow their
 # velocities so closely that what steering keeps away from stays away: with 0.06 s, random sticks drove a Koch v1.1 3 mm
@@ -117,39 +116,25 @@ def bridge(
     given.per_dof_control_interface = [interfaces[int(each)] for each in stopping]
     given.per_dof_synchronization = [Synchronization.No if each else Synchronization.Time for each in stopping]
     Ruckig(joints).calculate(given, profile)
-    # Between the corners of all joints' profiles the positions are cubics.
-    corners = [0.0, *(corner for each in profile.profiles[0] for corner in np.cumsum((*each.brake.t, *each.t)))]
-    time_s = np.unique(np.round([*(each for each in corners if each < profile.duration), profile.duration], 6))
-    columns = (np.array(each) for each in zip(*map(profile.at_time, time_s), strict=True))
-    return Trajectory(joint_names, time_s, *columns)
+    return _of_profile(joint_names, profile)
 
 
 def rest_to_rest(
     joint: str, start_rad: float, end_rad: float, max_velocity: float, max_acceleration: float
 ) -> Trajectory:
-    """Plan the fastest motion of one joint from rest to rest: a trapezoid, exact between the samples."""
-    way_rad = abs(end_rad - start_rad)
-    if way_rad < SHORTEST_WAY_RAD:
-        still = np.zeros((1, 1))
-        return Trajectory((joint,), np.zeros(1), np.full((1, 1), end_rad), still, still)
-    peak = min(max_velocity, math.sqrt(max_acceleration * way_rad))
-    ramp_s = peak / max_acceleration
-    cruise_s = way_rad / peak - ramp_s
-    ramp_rad = 0.5 * peak * ramp_s
-    corners = [
-        (0.0, 0.0, 0.0, max_acceleration),
-        (ramp_s, ramp_rad, peak, 0.0),
-        (ramp_s + cruise_s, way_rad - ramp_rad, peak, -max_acceleration),
-        (2.0 * ramp_s + cruise_s, way_rad, 0.0, -max_acceleration),
-    ]
-    if cruise_s < 1e-3 * ramp_s:
-        del corners[1]
-    time_s, way, velocity, acceleration = np.array(corners).T
-    direction = math.copysign(1.0, end_rad - start_rad)
-    return Trajectory(
-        (joint,),
-        time_s,
-        start_rad + direction * way[:, None],
-        direction * velocity[:, None],
-        direction * acceleration[:, None],
-    )
+    """Plan the fastest motion of one joint from rest to rest: a trapezoid of its velocity."""
+    given, profile = InputParameter(1), Profile(1)
+    given.current_position, given.target_position = [start_rad], [end_rad]
+    given.max_velocity, given.max_acceleration = [max(max_velocity, LEAST_LIMIT)], [max(max_acceleration, LEAST_LIMIT)]
+    Ruckig(1).calculate(given, profile)
+    return _of_profile((joint,), profile)
+
+
+def _of_profile(joint_names: tuple[str, ...], profile: Profile) -> Trajectory:
+    # Between the corners of all joints' profiles the positions are cubics; corners within a microsecond are one.
+    corners = [0.0, *(corner for each in profile.profiles[0] for corner in np.cumsum((*each.brake.t, *each.t)))]
+    within_s = np.unique(np.round(corners, 6))
+    time_s = np.append(within_s[within_s < profile.duration - 0.5e-6], profile.duration)
+    time_s[0] = 0.0
+    columns = (np.array(each) for each in zip(*map(profile.at_time, time_s), strict=True))
+    return Trajectory(joint_names, time_s, *columns)

@@ -6,8 +6,8 @@ import xml.etree.ElementTree as ET
 from functools import cached_property
 from pathlib import Path
 
+from robot.description.meshes import find_mesh
 from robot.description.model import RobotModel
-from robot.description.urdf import find_mesh
 from robot.errors import DescriptionError
 from server.errors import FileTooLargeError, ServiceError
 

@@ -37,13 +37,10 @@ def test_the_readme_fits_on_a_screen_and_a_half() -> None:
     assert "WSL 2" in "".join(text.splitlines(keepends=True)[:25])
 
 
-def test_every_page_is_linked_in_the_list_of_all_pages() -> None:
+def test_every_page_has_one_place_in_list_and_site() -> None:
     linked = set(re.findall(r"\]\(([\w-]+\.md)", (ROOT / "docs" / "index.md").read_text()))
     pages = {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
     assert pages - linked == set(), "link them in docs/index.md"
-
-
-def test_every_page_has_one_place_in_the_site() -> None:
     placed = re.findall(r"[\w-]+\.md", (ROOT / "mkdocs.yml").read_text().split("\nnav:")[1])
     assert sorted(placed) == sorted(page.name for page in (ROOT / "docs").glob("*.md"))
     assert len(placed) <= 25

@@ -538,6 +538,9 @@ export interface MoveitGoalRequest {
   velocity_scaling: number;
   acceleration_scaling: number;
   plan_only: boolean;
+  optimization: string;
+  optimization_time: number;
+  allowed_planning_time: number;
 }
 
 /** armbridge_msgs/msg/GoalTarget */
@@ -578,6 +581,20 @@ export interface SaveSceneRequest {
 
 /** armbridge_msgs/srv/SaveScene_Response */
 export interface SaveSceneResponse {
+  success: boolean;
+  message: string;
+}
+
+/** armbridge_msgs/srv/SetBody_Request */
+export interface SetBodyRequest {
+  id: string;
+  movable: boolean;
+  mass: number;
+  friction: number;
+}
+
+/** armbridge_msgs/srv/SetBody_Response */
+export interface SetBodyResponse {
   success: boolean;
   message: string;
 }
@@ -918,6 +935,9 @@ export interface MoveitGoalGoal {
   velocity_scaling: number;
   acceleration_scaling: number;
   plan_only: boolean;
+  optimization: string;
+  optimization_time: number;
+  allowed_planning_time: number;
 }
 
 /** armbridge_msgs/action/MoveitGoal_Result */
@@ -1038,6 +1058,7 @@ export interface Services {
   "armbridge_msgs/srv/MoveitGoal": { request: MoveitGoalRequest; response: MoveitGoalResponse };
   "armbridge_msgs/srv/RenameMotion": { request: RenameMotionRequest; response: RenameMotionResponse };
   "armbridge_msgs/srv/SaveScene": { request: SaveSceneRequest; response: SaveSceneResponse };
+  "armbridge_msgs/srv/SetBody": { request: SetBodyRequest; response: SetBodyResponse };
   "armbridge_msgs/srv/SetSpeedLimit": { request: SetSpeedLimitRequest; response: SetSpeedLimitResponse };
   "armbridge_msgs/srv/StartEpisode": { request: StartEpisodeRequest; response: StartEpisodeResponse };
   "armbridge_msgs/srv/StartTeleop": { request: StartTeleopRequest; response: StartTeleopResponse };

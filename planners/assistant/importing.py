@@ -37,8 +37,9 @@ from planners.goals import JointGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from robot.description import model, robot_file, robot_folder
+from robot.description.meshes import find_mesh
 from robot.description.model import RobotModel
-from robot.description.urdf import MOVABLE_TYPES, find_mesh, root_of
+from robot.description.urdf import MOVABLE_TYPES, root_of
 
 MESHES = "meshes"
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from planners.errors import ShapeError
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Point, Pose, Shape, Sphere
+from robot.description.meshes import with_mesh_paths
 from robot.description.model import Joint, RobotModel
-from robot.description.urdf import shift_origin, with_mesh_paths
+from robot.description.urdf import shift_origin
 from robot.errors import DescriptionError
 from robot.trajectory import Vector
 

@@ -17,6 +17,7 @@ from planners.budget import Budget
 from planners.geometry.certificate import certify
 from planners.geometry.joint_space import JointSpace
 from planners.motions.curve import (
+    TICK_S,
     Curve,
     averaged,
     averaging_start,
@@ -32,13 +33,13 @@ from planners.motions.curve import (
     window_ticks,
 )
 from planners.motions.path import (
+    NOMINAL_CHECKS_PER_S,
     PROJECTED_SEARCH,
     RRT_CONNECT,
+    ConnectSearch,
     Project,
-    ProjectedSearch,
     Query,
     TreeSearch,
-    checks_in,
     curve_free,
     via_point,
     without_detours,
@@ -74,6 +75,9 @@ BLOCKED_PATHS_A_STEP = 3
 SEARCHES = 2
 CHECKS_A_TURN = 3000
 
+# Work after which the shortest motion so far is certified, so that little is left to do once the time is over.
+CHECKS_A_ROUND = 6000
+
 # A search that has found nothing by then, in some 10 s, is given up for another: trees would grow without a bound.
 TURNS_A_SEARCH = 100
 
@@ -91,7 +95,8 @@ class MotionTask:
     seed: int = 0  # same task and seed, same motion
     attempts: int = 5  # number of searched motions, at most; the shortest is taken
     planner_id: str = ""  # the search, as planners.problem.planner_name knows it
-    # Time to search for shorter motions, as the amount of work that nominally takes it [s].
+    # Time to search for shorter motions, as the amount of work that nominally takes it; infinite for as many searches
+    # as the budget allows [s].
     optimization_time_s: float = 0.0
     # Brings points to ones nearby where the space's condition holds, or returns None; with it there is a search of its
     # own, since others hardly ever draw a point that meets a condition.
@@ -209,41 +214,57 @@ class _Searching:
         self._rng = np.random.default_rng(task.seed)
         self._number = count()
         # Searches that have not found a path, and the step of their checks.
-        self._searches: dict[int, TreeSearch | ProjectedSearch] = {}
+        self._searches: dict[int, TreeSearch | ConnectSearch] = {}
         self._step_m = SEARCH_STEPS_M[0]
         self._finer = self._blocked_paths = 0
         self._lead = lead
         # Where no via point of the quickest is free, others hardly ever are.
         self._try_via_points = self._name == RRT_CONNECT
-        self._enough_checks: int | None = None
+        # Checks after which no shorter motion is looked for, and no other curve in this round; infinite without one.
+        self._last_check = self._round_end = np.inf
 
     def best(self) -> Motion | None:
         """Return the shortest in time of the motions found while there is work to be done."""
-        while not self._budget.used_up():
-            found = sorted(self._found(), key=lambda each: each[1].duration_ticks)
-            for method, curve in found:
-                # The best motion is still of use after the deadline, but not once the request is cancelled.
-                trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
-                if trajectory is not None:
-                    end = curve.positions_rad[-1]
-                    reached = (i for i, goal in enumerate(self._task.goals) if np.array_equal(goal, end))
-                    return Motion(trajectory, method, next(reached))
-            if found:
+        best: Motion | None = None
+        searches = self._task.attempts if np.isfinite(self._task.optimization_time_s) else np.inf
+        while searches > 0 and not self._budget.used_up() and not (best and self._space.checks >= self._last_check):
+            found = self._found(searches, has_motion=best is not None)
+            searches -= len(found) // 2
+            longest_s = np.inf if best is None else best.trajectory.duration_s
+            shorter = [(method, curve) for method, curve in found if TICK_S * curve.duration_ticks < longest_s]
+            motion = self._shortest(shorter)
+            best = min(filter(None, (best, motion)), key=lambda each: each.trajectory.duration_s, default=None)
+            if shorter and motion is None:
                 self._finer = min(self._finer + 1, len(SEARCH_STEPS_M) - 1)
+            if best is None and found:
+                searches = self._task.attempts
+        return best
+
+    def _shortest(self, found: Sequence[tuple[str, Curve]]) -> Motion | None:
+        """Return the motion along the shortest of some curves that can be certified."""
+        for method, curve in sorted(found, key=lambda each: each[1].duration_ticks):
+            # The best motion is still of use after the deadline, but not once the request is cancelled.
+            trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
+            if trajectory is not None:
+                end = curve.positions_rad[-1]
+                reached = (i for i, goal in enumerate(self._task.goals) if np.array_equal(goal, end))
+                return Motion(trajectory, method, next(reached))
         return None
 
-    def _found(self) -> list[tuple[str, Curve]]:
-        """Return the curves found, and by which search: as they were and shortened, while the optimisation lasts."""
+    def _found(self, searches: float, *, has_motion: bool) -> list[tuple[str, Curve]]:
+        """Return the curves found in a round, and by which search: as they were and shortened."""
         found: list[tuple[str, Curve]] = []
-        self._enough_checks = None
-        while len(found) < 2 * self._task.attempts and not self._enough():
+        self._round_end = self._space.checks + CHECKS_A_ROUND if has_motion else np.inf
+        self._last_check = self._last_check if has_motion else np.inf
+        while len(found) < 2 * searches and not self._enough():
             method, path = self._path(next(self._number))
             if path is None:
                 continue
             curve = polyline(path, self._task.limits, self._task.window)
             curve = curve if self._lead is None else self._lead.then(curve)
-            if self._enough_checks is None:
-                self._enough_checks = self._space.checks + checks_in(self._task.optimization_time_s)
+            if np.isinf(self._round_end):
+                self._last_check = self._space.checks + NOMINAL_CHECKS_PER_S * self._task.optimization_time_s
+                self._round_end = self._space.checks + CHECKS_A_ROUND
             shorter = smooth(curve, self._task.limits, self._free, self._rng, self._enough)
             found += [(method, curve), (method, shorter)]
         return found
@@ -267,8 +288,8 @@ class _Searching:
             self._searches, self._step_m = {}, query.step_m
         running = self._searches.pop(number % SEARCHES, None)
         if running is None:
-            project, seed = self._task.project, self._task.seed + number
-            running = TreeSearch(query, self._name, seed) if project is None else ProjectedSearch(query, project, seed)
+            seed, ours = self._task.seed + number, self._name in (RRT_CONNECT, PROJECTED_SEARCH)
+            running = ConnectSearch(query, self._task.project, seed) if ours else TreeSearch(query, self._name, seed)
         most = self._space.checks + CHECKS_A_TURN
         path = running.run(lambda: self._space.checks >= most or self._enough())
         if path is None and (number // SEARCHES + 1) % TURNS_A_SEARCH:
@@ -286,8 +307,8 @@ class _Searching:
         return curve_free(self._space, curve, CURVE_STEPS_M[self._finer], self._budget.used_up)
 
     def _enough(self) -> bool:
-        """Tell whether as much was done as the optimisation time is worth, or the budget is used up."""
-        return self._budget.used_up() or (self._enough_checks is not None and self._space.checks >= self._enough_checks)
+        """Tell whether a round has done its share of the work, or the budget is used up."""
+        return self._budget.used_up() or self._space.checks >= min(self._last_check, self._round_end)
 
 
 def smooth(

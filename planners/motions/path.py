@@ -1,8 +1,10 @@
-"""Collision-free polylines: OMPL's searches with shortcuts from vertex to vertex, and their effort.
+"""Collision-free polylines: searches with shortcuts from vertex to vertex, and their effort.
 
-Where a search would hardly ever draw a configuration that meets a condition, two trees grow towards each other in
-short steps, each projected onto the condition, after Berenson et al., "Manipulation planning on constraint manifolds",
-2009. The effort of a search is counted in checks, which is the same on every machine.
+RRT-Connect grows two trees towards each other (Kuffner and LaValle, 2000). From a node whose way was blocked once it
+only goes to points nearby: most others are behind an obstacle (Yershova et al., "Dynamic-domain RRTs", 2005). Where a
+search would hardly ever draw a configuration that meets a condition, the trees grow in short steps, each projected onto
+the condition (Berenson et al., "Manipulation planning on constraint manifolds", 2009). Other searches are OMPL's. The
+effort of a search is counted in checks, which is the same on every machine.
 """
 
 from __future__ import annotations
@@ -12,7 +14,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
@@ -43,13 +44,10 @@ STEP_RAD = 0.15
 
 LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
 STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
+DRAWN = 64  # points drawn at once, and compared with a tree in one numpy call
+DOMAIN_EDGES = 4.0  # edges from a blocked point within which it is still gone on from
 VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
 MOST_CHECKS = 100  # checks after which a tree finds a path sooner: no quick via point is free then as a rule
-
-
-def checks_in(time_s: float) -> int:
-    """Return the number of checks that a time is worth."""
-    return int(time_s * NOMINAL_CHECKS_PER_S)
 
 
 @lru_cache
@@ -131,8 +129,6 @@ class TreeSearch:
         for goal in query.goals:
             goal_states.addState(_state(space, goal))
         setup.setGoal(goal_states)
-        if name == RRT_CONNECT:
-            information.setMotionValidator(_Edges(information, query))
         search = getattr(og, name)(information)
         # BIT* has no edges of a length to choose.
         if hasattr(search, "setRange"):
@@ -165,19 +161,6 @@ def without_detours(
     return path[kept]
 
 
-class _Edges(ob.MotionValidator):
-    """Tree edges checked in one go: a call from C++ for each configuration takes as long as the check itself."""
-
-    def __init__(self, information: ob.SpaceInformation, query: Query) -> None:
-        super().__init__(information)
-        self._query = query
-        self._size = len(query.start)
-
-    def checkMotion(self, first: ob.RealVectorStateType, second: ob.RealVectorStateType) -> bool:  # noqa: N802
-        start, end = np.array(first[0 : self._size]), np.array(second[0 : self._size])
-        return line_free_sparsely(self._query.space, start, end, self._query.step_m)
-
-
 def _ompl_space(query: Query) -> ob.RealVectorStateSpace:
     size = len(query.start)
     space = ob.RealVectorStateSpace(size)
@@ -203,27 +186,32 @@ def _state(space: ob.RealVectorStateSpace, point: Vector) -> ob.RealVectorStateT
     return state
 
 
-class ProjectedSearch:
-    """Search for a polyline on which the space's condition holds; the same query and seed give the same path."""
+class ConnectSearch:
+    """RRT-Connect, in steps that ``project`` brings to where the space's condition holds; as :class:`TreeSearch`."""
 
-    def __init__(self, query: Query, project: Project, seed: int) -> None:
+    def __init__(self, query: Query, project: Project | None, seed: int) -> None:
         self._query, self._project = query, project
         self._rng = np.random.default_rng(seed)
         self._trees = _Tree([query.start]), _Tree(query.goals)
-        self._turn = 0
 
     def run(self, should_stop: Callable[[], bool]) -> Vector | None:
         """Go on as :meth:`TreeSearch.run` does."""
-        grower = _Grower(self._query, self._project, should_stop)
+        grower, space = _Grower(self._query, self._project, should_stop), self._query.space
         while not should_stop():
-            tree, other = self._trees[self._turn], self._trees[1 - self._turn]
-            drawn = self._rng.uniform(self._query.space.lower_rad, self._query.space.upper_rad)
-            here = grower.grow(tree, tree.nearest(drawn), drawn)
-            there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
-            if np.array_equal(other.points[there], tree.points[here]):
-                path = np.array([*list(tree.to_root(here))[::-1], *list(other.to_root(there))[1:]])
-                return path[::-1] if self._turn else path
-            self._turn = 1 - self._turn
+            # The smaller tree grows: it is in the narrower place.
+            tree, other = sorted(self._trees, key=lambda each: len(each.points))
+            drawn = self._rng.uniform(space.lower_rad, space.upper_rad, (DRAWN, len(space.lower_rad)))
+            for index, point in tree.near(drawn):
+                here = grower.grow(tree, index, point, STEPS_AT_ONCE if self._project else 1)
+                if should_stop():
+                    return None
+                if here == index:
+                    continue
+                there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
+                if np.array_equal(other.points[there], tree.points[here]):
+                    path = np.array([*list(tree.to_root(here))[::-1], *list(other.to_root(there))[1:]])
+                    return path if tree is self._trees[0] else path[::-1]
+                break
         return None
 
 
@@ -238,23 +226,34 @@ def reachable(query: Query, project: Project, seed: int, should_stop: Callable[[
         here = grower.grow(tree, tree.nearest(drawn), drawn)
         if len(tree.points) > known and len(query.goals):
             grower.grow(tree, here, query.goals[int(rng.integers(len(query.goals)))])
-    return np.array(tree.points)
+    return tree.points
 
 
 class _Tree:
-    """Points, and the point from which each was reached."""
+    """Points, the point from which each was reached, and how far from each it may go on."""
 
     def __init__(self, roots: Sequence[Vector]) -> None:
-        self.points = list(roots)
-        self._parents = [-1] * len(self.points)
+        self.points = np.array(roots)  # shape (m, n) [rad]
+        self.reach_rad = np.full(len(roots), np.inf)
+        self._parents = [-1] * len(roots)
 
     def nearest(self, point: Vector) -> int:
-        return int(np.argmin(np.sum((np.array(self.points) - point) ** 2, axis=1)))
+        return int(np.argmin(np.sum((self.points - point) ** 2, axis=1)))
+
+    def near(self, drawn: Vector) -> Iterator[tuple[int, Vector]]:
+        """Yield the drawn points, shape (m, n), that are within reach of the tree's nearest point, and its index."""
+        squares = np.sum(self.points**2, axis=1) - 2.0 * (drawn @ self.points.T)
+        indices = np.argmin(squares, axis=1)
+        squares = squares[np.arange(len(drawn)), indices] + np.sum(drawn**2, axis=1)
+        for index, square, point in zip(indices.tolist(), squares.tolist(), drawn, strict=True):
+            if square <= self.reach_rad[index] ** 2:
+                yield index, point
 
     def add(self, point: Vector, parent: int) -> int:
-        self.points.append(point)
+        self.points = np.vstack((self.points, point))
+        self.reach_rad = np.append(self.reach_rad, np.inf)
         self._parents.append(parent)
-        return len(self.points) - 1
+        return len(self._parents) - 1
 
     def to_root(self, index: int) -> Iterator[Vector]:
         while index >= 0:
@@ -265,30 +264,43 @@ class _Tree:
 class _Grower:
     """Takes steps on which nothing touches and the condition holds."""
 
-    def __init__(self, query: Query, project: Project, should_stop: Callable[[], bool]) -> None:
+    def __init__(self, query: Query, project: Project | None, should_stop: Callable[[], bool]) -> None:
         self._query = query
         self._project = project
         self._should_stop = should_stop
+        self._edge_rad = TREE_EDGE_M / _travel_m_per_rad(query)
 
-    def grow(self, tree: _Tree, index: int, target: Vector) -> int:
+    def grow(self, tree: _Tree, index: int, target: Vector, steps: int = STEPS_AT_ONCE) -> int:
         """Step from a point of a tree towards a target as far as it goes; the index of the last point."""
-        for _ in range(STEPS_AT_ONCE):
+        for _ in range(steps):
             point = tree.points[index]
-            reached = None if self._should_stop() else self._step(point, target)
-            if reached is None or np.linalg.norm(target - reached) > np.linalg.norm(target - point):
+            if self._should_stop():
+                break
+            reached = self._edge(point, target) if self._project is None else self._step(point, target, self._project)
+            if reached is None:
+                if self._project is None:
+                    tree.reach_rad[index] = DOMAIN_EDGES * self._edge_rad
+                break
+            if np.linalg.norm(target - reached) > np.linalg.norm(target - point):
                 break
             index = tree.add(reached, index)
             if reached is target:
                 break
         return index
 
-    def _step(self, point: Vector, target: Vector) -> Vector | None:
+    def _edge(self, point: Vector, target: Vector) -> Vector | None:
+        way = target - point
+        length = float(np.linalg.norm(way))
+        reached = target if length <= self._edge_rad else point + way * (self._edge_rad / length)
+        return reached if line_free_sparsely(self._query.space, point, reached, self._query.step_m) else None
+
+    def _step(self, point: Vector, target: Vector, project: Project) -> Vector | None:
         space, way = self._query.space, target - point
         length = float(np.linalg.norm(way))
         if length <= STEP_RAD and space.line_free(point, target, self._query.step_m):
             return target
         step = min(STEP_RAD, 0.5 * length)
-        reached = self._project(point + way * (step / max(length, STEP_RAD)))
+        reached = project(point + way * (step / max(length, STEP_RAD)))
         if reached is None or np.linalg.norm(reached - point) < LEAST_PROGRESS * step:
             return None
         return reached if space.line_free(point, reached, self._query.step_m) else None
@@ -306,8 +318,10 @@ def via_point(
     space, goals = query.space, np.array(query.goals)
     points = rng.uniform(space.lower_rad, space.upper_rad, (VIA_POINTS, len(query.start)))
     times_s = _times_s(points, query.start[np.newaxis], velocity_rad_s) + _times_s(points, goals, velocity_rad_s)
-    most = space.checks + MOST_CHECKS
-    for index in _least(times_s.ravel(), MOST_CHECKS).tolist():
+    most, times_s = space.checks + MOST_CHECKS, times_s.ravel()
+    # Each try is a check at least, so hardly any is needed; sorting all of them took longer than the checks.
+    few = np.flatnonzero(times_s <= np.partition(times_s, MOST_CHECKS - 1)[MOST_CHECKS - 1])
+    for index in few[np.argsort(times_s[few], kind="stable")].tolist():
         if space.checks >= most or should_stop():
             break
         goal, point = goals[index // VIA_POINTS], points[index % VIA_POINTS]
@@ -322,10 +336,3 @@ def _times_s(points: Vector, others: Vector, velocity_rad_s: Vector) -> Vector:
     # numpy is slow with a last axis of five.
     moved_rad = np.abs(points.T[:, np.newaxis] - others.T[:, :, np.newaxis])
     return np.asarray(np.max(moved_rad / velocity_rad_s[:, np.newaxis, np.newaxis], axis=0))
-
-
-def _least(values: Vector, count: int) -> NDArray[np.intp]:
-    """Return the indices of the least values, shape (count,) or more where some are equal, in their order."""
-    # Each try is a check at least, so hardly any is needed; sorting all of them took longer than the checks.
-    few = np.flatnonzero(values <= np.partition(values, count - 1)[count - 1])
-    return few[np.argsort(values[few], kind="stable")]

@@ -68,7 +68,7 @@ def judge_cycles(times: CycleTimes) -> list[Finding]:
     remedy = "Leave the machine less to do, or allow real-time priority (docs/hardware.md)."
     return [
         _round_trip(times),
-        _judged("lost replies", lost if many_lost else "", _remedy(ServoAlert.SILENT_CYCLES), lost),
+        _judged("lost replies", lost if many_lost else "", ADVICE[ServoAlert.SILENT_CYCLES].remedy(), lost),
         _judged("jitter", late if times.lateness_p99_s > USUAL_LATENESS_S else "", remedy, late, Verdict.NOTE),
     ]
 
@@ -136,7 +136,7 @@ def _condition(servos: Sequence[ServoRegisters]) -> Iterator[Finding]:
 def _settings(servos: Sequence[ServoRegisters]) -> Iterator[Finding]:
     counting = [servo.servo_id for servo in servos if servo[Register.PHASE] & PHASE_MULTI_TURN]
     wrong = f"servos {_list(counting)} count several turns, so their position may overflow" if counting else ""
-    yield _judged("phase bit 4", wrong, _remedy(ServoAlert.SEVERAL_TURNS), "positions stay within one turn")
+    yield _judged("phase bit 4", wrong, ADVICE[ServoAlert.SEVERAL_TURNS].remedy(), "positions stay within one turn")
     delayed = {servo.servo_id: delay * RETURN_DELAY_US for servo in servos if (delay := servo[Register.RETURN_DELAY])}
     says = ", ".join(f"servo {servo_id}: {delay_us} us" for servo_id, delay_us in delayed.items())
     remedy = "armbridge setup --registers sets register RETURN_DELAY to 0; lerobot does so when it connects."
@@ -168,10 +168,6 @@ def _round_trip(times: CycleTimes) -> Finding:
     slow = says if times.round_trip_p50_s > USUAL_ROUND_TRIP_S else ""
     remedy = "Set the adapter's latency timer to 1 ms; see return delay."
     return _judged("round trip", slow, remedy, says, Verdict.NOTE)
-
-
-def _remedy(alert: ServoAlert) -> str:
-    return ADVICE[alert].remedy()
 
 
 def _list(numbers: Sequence[int]) -> str:

@@ -43,6 +43,7 @@ class ServoRegisters:
 
     servo_id: int
     registers: Mapping[Register, int]
+    baudrate: int = BAUDRATES[0]  # baud rate at which it answers
 
     def __getitem__(self, register: Register) -> int:
         return self.registers[register]

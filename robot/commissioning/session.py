@@ -8,9 +8,8 @@ is written before the sweep is complete, and the middle of what was swept become
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -102,20 +101,12 @@ def met_both_stops(servo: ServoSpec, width_ticks: int) -> bool:
     return width_ticks >= STOPS_SHARE * expected_width(servo)
 
 
-class Placed(NamedTuple):
-    """Range of a servo under its homing offset."""
-
-    homing_offset: int  # register HOMING_OFFSET [ticks]
-    range_min: int  # lowest position [ticks]
-    range_max: int  # highest position [ticks]
-
-
 def needs_middle(servo: ServoSpec, sweep: Sweep) -> bool:
     """Return True for a joint whose middle does not follow from its sweep: it has no stops, or did not meet them."""
     return servo.turns_freely and not met_both_stops(servo, sweep.width(servo.servo_id))
 
 
-def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Placed:
+def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> JointCalibration:
     """Place the swept range of a joint with stops within the turn; the offset is that during the sweep [ticks]."""
     lowest, highest, width = sweep.lowest[servo.servo_id], sweep.highest[servo.servo_id], sweep.width(servo.servo_id)
     if width < LEAST_SWEEP_TICKS:
@@ -140,22 +131,21 @@ def place(servo: ServoSpec, sweep: Sweep, offset: int, *, recentre: bool) -> Pla
             f"its range of {lowest} to {highest} ticks crosses the seam between {MAX_TICK} and 0: its servo needs a "
             "new homing offset (--write-servos)",
         )
-    return Placed(offset, lowest, highest)
+    return JointCalibration(servo, servo.servo_id, 0, offset, lowest, highest)
 
 
-def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) -> Placed:
+def place_free(servo: ServoSpec, middle: int, offset: int, *, recentre: bool) -> JointCalibration:
     """Place a joint that turns freely: its range is the turn, its middle the tick that lerobot takes for it [ticks]."""
     if recentre:
-        return Placed(_centred(servo, middle, offset)[0], 0, MAX_TICK)
-    middle %= TICKS_PER_TURN
-    if abs(middle - MIDDLE_TICK) > FREE_MIDDLE_WITHIN_TICKS:
+        offset = _centred(servo, middle, offset)[0]
+    elif abs((middle := middle % TICKS_PER_TURN) - MIDDLE_TICK) > FREE_MIDDLE_WITHIN_TICKS:
         raise CalibrationError(
             "sweep",
             servo.joint,
             f"its middle is tick {middle}, and the file's format takes {MIDDLE_TICK} for it: the servo needs a new "
             "homing offset (--write-servos)",
         )
-    return Placed(offset, 0, MAX_TICK)
+    return JointCalibration(servo, servo.servo_id, 0, offset, 0, MAX_TICK)
 
 
 def _centred(servo: ServoSpec, middle: int, offset: int) -> tuple[int, int]:
@@ -460,12 +450,12 @@ class CalibrationSession:
         joints = []
         for servo in self.servos:
             servo_id = servo.servo_id
-            offset, drive_mode = self._offsets[servo_id], self._drive_modes.get(servo_id, 0)
+            offset = self._offsets[servo_id]
             if not needs_middle(servo, self._swept):
                 placed = place(servo, self._swept, offset, recentre=self.recentre)
             else:
                 placed = place_free(servo, middles[servo_id], offset, recentre=self.recentre)
-            joints.append(JointCalibration(servo, servo_id, drive_mode, *placed))
+            joints.append(replace(placed, drive_mode=self._drive_modes.get(servo_id, 0)))
         return Calibration(tuple(joints))
 
     def _take_direction(self, answer: str) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,7 +28,7 @@ from robot.description.servo_table import MAX_SERVO_ID, ServoSpec
 from robot.errors import BackupError, NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
-from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile
+from robot.hardware.feetech.profiles import ServoProfile
 from robot.hardware.feetech.registers import EPROM, MODELS, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
@@ -190,13 +190,6 @@ class ServoLine:
 
 
 @dataclass(frozen=True)
-class FoundServo(ServoRegisters):
-    """Servo found on the bus."""
-
-    baudrate: int  # baud rate at which it answers
-
-
-@dataclass(frozen=True)
 class Change:
     """Register that is to get another value."""
 
@@ -207,13 +200,13 @@ class Change:
 
 def search(
     line: ServoLine, joint: ServoSpec, arm: Sequence[ServoSpec], say: Callable[[str], None], *, only_joint: bool = False
-) -> FoundServo:
+) -> ServoRegisters:
     """Find the servo that is to turn a joint, at any baud rate and with any id.
 
     Raises StartupError where no servo may be meant, or more than one; the text says how to part them. For the only
     joint that the user names, a servo alone on the bus counts as new although it has another joint's id.
     """
-    found: list[FoundServo] = []
+    found: list[ServoRegisters] = []
     for baudrate in BAUDRATES:
         if baudrate != BAUDRATE:
             say(f"looking at {baudrate} baud ...")
@@ -237,7 +230,7 @@ def search(
     )
 
 
-def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServo]:
+def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[ServoRegisters]:
     """Find and read the servos at one baud rate; ids are also asked alone. Raises StartupError for two of one id."""
     bus = line.at(baudrate)
     garbled = bus.counters.discarded_bytes
@@ -251,10 +244,10 @@ def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[FoundServ
             f"replies at {baudrate} baud are garbled: several servos with the same id answer at once, or a plug has "
             "bad contact; unplug all servos but one"
         )
-    return [FoundServo(each, line.run(read_registers(bus, each)), baudrate) for each in sorted(heard)]
+    return [ServoRegisters(each, line.run(read_registers(bus, each)), baudrate) for each in sorted(heard)]
 
 
-def check_model(servo: FoundServo, joint: ServoSpec) -> None:
+def check_model(servo: ServoRegisters, joint: ServoSpec) -> None:
     """Raise StartupError for a servo of an unknown model, whose registers may have other meanings."""
     model = servo[Register.MODEL_NUMBER]
     if model not in MODELS.values() and str(model) != joint.model:
@@ -265,7 +258,7 @@ def check_model(servo: FoundServo, joint: ServoSpec) -> None:
         )
 
 
-def supply_complaint(servo: FoundServo) -> str:
+def supply_complaint(servo: ServoRegisters) -> str:
     """Return a sentence about a supply that the servo is not made for, empty for a good one."""
     lowest, highest = servo.voltage_limits_v
     if lowest <= servo.voltage_v <= highest:
@@ -279,16 +272,7 @@ def supply_complaint(servo: FoundServo) -> str:
     )
 
 
-def choose_profile(
-    name: str | None, own: ServoProfile | None, servos: Iterable[tuple[FoundServo, bool]]
-) -> ServoProfile:
-    """Choose a profile: the named one, else the arm's own, else the nearest; grippers' servos come with True."""
-    if name is not None:
-        return PROFILES[name]
-    return own or nearest_profile((servo.registers, gripper) for servo, gripper in servos)
-
-
-def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> tuple[Change, ...]:
+def changes_for(servo: ServoRegisters, joint: ServoSpec, profile: ServoProfile) -> tuple[Change, ...]:
     """Return the registers to change for a servo to turn a joint.
 
     Angle limits and homing offset of a servo that has the joint's id are its calibration, and stay. Limits and offset
@@ -313,7 +297,7 @@ def changes_for(servo: FoundServo, joint: ServoSpec, profile: ServoProfile) -> t
     return _changes(held, wanted)
 
 
-def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[Change, ...]:
+def changes_back(servo: ServoRegisters, saved: SavedServo, *, alone: bool) -> tuple[Change, ...]:
     """Return the registers to change for a servo to be as saved; id and baud rate only of a servo alone on the bus."""
     back = {register: saved.registers[register] for register in EPROM if register in saved.registers}
     if not alone:
@@ -324,12 +308,12 @@ def changes_back(servo: FoundServo, saved: SavedServo, *, alone: bool) -> tuple[
     return _changes(servo.registers, back)
 
 
-def needs_writing(servo: FoundServo, changes: Sequence[Change]) -> bool:
+def needs_writing(servo: ServoRegisters, changes: Sequence[Change]) -> bool:
     """Return True for a servo with registers to change, or whose EPROM is unlocked."""
     return bool(changes) or servo[Register.LOCK] != 1
 
 
-def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> FoundServo:
+def write(line: ServoLine, servo: ServoRegisters, changes: Sequence[Change]) -> ServoRegisters:
     """Relax a servo, write its changes and verify them, and lock its EPROM; return it as read afterwards."""
     writer = _Writer(line, servo.servo_id, servo.baudrate)
     try:
@@ -347,7 +331,7 @@ def write(line: ServoLine, servo: FoundServo, changes: Sequence[Change]) -> Foun
     if kept := [change for change in changes if registers[change.register] != change.wanted]:
         names = ", ".join(f"{change.register.name} {registers[change.register]}" for change in kept)
         raise StartupError(f"servo {writer.servo_id} does not keep what was written to it: it has {names}")
-    return FoundServo(writer.servo_id, registers, writer.baudrate)
+    return ServoRegisters(writer.servo_id, registers, writer.baudrate)
 
 
 class _Writer:
@@ -408,8 +392,8 @@ class _Writer:
 
 
 def _candidates(
-    found: Sequence[FoundServo], joint: ServoSpec, arm: Sequence[ServoSpec], *, only_joint: bool
-) -> list[FoundServo]:
+    found: Sequence[ServoRegisters], joint: ServoSpec, arm: Sequence[ServoSpec], *, only_joint: bool
+) -> list[ServoRegisters]:
     """Return the candidates for a joint: the servo with its id, else those without a calibration or another's id."""
     own = [servo for servo in found if servo.servo_id == joint.servo_id]
     others = {servo.servo_id for servo in arm} - {FACTORY_ID}

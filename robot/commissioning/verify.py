@@ -47,7 +47,6 @@ def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
     named = robot.named_states.get(robot.default_group, {})
 
     def within(wanted: Mapping[str, float]) -> Positions:
-        """Return the positions, within the limits."""
         inside = {}
         for joint in joints:
             middle = (joint.lower + joint.upper) / 2.0
@@ -56,7 +55,6 @@ def poses(robot: RobotModel) -> tuple[VerificationPose, ...]:
         return inside
 
     def around(signs: Sequence[int]) -> tuple[Positions, ...]:
-        """Return poses beside zero, the most distinct first."""
         return tuple(
             within({joint.name: signs[at % len(signs)] * amplitude for at, joint in enumerate(joints)})
             for amplitude in AMPLITUDES_RAD

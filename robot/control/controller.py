@@ -294,7 +294,7 @@ class ArmController:
         for motion in [motion for motion in self.motions if caught[motion.columns].any()]:
             joint = int(motion.columns[np.argmax(caught[motion.columns])])
             message = f"joint {self._names[joint]} holds something at {measured.position_rad[joint]:.3f} rad"
-            ended.append(motion.ended(Outcome.GRIPPED, message))
+            ended.append(MotionEnded(motion.motion_id, Outcome.GRIPPED, message))
             self._drop(motion, measured)
         return ended
 
@@ -370,7 +370,7 @@ class ArmController:
 
     def abandon(self, outcome: Outcome, message: str) -> list[MotionEnded]:
         """End every motion in progress, without braking."""
-        ended = [motion.ended(outcome, message) for motion in self.motions]
+        ended = [MotionEnded(motion.motion_id, outcome, message) for motion in self.motions]
         self.motions = []
         self.torque_limit = self._full_torque.copy()
         return ended

@@ -15,7 +15,7 @@ from robot.control.controller import ArmController
 from robot.control.pacing import LoopClock, Pacer, Scheduling, percentiles
 from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import HardwareInterface, Measured, status_names
-from robot.messages import ArmHealth, ArmState, JointHealth, Mode, MotionEnded, Pace
+from robot.messages import ArmHealth, ArmState, JointHealth, Mode, MotionEnded
 from robot.trajectory import Vector
 
 SAME_ERROR_S = 5.0  # a register check repeats what it finds, about once a second, until the servo is driven again
@@ -107,38 +107,33 @@ def arm_state(
 ) -> ArmState:
     """Build the state of the arm at its latest reading; the reason is a sentence on an arm that is not ready."""
     measured, controller = arm.measured, arm.controller
+    state = ArmState(
+        time.time(), mode, arm.hardware.joint_names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s
+    )
     if measured is None:
-        return ArmState(
-            time.time(),
-            mode,
-            arm.hardware.joint_names,
-            reason=reason,
-            fault=fault,
-            lateness_s=lateness_s,
-            clock_s=clock_s,
-        )
-    motion = None if controller is None else controller.motion
-    torque_enabled = controller is not None and controller.torque_enabled
-    return ArmState(
-        measured.stamp_s,
-        mode,
-        arm.hardware.joint_names,
-        reason=reason,
+        return state
+    state = replace(
+        state,
+        stamp_s=measured.stamp_s,
         position_rad=measured.position_rad,
         velocity_rad_s=measured.velocity_rad_s,
         age_s=measured.age_s,
         load=measured.load,
         current_a=measured.current_a,
-        goal_rad=controller.goal_rad if controller is not None and torque_enabled else measured.position_rad,
+        goal_rad=measured.position_rad,
+    )
+    if controller is None:
+        return state
+    motion = controller.motion
+    return replace(
+        state,
+        goal_rad=controller.goal_rad if controller.torque_enabled else measured.position_rad,
         motion_id=None if motion is None else motion.motion_id,
         fraction=0.0 if motion is None else motion.fraction,
         remaining_s=0.0 if motion is None else motion.remaining_s,
-        motions=() if controller is None else controller.progress,
-        pace=Pace() if controller is None else controller.pace,
-        lateness_s=lateness_s,
-        fault=fault,
-        clock_s=clock_s,
-        torque_enabled=torque_enabled,
+        motions=controller.progress,
+        pace=controller.pace,
+        torque_enabled=controller.torque_enabled,
     )
 
 

@@ -45,6 +45,11 @@ def hardware_opener(config: ArmConfig, clock: LoopClock) -> Callable[[], Hardwar
             from robot.emulator.dynamixel import emulated_dynamixel_arm
 
             return emulated_dynamixel_arm(config.robot, config.hardware, bounds, limits, clock).open
+        case IdealConfig(physics=True):
+            from robot.physics.ideal_arm import PhysicalArm
+
+            physical = PhysicalArm(config.robot, config.hardware, joint_names, bounds, clock)
+            return lambda: physical
         case IdealConfig():
             from robot.hardware.ideal import IdealArm
 

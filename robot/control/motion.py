@@ -90,17 +90,13 @@ class Streaming:
         self._tracking.set_target(target * (self._speed_limit / max(peak_share, self._speed_limit)))
         return self._tracking.advance(elapsed_s)
 
-    def ended(self, outcome: Outcome, message: str) -> MotionEnded:
-        """Return the stream's end."""
-        return MotionEnded(self.motion_id, outcome, message)
-
     def end(self, _goal_rad: Vector, _position_rad: Vector, _now_s: float) -> MotionEnded | None:
         """Return the regular end, None while in progress: at rest, and stopped or without setpoints."""
         if not self.finished:
             return None
         if self._ending:
-            return self.ended(Outcome.STOPPED, self._ending)
-        return self.ended(Outcome.UNSTEERED, f"no setpoint came for {SETPOINT_LASTS_S:g} s")
+            return MotionEnded(self.motion_id, Outcome.STOPPED, self._ending)
+        return MotionEnded(self.motion_id, Outcome.UNSTEERED, f"no setpoint came for {SETPOINT_LASTS_S:g} s")
 
 
 class VelocityTracking:
@@ -313,22 +309,18 @@ class Motion:
         self.pace, self.ceiling = rate, min(fastest, self._fastest)
         return self.advance(elapsed_s)
 
-    def ended(self, outcome: Outcome, message: str) -> MotionEnded:
-        """Return the motion's end."""
-        return MotionEnded(self.motion_id, outcome, message)
-
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
         """Return the regular end, None while in progress; goals and measured positions are of all joints [rad]."""
         if not self.finished:
             return None
         if not self.completed:
-            return self.ended(Outcome.STOPPED, f"the arm stands at {self.fraction:.0%} of the way")
+            return MotionEnded(self.motion_id, Outcome.STOPPED, f"the arm stands at {self.fraction:.0%} of the way")
         if self._end_reached_s is None:
             self._end_reached_s = now_s
         error = np.abs(position_rad - goal_rad)[self.columns]
         self._settled_ticks = self._settled_ticks + 1 if (error <= self._tolerance_rad).all() else 0
         if self._settled_ticks >= SETTLED_TICKS:
-            return self.ended(Outcome.REACHED, "the arm is there")
+            return MotionEnded(self.motion_id, Outcome.REACHED, "the arm is there")
         if now_s - self._end_reached_s < self._limits.settle_timeout_s:
             return None
         return self._not_settled(error)
@@ -337,14 +329,16 @@ class Motion:
         worst = int(np.argmax(error - self._tolerance_rad))
         name = self.joint_names[worst]
         if self.gripping:
-            return self.ended(
-                Outcome.GRIPPED, f"joint {name} holds something, {error[worst]:.3f} rad short of its goal"
+            return MotionEnded(
+                self.motion_id,
+                Outcome.GRIPPED,
+                f"joint {name} holds something, {error[worst]:.3f} rad short of its goal",
             )
         message = (
             f"joint {name} is still {error[worst]:.3f} rad from its goal {self._limits.settle_timeout_s:g} s after "
             f"the end of the motion (tolerance {self._tolerance_rad[worst]:.2g} rad)"
         )
-        return self.ended(Outcome.NOT_SETTLED, message)
+        return MotionEnded(self.motion_id, Outcome.NOT_SETTLED, message)
 
 
 def splice_refusal(
@@ -375,7 +369,7 @@ def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> Moti
         return None
     motion.continue_from(former, continues.from_s)
     motions.remove(former)
-    return former.ended(Outcome.STOPPED, f"motion {motion.motion_id} takes its place")
+    return MotionEnded(former.motion_id, Outcome.STOPPED, f"motion {motion.motion_id} takes its place")
 
 
 def _former(motions: Iterable[Motion | Streaming], command: Execute) -> Motion | None:

@@ -195,7 +195,6 @@ class Orders:
                 self._arm.hold(goal_rad)
 
     def _check_causes(self, fault: Fault) -> None:
-        """Raise OrderRefused while an actuator is hot or reports an error."""
         measured = self._readings()
         readings = zip(measured.status.tolist(), measured.temperature_c.tolist(), strict=True)
         limits = self._config.guard_limits

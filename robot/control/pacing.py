@@ -84,7 +84,8 @@ class SimulationClock(LoopClock):
 
     def __init__(self, machine_s: float) -> None:
         self._now_s = self._tick_s = machine_s
-        self._passed_s: deque[tuple[float, float]] = deque(maxlen=TICKS_KEPT)
+        # Reports and /diagnostics come once a second each: of a report that /diagnostics misses, the next has the half.
+        self._passed_s: deque[tuple[float, float]] = deque(maxlen=2 * TICKS_KEPT)
 
     def __call__(self) -> float:
         """Return the time [s]."""
@@ -100,7 +101,7 @@ class SimulationClock(LoopClock):
 
     @property
     def real_time_factor(self) -> float:
-        """Real-time factor over the last second's ticks; 1 before the first."""
+        """Real-time factor over the ticks of the last two seconds; 1 before the first."""
         elapsed_s = sum(elapsed for _, elapsed in self._passed_s)
         return sum(passed for passed, _ in self._passed_s) / elapsed_s if elapsed_s > 0.0 else 1.0
 

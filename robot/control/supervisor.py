@@ -16,7 +16,6 @@ from robot.control.pacing import PERIOD_S, LoopClock, Pacer, Scheduling
 from robot.control.parking import Parking, Stage
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
-from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.interface import HardwareInterface, Steps, run_to_end
 from robot.logs import LogLimiter
 from robot.messages import (
@@ -42,6 +41,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
+from robot.physics.bodies import SetBodies
 from robot.stop_epochs import STOPPED_SINCE
 
 log = logging.getLogger("armbridge.arm")
@@ -81,18 +81,6 @@ _NAMES = {
 Send = Callable[[object, bool], None]
 
 
-def stays_at_rest(hardware: HardwareConfig) -> bool:
-    """Return True for simulated hardware that at rest has nothing to see: no lost replies, and nobody's hand on it."""
-    match hardware:
-        case IdealConfig():
-            return True
-        case EmulatedConfig():
-            lossless = not hardware.drop and not hardware.corrupt
-            return hardware.kind == "feetech" and lossless and hardware.control is None
-        case _:
-            return False
-
-
 class Supervisor:
     """Supervisor of one arm; it sends messages, with True for those to drop while the server does not read."""
 
@@ -117,7 +105,6 @@ class Supervisor:
         self._retry_s = FIRST_RETRY_S
         self._check_at_s = clock()
         self._state_due, self._health_due = self._ticks_per_state, HEALTH_PERIOD_TICKS
-        self._undisturbed = stays_at_rest(config.hardware)
         self._observed = True
         self._rested_ticks = 0
         self._server_lost = False
@@ -128,6 +115,7 @@ class Supervisor:
         self._ended = False
         self._lost_driven = False  # True when torque was on as the hardware was lost
         self._parking = Parking(self._joint_names)
+        self._bodies: SetBodies | None = None  # bodies around an arm with physics, kept while it is disconnected
 
     @property
     def fault(self) -> Fault | None:
@@ -156,6 +144,12 @@ class Supervisor:
         self._orders = Orders(self.arm, self._config, self._fault, self._report)
         self._check_at_s = self._clock()
         self._retry_s = FIRST_RETRY_S
+        self._set_bodies()
+
+    def _set_bodies(self) -> None:
+        world = None if self.arm is None else self.arm.hardware.world
+        if world is not None and self._bodies is not None:
+            world.set_bodies(self._bodies)
 
     def disconnect(self, reason: str) -> None:
         """End motions and orders in progress: the hardware is gone, or could not be opened."""
@@ -196,6 +190,9 @@ class Supervisor:
                 self._parking.give_up(controller, "the server must not wait")
         elif isinstance(message, KeepParking):
             self._parking.keep(message.plan)
+        elif isinstance(message, SetBodies):
+            self._bodies = message
+            self._set_bodies()
 
     @property
     def spare_ticks(self) -> int:
@@ -203,7 +200,7 @@ class Supervisor:
         controller = self._controller
         if not self._config.hardware.simulated or controller is None or self._task or not controller.resting:
             return 0
-        if not self._observed and self._rested_ticks >= SETTLED_TICKS and self._undisturbed:
+        if not self._observed and self._rested_ticks >= SETTLED_TICKS and self._config.hardware.stays_at_rest:
             return IDLE_SPARE_TICKS
         return SPARE_TICKS if self._ticks_per_state > SPARE_TICKS else 0
 
@@ -232,6 +229,9 @@ class Supervisor:
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)
+            if (world := arm.hardware.world) is not None:
+                # A state may be dropped on its way: once a second all bodies are in it.
+                state = replace(state, bodies=world.moved_bodies(every=self._health_due <= 0))
             self._send(state, True)
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS

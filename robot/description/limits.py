@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot.calibration import Calibration, JointCalibration
+from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
 from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, MotionLimits, Vector
@@ -84,7 +84,11 @@ class JointBounds:
 
         Raises DescriptionError where nothing is left of a joint's range.
         """
-        ranges = [_range_of_servo(joint, angle_limits_ticks[joint.servo_id]) for joint in calibration.joints]
+        ranges = []
+        for joint in calibration.joints:
+            limits_ticks = angle_limits_ticks[joint.servo_id]
+            low, high = (-np.inf, np.inf) if limits_ticks == (0, 0) else sorted(map(joint.rad_from_ticks, limits_ticks))
+            ranges.append((low + END_STOP_MARGIN_RAD, high - END_STOP_MARGIN_RAD))
         lower = np.maximum(self.lower_rad, [low for low, _ in ranges])
         upper = np.minimum(self.upper_rad, [high for _, high in ranges])
         for joint, low, high in zip(calibration.joints, lower, upper, strict=True):
@@ -103,11 +107,3 @@ def motion_limits(robot: RobotModel, joint_names: tuple[str, ...], speed_limit: 
     jerk = np.array([np.inf if joint.max_jerk is None else joint.max_jerk for joint in joints])
     steepest = bounds.max_acceleration / TIME_TO_FULL_ACCELERATION_S
     return MotionLimits(speed_limit * bounds.max_velocity, bounds.max_acceleration, np.minimum(steepest, jerk))
-
-
-def _range_of_servo(joint: JointCalibration, limits_ticks: tuple[int, int]) -> tuple[float, float]:
-    """Compute the range that a servo allows, less the margin [rad]; limits of (0, 0) are Feetech's multi-turn mode."""
-    if limits_ticks == (0, 0):
-        return -np.inf, np.inf
-    ends = sorted(joint.rad_from_ticks(ticks) for ticks in limits_ticks)
-    return ends[0] + END_STOP_MARGIN_RAD, ends[1] - END_STOP_MARGIN_RAD

@@ -11,11 +11,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.description.meshes import check_meshes, package_path
 from robot.description.srdf import Group as Group
 from robot.description.srdf import Semantics, read_srdf, with_group
 from robot.description.urdf import Joint as Joint
 from robot.description.urdf import JointLimits as JointLimits
-from robot.description.urdf import Tree, check_meshes, package_path, read_urdf, with_fixed_joints
+from robot.description.urdf import Tree, read_urdf, with_fixed_joints
 from robot.errors import DescriptionError
 
 NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})

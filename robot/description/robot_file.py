@@ -161,7 +161,8 @@ def _sentence(error: ErrorDetails) -> str:
     place = [part for part in error["loc"] if not str(part).startswith(("literal[", "ZeroTable", "constrained"))]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if error["type"] == "extra_forbidden":
-        known = _keys_beside(place)
+        names = [part for part in place[:-1] if isinstance(part, str)] or [""]
+        known = sorted((JointTable if names[0] == "joints" else _TABLES[names[-1]]).model_fields)
         nearest = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=LIKENESS)
         return f"{key}: there is no such key" + (
             f"; did you mean {nearest[0]}?" if nearest else f", but {', '.join(known)}"
@@ -184,9 +185,3 @@ _TABLES: Mapping[str, type[_Table]] = {
     "zero": ZeroTable,
     "profile": ProfileTable,
 }
-
-
-def _keys_beside(place: list[int | str]) -> list[str]:
-    names = [part for part in place[:-1] if isinstance(part, str)] or [""]
-    table = JointTable if names[0] == "joints" else _TABLES[names[-1]]
-    return sorted(table.model_fields)

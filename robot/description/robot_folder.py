@@ -20,7 +20,7 @@ import robot.arms
 from robot.description import model, robot_file
 from robot.description.model import Gripper, Hull, JointLimits, LinkSurface, RobotModel
 from robot.description.robot_file import HardwareSection, RobotFile, ServoTable
-from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ProfileSpec, ServoSpec, Zero, ZeroTick
+from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ServoSpec, Zero, ZeroTick
 from robot.errors import DescriptionError, RobotFileError
 
 PACKAGE = "example-robot-data"
@@ -292,7 +292,6 @@ def _parts(path: Path) -> dict[str, tuple[NDArray[np.float64], ...]]:
 
 
 def _surfaces(path: Path) -> dict[str, LinkSurface]:
-    """Return where the surface of each link is; the planners read them."""
     try:
         with np.load(path, allow_pickle=False) as file:
             names = file.files
@@ -349,8 +348,7 @@ def _hardware(file: RobotFile, arm: RobotModel) -> HardwareTable:
     section = file.hardware
     gripper = arm.gripper.joints if arm.gripper is not None else ()
     servos = tuple(_servo(servo, section, arm, gripper=servo.joint in gripper) for servo in section.servos)
-    profile = None if section.profile is None else ProfileSpec(**section.profile.model_dump())
-    return HardwareTable(section.kind, servos, section.baud, section.calibrations, profile)
+    return HardwareTable(section.kind, servos, section.baud, section.calibrations, section.profile)
 
 
 def _servo(table: ServoTable, section: HardwareSection, arm: RobotModel, *, gripper: bool) -> ServoSpec:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+if TYPE_CHECKING:
+    from robot.description.robot_file import ProfileTable
 
 MAX_SERVO_ID = 253  # 254 is the broadcast id of both kinds of bus, and Dynamixel reserves 253 too
 
@@ -49,15 +52,6 @@ class ServoSpec:
 
 
 @dataclass(frozen=True)
-class ProfileSpec:
-    """Settings that the servos of an arm should have, by the names of their registers."""
-
-    base: Literal["factory", "lerobot"] = "factory"  # profile from which they differ
-    registers: Mapping[str, int] = field(default_factory=dict)  # values for every servo
-    gripper: Mapping[str, int] = field(default_factory=dict)  # values for the gripper's servos
-
-
-@dataclass(frozen=True)
 class HardwareTable:
     """Hardware of an arm."""
 
@@ -67,4 +61,4 @@ class HardwareTable:
     # Folders in which lerobot keeps calibrations of the arm, the newest name first.
     calibrations: tuple[str, ...] = ()
     # Settings of its servos; None for the factory's or lerobot's, whichever are nearer.
-    profile: ProfileSpec | None = None
+    profile: ProfileTable | None = None

@@ -87,27 +87,17 @@ class _Reader:
         for effector in end_effectors:
             if effector.group in groups:
                 groups[effector.group] = self._with_tip(groups[effector.group], effector)
-        return Semantics(
-            groups,
-            self._named_states(groups),
-            self._disabled_pairs(),
-            end_effectors,
-            self._passive,
-            self._planning_frame(),
-        )
+        root_link = self._tree.links[0]
+        at_root = (each for each in self._virtual.values() if each.get("child_link") == root_link)
+        frame = next((attribute(each, "parent_frame", self._source) for each in at_root), root_link)
+        states, pairs = self._named_states(groups), self._disabled_pairs()
+        return Semantics(groups, states, pairs, end_effectors, self._passive, frame)
 
     def _passive_joints(self) -> Iterator[str]:
         for element in self._root.iterfind("passive_joint"):
             name = attribute(element, "name", self._source)
             if name not in self._virtual and self._joint(name, "<passive_joint>").movable:
                 yield name
-
-    def _planning_frame(self) -> str:
-        root_link = self._tree.links[0]
-        for element in self._virtual.values():
-            if element.get("child_link") == root_link:
-                return attribute(element, "parent_frame", self._source)
-        return root_link
 
     def _group(self, name: str) -> Group:
         names = self._members(name, ())

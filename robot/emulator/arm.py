@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Generic
+from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from robot.hardware.servos.family import ServoFamily, full_torque
 from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 from robot.trajectory import Vector
+
+if TYPE_CHECKING:
+    from robot.physics.world import World
 
 MAX_WAITING_BYTES = 4096  # what a frozen adapter keeps, as a pseudo terminal does (N_TTY_BUF_SIZE in Linux)
 
@@ -162,8 +165,15 @@ class EmulatedArm(Generic[S]):
         if holds:
             for servo, share in zip(servos, full_torque(config.calibration, limits).tolist(), strict=True):
                 servo.hold(share)
-        weight = weight_of(robot, config.calibration, servos)
-        self.bus = ServoBus(servos, codec, faults, clock(), log, weight, wire_time=False)
+        self.world: World | None = None  # physical world of the arm's links; None without physics
+        if config.physics:
+            from robot.physics.servo_joints import ServoJoints  # MuJoCo takes 200 ms, and not everyone has it
+
+            joints = ServoJoints(robot, config.calibration, servos)
+            self.world, move = joints.world, joints.move
+        else:
+            move = weight_of(robot, config.calibration, servos)
+        self.bus = ServoBus(servos, codec, faults, clock(), log, move, wire_time=False)
         self.port = InProcessPort(self.bus, clock)
         self._family = family
         # Emulated servos are built from the calibration, which therefore has their offsets, also where it was assumed.
@@ -176,9 +186,11 @@ class EmulatedArm(Generic[S]):
         """Open the servos' port; raises PortError while it is unplugged."""
         self.port.check()
         bus = self._family.bus(self.port, self._clock)
-        return ServoHardware(
+        hardware = ServoHardware(
             self._family, bus, self._calibration, self._bounds, self._limits, self._clock, simulated=True
         )
+        hardware.world = self.world
+        return hardware
 
 
 def start_pose_rad(config: EmulatedConfig) -> list[float]:
@@ -187,13 +199,13 @@ def start_pose_rad(config: EmulatedConfig) -> list[float]:
     return [min(max(config.start_rad.get(joint.joint, 0.0), joint.lower_rad), joint.upper_rad) for joint in joints]
 
 
-def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[EmulatedServo[Any]]) -> Callable[[], None]:
+def weight_of(robot: RobotModel, calibration: Calibration, servos: Sequence[EmulatedServo[Any]]) -> Callable[..., None]:
     """Return a function that loads the servos, in the calibration's order, with the links' weight at their pose."""
     weights = LinkWeights(robot)
     joints = list(zip(calibration.joints, servos, strict=True))
     weighed: dict[str, float] = {}
 
-    def weigh() -> None:
+    def weigh(_duration_s: float = 0.0) -> None:
         position_rad = {joint.joint: joint.rad_from_ticks(servo.joint_ticks) for joint, servo in joints}
         if all(abs(at - weighed.get(name, math.inf)) < WEIGHED_AGAIN_RAD for name, at in position_rad.items()):
             return

@@ -137,6 +137,7 @@ class DynamixelServo(EmulatedServo[Register]):
         self.model = model
         self.protection.latches = True
         self.voltage_v = SUPPLY_V[model.name]
+        self.stall_torque_nm = model.stall_torque_nm
         self.duty_permille_per_nm = CARRIED_BY_MOTOR * FULL_DUTY_PERMILLE / model.stall_torque_nm
         self.writes = 0  # number of accepted writes
         values: Mapping[Register, int] = {

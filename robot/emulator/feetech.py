@@ -80,6 +80,8 @@ OVERCURRENT_TIME_S = 2.0  # factory value of register 38, which is not emulated
 # 20 to 30 were measured.
 DUTY_PERMILLE_PER_NM = 130.0
 
+STALL_TORQUE_NM = 1.62  # STS3215 C001 at 6 V: 16.5 kg cm
+
 # Instructions of the protocol manual without a name in Feetech's SDK.
 INST_RESTORE = 0x06
 INST_REBOOT = 0x08
@@ -105,6 +107,7 @@ class FeetechServo(EmulatedServo[Register]):
     full_torque = 1000
     baudrates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
     duty_permille_per_nm = DUTY_PERMILLE_PER_NM
+    stall_torque_nm = STALL_TORQUE_NM
 
     def __init__(self, plant: Plant, eprom: Mapping[Register, int], *, joint: str = "", zero_ticks: int = 0) -> None:
         super().__init__(plant, joint, zero_ticks)
@@ -341,7 +344,6 @@ def _servo(
         )
 
     def own(each: Sequence[int]) -> int:
-        """Return the value of this joint."""
         return each[place % len(each)]
 
     zero = joint.homing_offset + own(population.horn_ticks)

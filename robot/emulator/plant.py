@@ -116,17 +116,23 @@ class Plant:
         self.at_rest = settled and self._profile_velocity_ticks_s == 0.0 and abs(self.velocity_ticks_s) < REST_TICKS_S
         self._rested_under = (drive, self.position_ticks, *under[2:])
 
-    def _substep(self, dt_s: float, drive: Drive) -> None:
+    def drive_motor(self, dt_s: float, drive: Drive) -> None:
+        """Advance the profile by ``dt_s`` [s], and set the duty."""
         if drive.torque_permille > 0.0:
             self._advance_profile(dt_s, drive)
             stiffness = DUTY_PERMILLE_PER_TICK_AND_GAIN * drive.p_gain
             duty = stiffness * (self._profile_ticks - self.position_ticks)
             self.duty_permille = max(-drive.torque_permille, min(drive.torque_permille, duty))
-            load = self.gravity_permille - self.push_permille
-            velocity = (self.duty_permille - load) / 1000.0 * NO_LOAD_TICKS_S
         else:
             self._profile_ticks, self._profile_velocity_ticks_s = self.position_ticks, 0.0
             self.duty_permille = 0.0
+
+    def _substep(self, dt_s: float, drive: Drive) -> None:
+        self.drive_motor(dt_s, drive)
+        if drive.torque_permille > 0.0:
+            load = self.gravity_permille - self.push_permille
+            velocity = (self.duty_permille - load) / 1000.0 * NO_LOAD_TICKS_S
+        else:
             velocity = (
                 self.push_permille * PUSH_TICKS_S_PER_PERMILLE - self.gravity_permille * DROOP_TICKS_S_PER_PERMILLE
             )
@@ -149,6 +155,25 @@ class Plant:
             return
         self._profile_ticks += velocity * dt_s
         self._profile_velocity_ticks_s = velocity
+
+
+RELAXED = Drive(0.0, 0.0, 0.0, 0.0, 0)
+
+
+@dataclass
+class DrivenPlant(Plant):
+    """Joint that a physical world moves (:mod:`robot.physics`), by the drive that the servo set last."""
+
+    drive: Drive = RELAXED
+
+    @property
+    def walls_ticks(self) -> tuple[float, float]:
+        """Mechanical ends, or an obstacle before one."""
+        return self._walls_ticks
+
+    def step(self, duration_s: float, drive: Drive) -> None:  # noqa: ARG002 - the world's time passes for all joints
+        """Keep the drive for the world's next steps."""
+        self.drive = drive
 
 
 @dataclass

@@ -138,6 +138,7 @@ class EmulatedServo(ABC, Generic[RegisterT]):
     baudrate: int  # bits per second, 0 for a rate that no host has
     return_delay_s: float  # time that it waits before a reply [s]
     duty_permille_per_nm: float  # duty that a torque at the joint calls for [0.1 % per Nm]
+    stall_torque_nm: float  # largest torque at the joint [Nm]
     _drive: Drive
     _thresholds: Thresholds
 

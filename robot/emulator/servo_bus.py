@@ -249,7 +249,8 @@ class ServoBus(Generic[S]):
         faults: Faults,  # may be changed while the bus runs
         now_s: float,  # monotonic time [s]
         log: WriteLog | None = None,
-        weigh: Callable[[], None] = lambda: None,  # loads the servos with the links' weight at their pose
+        # Loads the servos with the links' weight at their pose, or moves their joints, after a time that passed [s].
+        move: Callable[[float], None] = lambda _duration_s: None,
         *,
         wire_time: bool = True,  # without it replies are complete at once, and cannot collide with the host's bytes
     ) -> None:
@@ -257,8 +258,8 @@ class ServoBus(Generic[S]):
         self.faults = faults
         self.log = log
         self._codec = codec
-        self._weigh = weigh
-        self._weigh()
+        self._move = move
+        self._move(0.0)
         self._wire_time = wire_time
         self._parser = InstructionParser(codec)
         self._now_s = now_s
@@ -269,11 +270,11 @@ class ServoBus(Generic[S]):
         """Advance the servos to the monotonic time ``now_s`` [s]."""
         if now_s <= self._now_s:
             return
+        duration_s, self._now_s = now_s - self._now_s, now_s
         for servo in self.servos:
-            servo.step(now_s - self._now_s)
-        self._now_s = now_s
+            servo.step(duration_s)
         if not all(servo.plant.at_rest for servo in self.servos):
-            self._weigh()
+            self._move(duration_s)
 
     def receive(self, data: bytes, now_s: float, baudrate: int = BAUDRATE) -> list[Reply]:
         """Receive bytes from the host at a monotonic time [s]; return the replies, which a collision may cut.

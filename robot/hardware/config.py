@@ -27,13 +27,14 @@ class SerialConfig(_ServosConfig):
     """Servos on a serial port."""
 
     simulated: ClassVar[bool] = False
+    stays_at_rest: ClassVar[bool] = False
 
     port: str  # serial device, ``socket://host:port``, USB id or ``auto``
     kind: ServoKind = "feetech"
     baud: int = 1_000_000  # bits per second
     profile: ServoProfile | None = None  # settings that Feetech's should have; None for the nearest known profile
 
-    def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> Self:  # noqa: ARG002 - as simulated joints
+    def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the same: servos stay where they are when the arm process ends."""
         return self
 
@@ -45,6 +46,7 @@ class _SimulatedConfig:
     # Joint -> position at the start [rad]; joints not named start at 0, or at the limit nearest to it.
     start_rad: Mapping[str, float] = field(default_factory=dict)
     driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
+    physics: bool = False  # True if MuJoCo moves the joints (:mod:`robot.physics`)
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""
@@ -68,6 +70,12 @@ class EmulatedConfig(_SimulatedConfig, _ServosConfig):
     write_log: Path | None = None  # log file with a line of JSON for every write to a servo; None for no log
     control: Path | None = None  # Unix socket for the emulator's live commands (:mod:`robot.emulator.control`)
 
+    @property
+    def stays_at_rest(self) -> bool:
+        """True for servos that at rest have nothing to see: no lost replies, no commands to them, and no contact."""
+        lossless = self.kind == "feetech" and not self.drop and not self.corrupt
+        return lossless and self.control is None and not self.physics
+
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the servos as an arm process that has ended left them."""
         return replace(super().resumed(position_rad, driven=driven), resumes=True)
@@ -78,8 +86,12 @@ class IdealConfig(_SimulatedConfig):
     """Joints without actuators, which follow their goals."""
 
     port: ClassVar[str] = "ideal"  # name in place of a port
-
     lag_s: float = 0.03  # time constant with which they follow [s]; 0 follows within one tick
+
+    @property
+    def stays_at_rest(self) -> bool:
+        """True for joints that nothing touches."""
+        return not self.physics
 
     def joint_names(self, robot: RobotModel) -> tuple[str, ...]:
         """Return every movable joint of the robot."""
@@ -87,6 +99,4 @@ class IdealConfig(_SimulatedConfig):
 
 
 HardwareConfig: TypeAlias = SerialConfig | EmulatedConfig | IdealConfig
-"""Hardware interface of an arm: servos on a serial port or emulated, and the ideal arm."""
-
 SIMULATED_PORTS = frozenset({EmulatedConfig.port, IdealConfig.port})  # names of their ports

@@ -80,7 +80,7 @@ class IdealArm(HardwareInterface):
     def write_torque_shares(self, torque_share: Vector) -> None:
         """Do nothing: an ideal joint needs no torque."""
 
-    def check(self, stamp_s: float) -> Fault | None:  # noqa: ARG002 - the interface's signature
+    def check(self, stamp_s: float) -> Fault | None:
         return None
 
     def driven(self) -> Steps[Flags]:
@@ -96,7 +96,7 @@ class IdealArm(HardwareInterface):
                 self._goal_rad[joint] = self._position_rad[joint]
         return np.where(self._on, self._goal_rad, self._position_rad)
 
-    def relax(self, torque_share: Vector) -> Steps[list[str]]:  # noqa: ARG002 - the interface's signature
+    def relax(self, torque_share: Vector) -> Steps[list[str]]:
         """Switch torque off after :data:`RELAX_S`; the joints have no weight, so they stay."""
         yield RELAX_S
         return (yield from self.switch_off())
@@ -111,7 +111,7 @@ class IdealArm(HardwareInterface):
         yield 0.0
         return []
 
-    def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:  # noqa: ARG002 - likewise
+    def clear_overloads(self, joints: Sequence[int], *, hold: bool) -> Steps[Vector | None]:
         yield 0.0
         return self._goal_rad if hold else None
 

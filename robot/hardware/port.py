@@ -1,7 +1,4 @@
-"""Serial port of the servo bus, by name, USB id or ``auto``; every operation ends in bounded time.
-
-A USB id names the board's serial chip, not the board: chips of the boards that servo arms are sold with come first;
-chips that a few servo boards share with other devices are taken only where no board of the first class is plugged in.
+"""Serial port of the servo bus; every operation ends in bounded time.
 
 ``scservo_sdk`` writes its packets through a ``PortHandler``. Its own never discards stale input, may share the device
 with another process, has no write timeout and stays locked after an exception; :class:`SerialPort` does better. Replies
@@ -16,130 +13,18 @@ import fcntl
 import grp
 import io
 import os
-import re
 import select
 import termios
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import serial
 from scservo_sdk import PortHandler
-from serial.tools import list_ports
-from serial.tools.list_ports_common import ListPortInfo
 
 from robot.errors import PortBusy, PortError, PortLost
 
-# Device names that do not depend on the order in which boards were plugged in: of the device (vendor, product and its
-# serial number), and of the socket it is plugged into.
-NAMES_BY_DEVICE = Path("/dev/serial/by-id")
-NAMES_BY_SOCKET = Path("/dev/serial/by-path")
-
-# Files by which the places are known where a USB device does not appear by being plugged in.
-KERNEL_RELEASE = Path("/proc/sys/kernel/osrelease")
-BOARD_MODEL = Path("/proc/device-tree/model")
-CONTAINER_MARKS = (Path("/.dockerenv"), Path("/run/.containerenv"))
-
-UsbId = tuple[int, int]
-
-
-@dataclass(frozen=True)
-class Board:
-    """Kind of board that leads to a servo bus."""
-
-    usb_id: UsbId  # vendor and product id of its serial chip
-    name: str  # chip and boards, for the reader
-    certain: bool  # False for a chip that many devices other than servo boards have
-
-
-# In order of certainty. Sources: the ids that public SO-101 projects list (phosphobot's so100.py and the constants of
-# OpenCastor's so_arm101). The last three are the usual ids of chips that the makers name; no arm was seen behind them.
-KNOWN_BOARDS = (
-    Board((0x1A86, 0x55D3), "CH343: Waveshare Bus Servo Adapter A, Seeed and Feetech boards", certain=True),
-    Board((0x1A86, 0x7523), "CH340: Feetech FE-URT-1", certain=True),
-    Board((0x0483, 0x5740), "STM32: servo boards with a virtual COM port", certain=False),
-    Board((0x303A, 0x1001), "ESP32-C3 or -S3: Seeed XIAO Bus Servo Adapter", certain=False),
-    Board((0x10C4, 0xEA60), "CP210x: Waveshare Servo Driver with ESP32", certain=False),
-    Board((0x0403, 0x6014), "FT232H: ROBOTIS U2D2", certain=False),
-)
-
-
-def usb_ports() -> list[ListPortInfo]:
-    """Return the serial devices on USB, by name."""
-    return sorted((info for info in list_ports.comports() if info.vid is not None), key=lambda info: info.device)
-
-
-def usb_id_text(usb_id: UsbId) -> str:
-    """Return a USB id as ``lsusb`` prints it."""
-    return f"{usb_id[0]:04x}:{usb_id[1]:04x}"
-
-
-def _only(port: str, found: Sequence[ListPortInfo]) -> str:
-    if len(found) == 1:
-        return _stable_name(found[0])
-    numbers = [
-        f"USB serial number {info.serial_number}" if info.serial_number else "no USB serial number" for info in found
-    ]
-    boards = " and ".join(
-        f"{_stable_name(info)} ({usb_id_text((info.vid, info.pid))}, {number})"
-        for info, number in zip(found, numbers, strict=True)
-    )
-    raise PortError(
-        port, f"could be any of {len(found)} boards: {boards}; name one, as in --serial {_stable_name(found[0])}"
-    )
-
-
-def _stable_name(info: ListPortInfo) -> str:
-    """Return the stable link to a device, or the device itself without one.
-
-    Boards without a serial number, as those with a CH340, all have the same name by device: the link leads to the
-    adapter plugged in last.
-    """
-    folders = (NAMES_BY_DEVICE, NAMES_BY_SOCKET) if info.serial_number else (NAMES_BY_SOCKET, NAMES_BY_DEVICE)
-    device = os.path.realpath(info.device)
-    for folder in folders:
-        if folder.is_dir():
-            for link in sorted(folder.iterdir()):
-                if os.path.realpath(link) == device:
-                    return str(link)
-    return str(info.device)
-
-
-def _explain_missing(plugged_in: Sequence[ListPortInfo]) -> str:
-    if plugged_in:
-        others = ", ".join(
-            f"{info.device} ({usb_id_text((info.vid, info.pid))}, {info.product or 'without a name'})"
-            for info in plugged_in
-        )
-        first = usb_id_text((plugged_in[0].vid, plugged_in[0].pid))
-        return f"plugged in is {others}; if that leads to the servos, name it, as in --serial {first}"
-    return f"no USB serial device is plugged in. {_advice_here()}"
-
-
-def _advice_here() -> str:
-    if "microsoft" in _text(KERNEL_RELEASE).lower():
-        return "WSL 2 sees a USB device once Windows hands it over: usbipd attach --wsl --busid BUSID"
-    if any(mark.exists() for mark in CONTAINER_MARKS):
-        return "A container sees the devices that it was started with: docker run --device /dev/ttyACM0"
-    if _text(BOARD_MODEL).startswith("Raspberry Pi"):
-        return "A board on the pins of a Raspberry Pi is not found by USB: --serial /dev/serial0"
-    return "Plug the board in with a cable that carries data, not power alone"
-
-
-def _text(file: Path) -> str:
-    try:
-        return file.read_text(errors="replace")
-    except OSError:
-        return ""
-
-
-AUTO = "auto"
-
 BITS_PER_BYTE = 10  # start bit, eight data bits and stop bit
-
-_USB_ID = re.compile(r"(?:usb:)?([0-9a-f]{4}):([0-9a-f]{4})", re.IGNORECASE)
 
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
 WRITE_TIMEOUT_S = 0.1
@@ -198,24 +83,6 @@ def wire_time_s(byte_count: int, baudrate: int) -> float:
     return byte_count * BITS_PER_BYTE / baudrate
 
 
-def resolve_port(port: str) -> str:
-    """Find the device: a path or URL as it stands, or the one board of ``auto``, ``1a86:55d3`` or ``usb:1a86:55d3``."""
-    named = _USB_ID.fullmatch(port)
-    if port != AUTO and named is None:
-        return port
-    plugged_in = usb_ports()
-    if named is None:
-        choices = [{board.usb_id for board in KNOWN_BOARDS if board.certain is certain} for certain in (True, False)]
-        problem = "found no known servo board"
-    else:
-        usb_id = int(named[1], 16), int(named[2], 16)
-        choices, port, problem = [{usb_id}], usb_id_text(usb_id), "is the USB id of no serial device here"
-    for usb_ids in choices:
-        if found := [info for info in plugged_in if (info.vid, info.pid) in usb_ids]:
-            return _only(port, found)
-    raise PortError(port, f"{problem}: {_explain_missing(plugged_in)}")
-
-
 def open_port(port: str, baudrate: int) -> SerialPort:
     """Open a serial port for this process alone: a device path, or a pyserial URL such as ``socket://host:port``.
 
@@ -244,7 +111,9 @@ class SerialPort(PortHandler):
         self.ser = line = _open_line(self.port_name, cflag_baud)
         self.is_open = True
         self.is_using = False
-        _ask_for_low_latency(line)
+        # The kernel is not to collect input for 16 ms, as FTDI's driver does; other drivers reject this, and need not.
+        with contextlib.suppress(ValueError, NotImplementedError, AttributeError):
+            line.set_low_latency_mode(True)
         with contextlib.suppress(io.UnsupportedOperation):
             self._descriptor = line.fileno()
             self._poll.register(self._descriptor, select.POLLIN)
@@ -255,7 +124,6 @@ class SerialPort(PortHandler):
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
-        """Close the device, even if it is gone."""
         self.is_open = False
         if self._descriptor is not None:
             self._poll.unregister(self._descriptor)
@@ -266,7 +134,6 @@ class SerialPort(PortHandler):
             self.ser = None
 
     def clearPort(self) -> None:  # noqa: N802 - the SDK calls this before it writes
-        """Discard the input that has arrived."""
         for _ in range(MAX_CLEARING_READS):
             stale = self.receive(0.0)
             if not stale:
@@ -274,7 +141,6 @@ class SerialPort(PortHandler):
             self.discarded_bytes += len(stale)
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the SDK calls this to write
-        """Write a packet; return the number of bytes written."""
         data = bytes(packet)
         try:
             written = self._write_at_once(data)
@@ -286,7 +152,6 @@ class SerialPort(PortHandler):
         return written
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return bytes as soon as some have arrived; none after ``timeout_s`` [s]."""
         try:
             if self._descriptor is None:
                 return self._receive_blocking(timeout_s)
@@ -368,9 +233,3 @@ def _claim(descriptor: int) -> None:
     """Keep out programs that ignore pyserial's lock, until the device is closed; only terminals support this."""
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
-
-
-def _ask_for_low_latency(line: serial.Serial) -> None:
-    """Ask the kernel not to collect input for 16 ms, as FTDI's driver does; other drivers reject this, and need not."""
-    with contextlib.suppress(ValueError, NotImplementedError, AttributeError):
-        line.set_low_latency_mode(True)

@@ -36,13 +36,7 @@ BEAT_S = 1.0
 
 
 class ControlLease:
-    """Control of the arm by one client at a time; ``several`` means all of several arms together.
-
-    Attributes:
-        watchers: called whenever :meth:`sentence` is another one.
-        excluded_by: leases that nobody else may hold when a client takes this one: the lease of all arms and the
-            lease of each arm exclude each other.
-    """
+    """Control of the arm by one client at a time; ``several`` means all of several arms together."""
 
     def __init__(
         self,
@@ -55,6 +49,8 @@ class ControlLease:
         several: bool = False,
     ) -> None:
         self.policy = policy
+        # Leases that nobody else may hold when a client takes this one: the lease of all arms and the lease of each arm
+        # exclude each other.
         self.excluded_by: tuple[ControlLease, ...] = ()
         self._busy = busy
         self._several = several
@@ -62,7 +58,7 @@ class ControlLease:
         self._release_service = f"{namespace}{RELEASE_SERVICE}"
         self.holder: Node | None = None
         self.since_s = 0.0
-        self.watchers: list[Callable[[], None]] = []
+        self.watchers: list[Callable[[], None]] = []  # called whenever :meth:`sentence` is another one
         self._idle_limit_s = idle_s
         self._wall_clock = wall_clock
         self._heard_s = 0.0

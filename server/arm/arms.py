@@ -51,11 +51,7 @@ class ArmFiles:
 
 
 def read_arms(settings: Settings, alone: Description | None = None) -> dict[str, ArmFiles]:
-    """Read the files of all arms, each by its name.
-
-    Raises:
-        ConfigurationError: a file or a setting that cannot be used.
-    """
+    """Read the files of all arms, each by its name; raises ConfigurationError for a file that cannot be used."""
     if not settings.arms:
         description = alone or Description.read(settings.arm)
         return {"": ArmFiles(settings.arm, description, arm_config(settings, description))}
@@ -85,11 +81,7 @@ def _read(name: str, own: NamedArmSettings, settings: Settings) -> ArmFiles:
 
 
 def with_prefix(description: Description, name: str) -> Description:
-    """Return an arm by its files whose joints, links and groups begin with its name.
-
-    Raises:
-        DescriptionError: a mesh is not there.
-    """
+    """Return an arm whose joints, links and groups begin with its name; raises DescriptionError without a mesh."""
     hardware = description.hardware
     servos = tuple(replace(servo, joint=f"{name}_{servo.joint}") for servo in hardware.servos)
     calibration = description.calibration
@@ -112,11 +104,7 @@ def _renamed(calibration: Calibration, rename: Callable[[str], str]) -> Calibrat
 
 
 def joined_robot(arms: Mapping[str, ArmFiles]) -> RobotModel:
-    """Return the description of all arms at their places.
-
-    Raises:
-        ConfigurationError: they do not go together.
-    """
+    """Return the description of all arms at their places; raises ConfigurationError where they do not go together."""
     placed = {
         name: PlacedArm(arm.description.robot, arm.settings.base_xyz_m, arm.settings.base_rpy_rad)
         for name, arm in arms.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -45,9 +46,7 @@ class Description:
         """Read the files named in the settings, or the built-in arm's files.
 
         A URDF alone means an ideal arm: only a robot's folder, a serial port or a calibration say that it has servos.
-
-        Raises:
-            ConfigurationError: a file that cannot be used, or that the arm has no use for.
+        Raises ConfigurationError for a file that cannot be used, or that the arm has no use for.
         """
         try:
             alone = settings.robot is None and settings.serial is None and settings.calibration is None
@@ -80,11 +79,7 @@ class Description:
 
 
 def arm_config(settings: Settings, description: Description) -> ArmConfig:
-    """Make the arm process's configuration.
-
-    Raises:
-        ConfigurationError: a setting of the emulated servos that cannot be used, or that this arm has no use for.
-    """
+    """Make the arm process's configuration; raises ConfigurationError for a setting that this arm cannot use."""
     arm = settings.arm
     return ArmConfig(
         robot=description.robot,
@@ -106,11 +101,15 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
 
 
 def _hardware(settings: Settings, description: Description) -> HardwareConfig:
-    emulator = settings.emulator
+    emulator, physics = settings.emulator, settings.arm.simulation == "physics"
+    if physics and settings.arm.serial is not None:
+        raise ConfigurationError(f"arm.simulation: the arm at {settings.arm.serial} is real; leave it out")
+    if physics and importlib.util.find_spec("mujoco") is None:
+        raise ConfigurationError("arm.simulation: physics needs MuJoCo: pip install 'armbridge[physics]'")
     if description.calibration is None:
         no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
         _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)
-        return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled)
+        return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled, physics=physics)
     dynamixel = description.hardware.kind == "dynamixel"
     if settings.arm.serial is not None:
         if dynamixel:
@@ -133,6 +132,7 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
         control=emulator.control,
         # Nothing can jump or fall when it is switched on: the half second that this takes is for real arms.
         driven=settings.arm.start_enabled,
+        physics=physics,
     )
 
 
@@ -153,6 +153,7 @@ def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> Emulat
         corrupt=emulator.corrupt,
         seed=emulator.seed,
         driven=settings.arm.start_enabled,
+        physics=settings.arm.simulation == "physics",
     )
 
 
@@ -197,11 +198,7 @@ def _check_socket(path: Path) -> None:
 
 
 def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:
-    """Check the parameters against the robot.
-
-    Raises:
-        ConfigurationError: a group, link or frame that the robot does not have.
-    """
+    """Raise ConfigurationError for a group, link or frame that the robot does not have."""
     group, link, frame = (
         parameters.group_name,
         parameters.end_effector_link,

@@ -52,19 +52,15 @@ class ClassroomOptions:
 
 
 def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
-    """Run a classroom until SIGINT or SIGTERM.
-
-    Raises:
-        ConfigurationError: settings that contradict each other, the robot, or a classroom.
-        StartError: a port is in use, or the folder cannot be used.
-    """
+    """Run a classroom until a signal; raises ConfigurationError for settings, StartError for a port or the folder."""
     _check_settings(settings)
     description = Description.read(settings.arm)
     check_parameters(settings.moveit, description.robot)
     host, file = settings.server.host, options.folder / LIST_FILE
     students = places(options.students, settings.server.port, options.folder, host)
     teacher_token = read_tokens(file).get(TEACHER) or new_token()
-    all_settings = [student.settings(settings, teacher_token) for student in students]
+    ports = {student.name: student.port for student in students}
+    all_settings = [student.settings(settings, teacher_token, ports) for student in students]
     _check_ports(host, students)
     _make_folders(options.folder, students)
     write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)

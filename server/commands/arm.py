@@ -20,12 +20,12 @@ from robot.commissioning.scan import (
 )
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
+from robot.hardware.boards import resolve_port
 from robot.hardware.dynamixel.family import Dynamixel
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end, status_names
-from robot.hardware.port import resolve_port
 from robot.hardware.servos.bus import ServoBus, read_registers
 from robot.hardware.servos.family import Limit, ServoFamily, full_torque
 from robot.hardware.servos.torque import LOWER_S, relax, write_limits

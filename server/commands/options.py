@@ -15,8 +15,8 @@ from robot.calibration import Calibration, find_calibration
 from robot.description import robot_folder
 from robot.description.servo_table import HardwareTable
 from robot.errors import CalibrationError, DescriptionError, PortBusy, RobotError
+from robot.hardware.boards import AUTO, resolve_port
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.port import AUTO, resolve_port
 from server.arm.setup import DEFAULT_ROBOT
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
 from server.config import Settings
@@ -192,6 +192,7 @@ _FURTHER_OPTIONS = (
     ("--tcp-port", "server.tcp_port", "PORT"),
     ("--log-level", "server.log_level", "LEVEL"),
     ("--serial", "arm.serial", "PORT"),
+    ("--simulation", "arm.simulation", "KIND"),
     ("--robot", "arm.robot", "NAME_OR_FOLDER"),
     ("--calibration", "arm.calibration", "NAME_OR_PATH"),
     ("--urdf", "arm.urdf", "FILE"),

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from robot.description import robot_folder
 from robot.errors import NoReply
+from robot.hardware.boards import resolve_port
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register
-from robot.hardware.port import resolve_port
 from server.arm.setup import DEFAULT_ROBOT, Description
 from server.commands.arm import as_json, examine_bus
 from server.commands.options import Subparsers, add_command, add_setting_options, read_settings

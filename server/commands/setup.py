@@ -8,19 +8,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from robot.commissioning.scan import BAUDRATES, FACTORY_ID
+from robot.commissioning.scan import BAUDRATES, FACTORY_ID, ServoRegisters
 from robot.commissioning.setup import (
     BAUDRATE,
     NO_ANSWER,
     BackupFile,
     Change,
-    FoundServo,
     SavedServo,
     ServoLine,
     changes_back,
     changes_for,
     check_model,
-    choose_profile,
     look,
     match_saved,
     needs_writing,
@@ -32,10 +30,10 @@ from robot.commissioning.setup import (
 from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, PortError, StartupError
+from robot.hardware.boards import resolve_port
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.profiles import PROFILES, ServoProfile, profile_of
+from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile, profile_of
 from robot.hardware.feetech.registers import Register
-from robot.hardware.port import resolve_port
 from server.commands.arm import relax_arm
 from server.commands.options import FEETECH_ONLY, Subparsers, add_command, add_robot, add_serial, read_hardware
 from server.commands.terminal import ExitCode, Terminal, table
@@ -96,7 +94,7 @@ def _set_up(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 @dataclass(frozen=True)
 class _Work:
     joint: str
-    servo: FoundServo
+    servo: ServoRegisters
     changes: tuple[Change, ...]
 
     @property
@@ -170,7 +168,7 @@ class _Visit:
         self._carry_out(work)
         return self._end()
 
-    def _present(self) -> dict[int, FoundServo]:
+    def _present(self) -> dict[int, ServoRegisters]:
         """Return the servos that answer, by id; empty when several have one id."""
         try:
             found = look(self._line, BAUDRATE, {joint.servo_id for joint in self._arm})
@@ -181,7 +179,7 @@ class _Visit:
             return {}
         return {servo.servo_id: servo for servo in found}
 
-    def _find(self, ids: Collection[int]) -> list[FoundServo]:
+    def _find(self, ids: Collection[int]) -> list[ServoRegisters]:
         """Return the servos at the first baud rate at which any answers."""
         for baudrate in BAUDRATES:
             self._terminal.say(f"looking at {baudrate} baud ...")
@@ -189,7 +187,7 @@ class _Visit:
                 return found
         raise StartupError(NO_ANSWER)
 
-    def _set_up_together(self, present: Mapping[int, FoundServo]) -> None:
+    def _set_up_together(self, present: Mapping[int, ServoRegisters]) -> None:
         if missing := [f"{each.servo_id} ({each.joint})" for each in self._chosen if each.servo_id not in present]:
             self._complain(f"no answer from servo {', '.join(missing)}: armbridge scan looks for the cause")
         there = [(joint, present[joint.servo_id]) for joint in self._chosen if joint.servo_id in present]
@@ -200,7 +198,7 @@ class _Visit:
             )
             self._carry_out([self._work(joint, servo, profile) for joint, servo in there])
 
-    def _set_up_one(self, joint: ServoSpec, servo: FoundServo | None) -> None:
+    def _set_up_one(self, joint: ServoSpec, servo: ServoRegisters | None) -> None:
         """Set up the servo of a joint, which is asked for unless it is there; until it works or is declined."""
         while True:
             try:
@@ -216,11 +214,13 @@ class _Visit:
             else:
                 return
 
-    def _profile(self, servos: Sequence[tuple[ServoSpec, FoundServo]]) -> ServoProfile:
-        held = [(servo, joint.gripper) for joint, servo in servos]
-        return choose_profile(self._options.profile, self._own_profile, held)
+    def _profile(self, servos: Sequence[tuple[ServoSpec, ServoRegisters]]) -> ServoProfile:
+        """Return the named profile, else the arm's own, else the nearest."""
+        if self._options.profile is not None:
+            return PROFILES[self._options.profile]
+        return self._own_profile or nearest_profile((servo.registers, joint.gripper) for joint, servo in servos)
 
-    def _work(self, joint: ServoSpec, servo: FoundServo, profile: ServoProfile) -> _Work:
+    def _work(self, joint: ServoSpec, servo: ServoRegisters, profile: ServoProfile) -> _Work:
         if not self._options.any_model:
             check_model(servo, joint)
         return _Work(joint.joint, servo, changes_for(servo, joint, profile))

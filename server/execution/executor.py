@@ -125,22 +125,17 @@ class MotionRecorder:
 
 @dataclass(frozen=True)
 class ExecutionContext:
-    """Parts that the executors of all goals share.
-
-    Attributes:
-        failed_goals: keeps goals that could not be planned; None to keep none.
-        show: called with every plan before it is executed.
-        confirm: reports that a plan waits, and waits for a user's confirmation; returns None to execute the plan, else
-            the goal's answer.
-    """
+    """Parts that the executors of all goals share."""
 
     robot: RobotModel
     pool: Planners
     scene: SceneSource
     current: CurrentState
     time_limits: TimeLimits = field(default_factory=TimeLimits)
-    failed_goals: FailedGoals | None = None
-    show: Callable[[Performed], None] = lambda _performed: None
+    failed_goals: FailedGoals | None = None  # keeps goals that could not be planned; None to keep none
+    show: Callable[[Performed], None] = lambda _performed: None  # called with every plan before it is executed
+    # Reports that a plan waits, and waits for a user's confirmation; returns None to execute the plan, else the goal's
+    # answer.
     confirm: Confirm | None = None
     clock: Callable[[], float] = time.monotonic
 
@@ -191,7 +186,7 @@ class GoalExecutor:
             return None
         scene = self._scene.scene
         try:
-            problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
+            problem = request.steps[0].problem({**self._held_rad(), **point.positions_rad})
         except RefusedError:
             return None
         if not isinstance(problem, PlanningProblem) or problem.group != outgoing.motion.group:

@@ -24,8 +24,8 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from robot.description.model import RobotModel
-from robot.files import FileSeries
 from server.execution.motions import Problem
+from server.named_files import FileSeries
 
 log = logging.getLogger("armbridge.failed_goals")
 

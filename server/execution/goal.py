@@ -63,18 +63,14 @@ def _future() -> asyncio.Future[Any]:
 
 @dataclass(eq=False)
 class CancelScope:
-    """Scope of the work for one request, until the request is cancelled.
+    """Scope of the work for one request, until the request is cancelled."""
 
-    Attributes:
-        epoch: stop epoch in which the request arrived.
-        deadline: time limits of its motions, and the time that they have used.
-        cancelled: reason of the cancellation, once there is one.
-        replaced: True where another request may replace the motion without a stop; else the motion brakes.
-    """
-
-    epoch: int = field(default_factory=arrival_epoch, kw_only=True)
+    epoch: int = field(default_factory=arrival_epoch, kw_only=True)  # stop epoch in which the request arrived
+    # Time limits of its motions, and the time that they have used.
     deadline: ExecutionDeadline = field(default_factory=ExecutionDeadline, kw_only=True)
+    # Reason of the cancellation, once there is one.
     cancelled: asyncio.Future[str] = field(init=False, default_factory=_future)
+    # True where another request may replace the motion without a stop; else the motion brakes.
     replaced: bool = field(init=False, default=False)
 
     @property
@@ -139,33 +135,22 @@ class GoalPolicy(StrEnum):
 
 @dataclass(frozen=True)
 class GoalRequest:
-    """Request of a motion, as it arrived.
+    """Request of a motion, as it arrived."""
 
-    Attributes:
-        source: topic or action of its client.
-        motion: None for a request that is rejected.
-        message: the message of its client; empty when there is none, or none that can be read.
-        client: its client, who is named to those who wait for the goal's end; empty when it is unknown.
-        policy: None for the queue's own policy.
-        on_progress: called with its progress, besides the queue's own listener.
-        on_answer: called once, likewise, perhaps before the goal is submitted.
-        only_for: the one client that is informed of its rejection; None for all.
-        epoch: stop epoch in which it arrived.
-        streamed: True for one of many in a row.
-        repeated: True where the one before it in the row was refused.
-    """
-
-    source: str
-    motion: Motion | None = None
+    source: str  # topic or action of its client
+    motion: Motion | None = None  # None for a request that is rejected
+    # The message of its client; empty when there is none, or none that can be read.
     message: Mapping[str, Any] = field(default_factory=dict)
-    client: object = ""
-    policy: GoalPolicy | None = None
+    client: object = ""  # its client, who is named to those who wait for the goal's end; empty when it is unknown
+    policy: GoalPolicy | None = None  # None for the queue's own policy
+    # Called with its progress, besides the queue's own listener.
     on_progress: Callable[[Progress], None] = lambda _progress: None
+    # Called once, likewise, perhaps before the goal is submitted.
     on_answer: Callable[[Answer], None] = lambda _answer: None
-    only_for: Node | None = None
-    epoch: int = field(default_factory=arrival_epoch)
-    streamed: bool = False
-    repeated: bool = False
+    only_for: Node | None = None  # the one client that is informed of its rejection; None for all
+    epoch: int = field(default_factory=arrival_epoch)  # stop epoch in which it arrived
+    streamed: bool = False  # True for one of many in a row
+    repeated: bool = False  # True where the one before it in the row was refused
 
     @property
     def joints(self) -> Joints:

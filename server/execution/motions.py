@@ -7,6 +7,7 @@ trajectory that does not start where the arm is gets a lead-in.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -37,48 +38,42 @@ Positions: TypeAlias = Mapping[str, float]
 # A motion to plan.
 Problem: TypeAlias = PlanningProblem | CartesianProblem | JointPathProblem
 
-# Makes a problem for a start, or raises RefusedError; when a goal's turn comes the arm may hold elsewhere than when the
-# goal came.
-Step: TypeAlias = Callable[[Positions], Problem]
+
+class Step(ABC):
+    """Motion to plan, whose problem is built when the goal's turn comes: the arm may hold elsewhere by then."""
+
+    @abstractmethod
+    def problem(self, start_rad: Positions) -> Problem:
+        """Build the problem for the positions of every joint at the start [rad], or raise RefusedError."""
 
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """Sequence of motions to plan and then to execute.
+    """Sequence of motions to plan and then to execute."""
 
-    Attributes:
-        steps: each makes its problem from the end of the one before.
-        scene: makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
-        confirm: True for a plan that waits for a user's confirmation.
-        proposed: True for a plan whose confirmation must name the goal, because its client may not move the arm.
-        attempts: limit of planning attempts, when no motion is found or the scene invalidates it.
-    """
-
-    steps: tuple[Step, ...]
+    steps: tuple[Step, ...]  # each makes its problem from the end of the one before
     joints: Joints
+    # Makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
     scene: Callable[[Positions], Scene] | None = None
-    attempts: int = 1
+    attempts: int = 1  # limit of planning attempts, when no motion is found or the scene invalidates it
     delay_s: float = 0.0
     warnings: tuple[str, ...] = ()
-    confirm: bool = False
+    confirm: bool = False  # True for a plan that waits for a user's confirmation
+    # True for a plan whose confirmation must name the goal, because its client may not move the arm.
     proposed: bool = False
 
 
 @dataclass(frozen=True)
 class ExternalTrajectory:
-    """Trajectory that a client has planned.
+    """Trajectory that a client has planned."""
 
-    Attributes:
-        trajectory: makes it from the position of every joint [rad] and the monotonic time [s] at its start, and
-            the splice point at which it begins, or None at rest; or raises RefusedError.
-        spliced: False for a motion that can only begin at rest.
-        cut: makes the part before the contact that a failure reports, None where no part is left; None for a trajectory
-            that is played whole.
-    """
-
+    # Makes it from the position of every joint [rad] and the monotonic time [s] at its start, and the splice point at
+    # which it begins, or None at rest; or raises RefusedError.
     trajectory: Callable[[Positions, float, SplicePoint | None], Trajectory]
     joints: Joints
-    spliced: bool = True
+    spliced: bool = True  # False for a motion that can only begin at rest
+    # Makes the part before the contact that a failure reports, None where no part is left; None for a trajectory that
+    # is played whole.
     cut: Callable[[PlanningFailure], ExternalTrajectory | None] | None = None
 
 
@@ -148,7 +143,7 @@ async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scen
     for number, step in enumerate(steps):
         problem = None
         try:
-            problem = step(now_rad)
+            problem = step.problem(now_rad)
             plan = await _plan(problem, scene, ask)
         except RefusedError as error:
             failure = error.failure
@@ -208,15 +203,10 @@ CUBIC_PEAK_VELOCITY, CUBIC_PEAK_ACCELERATION = 1.5, 6.0
 
 @dataclass(frozen=True)
 class SplicePoint:
-    """Point at which another motion can replace the present one.
+    """Point at which another motion can replace the present one."""
 
-    Attributes:
-        lead: the present motion from a little before now to the point, its time from 0 on.
-        from_s: time on the present motion at which the lead begins [s].
-    """
-
-    lead: Trajectory
-    from_s: float
+    lead: Trajectory  # the present motion from a little before now to the point, its time from 0 on
+    from_s: float  # time on the present motion at which the lead begins [s]
 
     @property
     def start_rad(self) -> dict[str, float]:

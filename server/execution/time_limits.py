@@ -17,20 +17,14 @@ MIN_SPEED_FACTOR = 0.05
 
 @dataclass(frozen=True)
 class TimeLimits:
-    """Limits of the execution time of motions.
+    """Limits of the execution time of motions."""
 
-    Attributes:
-        scaling: multiple of the planned duration; 2.2 is MoveIt's allowed_execution_duration_scaling of 1.1 at the
-            half speed of a hot arm.
-        margin_s: time on top, in which the arm settles [s].
-        paused_s: limit of the time that a goal's motions are paused or move backwards, in total [s].
-        trajectory_s: limit of the planned duration of a goal's motions together [s].
-    """
-
+    # Multiple of the planned duration; 2.2 is MoveIt's allowed_execution_duration_scaling of 1.1 at the half speed of a
+    # hot arm.
     scaling: float = 2.2
-    margin_s: float = 2.0
-    paused_s: float = 600.0
-    trajectory_s: float = 600.0
+    margin_s: float = 2.0  # time on top, in which the arm settles [s]
+    paused_s: float = 600.0  # limit of the time that a goal's motions are paused or move backwards, in total [s]
+    trajectory_s: float = 600.0  # limit of the planned duration of a goal's motions together [s]
 
     def allowed_s(self, duration_s: float) -> float:
         """Return the allowed execution time of a motion with a planned duration [s]."""

@@ -161,7 +161,8 @@ class ArmContext:
     def go_to(self, positions_rad: Positions, scaling: float) -> Goal:
         """Queue a goal for joints of the arm, at a share of the velocity and acceleration limits."""
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
-        motion = self.translator.joints(message, GoalOptions(None, scaling, scaling))
+        slow = {"max_velocity_scaling": scaling, "max_acceleration_scaling": scaling}
+        motion = self.translator.joints(message, GoalOptions(parameters=self.parameters.changed(slow)))
         return self.goals.queue.submit(GoalRequest("the server", motion, message))
 
 

@@ -138,4 +138,4 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
     from server.recording.recorder import Recorder
 
     check_path(settings.file)
-    return Recorder(graph, settings.file, settings.limit_mb, settings.keep_files, {"robot": robot_name})
+    return Recorder(graph, settings.file, settings, {"robot": robot_name})

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
-from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningFailure
 from robot.arm import CLOSE_LIMIT_S, Arm
 from robot.arm_group import states_of
 from robot.description.model import RobotModel
@@ -33,6 +33,7 @@ from server.graph.node import Node
 from server.graph.permissions import SWITCHING
 from server.lifecycle import BackgroundTask, Feature
 from server.moveit.messages import Message
+from server.moveit.requests.planning_problems import GoalStep
 
 log = logging.getLogger("armbridge.parking")
 
@@ -89,8 +90,6 @@ class Parking:
     Attributes:
         name: of one of several arms; empty for a lone arm.
         leads: True for an arm that is moved by hand.
-        parks_on_exit: True for an arm that parks at the end of the server.
-        parks_when_lost: True for an arm that parks without the server.
     """
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
@@ -99,7 +98,9 @@ class Parking:
         self._arm = arm
         self._context = context
         self._pose = rest_pose(context.robot, settings)
+        # True for an arm that parks at the end of the server.
         self.parks_on_exit = settings.on_exit is EndState.PARK and self._pose is not None
+        # True for an arm that parks without the server.
         self.parks_when_lost = settings.on_server_lost is EndState.PARK and self._pose is not None
         self._keeps = False
         self._parked: set[asyncio.Task[CommandDone]] = set()
@@ -139,7 +140,7 @@ class Parking:
         joints = frozenset(self._context.robot.groups[pose.group].joints)
         # Motions outside the queue, as of the gripper, end too before the way is planned.
         await self._arm.rest(REST_TIMEOUT_S)
-        motion = PlannedMotion((self._problem,), joints)
+        motion = PlannedMotion((self._way(),), joints)
         goal = self._context.goals.queue.submit(GoalRequest(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch))
         answer = await goal.answered
         if answer.code is not MoveItErrorCode.SUCCESS:
@@ -153,12 +154,12 @@ class Parking:
             return relaxed
         return CommandDone(0, done=True, message=f"the arm is at its rest pose {pose.state!r}, and relaxed")
 
-    def _problem(self, start_rad: Positions) -> PlanningProblem:
+    def _way(self) -> GoalStep:
         if self._pose is None:
             raise AssertionError("a way to no pose is planned")
         group = self._context.robot.groups[self._pose.group]
         goal = JointGoal(self._pose.positions_rad, self._context.parameters.joint_tolerance)
-        return self._context.planning.problems.goal(group, goal, start_rad)
+        return GoalStep(self._context.planning.problems, group, goal)
 
     # The way that the arm process keeps for its end.
 
@@ -190,7 +191,7 @@ class Parking:
 
     async def plan_way(self, start_rad: Positions) -> Plan | PlanningFailure:
         """Plan the way to the rest pose from positions of all joints [rad]."""
-        problem = self._problem(start_rad)
+        problem = self._way().problem(start_rad)
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
         scene_state = self._context.planning.scene_state
         scene = scene_state.scene

@@ -146,7 +146,11 @@ class ClientTopics:
             self._graph.reject_unauthorized(self._node, topic, None, problem)
 
     def subscribe(self, operation: Subscribe) -> None:
-        """Subscribe to a topic; messages that were published before the subscription follow at once."""
+        """Subscribe to a topic; messages that were published before the subscription follow at once.
+
+        A further subscription of the same client gets the latched message again, as from rosbridge
+        (rosbridge_library/internal/subscribers.py, MultiSubscriber.subscribe).
+        """
         topic = qualify(operation.topic)
         self._client.detect_dialect(operation.type, "msg")
         earlier = self._graph.subscribe(self._node, topic, operation.type, self.subscriber)
@@ -159,6 +163,8 @@ class ClientTopics:
         if first:
             self._deliver_earlier(topic, earlier)
             self._doubt_misspelt(operation, topic)
+        elif (latched := self._graph.latched(topic)) is not None:
+            self._deliver(latched)
 
     def unsubscribe(self, operation: Unsubscribe) -> None:
         """End a subscription."""

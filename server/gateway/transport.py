@@ -61,11 +61,9 @@ class Transport(asyncio.Protocol):
 
     Attributes:
         framed: True where the client gets messages one by one; in a stream it may take two for one.
-        query: choices of the client, as a URL's query has them: ``ros``, ``on_disconnect``.
-        max_message_bytes: size of a received frame beyond which the connection ends, before it is read.
     """
 
-    max_message_bytes: int
+    max_message_bytes: int  # size of a received frame beyond which the connection ends, before it is read
     _transport: asyncio.Transport
 
     framed = True
@@ -75,6 +73,7 @@ class Transport(asyncio.Protocol):
     ) -> None:
         self.identity: Identity | None = ANYONE
         self.peer = ("unknown", 0)
+        # Choices of the client, as a URL's query has them: ``ros``, ``on_disconnect``.
         self.query: Mapping[str, Sequence[str]] = {}
         self.received_bytes = 0
         self.sent_messages = 0

@@ -119,12 +119,16 @@ class LatchedMessages:
         """Keep the last ``depth`` messages of a topic of the server."""
         self._histories.setdefault(published.topic, deque(maxlen=depth)).append(published)
 
+    def latched(self, topic: str, now: float) -> PublishedMessage | None:
+        """Return the latched message of a topic; None where there is none."""
+        kept = self._latched.get(topic)
+        return None if kept is None or kept.until_s < now else kept.published
+
     def of(self, topic: str, now: float) -> list[PublishedMessage]:
         """Return what a new subscriber to the topic gets, oldest first."""
-        latched = self._latched.get(topic)
-        recent = self._recent.get(topic, ())
-        kept_now = recent if latched is None else [latched, *recent]
-        return [*self._histories.get(topic, ()), *(kept.published for kept in kept_now if kept.until_s >= now)]
+        latched = self.latched(topic, now)
+        recent = (kept.published for kept in self._recent.get(topic, ()) if kept.until_s >= now)
+        return [*self._histories.get(topic, ()), *(() if latched is None else (latched,)), *recent]
 
     def forget(self, topic: str) -> None:
         """Give up all that is kept of a topic."""

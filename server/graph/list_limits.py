@@ -24,16 +24,12 @@ CheckLists: TypeAlias = Callable[[object], None]
 
 @dataclass(frozen=True)
 class ListLimits:
-    """Limits of the lists in one message.
+    """Limits of the lists in one message."""
 
-    Attributes:
-        max_elements: number of elements in all lists of a field together, by type and field such as
-            ``moveit_msgs/msg/MotionSequenceRequest.items``.
-        max_values: number of values in all other lists, of messages as they are when complete.
-    """
-
+    # Number of elements in all lists of a field together, by type and field such as
+    # ``moveit_msgs/msg/MotionSequenceRequest.items``.
     max_elements: Mapping[str, int] = field(default_factory=dict)
-    max_values: int = MAX_VALUES
+    max_values: int = MAX_VALUES  # number of values in all other lists, of messages as they are when complete
 
     def check(self, registry: Registry, type_name: str) -> CheckLists:
         """Return the check of a type's messages; their fields may also come as a list, in order of declaration."""

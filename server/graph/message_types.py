@@ -29,13 +29,7 @@ FREE_VALUES = 20_000
 
 
 class ReceivedMessage:
-    """Message as a client has sent it, until it is completed.
-
-    Attributes:
-        are_arguments: True for a request or a goal, whose fields may come in order of declaration.
-        checked: True once its lists have been found to be within their limits.
-        light: True for a message that is completed and encoded quickly, however large it is.
-    """
+    """Message as a client has sent it, until it is completed."""
 
     __slots__ = (
         "_completed",
@@ -53,9 +47,9 @@ class ReceivedMessage:
         self.value = value
         self.size_bytes = size_bytes
         self.dialect = dialect
-        self.light = light
-        self.are_arguments = False
-        self.checked = False
+        self.light = light  # True for a message that is completed and encoded quickly, however large it is
+        self.are_arguments = False  # True for a request or a goal, whose fields may come in order of declaration
+        self.checked = False  # True once its lists have been found to be within their limits
         self.values = 0
         self._type_name: str | None = None
         self._completed: dict[str, Any] | MessageError | None = None

@@ -44,28 +44,20 @@ def display_name(identity: Identity | None, address: str) -> str:
 
 @dataclass(frozen=True)
 class Rule:
-    """Requirements of a service, a topic or an action.
-
-    Attributes:
-        stops: True for names that stop the arm; they are open past filters and control to every client with the role.
-        at_once: True for names that go ahead of everything that waits.
-        at_once_data: text in the field ``data`` with which alone a message does so; None for any message.
-        drives: True for names that move or switch the arm, which one client does at a time.
-        goal: True for names that count against the rate of goals.
-        plan_only: path of the field in a goal that may say that nothing moves; empty where there is none.
-        plans: True for services whose answer takes a planner; a client's calls that wait for it are limited.
-        arm: one of several arms whose control is needed; empty for control of all.
-    """
+    """Requirements of a service, a topic or an action."""
 
     role: Role
+    # True for names that stop the arm; they are open past filters and control to every client with the role.
     stops: bool = False
-    at_once: bool = False
+    at_once: bool = False  # True for names that go ahead of everything that waits
+    # Text in the field ``data`` with which alone a message does so; None for any message.
     at_once_data: str | None = None
-    drives: bool = False
-    goal: bool = False
+    drives: bool = False  # True for names that move or switch the arm, which one client does at a time
+    goal: bool = False  # True for names that count against the rate of goals
+    # Path of the field in a goal that may say that nothing moves; empty where there is none.
     plan_only: tuple[str, ...] = ()
-    plans: bool = False
-    arm: str = ""
+    plans: bool = False  # True for services whose answer takes a planner; a client's calls that wait for it are limited
+    arm: str = ""  # one of several arms whose control is needed; empty for control of all
 
     @property
     def cancels(self) -> bool:

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot.files import FileSeries
 from robot.messages import ArmHealth, ArmState, Mode
 from server.monitoring.log_ring import LogRing
+from server.named_files import FileSeries
 
 log = logging.getLogger("armbridge.monitoring")
 

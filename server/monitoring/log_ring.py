@@ -6,7 +6,6 @@ from collections import deque
 from datetime import UTC, datetime
 from typing import Any
 
-from robot import logs
 from robot.logs import LineHandler, LogLine
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING
@@ -29,12 +28,10 @@ class LogRing:
         self._characters = 0
         # Lines come from every thread that logs.
         self._lock = threading.Lock()
-        logs.listen(self.take)
         self._handler = LineHandler("server", self.take)
 
     def close(self) -> None:
         """Keep no more lines."""
-        logs.forget(self.take)
         self._handler.close()
 
     def take(self, line: LogLine) -> None:

@@ -28,7 +28,7 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
-from server.named_files import in_thread, read_json
+from server.named_files import in_thread, read_json, set_aside
 
 log = logging.getLogger("armbridge.named_states")
 
@@ -252,7 +252,7 @@ class NamedStatesFile:
             if isinstance(error, ValidationError):
                 first = error.errors()[0]
                 reason = ": ".join((*(str(part) for part in first["loc"]), first["msg"]))
-            aside = files.set_aside(self._path)
+            aside = set_aside(self._path)
             log.warning("saved states in %s cannot be used: %s; the file is now %s", self._path, reason, aside)
             return {}
 

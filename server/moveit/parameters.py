@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
@@ -29,6 +29,7 @@ KNOWN_KEYS = (
     "allowed_planning_time",
     "joint_tolerance",
     "num_planning_attempts",
+    "optimization",
     "optimization_time",
     "orientation_tolerance",
     "planner_id",
@@ -106,8 +107,10 @@ class MoveItParameters(SettingsSection):
     """a search algorithm of docs/planning.md; empty for RRTConnect."""
     num_planning_attempts: int = Field(default=5, ge=1, le=MAX_PLANNING_ATTEMPTS)
     """searches for each goal; the shortest result is kept."""
+    optimization: Literal["first", "short", "best"] = "short"
+    """shorten a motion that was found: not, for ``optimization_time``, or until ``allowed_planning_time`` is over."""
     optimization_time: float = Field(default=0.024, ge=0.0, le=10.0)
-    """planning time spent on shortening a motion that was found [s]."""
+    """planning time spent on shortening a motion [s]."""
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
     """planning time after which a goal is answered TIMED_OUT [s]."""
     allowed_execution_duration_scaling: float = Field(default=2.2, ge=1.0, le=100.0)
@@ -145,6 +148,18 @@ class MoveItParameters(SettingsSection):
             raise ValueError(f"must be empty or one of {', '.join(PLANNER_IDS)}")
         return value
 
+    def shortening_time_s(self, allowed_time_s: float) -> float:
+        """Return the planning time to spend on shortening a motion, of the allowed time [s]."""
+        return {"first": 0.0, "short": self.optimization_time, "best": allowed_time_s}[self.optimization]
+
+    def changed(self, values: Mapping[str, Any]) -> MoveItParameters:
+        """Return the parameters with other values of some; ValueError names a parameter, its limit and the value."""
+        try:
+            return MoveItParameters.model_validate({**self.model_dump(), **values})
+        except ValidationError as error:
+            flaw = error.errors()[0]
+            raise ValueError(f"{flaw['loc'][0]}: {flaw['msg']}, not {flaw['input']!r}") from error
+
 
 class PlannerParameters:
     """Parameters of planners, kept in memory by planning group and planner.
@@ -163,7 +178,7 @@ class PlannerParameters:
         """
         texts = self.texts(group or self.configured.group_name, planner or self.configured.planner_id)
         known = {key: value for key, value in texts.items() if key in KNOWN_KEYS}
-        return self._changed(known)
+        return self.configured.changed(known)
 
     def texts(self, group: str, planner: str) -> Mapping[str, str]:
         """Return every parameter as text."""
@@ -179,12 +194,8 @@ class PlannerParameters:
         wanted = {**kept, **values}
         if len(wanted) > MAX_KEYS or len({*self._set, scope}) > MAX_CONFIGURATIONS:
             raise ServiceError(f"at most {MAX_KEYS} parameters of {MAX_CONFIGURATIONS} planners can be kept")
-        self._changed({key: value for key, value in wanted.items() if key in KNOWN_KEYS})
-        self._set[scope] = wanted
-
-    def _changed(self, known: Mapping[str, str]) -> MoveItParameters:
         try:
-            return MoveItParameters.model_validate({**self.configured.model_dump(), **known})
-        except ValidationError as error:
-            flaw = error.errors()[0]
-            raise ServiceError(f"{flaw['loc'][0]}: {flaw['msg']}, not {flaw['input']!r}") from error
+            self.configured.changed({key: value for key, value in wanted.items() if key in KNOWN_KEYS})
+        except ValueError as error:
+            raise ServiceError(str(error)) from error
+        self._set[scope] = wanted

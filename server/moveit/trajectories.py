@@ -53,19 +53,12 @@ def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]
 
 @dataclass(frozen=True)
 class TrajectoryTiming:
-    """Time of a client's trajectory, and limits of the way to its first point.
+    """Time of a client's trajectory, and limits of the way to its first point."""
 
-    Attributes:
-        begins_s: monotonic time of its time 0, by its stamp or of its arrival [s].
-        stamped: True where the client has chosen that time.
-        bridged: True to take the first point later where the limits do not allow it in time; else it is refused.
-        speed_limit: share of the velocity limits for the way to the first point.
-    """
-
-    begins_s: float
-    stamped: bool
-    bridged: bool
-    speed_limit: float
+    begins_s: float  # monotonic time of its time 0, by its stamp or of its arrival [s]
+    stamped: bool  # True where the client has chosen that time
+    bridged: bool  # True to take the first point later where the limits do not allow it in time; else it is refused
+    speed_limit: float  # share of the velocity limits for the way to the first point
 
 
 def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTiming | None = None) -> ExternalTrajectory:

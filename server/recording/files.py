@@ -66,9 +66,8 @@ _KINDS: Mapping[Callable[[int], bool], str] = {
 def check_path(path: Path) -> None:
     """Refuse a path at which something is that no recording can be numbered after.
 
-    Raises:
-        ConfigurationError: it is a directory, a device or the like, or a link to nothing, or its folder is missing
-            or cannot be written to.
+    Raises ConfigurationError for a directory, a device or the like, a link to nothing, and for a folder that is missing
+    or cannot be written to.
     """
     try:
         mode = path.stat().st_mode

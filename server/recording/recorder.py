@@ -15,6 +15,7 @@ from protocol.codecs import cdr
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from robot.logs import LogLimiter
+from server.config import RecordingSettings
 from server.errors import StartError
 from server.graph.topics import Graph
 from server.recording.files import RecordedMessage, RecordingSeries
@@ -50,8 +51,7 @@ class Recorder:
         self,
         graph: Graph,
         path: Path,
-        limit_mb: int | None = None,
-        keep_files: int = 0,
+        settings: RecordingSettings,
         facts: dict[str, str] | None = None,
         clock_ns: Callable[[], int] = time.monotonic_ns,
         wall_clock_ns: Callable[[], int] = time.time_ns,
@@ -59,8 +59,7 @@ class Recorder:
         self._graph = graph
         self._registry = graph.message_types.registry
         self._path = path
-        self._limit_bytes = None if limit_mb is None else limit_mb * BYTES_PER_MB
-        self._keep_files = keep_files
+        self._settings = settings
         self._facts = facts or {}
         self._clock_ns = clock_ns
         # A wall clock that is set during a recording would tear a gap into it.
@@ -71,8 +70,9 @@ class Recorder:
 
     def start(self) -> None:
         """Open the file, and write to it from now on."""
+        limit_bytes = None if self._settings.limit_mb is None else self._settings.limit_mb * BYTES_PER_MB
         try:
-            files = RecordingSeries(self._path, self._registry, self._facts, self._limit_bytes, self._keep_files)
+            files = RecordingSeries(self._path, self._registry, self._facts, limit_bytes, self._settings.keep_files)
         except OSError as error:
             raise StartError(f"recording.file: {self._path} cannot be written: {error.strerror or error}") from error
         self._writer.start(files)

@@ -79,8 +79,7 @@ class Recording:
     def summary(self) -> Summary:
         """Return the contents of the file, from its index or, without one, by reading all of it.
 
-        Raises:
-            RecordingError: the file cannot be read, is no MCAP file, or holds no messages of ROS 2.
+        Raises RecordingError for a file that cannot be read, is no MCAP file, or holds no messages of ROS 2.
         """
         summary = self._indexed_summary() or self._counted_summary()
         if all(topic.problem for topic in summary.topics):
@@ -215,10 +214,8 @@ class ReplayOptions:
 def replay(options: ReplayOptions) -> None:
     """Serve a recording to clients until its end, SIGINT or SIGTERM.
 
-    Raises:
-        RecordingError: the file cannot be read.
-        ConfigurationError: the certificate or the tokens cannot be used, or others could connect without any.
-        StartError: the port cannot be taken.
+    Raises RecordingError for the file, ConfigurationError for certificate and tokens, or none where others could
+    connect, and StartError for the port.
     """
     uvloop.run(ReplayServer(options).run())
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from planners.goals import JointGoal
-from planners.problem import MoveItErrorCode
+from planners.problem import JointPathProblem, MoveItErrorCode
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from server.errors import RefusedError, ServiceError, invalid
@@ -26,7 +26,7 @@ from server.graph.permissions import GOAL
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import reject_goal, submit_goal
 from server.moveit.messages import Message, error_code
-from server.moveit.requests.planning_problems import ProblemBuilder
+from server.moveit.requests.planning_problems import GoalStep, ProblemBuilder
 from server.teaching.services import CHECK_TIME_S
 from server.teaching.taught_motion import MotionFiles, TaughtMotion, read_speed
 
@@ -103,14 +103,29 @@ class ReplayAction:
         return result(answer, f"; it took {slowed}" if slowed else "")
 
 
+@dataclass(frozen=True)
+class TaughtStep(Step):
+    """Taught motion at a share of its speed."""
+
+    taught: TaughtMotion
+    speed: float
+
+    def problem(self, start_rad: Positions) -> JointPathProblem:
+        """Build the problem to follow the motion."""
+        return self.taught.problem(start_rad, self.speed, CHECK_TIME_S)
+
+
 def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: ProblemBuilder) -> PlannedMotion:
     """Return the motion to the start of a taught motion, and its replays."""
     if replay.reverse:
         taught = taught.reversed()
     joints = frozenset(taught.joint_names)
     once = (
-        *(_to_start(group, taught.start_rad, problems) for group in groups_of(robot, joints)),
-        lambda now_rad: taught.problem(now_rad, replay.speed, CHECK_TIME_S),
+        *(
+            GoalStep(problems, group, JointGoal({name: taught.start_rad[name] for name in group.joints}))
+            for group in groups_of(robot, joints)
+        ),
+        TaughtStep(taught, replay.speed),
     )
     return PlannedMotion(once * (1 + replay.repeat), joints)
 
@@ -126,11 +141,6 @@ def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:
     if left:
         raise invalid(f"the motion has joints that make no group without others: {', '.join(sorted(left))}")
     return chosen
-
-
-def _to_start(group: Group, start_rad: Positions, problems: ProblemBuilder) -> Step:
-    goal = JointGoal({name: start_rad[name] for name in group.joints})
-    return lambda now_rad: problems.goal(group, goal, now_rad)
 
 
 def feedback(progress: Progress) -> Message:

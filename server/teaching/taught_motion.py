@@ -62,16 +62,11 @@ DIGITS = 6
 
 @dataclass(frozen=True)
 class TaughtMotion:
-    """Points of some joints over time, which a natural cubic spline joins.
-
-    Attributes:
-        time_s: shape (n,), n >= 2, strictly increasing from 0 [s].
-        positions_rad: shape (n, joints) [rad].
-    """
+    """Points of some joints over time, which a natural cubic spline joins."""
 
     joint_names: tuple[str, ...]
-    time_s: Vector
-    positions_rad: Vector
+    time_s: Vector  # shape (n,), n >= 2, strictly increasing from 0 [s]
+    positions_rad: Vector  # shape (n, joints) [rad]
 
     @property
     def duration_s(self) -> float:

@@ -23,11 +23,7 @@ LATENCY_S = 0.02
 
 
 class GripperFollowing:
-    """Following of a gripper, one task at a time.
-
-    Args:
-        lead: returns the position [rad or m] and the velocity that the fingers follow at this moment.
-    """
+    """Following of a gripper, one task at a time; ``lead`` returns position [rad or m] and velocity to follow now."""
 
     def __init__(self, gripper: Gripper, limits: TrackingLimits, lead: Callable[[], tuple[float, float]]) -> None:
         self._gripper, self._limits, self._lead = gripper, limits, lead

@@ -87,13 +87,9 @@ def sample_message(state: ArmState) -> dict[str, Any]:
 
 
 async def publish_leader(target: PublishedTopic, settings: Settings, tell: Callable[[str], None]) -> bool:
-    """Publish the joints of a relaxed arm until SIGINT or SIGTERM.
+    """Publish the joints of a relaxed arm until a signal ends it; return False if the arm cannot be read.
 
-    Returns:
-        True if a signal has ended it, False if the arm cannot be read.
-
-    Raises:
-        ConfigurationError: settings of the arm that cannot be used.
+    Raises ConfigurationError for settings of the arm that cannot be used.
     """
     samples, reported = NewestSample(), [""]
 

@@ -82,20 +82,15 @@ class Follower:
 
 @dataclass(frozen=True)
 class FollowingState:
-    """State of a following.
-
-    Attributes:
-        latency_s: from the leader's reading until the arm process has the velocities that follow from it, which its
-            next tick carries out [s].
-        lag_rad: greatest distance of a joint's goal from its target [rad].
-        speed_scale: share of the wanted speed that limits and obstacles leave, 0 to 1.
-    """
+    """State of a following."""
 
     phase: Phase
     message: str
+    # From the leader's reading until the arm process has the velocities that follow from it, which its next tick
+    # carries out [s].
     latency_s: float
-    lag_rad: float
-    speed_scale: float
+    lag_rad: float  # greatest distance of a joint's goal from its target [rad]
+    speed_scale: float  # share of the wanted speed that limits and obstacles leave, 0 to 1
 
 
 @dataclass(frozen=True)

@@ -38,36 +38,24 @@ def answers(dialect: str, server: RunningServer) -> dict[str, Any]:
     return heard_by(PYTHON, SCENARIO, f"ws://127.0.0.1:{server.port}/{QUERIES[dialect]}")
 
 
-def test_the_robot_is_loaded(answers: dict[str, Any], dialect: str) -> None:
+def test_the_robot_is_loaded_and_its_kinematics_agree(answers: dict[str, Any], dialect: str) -> None:
     assert answers["distro"] == {"ros1": "noetic", "ros2": "jazzy"}[dialect]
     assert answers["robot"] == "so101"
     assert len(answers["group joints"]) == 5
-
-
-def test_inverse_kinematics_finds_where_forward_kinematics_was(answers: dict[str, Any]) -> None:
     assert answers["inverse kinematics"]["elbow_flex"] == pytest.approx(0.9, abs=0.02)
 
 
-def test_a_motion_to_a_configuration_ends_there(answers: dict[str, Any]) -> None:
+def test_a_motion_and_a_line_end_where_they_were_to(answers: dict[str, Any]) -> None:
     assert answers["planned"]["fraction"] == 1.0
     assert answers["planned end"]["shoulder_pan"] == pytest.approx(0.6, abs=2e-3)
-
-
-def test_a_line_is_followed_to_its_end(answers: dict[str, Any]) -> None:
     assert answers["line"]["fraction"] == pytest.approx(1.0)
     assert answers["line"]["points"] > 2
 
 
-def test_a_mesh_comes_and_goes(answers: dict[str, Any]) -> None:
+def test_a_mesh_comes_collides_is_held_and_goes(answers: dict[str, Any]) -> None:
     assert answers["scene with the box"] == ["box"]
     assert answers["scene without the box"] == []
-
-
-def test_a_collision_names_what_touches(answers: dict[str, Any]) -> None:
     assert any("box" in pair for pair in answers["collision"])
-
-
-def test_a_held_mesh_moves_with_the_arm(answers: dict[str, Any]) -> None:
     assert answers["held"] == ["box"]
     assert answers["planned with the box"] == 1.0
 

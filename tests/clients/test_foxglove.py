@@ -5,7 +5,6 @@ import base64
 import json
 import shutil
 import subprocess
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,9 +76,8 @@ async def listen(url: str, topics: set[str]) -> Heard:
 
 
 @pytest.fixture(scope="module")
-def heard() -> Iterator[Heard]:
-    with RunningServer() as server:
-        yield asyncio.run(listen(server.url, shown_topics() | set(SHOWN_UNASKED)))
+def heard(server: RunningServer) -> Heard:
+    return asyncio.run(listen(server.url, shown_topics() | set(SHOWN_UNASKED)))
 
 
 @pytest.fixture(scope="module")
@@ -97,11 +95,8 @@ def decoded(heard: Heard, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return messages
 
 
-def test_every_panel_has_its_place_and_its_settings() -> None:
+def test_every_panel_has_its_place_and_its_topics_are_readable(heard: Heard, decoded: dict[str, Any]) -> None:
     assert sorted(placed(LAYOUT["layout"])) == sorted(PANELS)
-
-
-def test_every_topic_that_is_shown_is_there_and_readable(heard: Heard, decoded: dict[str, Any]) -> None:
     assert shown_topics() <= heard.types.keys()
     assert decoded.keys() == shown_topics() | set(SHOWN_UNASKED)
 

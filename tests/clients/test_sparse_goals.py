@@ -18,10 +18,7 @@ def answers(server: RunningServer) -> dict[str, Any]:
     return heard_by(sys.executable, SCENARIO, str(server.port))
 
 
-def test_segments_planned_alone_and_stitched_by_hand_are_executed(answers: dict[str, Any]) -> None:
+def test_segments_stitched_by_hand_and_a_pose_with_a_line_are_executed(answers: dict[str, Any]) -> None:
     assert answers["stitched"] == {"segments": 3, "code": 1}
-
-
-def test_a_pose_without_options_and_a_line_from_there_are_executed(answers: dict[str, Any]) -> None:
     assert answers["line"]["codes"] == [1, 1]
     assert answers["line"]["fraction"] == pytest.approx(1.0)

@@ -140,9 +140,7 @@ def test_a_named_goal_that_another_one_replaces_is_not_taken_for_the_end_of_the_
     assert arm.until("goal") == "1 the arm is there"
 
 
-def test_a_goal_is_not_sent_without_a_connection_and_its_lost_answer_is_reported(
-    game: Callable[..., Game],
-) -> None:
+def test_a_goal_is_not_sent_without_a_connection_and_its_lost_answer_is_reported(game: Callable[..., Game]) -> None:
     with RunningServer() as lost:
         arm = game(f"ws://127.0.0.1:{lost.port}")
         arm.until("joints")
@@ -204,9 +202,7 @@ def test_delays_between_connections_double_up_to_ten_seconds(numbers: Callable[.
     assert [line.split()[1] for line in numbers("delays")] == ["0.5", "1", "2", "4", "8", "10", "10"]
 
 
-def test_the_shapes_of_the_arm_are_read_from_the_server(
-    server: RunningServer, numbers: Callable[..., list[str]]
-) -> None:
+def test_the_arm_s_shapes_are_read_from_the_server(server: RunningServer, numbers: Callable[..., list[str]]) -> None:
     first, *visuals = numbers(f"robot http://127.0.0.1:{server.port}/robot/description.urdf")
     links, moving, count = map(int, first.split()[1:])
     urdf = ET.parse(ROOT / "robot" / "arms" / "so101" / "so101.urdf")
@@ -240,9 +236,7 @@ def serving(folder: Path) -> Iterator[int]:
         server.shutdown()
 
 
-def test_an_stl_that_is_cut_off_or_text_is_refused_with_its_sizes(
-    tmp_path: Path, numbers: Callable[..., list[str]]
-) -> None:
+def test_a_cut_stl_or_a_text_stl_is_refused_with_its_sizes(tmp_path: Path, numbers: Callable[..., list[str]]) -> None:
     whole, cut, text = (tmp_path / name for name in ("whole.stl", "cut.stl", "text.stl"))
     whole.write_bytes(stl(2))
     cut.write_bytes(stl(2)[:-1])

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.programs import UV
+
 ROOT = Path(__file__).parents[2]
 
 PARTS = (
@@ -63,8 +65,7 @@ def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def build(checkout: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    uv = Path(sys.executable).with_name("uv")
-    command = [uv, "build", "--out-dir", out, checkout]
+    command = [UV, "build", "--out-dir", out, checkout]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
@@ -142,9 +143,8 @@ def test_without_one_of_its_parts_it_is_not_built(checkout: Path, tmp_path: Path
 
 
 def test_once_installed_the_server_finds_its_page(wheel: Path, tmp_path: Path) -> None:
-    uv = Path(sys.executable).with_name("uv")
     target = tmp_path / "installed"
-    subprocess.run([uv, "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], check=True, timeout=120)
+    subprocess.run([UV, "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], check=True, timeout=120)
     program = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
         "from server.gateway import http\n"

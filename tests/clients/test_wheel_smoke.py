@@ -15,9 +15,8 @@ import pytest
 
 from harness.server import ROOT, RunningServer
 from tests.clients.test_wheel import build
+from tests.helpers.programs import UV
 from tests.test_readme import blocks
-
-UV = Path(sys.executable).with_name("uv")
 
 
 @pytest.fixture(scope="module")

@@ -137,21 +137,15 @@ def test_a_server_has_no_more_rights_than_it_needs_and_is_open_to_its_own_machin
     assert service["ports"] == ["${ARMBRIDGE_PUBLISH:-127.0.0.1:9090}:9090"]
 
 
-def test_only_the_simulated_arm_is_started_unless_told_otherwise() -> None:
+def test_the_simulated_arm_alone_is_started_and_asks_for_no_token() -> None:
     assert [name for name, service in SERVICES.items() if "profiles" not in service] == ["simulated"]
     assert "devices" not in SERVICES["simulated"]
-
-
-def test_the_real_arm_is_not_served_without_a_token() -> None:
-    assert "--insecure" not in SERVICES["real"]["command"]
-    assert "ARMBRIDGE_ACCESS__TOKEN" in SERVICES["real"]["environment"]
-
-
-def test_nobody_who_wants_the_simulated_arm_is_asked_for_the_token_of_the_real_one() -> None:
     assert re.findall(r"\$\{\w+:?\?", TEXT) == []
 
 
-def test_the_real_arm_is_the_device_that_is_handed_in() -> None:
+def test_the_real_arm_is_the_device_handed_in_and_has_a_token() -> None:
+    assert "--insecure" not in SERVICES["real"]["command"]
+    assert "ARMBRIDGE_ACCESS__TOKEN" in SERVICES["real"]["environment"]
     real = SERVICES["real"]
     (device,) = real["devices"]
     assert device.rpartition(":")[2] == real["command"][real["command"].index("--serial") + 1]
@@ -201,9 +195,6 @@ def test_a_name_of_the_machine_is_given_as_the_page_says(monkeypatch: pytest.Mon
     assert Settings().access.allowed_hosts == ("lab-pc",)
 
 
-def test_files_that_the_page_names_exist() -> None:
+def test_files_and_variables_are_those_of_the_page() -> None:
     assert [name for name in re.findall(r"`(docker/\w[\w.]*)`", PAGE) if not (ROOT / name).exists()] == []
-
-
-def test_every_variable_of_the_compose_file_is_explained() -> None:
     assert [name for name in sorted(set(re.findall(rf"{PREFIX}\w+", TEXT))) if f"| `{name}` |" not in PAGE] == []

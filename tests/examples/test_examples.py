@@ -14,7 +14,7 @@ import pytest
 from websockets.sync.client import connect
 
 from harness.clients import call_on
-from harness.server import CLIENT_ENVIRONMENT, FAST_ARMS, RunningServer, free_port
+from harness.server import CLIENT_ENVIRONMENT, FAST, FAST_ARMS, RunningServer, free_port
 from harness.waiting import running
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
@@ -54,9 +54,7 @@ def without_server() -> Iterator[tuple[int, dict[str, subprocess.Popen[str]]]]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_help_tells_the_options_and_connects_to_nothing(
-    name: str, run_example: RunExample, silent_port: tuple[socket.socket, int]
-) -> None:
+def test_help_connects_to_nothing(name: str, run_example: RunExample, silent_port: tuple[socket.socket, int]) -> None:
     listener, port = silent_port
     done = run_example(name, "--url", f"ws://127.0.0.1:{port}", "--help")
     assert (done.returncode, done.stderr) == (0, "")
@@ -67,9 +65,7 @@ def test_help_tells_the_options_and_connects_to_nothing(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_without_a_server_an_example_ends_with_one_line_and_1(
-    name: str, without_server: tuple[int, dict[str, subprocess.Popen[str]]]
-) -> None:
+def test_without_a_server_is_one_line(name: str, without_server: tuple[int, dict[str, subprocess.Popen[str]]]) -> None:
     port, started = without_server
     stdout, stderr = started[name].communicate(timeout=EXAMPLE_TIMEOUT_S)
     assert stderr.startswith(f"no server answers at ws://127.0.0.1:{port}: start one with armbridge serve")
@@ -77,9 +73,7 @@ def test_without_a_server_an_example_ends_with_one_line_and_1(
     assert (started[name].returncode, stdout) == (1, "")
 
 
-def test_a_server_that_says_nothing_is_no_server(
-    run_example: RunExample, silent_port: tuple[socket.socket, int]
-) -> None:
+def test_a_silent_server_is_no_server(run_example: RunExample, silent_port: tuple[socket.socket, int]) -> None:
     _, port = silent_port
     done = run_example("named_goal.py", "--url", f"ws://localhost:{port}")
     assert done.stderr == f"ws://localhost:{port}: no answer to the connection within 5 s\n"
@@ -87,9 +81,7 @@ def test_a_server_that_says_nothing_is_no_server(
 
 
 @pytest.mark.parametrize("arguments", [("joint_goal.py", "9090"), ("joint_goal.py", "a=b"), ("pose_goal.py", "left")])
-def test_an_argument_that_is_wrong_is_named_before_connecting(
-    arguments: tuple[str, str], run_example: RunExample
-) -> None:
+def test_a_wrong_argument_is_named_before_connecting(arguments: tuple[str, str], run_example: RunExample) -> None:
     done = run_example(*arguments)
     assert done.returncode == 2
     assert repr(arguments[1]) in done.stderr.splitlines()[-1]
@@ -99,19 +91,24 @@ DONE = {
     "a named goal is reached": (("named_goal.py", "ready"), "the arm is there\n"),
     "a point to the right has a negative coordinate": (("pose_goal.py", "0.25", "-0.1", "0.2"), "the arm is there\n"),
     "a square is drawn in the air": (("square_in_the_air.py",), "a square of 6 cm\n"),
-    "a box is picked up and put down": (
-        ("pick_and_place.py",),
-        "the box is held\nthe box stands in its new place\n",
-    ),
+    "a box is picked up and put down": (("pick_and_place.py",), "the box is held\nthe box stands in its new place\n"),
 }
 
 
 @pytest.mark.parametrize(("words", "told"), DONE.values(), ids=DONE.keys())
-def test_what_an_example_does_is_done_and_told(
-    words: tuple[str, ...], told: str, run_example: RunExample, server: RunningServer
-) -> None:
+def test_an_example_works(words: tuple[str, ...], told: str, run_example: RunExample, server: RunningServer) -> None:
     done = run_example(*words, "--url", server.url)
     assert (done.returncode, done.stdout) == (0, told), done.stderr
+
+
+def test_a_block_is_lifted_and_put_down_in_physics(run_example: RunExample) -> None:
+    with RunningServer("--port 0 --simulation physics", FAST) as physical:
+        done = run_example("lift_a_block.py", "--url", physical.url)
+    assert done.returncode == 0, done.stderr
+    gripped, lifted, placed = done.stdout.splitlines()
+    assert gripped.endswith("holds=True)")
+    assert 70 <= int(re.fullmatch(r"the block is (\d+) mm above the floor", lifted)[1]) <= 100
+    assert re.fullmatch(r"the block stands at x 0\.1\d, y -0\.1\d m, -?[01] mm above the floor", placed)
 
 
 REFUSED = {
@@ -120,10 +117,7 @@ REFUSED = {
         ("leader_follower.py", "--leader", "nobody"),
         "leader: must be an arm that leads (none) or a topic",
     ),
-    "two hands on one arm": (
-        ("two_hands.py",),
-        "the server has no arm 'left'; its arms: one, without a name\n",
-    ),
+    "two hands on one arm": (("two_hands.py",), "the server has no arm 'left'; its arms: one, without a name\n"),
 }
 
 
@@ -178,7 +172,7 @@ def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: Runni
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]
         wave.send_signal(signal.SIGINT)
-        rest, _ = wave.communicate(timeout=20)
+        rest, _ = wave.communicate(timeout=EXAMPLE_TIMEOUT_S)
     assert lines == ["there\n", "there\n"]
     assert wave.returncode == 0
     assert rest.splitlines()[-1] == "the arm does not move"
@@ -186,15 +180,12 @@ def test_the_wave_goes_on_until_ctrl_c_and_leaves_the_arm_standing(server: Runni
 
 def test_the_wave_tells_why_it_may_not_move_the_arm(server: RunningServer) -> None:
     command = [sys.executable, str(EXAMPLES / "classroom_wave.py"), "--url", server.url]
-    with (
-        connect(server.url) as other,
-        running(command, stdout=subprocess.PIPE, env=CLIENT_ENVIRONMENT) as wave,
-    ):
+    with connect(server.url) as other, running(command, stdout=subprocess.PIPE, env=CLIENT_ENVIRONMENT) as wave:
         assert call_on(other, "/arm/take_control")["success"]
         assert wave.stdout is not None
         sentence = next(line for line in wave.stdout if line != "there\n")
         wave.send_signal(signal.SIGINT)
-        wave.communicate(timeout=20)
+        wave.communicate(timeout=EXAMPLE_TIMEOUT_S)
     assert "has controlled the arm since" in sentence
 
 
@@ -208,9 +199,7 @@ def test_the_header_of_an_example_names_the_command_of_its_server(name: str) -> 
     assert ended.value.code == 0
 
 
-def test_the_wave_of_a_fetch_ends_with_a_sentence_on_another_arm(
-    run_example: RunExample, server: RunningServer
-) -> None:
+def test_the_wave_of_a_fetch_names_the_mistake_on_another_arm(run_example: RunExample, server: RunningServer) -> None:
     done = run_example("fetch_wave.py", "--url", server.url)
     assert done.returncode == 1
     assert done.stderr == "this arm is no Fetch: start one with armbridge serve --robot fetch\n"

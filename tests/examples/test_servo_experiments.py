@@ -6,13 +6,7 @@ import contextlib
 
 import pytest
 
-from examples.servo_experiments import (
-    EXPERIMENTS,
-    GENTLE_TORQUE,
-    STEP_TICKS,
-    ServoRig,
-    run_experiment,
-)
+from examples.servo_experiments import EXPERIMENTS, GENTLE_TORQUE, STEP_TICKS, ServoRig, run_experiment
 from harness.emulator import RunningEmulator
 from harness.server import read_write_log
 from robot.commissioning.doctor import Verdict

@@ -67,9 +67,7 @@ def test_nothing_is_found_in_a_batch(number: int) -> None:
             pytest.fail(f"{problem}; saved as {path}")
 
 
-def test_an_error_that_the_server_logs_and_survives_is_a_find_and_cut_down_to_its_frames(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_error_that_the_server_logs_is_a_find_and_cut_down_to_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise KeyError("broken")
 
@@ -92,9 +90,7 @@ def test_a_binary_frame_may_have_every_byte() -> None:
     assert frame_of(played, binary=True) == frame
 
 
-def test_a_stream_that_is_cut_into_other_frames_when_it_comes_in_pieces_is_a_find(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_stream_cut_into_other_frames_when_it_comes_in_pieces_is_a_find(monkeypatch: pytest.MonkeyPatch) -> None:
     maker = SessionMaker(Random(5), REGISTRY, [])
     streams = [maker.stream() for _ in range(60)]
     add = StreamSplitter.add

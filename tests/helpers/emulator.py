@@ -14,8 +14,15 @@ from robot.emulator.control import Emulation, answer
 from robot.emulator.process import add_options, build_bus, configure
 from robot.emulator.servo_bus import Reply, ServoBus
 from robot.hardware.feetech.bus import Bus, checksum
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.feetech.family import ACCELERATION
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
 from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
+
+
+def goal_block(goal_ticks: int, velocity_ticks_s: int) -> bytes:
+    """Build registers 41 to 47 of a Feetech servo: acceleration, goal, and velocity cap, 0 for none."""
+    head, tail = Register.ACCELERATION.encode(ACCELERATION), Register.GOAL_VELOCITY.encode(velocity_ticks_s)
+    return head + Register.GOAL_POSITION.encode(goal_ticks) + Register.GOAL_TIME.encode(0) + tail
 
 
 class SteppedClock(LoopClock):

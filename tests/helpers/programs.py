@@ -4,10 +4,21 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+UV = Path(sys.executable).with_name("uv")
+
+
+def environment_with(python: str, folder: Path, package: str | Path) -> Path:
+    """Make an environment of a Python in a folder, with a package; return its interpreter."""
+    subprocess.run([UV, "venv", "--quiet", "--python", python, folder], timeout=120, check=True)
+    made = folder / "bin" / "python"
+    subprocess.run([UV, "pip", "install", "--quiet", "--python", made, package], timeout=300, check=True)
+    return made
 
 
 def install_with_npm(folder: Path) -> None:

@@ -28,14 +28,7 @@ from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.arrival import arrived_in
 from server.config import Settings
-from server.features.arms import (
-    ArmControl,
-    CommissioningOfArms,
-    PolicyChunks,
-    Restart,
-    teaching_of,
-    teleoperation_of,
-)
+from server.features.arms import ArmControl, CommissioningOfArms, PolicyChunks, Restart, teaching_of, teleoperation_of
 from server.features.context import context_of
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
 from server.features.parking import Parkings

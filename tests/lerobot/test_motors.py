@@ -38,10 +38,7 @@ def driver(port: str) -> Iterator[Callable[[str], object]]:
         process.stdin.close()
 
 
-def test_a_kit_is_set_up_and_read_by_lerobot(
-    start_terminal: Callable[..., RunningEmulator],
-    tmp_path: Path,
-) -> None:
+def test_a_kit_is_set_up_and_read_by_lerobot(start_terminal: Callable[..., RunningEmulator], tmp_path: Path) -> None:
     emulator = start_terminal(*KIT, "--link", str(tmp_path / "port"))
     with driver(str(tmp_path / "port")) as step:
         for joint in reversed(JOINTS):

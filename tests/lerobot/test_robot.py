@@ -216,7 +216,7 @@ def policy_server(port: int, folder: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("served", [True, False])
-def test_a_policy_of_lerobot_drives_the_arm_by_chunks_served_and_in_process(
+def test_a_policy_of_lerobot_drives_the_arm(
     server: RunningServer, arm: Arm, policy: Path, tmp_path: Path, served: bool
 ) -> None:
     arm.release_control()

@@ -14,11 +14,7 @@ from robot.emulator.populations import POPULATIONS
 from tests.processes.campaign.arm_run import run_arm
 from tests.processes.campaign.scenario import Happening, Result, scenario_of
 
-SEEDS = {
-    Happening.UNPLUG: 2,
-    Happening.POWER_CYCLE_ONE: 5,
-    Happening.EMERGENCY_STOP: 14,
-}
+SEEDS = {Happening.UNPLUG: 2, Happening.POWER_CYCLE_ONE: 5, Happening.EMERGENCY_STOP: 14}
 
 
 def run_seed(seed: int, folder: Path, population: str | None = None) -> Result:

@@ -16,7 +16,7 @@ from robot.description.robot_folder import _robots, _urdfs, find_example
 from server.moveit.messages import pose_of, write_pose
 
 pytestmark = [
-    pytest.mark.skipif(find_example("panda") is None, reason="the package example-robot-data is not installed"),
+    pytest.mark.skipif(find_example("panda") is None, reason="the package example-robot-data is not installed")
 ]
 
 # The package's own SRDF of the UR5 has no group; links that never touch are those of MoveIt's setup, as neighbours are.
@@ -34,10 +34,7 @@ UR5_SRDF = """
 """
 
 # Bent, and far from every limit [rad].
-BENT = {
-    "panda": (0.0, -0.6, 0.0, -2.2, 0.0, 1.7, 0.7),
-    "ur5": (0.3, -1.2, 1.4, -1.7, -1.5, 0.2),
-}
+BENT = {"panda": (0.0, -0.6, 0.0, -2.2, 0.0, 1.7, 0.7), "ur5": (0.3, -1.2, 1.4, -1.7, -1.5, 0.2)}
 
 ARRIVED_RAD = 0.005
 POSITION_M = 0.012

@@ -262,9 +262,7 @@ def test_one_of_several_arms_is_verified_at_a_terminal(server: RunningServer) ->
     assert "Move? Enter: move." in named.stderr
 
 
-async def test_arms_that_are_parked_at_the_end_go_to_rest_one_after_the_other(
-    server: RunningServer,
-) -> None:
+async def test_arms_that_are_parked_at_the_end_go_to_rest_one_after_the_other(server: RunningServer) -> None:
     async with connected(server) as client:
         for arm in ("left", "right"):
             assert (await to_named(client, arm, "ready"))["val"] == SUCCESS

@@ -21,17 +21,18 @@ from harness.waiting import wait_until
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
-from robot.hardware import port
+from robot.hardware import boards
+from robot.hardware.boards import resolve_port
 from robot.hardware.config import SerialConfig
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
-from robot.hardware.feetech.registers import GOAL_ADDRESS, Register, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
 from robot.hardware.interface import StatusFlag
-from robot.hardware.port import _refusal, resolve_port
+from robot.hardware.port import _refusal
 from robot.messages import ArmState, Mode, Order
 from server.arm.topics import LEVEL_ERROR, LEVEL_OK
 from server.commands.terminal import ExitCode
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
-from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator, goal_block
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import SO101_SERVOS
 from tests.server.commands.conftest import Run, armbridge, emulator  # noqa: F401 - fixtures
@@ -90,7 +91,7 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPort
     found: list[ListPortInfo] = []
     monkeypatch.setattr(list_ports, "comports", lambda: found)
     for name in ("NAMES_BY_DEVICE", "NAMES_BY_SOCKET", "KERNEL_RELEASE", "BOARD_MODEL"):
-        monkeypatch.setattr(port, name, tmp_path / name)
+        monkeypatch.setattr(boards, name, tmp_path / name)
     return found
 
 
@@ -299,9 +300,7 @@ def squeeze(servos: SteppedEmulator) -> None:
 
 
 @pytest.mark.parametrize("population", ["clone", "lerobot"])
-def test_an_overload_that_another_program_has_left_is_cleared_by_the_reset_or_asks_for_a_power_cut(
-    population: str,
-) -> None:
+def test_an_overload_left_by_another_program_is_cleared_by_the_reset_or_asks_for_a_power_cut(population: str) -> None:
     servos = SteppedEmulator("--population", population, wire_time=False)
     squeeze(servos)
     rig = ArmRig(servos)
@@ -369,8 +368,7 @@ def test_an_arm_that_stays_stiff_is_relaxed_without_a_server(
 
 
 def test_a_server_whose_servos_another_program_has_shifted_refuses_to_enable_them(
-    start_terminal: Callable[..., RunningEmulator],
-    tmp_path: Path,
+    start_terminal: Callable[..., RunningEmulator], tmp_path: Path
 ) -> None:
     joints = [replace(each, homing_offset=23) if each.joint == "elbow_flex" else each for each in CALIBRATION.joints]
     file = tmp_path / "my_arm.json"

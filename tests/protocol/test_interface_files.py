@@ -46,17 +46,11 @@ def test_a_type_without_a_package_is_one_of_the_same_package() -> None:
     ]
 
 
-def test_comments_blank_lines_and_any_line_breaks_are_passed_over() -> None:
+def test_comments_blank_lines_and_their_encoding_do_not_count() -> None:
     text = "\N{BYTE ORDER MARK}# all about it\r\n\r\n   # more\rint32\t a# of it\n  int32   b   # and --- this\n"
     assert rows(text) == ([["a", "int32"], ["b", "int32"]], [])
-
-
-def test_a_comment_in_another_encoding_does_no_harm() -> None:
     text = b"int32 a # f\xfcr\nint32 b".decode("utf-8", "surrogateescape")
     assert rows(text)[0] == [["a", "int32"], ["b", "int32"]]
-
-
-def test_a_value_in_another_encoding_is_refused() -> None:
     text = b'int32 a\nstring b "f\xfcr"'.decode("utf-8", "surrogateescape")
     assert problem(text).endswith("wanted text in UTF-8")
 
@@ -181,15 +175,9 @@ def test_a_line_that_cannot_be_read_is_told_with_file_line_text_and_remedy(line:
     assert sentence in told
 
 
-def test_a_name_that_is_declared_twice_is_refused() -> None:
+def test_all_problems_of_a_file_are_told_and_names_that_do_not_fit() -> None:
     assert problem("int32 a\nint8 a").endswith(":2: 'int8 a': the name a is declared twice")
-
-
-def test_all_problems_of_a_file_are_told() -> None:
     assert [each.line for each in read("int33 a\nint32 b\nint32 B b\nint32[0] c").problems] == [1, 3, 4]
-
-
-def test_the_name_of_a_file_is_that_of_its_type() -> None:
     (only,) = read("int32 a", name="my_thing").problems
     assert "the file's name is the type's: wanted a name such as JointNames" in str(only)
 
@@ -221,12 +209,7 @@ def test_a_service_or_action_with_another_number_of_parts_is_refused(kind: Kind,
 
 def test_ros1_has_times_headers_and_names_of_its_own() -> None:
     fields, constants = rows("Header header\nroslib/Header other\ntime[] T\nduration d\nint32 low=1", "ros1")
-    assert fields == [
-        ["header", "std_msgs/Header"],
-        ["other", "std_msgs/Header"],
-        ["T", "time[]"],
-        ["d", "duration"],
-    ]
+    assert fields == [["header", "std_msgs/Header"], ["other", "std_msgs/Header"], ["T", "time[]"], ["d", "duration"]]
     assert constants == [["int32", "low", "1"]]
 
 

@@ -61,9 +61,7 @@ def test_files_are_read_from_folders_by_other_usual_names_and_the_rest_is_named(
     assert interfaces.unread == (folder / "more" / "D.msg",)
 
 
-def test_the_name_is_that_of_package_xml_else_that_of_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_package_xml_names_the_package_else_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     named = package(tmp_path / "some_clone", ("msg/A.msg", ""), name="my_msgs")
     unnamed = package(tmp_path / "your_msgs", ("msg/A.msg", ""), tool=None)
     monkeypatch.chdir(unnamed)
@@ -111,9 +109,7 @@ def test_files_that_an_install_has_beside_them_are_left_alone(tmp_path: Path) ->
         (None, "Header a", True),
     ],
 )
-def test_the_generation_is_told_by_the_build_tool_else_by_the_files(
-    tmp_path: Path, tool: str | None, text: str, *, ros1: bool
-) -> None:
+def test_build_tool_or_files_tell_the_generation(tmp_path: Path, tool: str | None, text: str, *, ros1: bool) -> None:
     interfaces = read_packages([package(tmp_path / "my_msgs", ("msg/A.msg", text), tool=tool)])
     assert ("my_msgs/msg/A" in interfaces.ros1, "my_msgs/msg/A" in interfaces.ros2) == (ros1, not ros1)
 
@@ -204,18 +200,12 @@ def test_files_folders_and_their_size_are_bounded(tmp_path: Path, monkeypatch: p
     assert "more than 2 folders to look through" in problem(tmp_path / "empty")
 
 
-def test_a_folder_without_interfaces_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_interfaces_or_with_a_bad_package_xml_is_refused(tmp_path: Path) -> None:
     assert problem(package(tmp_path / "tools")).endswith("has msg/*.msg, srv/*.srv or action/*.action files")
     assert problem(tmp_path / "nowhere").endswith("nowhere: wanted a folder with ROS packages, and there is none")
-
-
-def test_a_package_xml_that_is_none_is_told_with_its_line(tmp_path: Path) -> None:
     folder = package(tmp_path / "my_msgs", ("msg/A.msg", ""))
     (folder / "package.xml").write_text("<package>\n<name>my_msgs</nam>")
     assert "my_msgs/package.xml:2: is no XML" in problem(folder)
-
-
-def test_a_name_that_no_package_can_have_is_refused(tmp_path: Path) -> None:
     told = problem(package(tmp_path / "my-msgs", ("msg/A.msg", "")))
     assert told.endswith("my-msgs/package.xml: 'my-msgs': wanted a package's name of letters, digits and underscores")
 

@@ -33,12 +33,9 @@ def test_a_message_that_would_grow_beyond_the_limit_is_refused(type_name: str, m
         complete(REGISTRY, type_name, message, Stamp(1, 2), max_values=LIMIT)
 
 
-def test_the_limit_of_any_message_is_the_largest() -> None:
+def test_any_message_has_a_limit_and_the_largest_mesh_is_below_it() -> None:
     with pytest.raises(MessageError, match=f"at most {MAX_VALUES} values in all lists of messages"):
         completed("geometry_msgs/PoseArray", {"poses": [{}] * MAX_VALUES})
-
-
-def test_the_largest_mesh_of_a_scene_is_no_such_message() -> None:
     triangles, vertices = [{"vertex_indices": [0, 1, 2]}] * 200_000, [{"x": 0.1, "y": 0.2, "z": 0.3}] * 100_000
     mesh = completed("shape_msgs/Mesh", {"triangles": triangles, "vertices": vertices})
     assert (len(mesh["triangles"]), len(mesh["vertices"])) == (200_000, 100_000)

@@ -80,12 +80,9 @@ def test_a_time_that_a_stamp_cannot_hold_is_the_nearest_that_it_can(seconds, sta
     complete(REGISTRY, "std_msgs/Header", {"stamp": Stamp.from_seconds(seconds).as_message()}, RECEIVED)
 
 
-def test_a_time_outside_of_a_header_is_zero_when_left_out():
+def test_times_are_zero_or_the_time_of_receipt():
     assert completed("builtin_interfaces/Time", {}) == {"sec": 0, "nanosec": 0}
     assert completed("actionlib_msgs/GoalID", {})["stamp"] == {"sec": 0, "nanosec": 0}
-
-
-def test_now_is_the_time_of_receipt_for_a_time_but_not_for_a_duration():
     assert completed("std_msgs/Header", {"stamp": "now"})["stamp"] == RECEIVED_TIME
     assert completed("actionlib_msgs/GoalID", {"stamp": "now"})["stamp"] == RECEIVED_TIME
     assert refused("trajectory_msgs/JointTrajectoryPoint", {"time_from_start": "now"}).path == "time_from_start"
@@ -94,20 +91,17 @@ def test_now_is_the_time_of_receipt_for_a_time_but_not_for_a_duration():
 # Spellings of ROS 1
 
 
-def test_of_a_stamp_in_both_spellings_the_one_of_ros_2_counts():
+def test_older_spellings_are_understood():
     for stamp in ({"sec": 1, "secs": 2, "nsecs": 5}, {"secs": 2, "nsecs": 5, "sec": 1}):
         assert completed("std_msgs/Header", {"stamp": stamp})["stamp"] == {"sec": 1, "nanosec": 5}
+    request = completed("moveit_msgs/MotionPlanRequest", {"cartesian_speed_end_effector_link": "tool"})
+    assert request["cartesian_speed_limited_link"] == "tool"
+    assert "attempts" not in completed("moveit_msgs/PositionIKRequest", {"attempts": 8})
 
 
 def test_buttons_that_are_true_or_false_are_numbers_in_a_list_alone():
     assert completed("sensor_msgs/Joy", {"buttons": [True, False, 1], "axes": [True, 0.5]})["buttons"] == [1, 0, 1]
     assert refused("std_msgs/Int32", {"data": True}).path == "data"
-
-
-def test_fields_under_their_older_names_are_understood():
-    request = completed("moveit_msgs/MotionPlanRequest", {"cartesian_speed_end_effector_link": "tool"})
-    assert request["cartesian_speed_limited_link"] == "tool"
-    assert "attempts" not in completed("moveit_msgs/PositionIKRequest", {"attempts": 8})
 
 
 # Arrays
@@ -124,12 +118,9 @@ def test_nulls_and_infinities_in_an_array_of_floats_come_through():
     assert position[1:] == [1.0, math.inf]
 
 
-def test_a_fixed_array_of_octets_is_zeros_in_base64_when_left_out():
+def test_octets_come_in_base64():
     assert base64.b64decode(completed("unique_identifier_msgs/UUID", {})["uuid"]) == bytes(16)
     assert refused("unique_identifier_msgs/UUID", {"uuid": "AAAA"}).wanted == "exactly 16 elements"
-
-
-def test_bytes_come_as_base64_or_list_and_go_out_as_a_list():
     assert completed("std_msgs/ByteMultiArray", {"data": "AQI="})["data"] == [1, 2]
     assert completed("std_msgs/ByteMultiArray", {"data": [1, 2]})["data"] == [1, 2]
     assert completed("std_msgs/ByteMultiArray", {})["data"] == []

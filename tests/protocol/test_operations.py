@@ -3,13 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import OperationError
-from protocol.operations import (
-    MAX_ID_CHARACTERS,
-    MAX_NAME_CHARACTERS,
-    OPERATIONS,
-    parse,
-    qualify,
-)
+from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS, OPERATIONS, parse, qualify
 
 
 @given(st.text(min_size=1))

@@ -13,13 +13,7 @@ from protocol.codecs import png
 from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp, complete
-from protocol.publication import (
-    LARGE_BYTES,
-    EncodedMessage,
-    Frame,
-    PublishedMessage,
-    pack,
-)
+from protocol.publication import LARGE_BYTES, EncodedMessage, Frame, PublishedMessage, pack
 from protocol.registry import Registry
 
 
@@ -28,8 +22,7 @@ def text_frame(length):
 
 
 @pytest.mark.parametrize(
-    ("frame", "size"),
-    [(text_frame(100), None), (text_frame(100), 100), (Frame(b"x" * 100, text=False), 10)],
+    ("frame", "size"), [(text_frame(100), None), (text_frame(100), 100), (Frame(b"x" * 100, text=False), 10)]
 )
 def test_a_short_or_binary_frame_stays_whole(frame, size):
     assert pack(frame, size, "f").frames == (frame,)

@@ -296,10 +296,7 @@ def test_all_that_is_put_leaves_or_is_dropped_when_time_is_up(sizes_bytes: list[
     assert queue.dropped == len(sizes_bytes)
 
 
-def test_a_client_that_stops_reading_has_a_quarter_of_the_servers_memory_for_what_waits_at_most() -> None:
+def test_the_parts_of_the_send_budget_fit_together() -> None:
     assert Limits().max_queued_bytes <= MAX_SERVER_QUEUED_BYTES / 4
-
-
-def test_replies_and_requests_leave_room_for_topic_data() -> None:
     limits = Limits()
     assert limits.max_queued_request_bytes + limits.max_queued_reply_bytes < limits.max_queued_bytes

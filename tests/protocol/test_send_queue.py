@@ -420,11 +420,15 @@ def test_a_large_message_does_not_overtake_a_small_one_of_its_topic(free: Subscr
     assert taken(box, 1.0, 1) == [b"1"]
 
 
-def test_a_message_whose_encoding_takes_long_is_not_late(free: Subscription) -> None:
-    box, large = SendQueue(Limits()), later(b"large")
+def test_a_message_may_wait_from_the_end_of_its_encoding(free: Subscription) -> None:
+    box, large, again = SendQueue(Limits()), later(b"large"), later(b"again")
     box.put_topic_data(free, large, 0.0)
     box.drop_late(DELAY_S + 1.0)
-    assert box.dropped == 0
     large.encode()
-    box.drop_late(DELAY_S + 1.0)
-    assert box.dropped == 1
+    box.drop_late(DELAY_S + 1.1)
+    assert taken(box, DELAY_S + 1.1) == [b"large"]
+    box.put_topic_data(free, again, 20.0)
+    box.drop_late(21.0 + DELAY_S)
+    again.encode()
+    box.drop_late(21.1 + 2.0 * DELAY_S)
+    assert (taken(box, 21.1 + 2.0 * DELAY_S), box.dropped) == ([], 1)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from protocol.limits import Limits
 from protocol.messages import Stamp
-from protocol.operations import MAX_NAME_CHARACTERS, OPERATIONS, Operation, Publish
+from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS, OPERATIONS, Operation, Publish
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.send_queue import BEHIND_S, BULKY_BYTES
@@ -51,9 +51,20 @@ def received_data(frames):
 # What comes from the client
 
 
-@pytest.mark.parametrize("mark", [{}, [1], True, "x" * 10_000])
-def test_a_refusal_carries_no_id_that_could_not_be_sent_back(mark):
-    assert receive(Session(), op="subscribe", topic="/a", id=mark).id is None
+@pytest.mark.parametrize("mark", [{}, [1], True, "x" * (MAX_ID_CHARACTERS + 1), "", "x" * MAX_ID_CHARACTERS, 7, 0.5])
+def test_a_refusal_carries_the_id_if_it_can_be_sent_back(mark):
+    sendable = type(mark) in (int, float) or (isinstance(mark, str) and len(mark) <= MAX_ID_CHARACTERS)
+    assert receive(Session(), op="subscribe", topic=5, id=mark).id == (mark if sendable else None)
+
+
+def test_a_client_gets_the_statuses_of_its_level_and_above():
+    session = Session()
+    for level in ("none", "error", "warning", "info"):
+        session.status_level = level
+        for told in ("error", "warning", "info"):
+            session.status(told, level, None)
+    levels = [json.loads(frame)["level"] for frame in sent(session)]
+    assert levels == ["error", "error", "warning", "error", "warning", "info"]
 
 
 @pytest.mark.parametrize("field", ["service", "action"])

@@ -109,13 +109,10 @@ def test_a_stream_that_is_neither_is_refused_and_little_of_it_is_shown(stream):
     assert "token" not in str(end)
 
 
-def test_whatever_stands_between_objects_ends_the_stream():
+def test_text_between_objects_and_braces_without_end_end_the_stream():
     frames, end = frames_of(b'{"op":"a"}, {"op":"b"}')
     assert frames == [b'{"op":"a"}']
     assert "between JSON objects" in str(end)
-
-
-def test_braces_that_never_close_end_the_stream():
     assert "nested deeper" in str(frames_of(b'{"a":' * 1000)[1])
 
 

@@ -113,8 +113,7 @@ def test_a_file_that_cannot_be_right_is_refused_with_its_field(tmp_path, change,
     path = lerobot_file(tmp_path, **change)
     with pytest.raises(CalibrationError, match=sentence) as caught:
         Calibration.load(path, SO101_SERVOS)
-    assert (caught.value.file, caught.value.field) == (str(path), field)
-    assert str(path) in str(caught.value)
+    assert f"{path}{', ' if field else ''}{field}: " in str(caught.value)
 
 
 @pytest.mark.parametrize(

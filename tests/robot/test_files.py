@@ -10,7 +10,7 @@ import pytest
 
 from harness.waiting import running
 from robot import files
-from robot.files import FileLock, FileLockedError, FileSeries, lock_path, locked, replace, set_aside
+from robot.files import FileLock, FileLockedError, lock_path, locked, replace
 
 HOLDER = """
 import sys
@@ -100,23 +100,3 @@ def test_what_cannot_be_written_leaves_the_old_content(tmp_path: Path, monkeypat
         replace(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_new_file_is_kept_though_the_clock_that_names_it_was_set_back(tmp_path: Path) -> None:
-    series = FileSeries(tmp_path, "fault-", ".jsonl", 3)
-    for name in ("2046", "2047", "2048", "2026", "2027"):
-        newest = series.add(name, str.encode)
-        assert newest.read_bytes() == newest.stem.encode()
-    assert len(series.paths()) == 3
-
-
-def test_files_that_are_set_aside_never_take_each_others_place(tmp_path: Path) -> None:
-    path = tmp_path / "states.json"
-    for number in range(3):
-        path.write_text(str(number))
-        set_aside(path)
-    assert {each.name: each.read_text() for each in tmp_path.iterdir()} == {
-        "states.json.broken": "0",
-        "states.json.broken.1": "1",
-        "states.json.broken.2": "2",
-    }

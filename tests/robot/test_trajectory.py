@@ -54,6 +54,11 @@ def test_no_motion_within_the_limits_is_shorter(start: float, end: float, speed:
     assert rest_to_rest("jaw", start, end, speed, push).duration_s == pytest.approx(fastest_s, abs=1e-2, rel=1e-6)
 
 
+@pytest.mark.parametrize(("speed", "push"), [(5e-324, 10.0), (2.0, 5e-324), (1e6, 1e6)])
+def test_extreme_limits_have_a_motion_too(speed: float, push: float) -> None:
+    assert rest_to_rest("jaw", 0.0, 1.0, speed, push).positions_rad[-1, 0] == pytest.approx(1.0)
+
+
 def test_between_the_corners_the_speed_is_the_slope_of_the_way() -> None:
     motion = rest_to_rest("jaw", 1.5, -0.1, 2.5, 10.0)
     for time_s in np.linspace(0.001, motion.duration_s - 0.001, 200):

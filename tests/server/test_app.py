@@ -16,11 +16,8 @@ from server.recording.replay import Recording as RecordedMessages
 from server.zenoh.settings import ZenohSettings
 
 
-def test_without_a_file_nothing_is_recorded() -> None:
+def test_a_recording_begins_with_a_file_that_can_be_written(tmp_path: Path) -> None:
     assert open_recorder(RecordingSettings(), Graph(Registry.load()), "so101") is None
-
-
-def test_a_recording_that_cannot_be_written_prevents_the_start(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"recording\.file: .* cannot be written"):
         open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101")
 

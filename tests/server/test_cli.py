@@ -58,22 +58,15 @@ def test_help_names_every_command_and_what_exit_codes_mean(capsys: pytest.Captur
     assert "Exit code 0" in said
 
 
-def test_a_command_that_does_not_exist_is_called_wrongly() -> None:
+def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code_of("dance") == 2
-
-
-def test_an_option_that_does_not_exist_is_answered_with_the_one_that_was_meant(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
     assert exit_code_of("serve", "--prot", "9191") == 2
     said = capsys.readouterr().err
     assert said.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
 
 
 @pytest.mark.usefixtures("alone")
-def test_a_start_that_fails_is_one_line_and_exit_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_start_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def fail(*_arguments: object) -> None:
         raise StartError("port in use: 127.0.0.1:9090")
 
@@ -138,15 +131,9 @@ def test_a_network_that_does_not_end_changes_no_exit_code() -> None:
 def test_the_version_names_the_program_and_the_page(tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text('<head>\n<meta name="version" content="0.1.9">\n</head>')
     assert version_line(tmp_path) == f"armbridge {metadata.version('armbridge')}, page 0.1.9"
-
-
-def test_without_a_page_the_version_says_so(tmp_path: Path) -> None:
-    assert version_line(tmp_path).endswith(", without the page")
-
-
-def test_a_page_from_before_pages_had_versions_is_named_as_such(tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("<head></head>")
     assert version_line(tmp_path).endswith(", page of an unknown version")
+    assert version_line(tmp_path / "nowhere").endswith(", without the page")
 
 
 def test_the_command_prints_this_version(capsys: pytest.CaptureFixture[str]) -> None:

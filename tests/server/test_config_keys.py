@@ -13,11 +13,8 @@ from server.execution.goal import GoalPolicy
 SETTINGS = {setting.key: setting for setting in every_setting(Settings)}
 
 
-def test_every_setting_says_what_it_means() -> None:
+def test_every_setting_has_a_meaning_and_a_choice_its_values() -> None:
     assert [key for key, setting in SETTINGS.items() if not setting.meaning] == []
-
-
-def test_the_range_of_a_choice_is_its_values() -> None:
     assert SETTINGS["goals.policy"].range == "queue, reject, preempt"
     assert SETTINGS["goals.on_disconnect"].range == "finish, stop"
     assert SETTINGS["goals.confirm"].range == ""
@@ -143,9 +140,7 @@ OVERRIDDEN = {
 
 
 @pytest.mark.parametrize(("text", "words"), OVERRIDDEN.values(), ids=OVERRIDDEN.keys())
-def test_a_wrong_value_in_the_file_is_refused_also_where_the_command_line_overrides_it(
-    file: Path, text: str, words: str
-) -> None:
+def test_a_wrong_value_in_the_file_is_refused_under_the_command_line_as_well(file: Path, text: str, words: str) -> None:
     file.write_text(text)
     with pytest.raises(ConfigurationError, match=words):
         load(file, {"server": {"port": 1}})
@@ -200,12 +195,9 @@ def test_a_variable_that_sets_nothing_is_refused(name: str, sentence: str, monke
     assert str(refused.value) == f"environment variable {sentence}"
 
 
-def test_a_variable_may_name_an_entry_of_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_variable_names_an_entry_of_a_table_or_holds_json(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ARMBRIDGE_ARM__ZERO_OFFSET_RAD__ELBOW_FLEX", "0.1")
     assert load(None, {}).arm.zero_offset_rad == {"elbow_flex": 0.1}
-
-
-def test_a_variable_of_a_section_that_is_no_json_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ARMBRIDGE_SERVER", "port")
     with pytest.raises(ConfigurationError, match=r'environment: .*"server"'):
         load(None, {})

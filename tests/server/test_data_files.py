@@ -12,7 +12,7 @@ from server.features.moveit import kept_scene_path
 from server.graph.message_types import MessageTypes
 from server.moveit.named_states import NamedStatesFile
 from server.moveit.scene.saved_scene import complete_scene
-from server.named_files import read_json
+from server.named_files import FileSeries, read_json, set_aside
 from server.teaching.taught_motion import MotionFiles
 from tests.helpers.clock import FakeClock
 from tests.helpers.moveit import REGISTRY, ROBOT
@@ -69,3 +69,23 @@ def test_states_of_an_unknown_kind_are_set_aside_and_kept(tmp_path: Path) -> Non
     states.write_text('{"states": [{"name": "tray"}]}')
     assert NamedStatesFile(states).load() == {}
     assert (tmp_path / "named_states.json.broken").read_text() == '{"states": [{"name": "tray"}]}'
+
+
+def test_a_new_file_is_kept_though_the_clock_that_names_it_was_set_back(tmp_path: Path) -> None:
+    series = FileSeries(tmp_path, "fault-", ".jsonl", 3)
+    for name in ("2046", "2047", "2048", "2026", "2027"):
+        newest = series.add(name, str.encode)
+        assert newest.read_bytes() == newest.stem.encode()
+    assert len(series.paths()) == 3
+
+
+def test_files_that_are_set_aside_never_take_each_others_place(tmp_path: Path) -> None:
+    path = tmp_path / "states.json"
+    for number in range(3):
+        path.write_text(str(number))
+        set_aside(path)
+    assert {each.name: each.read_text() for each in tmp_path.iterdir()} == {
+        "states.json.broken": "0",
+        "states.json.broken.1": "1",
+        "states.json.broken.2": "2",
+    }

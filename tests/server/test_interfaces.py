@@ -50,9 +50,7 @@ def test_the_types_of_the_users_packages_are_known_and_told(caplog: pytest.LogCa
     assert "interfaces of 2 packages read: lab_msgs, old_lab_msgs; 13 types added" in caplog.text
 
 
-def test_a_type_of_the_servers_own_that_differs_is_told_and_stays(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_differing_type_of_the_server_stays_and_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for name in ("sensor_msgs/msg/JointState", "turtlesim/msg/Color"):
         path = tmp_path / f"{name}.msg"
         path.parent.mkdir(parents=True)

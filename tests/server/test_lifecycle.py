@@ -190,9 +190,7 @@ async def test_a_service_reads_its_files_again(told: Told) -> None:
 
 
 @pytest.mark.parametrize(("gone", "call"), [(False, "reload"), (True, "end")])
-async def test_a_program_in_a_terminal_reads_its_files_again_and_ends_with_the_terminal(
-    told: Told, gone: bool, call: str
-) -> None:
+async def test_a_program_in_a_terminal_reloads_its_files_and_ends_with_it(told: Told, gone: bool, call: str) -> None:
     ours, theirs = pty.openpty()
     on_hangup(told.reload, told.end, lambda _descriptor: os.isatty(theirs))
     if gone:

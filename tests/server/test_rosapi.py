@@ -51,12 +51,9 @@ def world() -> AskedWorld:
 
 
 @pytest.mark.parametrize(
-    ("dialect", "version"),
-    [("ros2", {"version": 2, "distro": "jazzy"}), ("ros1", {"version": 1, "distro": "noetic"})],
+    ("dialect", "version"), [("ros2", {"version": 2, "distro": "jazzy"}), ("ros1", {"version": 1, "distro": "noetic"})]
 )
-def test_the_version_is_one_that_clients_of_the_dialect_know(
-    world: AskedWorld, dialect: Dialect, version: dict[str, object]
-) -> None:
+def test_clients_of_a_dialect_know_it(world: AskedWorld, dialect: Dialect, version: dict[str, object]) -> None:
     assert world.ask("get_ros_version", dialect) == version
 
 
@@ -242,7 +239,7 @@ def test_every_response_is_complete_as_it_is(world: AskedWorld) -> None:
         "node": "/arm",
     }
     types = world.graph.message_types
-    for service, type_name in world.graph.services.types().items():
+    for service, type_name in world.graph.services.names.types().items():
         if service.startswith("/rosapi/"):
             short = service.removeprefix("/rosapi/")
             fields = [field.name for field in types.registry.message(f"{type_name}_Request").fields]
@@ -338,9 +335,7 @@ def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
     ("default", "value"),
     [("0.1", 0.1), ('"text"', "text"), ("text", "text"), ("null", None), ("{", "{"), ("[" * 200_000, "[" * 200_000)],
 )
-def test_the_default_of_a_parameter_that_there_is_not_is_answered_as_json(
-    kept: Kept, default: str, value: object
-) -> None:
+def test_the_default_of_an_unknown_parameter_is_answered_as_json(kept: Kept, default: str, value: object) -> None:
     answer = kept.ask("get_param", name="/nothing", default_value=default)
     assert json.loads(answer.pop("value")) == value
     assert answer == DONE

@@ -101,9 +101,7 @@ REQUESTS: dict[str, Callable[[ServerStage], None]] = {
     "MoveGroup with the factor 0.3": move_group(0.3),
     "MoveGroup with the factor 1": move_group(1.0),
     "FollowJointTrajectory": lambda stage: stage.send(
-        "/arm_controller/follow_joint_trajectory",
-        "control_msgs/action/FollowJointTrajectory",
-        trajectory=trajectory(1),
+        "/arm_controller/follow_joint_trajectory", "control_msgs/action/FollowJointTrajectory", trajectory=trajectory(1)
     ),
     "ExecuteTrajectory": lambda stage: stage.send(
         "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", trajectory={"joint_trajectory": trajectory(1)}

@@ -204,9 +204,7 @@ async def staged() -> AsyncIterator[Stage]:
 
 
 @pytest.mark.parametrize("request_", REQUESTS.values(), ids=REQUESTS.keys())
-async def test_a_request_moves_the_arm_where_nobody_stops_it(
-    request_: Callable[[Stage], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_without_a_stop_the_arm_moves(request_: Callable[[Stage], None], monkeypatch: pytest.MonkeyPatch) -> None:
     inline_threads(monkeypatch)
     async with staged() as stage:
         await stage.trial(request_, stage.stop_by_topic, -1)
@@ -230,9 +228,7 @@ async def test_nothing_moves_after_a_stop_whichever_step_of_a_request_it_comes_b
             assert not stage.teleoperation.observes_states, f"after a stop before step {stop_at}"
 
 
-async def test_nothing_follows_after_its_stop_whichever_step_of_the_start_it_comes_before(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_nothing_follows_after_a_stop_before_whichever_step_of_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
     inline_threads(monkeypatch)
     async with staged() as stage:
         for stop_at in range(MOST_STEPS):

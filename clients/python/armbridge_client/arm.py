@@ -80,6 +80,7 @@ class Scene(Face[AsyncScene]):
     attach = blocking(AsyncScene.attach)
     detach = blocking(AsyncScene.detach)
     allow_contact = blocking(AsyncScene.allow_contact)
+    make_movable = blocking(AsyncScene.make_movable)
     objects = blocking(AsyncScene.objects)
     held = blocking(AsyncScene.held)
     save = blocking(AsyncScene.save)

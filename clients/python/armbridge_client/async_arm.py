@@ -269,9 +269,7 @@ class AsyncArm:
             DeadlineExceeded: no state for ``timeout_s``, also while the connection is lost.
         """
         async with (
-            self.connection.subscribe(
-                f"{self._prefix}/arm/state", DiagnosticStatus, timeout_s=timeout_s, latched=True
-            ) as arms,
+            self.topic("/arm/state", DiagnosticStatus, timeout_s=timeout_s) as arms,
             self.topic("/joint_states", JointState, rate_hz, timeout_s=timeout_s) as joints,
         ):
             arm = await arms.__anext__()

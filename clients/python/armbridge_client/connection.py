@@ -110,11 +110,9 @@ class Stream(Generic[M]):
         self._came = asyncio.Event()
         self._timeout_s = timeout_s
         self._failure: Exception | None = None
-        self.last: Mapping[str, Any] | None = None
 
     def put(self, message: Mapping[str, Any]) -> None:
         """Add a message as it came."""
-        self.last = message
         self._messages.append(message)
         self._came.set()
 
@@ -291,8 +289,6 @@ class Connection:
         rate_hz: float = 0.0,
         length: int = 1,
         timeout_s: float = 5.0,
-        *,
-        latched: bool = False,
     ) -> Subscription[M]:
         """Return a subscription to a topic, to be entered with ``async with``.
 
@@ -300,7 +296,6 @@ class Connection:
             rate_hz: most messages a second; 0 for all.
             length: most messages that wait for their reader; older ones are dropped.
             timeout_s: longest wait for a message.
-            latched: True for a topic whose last message stays valid.
         """
         if not rate_hz >= 0.0:
             raise ValueError(f"rate_hz must be 0 or more, not {rate_hz}")
@@ -309,18 +304,10 @@ class Connection:
         operation["queue_length"] = length
         operation["throttle_rate"] = 1000.0 / rate_hz if rate_hz else 0
         stream = Stream(topic, lambda values: from_wire(message_class, values), length, timeout_s)
-        return Subscription(self, operation, stream, latched=latched)
+        return Subscription(self, operation, stream)
 
-    async def begin(self, operation: dict[str, Any], stream: Stream[Any], *, latched: bool = False) -> None:
-        """Subscribe; the subscription survives a loss of the connection.
-
-        Args:
-            latched: begin with the topic's last message; the server sends it with a client's first subscription only.
-        """
-        for other in self._streams.values():
-            if latched and other.topic == stream.topic and other.last is not None:
-                stream.put(other.last)
-                break
+    async def begin(self, operation: dict[str, Any], stream: Stream[Any]) -> None:
+        """Subscribe; the subscription survives a loss of the connection."""
         self._registrations[operation["id"]], self._streams[operation["id"]] = operation, stream
         await within(CALL_TIMEOUT_S, self._send(operation), f"topic {stream.topic}")
 
@@ -497,15 +484,13 @@ class Connection:
 class Subscription(Generic[M]):
     """A subscription for the length of an ``async with``; entering returns its stream."""
 
-    def __init__(
-        self, connection: Connection, operation: dict[str, Any], stream: Stream[M], *, latched: bool = False
-    ) -> None:
-        self._connection, self._latched = connection, latched
+    def __init__(self, connection: Connection, operation: dict[str, Any], stream: Stream[M]) -> None:
+        self._connection = connection
         self._operation = operation
         self._stream = stream
 
     async def __aenter__(self) -> Stream[M]:
-        await self._connection.begin(self._operation, self._stream, latched=self._latched)
+        await self._connection.begin(self._operation, self._stream)
         return self._stream
 
     async def __aexit__(

@@ -662,6 +662,9 @@ class MoveitGoalRequest(Service[MoveitGoalResponse]):
     velocity_scaling: float = 0.0
     acceleration_scaling: float = 0.0
     plan_only: bool = False
+    optimization: str = ""
+    optimization_time: float = 0.0
+    allowed_planning_time: float = 0.0
 
 
 @dataclass(repr=False)
@@ -697,6 +700,26 @@ class SaveSceneRequest(Service[SaveSceneResponse]):
 
     TYPE: ClassVar[str] = "armbridge_msgs/srv/SaveScene"
     name: str = ""
+
+
+@dataclass(repr=False)
+class SetBodyResponse(Message):
+    """armbridge_msgs/srv/SetBody_Response."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/SetBody_Response"
+    success: bool = False
+    message: str = ""
+
+
+@dataclass(repr=False)
+class SetBodyRequest(Service[SetBodyResponse]):
+    """armbridge_msgs/srv/SetBody_Request."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/SetBody"
+    id: str = ""
+    movable: bool = False
+    mass: float = 0.0
+    friction: float = 0.0
 
 
 @dataclass(repr=False)
@@ -1083,6 +1106,9 @@ class MoveitGoalGoal(Action[MoveitGoalResult, MoveitGoalFeedback]):
     velocity_scaling: float = 0.0
     acceleration_scaling: float = 0.0
     plan_only: bool = False
+    optimization: str = ""
+    optimization_time: float = 0.0
+    allowed_planning_time: float = 0.0
 
 
 @dataclass(repr=False)
@@ -1208,9 +1234,10 @@ TYPES = {
     "armbridge_msgs/srv/ListMotions": "RIHS01_521f619ef0434edf29c5be8280d81569daa51fadb47e53cd01ec68180f339f1e",
     "armbridge_msgs/srv/ListScenes": "RIHS01_01c28a5e695338a2076d7d043b3cca3706e47cfc457f0cddbe7b6d50563e2abd",
     "armbridge_msgs/srv/LoadScene": "RIHS01_e81781459f3f23949f6ab09a5a726faa0f6c5878fb18a8c4f7b1bc902b4c5236",
-    "armbridge_msgs/srv/MoveitGoal": "RIHS01_8a34392cc11449281fa87a3f79f04213f6f8340e70e08d051ce583b47a95a564",
+    "armbridge_msgs/srv/MoveitGoal": "RIHS01_6c513c6658820436306050c28a73097c02a69a41fa5bec412bfce870177cd98b",
     "armbridge_msgs/srv/RenameMotion": "RIHS01_9cfc125556ae3f7fb871d9ac820e7317279e66e6a70b794cea6abb6c8edd7942",
     "armbridge_msgs/srv/SaveScene": "RIHS01_0f3e0d3e69414aa970d94587c6517cd6df917019d1376c862d4874e85824f07c",
+    "armbridge_msgs/srv/SetBody": "RIHS01_53fc1dd708222dae818d32d54e62b279d9aa59ecc500b351b02516fe5195795d",
     "armbridge_msgs/srv/SetSpeedLimit": "RIHS01_278c041a0080c5fe5b3722c2794092dd07827879abffc9f4ff39f2f5f460773d",
     "armbridge_msgs/srv/StartEpisode": "RIHS01_274175baa6bcbfaafffee23f172500b367040591c83c2005037ea74d83abccd7",
     "armbridge_msgs/srv/StartTeleop": "RIHS01_65c0f5ca819224890a227d34ccd309fc64603c0b7807ccfe52dbcb04e2478dd6",
@@ -1225,7 +1252,7 @@ TYPES = {
     "moveit_msgs/srv/SaveRobotStateToWarehouse": "RIHS01_038b704d5b0a3b81f91ddf02d7f0bb09b8112fe97ae583426b13514ca2c85626",
     "std_srvs/srv/SetBool": "RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
     "std_srvs/srv/Trigger": "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
-    "armbridge_msgs/action/MoveitGoal": "sha256_ecbe0bf0ebb2b6290c6bddf77922387220c0b2a655ad4e472b945baa08e96046",
+    "armbridge_msgs/action/MoveitGoal": "sha256_b6aa2ed0a4a27ae9aec82fbac9ec5bf56208c85342a56869921d7f336659d1ba",
     "armbridge_msgs/action/ReplayMotion": "sha256_52d8cbd41d5aff94ae5a5e24a019d195fe3e4d63c19ae55f2da20ca0a42e85a7",
     "control_msgs/action/GripperCommand": "sha256_43ae36a13e9ac415c0e1f14f3f59eea8d081df52bf045c4bdb594d21cab80af7",
     "moveit_msgs/action/ExecuteTrajectory": "sha256_497ed3653708daa5dd868551a037f35ffe15bb594065168359cc83438ab71ce8",

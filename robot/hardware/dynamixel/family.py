@@ -259,7 +259,6 @@ class Dynamixel(ServoFamily):
         return model_of(joint).free_speed_rad_s
 
     def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:
-        """Return True for a firmware that has the bus watchdog."""
         return values[Register.FIRMWARE_VERSION] >= model_of(joint).watchdog_firmware
 
     def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
@@ -313,7 +312,7 @@ class Dynamixel(ServoFamily):
             yield REBOOT_RETRY_S
         yield from read(bus, joint.servo_id, Register.MODEL_NUMBER)
 
-    def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:  # noqa: ARG002 - as others
+    def has_restarted(self, found: ServoFound, values: Values, limit: Limit) -> bool:
         """Return True for a disarmed watchdog."""
         return values.get(Register.BUS_WATCHDOG) == 0
 

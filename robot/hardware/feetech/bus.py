@@ -167,7 +167,7 @@ class Bus(ServoBus):
             return frames
         return {servo_id: StatusFrame(servo_id, frame.error, frame.data[:length]) for servo_id, frame in frames.items()}
 
-    def _read_length(self, size: int) -> int:  # noqa: ARG002 - longer than any register
+    def _read_length(self, size: int) -> int:
         return next(self._read_lengths)
 
     def _note_disturbance(self) -> None:

@@ -33,7 +33,6 @@ from robot.hardware.feetech.registers import (
     TABLE,
     VOLT_PER_UNIT,
     Register,
-    goal_block,
     parse_telemetry,
 )
 from robot.hardware.interface import Actuation, Result, Steps, run_to_end
@@ -128,9 +127,6 @@ POSITION_MODE = 0  # Register OPERATING_MODE of a servo that follows position go
 PHASE_MULTI_TURN = 0x10  # Register PHASE, bit 4: positions count on beyond one turn, and overflow
 NO_LIMITS = (0, 0)  # registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT of a servo without limits
 
-_GOAL_AT = Register.GOAL_POSITION - GOAL_ADDRESS
-_GOAL_END = _GOAL_AT + Register.GOAL_POSITION.size
-
 
 class Feetech(ServoFamily):
     """Servos of one arm, with the settings that they should have; by default the nearest known profile's."""
@@ -161,7 +157,7 @@ class Feetech(ServoFamily):
                 f'their registers, write model = "{model}" for it into the robot.toml of the arm'
             )
 
-    def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Register]]:  # noqa: ARG002 - the same for all
+    def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Register]]:
         return SETTINGS_BLOCK, CONTROL
 
     def check_settings(self, joint: JointCalibration, values: Values) -> None:
@@ -191,7 +187,7 @@ class Feetech(ServoFamily):
     def position_limits_ticks(self, values: Values) -> tuple[int, int]:
         return values[Register.MIN_ANGLE_LIMIT], values[Register.MAX_ANGLE_LIMIT]
 
-    def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:  # noqa: ARG002
+    def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:
         """Return the angle limits, to which a servo clamps its goals."""
         limits = self.position_limits_ticks(values)
         return Register.GOAL_POSITION.value_range if limits == NO_LIMITS else limits
@@ -199,7 +195,7 @@ class Feetech(ServoFamily):
     def max_voltage_v(self, values: Values) -> float:
         return values[Register.MAX_VOLTAGE] * VOLT_PER_UNIT
 
-    def free_speed_rad_s(self, joint: JointCalibration) -> float:  # noqa: ARG002 - the same for all
+    def free_speed_rad_s(self, joint: JointCalibration) -> float:
         return FREE_SPEED_RAD_S
 
     def actuation(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> Actuation:
@@ -225,18 +221,17 @@ class Feetech(ServoFamily):
     def settings(self, values: Values) -> dict[str, int]:
         return {register.name: values[register] for register in SETTINGS}
 
-    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:  # noqa: ARG002 - the same for all
+    def parse_telemetry(self, frame: StatusFrame, joint: JointCalibration) -> Telemetry:
         """Parse registers 56 to 70; the error byte of the reply has status flags too."""
         telemetry = parse_telemetry(frame.data)
         telemetry.status |= frame.error
         return telemetry
 
     def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:
-        """Return acceleration, and time and velocity cap."""
-        block = goal_block(0, math.ceil(speed_ticks_s), ACCELERATION)
-        return block[:_GOAL_AT], block[_GOAL_END:]
+        cap = Register.GOAL_VELOCITY.encode(math.ceil(speed_ticks_s))
+        return Register.ACCELERATION.encode(ACCELERATION), Register.GOAL_TIME.encode(0) + cap
 
-    def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:  # noqa: ARG002 - the same for all
+    def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:
         return Limit(Register.TORQUE_LIMIT, round(share * PERMILLE))
 
     def clear_error(self, bus: ServoBus, joint: JointCalibration) -> Steps[None]:

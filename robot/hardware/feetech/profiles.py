@@ -10,10 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-from robot.description.servo_table import ProfileSpec
 from robot.errors import DescriptionError
 from robot.hardware.feetech.registers import AMPERE_PER_UNIT, EPROM, Register
+
+if TYPE_CHECKING:
+    from robot.description.robot_file import ProfileTable
 
 RETURN_DELAY_UNIT_US = 2
 
@@ -77,7 +80,7 @@ _MEANINGS: Mapping[Register, str] = MappingProxyType(
 )
 
 
-def profile_of(spec: ProfileSpec | None) -> ServoProfile | None:
+def profile_of(spec: ProfileTable | None) -> ServoProfile | None:
     """Build the profile of ``[hardware.profile]``; raises DescriptionError for an unknown register or its value."""
     if spec is None:
         return None

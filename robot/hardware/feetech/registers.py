@@ -98,7 +98,6 @@ EPROM = tuple(register for register in SETTINGS if register.area is EEPROM)
 
 # Commands that a servo holds.
 CONTROL = TABLE.block(Register.TORQUE_ENABLE, Register.LOCK)
-CONTROL_ADDRESS, CONTROL_BYTES = CONTROL.address, CONTROL.length
 
 # The telemetry block as one struct, parsed hundreds of times a second, without the async flag, MOVING and the
 # echo of the goal.
@@ -122,18 +121,4 @@ def parse_telemetry(data: bytes) -> Telemetry:
         voltage_v=volts * VOLT_PER_UNIT,
         temperature_c=temperature,
         status=status,
-    )
-
-
-def goal_block(goal_ticks: int, velocity_ticks_s: int, acceleration: int = 254) -> bytes:
-    """Build registers 41 to 47: goal, velocity cap and acceleration.
-
-    A velocity of 0 means as fast as the servo can; the default acceleration [100 ticks/s^2] lags least behind a
-    streamed goal.
-    """
-    return (
-        Register.ACCELERATION.encode(acceleration)
-        + Register.GOAL_POSITION.encode(goal_ticks)
-        + Register.GOAL_TIME.encode(0)
-        + Register.GOAL_VELOCITY.encode(velocity_ticks_s)
     )

@@ -95,7 +95,7 @@ class ServoBus(ABC):
     def _reply_bytes(self, data_length: int, replies: int) -> int:
         """Count the bytes of a number of replies with data of this length, without :meth:`_added_bytes`."""
 
-    def _added_bytes(self, received: bytes) -> int:  # noqa: ARG002 - for subclasses
+    def _added_bytes(self, received: bytes) -> int:
         """Count the bytes that replies have beyond :meth:`_reply_bytes`."""
         return 0
 

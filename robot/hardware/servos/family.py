@@ -111,11 +111,7 @@ class ServoFamily(ABC):
     def check_settings(self, joint: JointCalibration, values: Values) -> None:
         """Raise StartupError for a servo whose settings make its positions uncertain."""
 
-    def compare(
-        self,
-        joints: Sequence[JointCalibration],  # noqa: ARG002 - for families with settings
-        found: Mapping[int, ServoFound],
-    ) -> dict[int, ServoFound]:
+    def compare(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> dict[int, ServoFound]:
         """Return the servos of an arm, by id, with warnings about their settings."""
         return dict(found)
 
@@ -123,11 +119,7 @@ class ServoFamily(ABC):
     def position_limits_ticks(self, values: Values) -> tuple[int, int]:
         """Return the lowest and highest position that a servo's settings allow [ticks]."""
 
-    def goal_limits_ticks(
-        self,
-        values: Values,
-        certain_ticks: tuple[int, int],  # noqa: ARG002 - for families that count turns
-    ) -> tuple[int, int]:
+    def goal_limits_ticks(self, values: Values, certain_ticks: tuple[int, int]) -> tuple[int, int]:
         """Return the lowest and highest goal that a servo takes, where its turns are certain [ticks]."""
         return self.position_limits_ticks(values)
 
@@ -139,16 +131,16 @@ class ServoFamily(ABC):
     def free_speed_rad_s(self, joint: JointCalibration) -> float:
         """Return the speed of a joint's servo without load at full duty [rad/s]."""
 
-    def actuation(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> Actuation:  # noqa: ARG002
+    def actuation(self, joints: Sequence[JointCalibration], found: Mapping[int, ServoFound]) -> Actuation:
         """Return the strength of an arm's servos, which were found by id."""
         free_speed_rad_s = np.array([self.free_speed_rad_s(joint) for joint in joints])
         return Actuation.unprotected(free_speed_rad_s, np.full(len(joints), self.jump_rad))
 
-    def settings(self, values: Values) -> dict[str, int]:  # noqa: ARG002 - for families with settings
+    def settings(self, values: Values) -> dict[str, int]:
         """Return the settings to report, by name."""
         return {}
 
-    def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:  # noqa: ARG002 - it may depend on them
+    def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:
         """Return True for a servo that has the family's watchdog."""
         return self.watchdog is not None
 
@@ -162,11 +154,11 @@ class ServoFamily(ABC):
         """Convert :attr:`error_register` to status flags."""
         return StatusFlag(error)
 
-    def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:  # noqa: ARG002 - for families with caps
+    def around_goal(self, speed_ticks_s: float) -> tuple[bytes, bytes]:
         """Return the bytes before and after a goal in the block at :attr:`goal_address`, for a speed [ticks/s]."""
         return b"", b""
 
-    def profile(self, speed_ticks_s: float) -> Values:  # noqa: ARG002 - for families with profiles
+    def profile(self, speed_ticks_s: float) -> Values:
         """Return the registers to write before a servo follows goals, for a speed [ticks/s]."""
         return {}
 
@@ -174,7 +166,7 @@ class ServoFamily(ABC):
     def limit(self, joint: JointCalibration, values: Values, share: float) -> Limit:
         """Return the limit of a servo's torque for a share of full duty, within the servo's own limits."""
 
-    def prepare(self, bus: ServoBus, joint: JointCalibration, values: Values) -> Steps[Values]:  # noqa: ARG002 - likewise
+    def prepare(self, bus: ServoBus, joint: JointCalibration, values: Values) -> Steps[Values]:
         """Bring a relaxed servo into the mode in which it is driven; return its registers."""
         yield from ()
         return values
@@ -189,12 +181,12 @@ class ServoFamily(ABC):
 
     # Calibration.
 
-    def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:  # noqa: ARG002 - likewise
+    def read_differences(self, bus: ServoBus, calibration: Calibration) -> Steps[list[Difference]]:
         """Compare a calibration with the servos' registers; raises OrderRefused for servos that keep none."""
         yield 0.0
         raise OrderRefused(CALIBRATION_NOT_KEPT)
 
-    def write_differences(self, bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:  # noqa: ARG002 - likewise
+    def write_differences(self, bus: ServoBus, changes: Sequence[Difference]) -> Steps[None]:
         """Write what :meth:`read_differences` has found into servos whose torque is off."""
         yield from ()
 
@@ -254,15 +246,9 @@ class ServoMap:
 
     def goal_blocks(self, goal_rad: Vector, turns_ticks: Mapping[int, int]) -> dict[int, bytes]:
         """Build all servos' blocks for goals, shape (joints,) [rad], less their turns by id [ticks]."""
-        goals = self.goals_ticks(goal_rad)
-        if turns_ticks:
-            goals = {servo: ticks - turns_ticks.get(servo, 0) for servo, ticks in goals.items()}
-        return {servo: self.goal_block(servo, ticks) for servo, ticks in goals.items()}
-
-    def goals_ticks(self, goal_rad: Vector) -> dict[int, int]:
-        """Convert goals, shape (joints,) [rad], to calibrated positions by servo id [ticks]."""
         each = zip(self.ids, goal_rad.tolist(), self._offset_rad, self._rad_per_tick, strict=True)
-        return {servo: round((goal - offset) / scale) for servo, goal, offset, scale in each}
+        goals = {servo: round((goal - offset) / scale) for servo, goal, offset, scale in each}
+        return {servo: self.goal_block(servo, ticks - turns_ticks.get(servo, 0)) for servo, ticks in goals.items()}
 
     def positions_rad(self, ticks: Iterable[float]) -> list[float]:
         """Convert calibrated positions in the order of the joints from ticks to radians."""

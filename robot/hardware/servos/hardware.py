@@ -19,9 +19,9 @@ from robot.calibration import RAD_PER_TICK, Calibration
 from robot.description.limits import JointBounds
 from robot.errors import NoReply, PortLost, StartupError
 from robot.faults import Fault, FaultCode
+from robot.hardware.boards import resolve_port
 from robot.hardware.config import SerialConfig
 from robot.hardware.interface import Flags, HardwareInterface, Measured, Steps, Survey
-from robot.hardware.port import resolve_port
 from robot.hardware.servos import torque
 from robot.hardware.servos.bus import ServoBus, StatusFrame
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMap, Values

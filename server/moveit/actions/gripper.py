@@ -66,17 +66,11 @@ Message = dict[str, Any]
 
 @dataclass(frozen=True)
 class GripperCommand:
-    """Command to the gripper.
+    """Command to the gripper."""
 
-    Attributes:
-        position: goal position of each finger, within its joint's limits [rad or m].
-        max_effort: share of full motor duty, as in ``effort`` of ``/joint_states``; 0 for the limit.
-        max_velocity: of each finger, 0 for the velocity of planned motions [rad/s or m/s].
-    """
-
-    position: float
-    max_effort: float = 0.0
-    max_velocity: float = 0.0
+    position: float  # goal position of each finger, within its joint's limits [rad or m]
+    max_effort: float = 0.0  # share of full motor duty, as in ``effort`` of ``/joint_states``; 0 for the limit
+    max_velocity: float = 0.0  # of each finger, 0 for the velocity of planned motions [rad/s or m/s]
 
 
 @dataclass(frozen=True)

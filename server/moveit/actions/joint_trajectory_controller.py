@@ -361,8 +361,7 @@ def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions, r
 def check_trajectory(trajectory: Message, group: Group, now_s: float) -> float:
     """Check a trajectory's joints and time; return the time until its start by its stamp [s], 0 without a stamp.
 
-    Raises:
-        TrajectoryRefusedError: it names another joint, or its time is over.
+    Raises TrajectoryRefusedError for another joint, or when its time is over.
     """
     if not trajectory["points"]:
         raise _invalid("trajectory.points is empty; to stop the arm, cancel the goal")

@@ -98,7 +98,7 @@ def _problem(
     translate: Callable[[Message], PlannedMotion], message: Message, present_rad: Positions
 ) -> PlanningProblem | PlanningFailure:
     try:
-        problem = translate(message).steps[0](present_rad)
+        problem = translate(message).steps[0].problem(present_rad)
     except RefusedError as error:
         return error.failure
     match problem:

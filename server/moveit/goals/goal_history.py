@@ -35,23 +35,17 @@ MAX_ASKED_CHARACTERS = 20_000
 
 @dataclass(frozen=True)
 class GoalRecord:
-    """Record of an answered goal.
-
-    Attributes:
-        summary: methods and times of the plan, a sentence; empty without a plan.
-        problem: problem that failed, else the first one; None where no file can hold it.
-        scene: in which it was planned; None once it is forgotten.
-    """
+    """Record of an answered goal."""
 
     stamp_s: float
     status: Message
     asked: Mapping[str, Any]
     planned: tuple[Trajectory, ...]
-    summary: str
+    summary: str  # methods and times of the plan, a sentence; empty without a plan
     planning_time_s: float
     failure: PlanningFailure
-    problem: PlanningProblem | None
-    scene: Scene | None
+    problem: PlanningProblem | None  # problem that failed, else the first one; None where no file can hold it
+    scene: Scene | None  # in which it was planned; None once it is forgotten
 
 
 class GoalHistory:
@@ -155,7 +149,7 @@ def _problem(request: Motion | None, answer: Answer, scene: Scene) -> tuple[Plan
     for motion in done:
         start_rad |= dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
     try:
-        problem = request.steps[len(done)](start_rad)
+        problem = request.steps[len(done)].problem(start_rad)
         planned_in = scene if request.scene is None else request.scene(performed.start_rad)
     except RefusedError:
         return None, scene

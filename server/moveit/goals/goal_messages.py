@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
-from planners.problem import MoveItErrorCode, PlanningProblem
+from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
 from server.errors import invalid, refused
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.messages import Message, composed, read_point, read_pose
 from server.moveit.named_states import NamedStates
-from server.moveit.parameters import MoveItParameters
+from server.moveit.parameters import MAX_PLANNING_ATTEMPTS, MoveItParameters
 from server.moveit.requests.constraints import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_problems import GoalStep
 
 NAMED_TOPIC, NAMED_TYPE = "/moveit_goal_named", "std_msgs/String"
 JOINTS_TOPIC, JOINTS_TYPE = "/moveit_goal_joints", "sensor_msgs/JointState"
@@ -39,11 +40,13 @@ class GoalOptions:
     """Choices of a goal for itself, in place of those selected and configured for a topic's goals."""
 
     group: Group | None = None
-    velocity_scaling: float = 0.0
-    acceleration_scaling: float = 0.0
+    parameters: MoveItParameters | None = None
 
 
 AS_SELECTED = GoalOptions()
+
+# Fields of armbridge_msgs/MoveitGoal that are parameters for one goal: as configured if 0 or empty.
+PARAMETER_FIELDS = ("optimization", "optimization_time", "allowed_planning_time")
 
 
 @dataclass(frozen=True)
@@ -85,15 +88,22 @@ class GoalTranslator:
             self._states.select_group(self.group.name)
 
     def options(self, message: Message) -> GoalOptions:
-        """Read the fields of an armbridge_msgs/MoveitGoal that choose group and speed."""
+        """Read the fields of an armbridge_msgs/MoveitGoal that choose group, speed and planning time."""
         group = self._group(message["group"]) if message["group"] else None
-        scalings = []
+        chosen = {field: message[field] for field in PARAMETER_FIELDS if message[field]}
+        if "optimization_time" in chosen:
+            # Time that a goal asks for is spent, however many searches that takes.
+            chosen["num_planning_attempts"] = MAX_PLANNING_ATTEMPTS
         for field in ("velocity_scaling", "acceleration_scaling"):
             value = float(message[field])
             if not 0.0 <= value <= 1.0:
                 raise invalid(f"{field} must be from 0 to 1, 0 for the configured one, not {value:g}", value=value)
-            scalings.append(value)
-        return GoalOptions(group, *scalings)
+            if value:
+                chosen[f"max_{field}"] = value
+        try:
+            return GoalOptions(group, self._parameters.changed(chosen))
+        except ValueError as error:
+            raise invalid(str(error)) from error
 
     def named(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a std_msgs/String with the name of a state; case and blanks do not matter."""
@@ -109,7 +119,7 @@ class GoalTranslator:
         if not goal_rad:
             raise invalid(f"the named target {name!r} has no joint of group {group.name}", name=name)
         goal = JointGoal(goal_rad, self._parameters.joint_tolerance)
-        return self._motion(group, lambda _start_rad: goal, options)
+        return self._motion(group, goal, options)
 
     def joints(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a sensor_msgs/JointState; joints that are not named keep their position.
@@ -135,7 +145,7 @@ class GoalTranslator:
         ignored = [name for name in names if name not in known]
         warning = f"ignored joints that are not in group {group.name}: {', '.join(ignored)}"
         goal = JointGoal(known, self._parameters.joint_tolerance)
-        return self._motion(group, lambda _start_rad: goal, options, (warning,) if ignored else ())
+        return self._motion(group, goal, options, warnings=(warning,) if ignored else ())
 
     def _group(self, name: str) -> Group:
         """Return a planning group by its name, or by its name without the arm's."""
@@ -178,17 +188,14 @@ class GoalTranslator:
         )
         radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
 
-        def goal(start_rad: Positions) -> Goal:
-            place = composed(self._frames.resolve(frame, start_rad), pose)
-            if whole:
-                return PoseGoal(tip, place, radius_m, (turn_rad,) * 3, strict=True)
-            return PositionGoal(tip, place.position_m, radius_m)
-
+        goal: Goal = PositionGoal(tip, pose.position_m, radius_m)
+        if whole:
+            goal = PoseGoal(tip, pose, radius_m, (turn_rad,) * 3, strict=True)
         # An unknown frame is rejected at once, not when the goal's turn comes.
         present_rad = self._current.positions_rad()
         if present_rad is not None:
             self._frames.resolve(frame, present_rad)
-        return self._motion(group, goal, options)
+        return self._motion(group, goal, options, frame)
 
     def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose:
         """Return the whole pose of a geometry_msgs/PoseStamped in the root link."""
@@ -202,16 +209,13 @@ class GoalTranslator:
     def _motion(
         self,
         group: Group,
-        goal: Callable[[Positions], Goal],
+        goal: Goal,
         options: GoalOptions,
+        frame: str | None = None,
         warnings: tuple[str, ...] = (),
     ) -> PlannedMotion:
         self._check_own(group)
-        scalings = options.velocity_scaling, options.acceleration_scaling
-
-        def step(start_rad: Positions) -> PlanningProblem:
-            return self._problems.goal(group, goal(start_rad), start_rad, *scalings)
-
+        step = GoalStep(self._problems, group, goal, options.parameters, frame)
         return PlannedMotion((step,), frozenset(group.joints), warnings=warnings)
 
 

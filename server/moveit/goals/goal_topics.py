@@ -56,22 +56,19 @@ class Confirmation:
 
     A proposed plan is confirmed by its goal's id, so that a user who decides on one plan cannot confirm the next one,
     which has just taken its place.
-
-    Attributes:
-        enabled: True while all goals wait for a confirmation.
-        proposal: the proposed goal that is not answered yet; None without one. There is one at a time.
     """
 
     def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
         self._graph = graph
         self._node = Node("confirmation")
+        # The proposed goal that is not answered yet; None without one. There is one at a time.
         self.proposal: Goal | None = None
         self._waiting: Goal | None = None
         self._decision: asyncio.Future[bool] | None = None
         # Goals of several groups are confirmed one after the other.
         self._turn = asyncio.Lock()
         self._timeout_s = timeout_s
-        self.enabled = enabled
+        self.enabled = enabled  # True while all goals wait for a confirmation
         subscriber = Subscriber(
             lambda published: self._decide(CONFIRM_TOPIC, go=published.msg["data"]),
             lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),

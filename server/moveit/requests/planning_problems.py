@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -41,7 +41,7 @@ from robot.trajectory import Vector
 from server.errors import RefusedError, invalid, refused
 from server.execution.motions import Joints, Positions, Step
 from server.graph.list_limits import ListLimits
-from server.moveit.messages import Message, check_finite
+from server.moveit.messages import Message, check_finite, composed
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
     MAX_KINEMATICS_TIMEOUT_S,
@@ -117,21 +117,20 @@ class ProblemBuilder:
         group: Group,
         goal: Goal,
         start_rad: Positions,
-        velocity_scaling: float = 0.0,
-        acceleration_scaling: float = 0.0,
+        parameters: MoveItParameters | None = None,
     ) -> PlanningProblem:
-        """Build the problem of a goal that comes with nothing else: as configured where a scaling, of 0 to 1, is 0."""
-        parameters = self._parameters.configured
+        """Build the problem of a goal that comes with nothing else, by parameters of its own or the configured ones."""
+        parameters = parameters or self._parameters.configured
         return PlanningProblem(
             group=group.name,
             start_rad=start_rad,
             goal=goal,
-            velocity_scaling=min(velocity_scaling or parameters.max_velocity_scaling, self._speed_limit(group.joints)),
-            acceleration_scaling=acceleration_scaling or parameters.max_acceleration_scaling,
+            velocity_scaling=min(parameters.max_velocity_scaling, self._speed_limit(group.joints)),
+            acceleration_scaling=parameters.max_acceleration_scaling,
             allowed_time_s=parameters.allowed_planning_time,
             attempts=parameters.num_planning_attempts,
             planner_id=parameters.planner_id,
-            optimization_time_s=parameters.optimization_time,
+            optimization_time_s=parameters.shortening_time_s(parameters.allowed_planning_time),
         )
 
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
@@ -145,17 +144,18 @@ class ProblemBuilder:
         arc = request["path_constraints"]
         constraints = Constraints() if _names_arc(arc) else read_path_constraints(arc, context)
         velocity_scaling, acceleration_scaling = self._scalings(request, context)
+        allowed_time_s = _allowed_time_s(request["allowed_planning_time"], parameters, warnings)
         problem = PlanningProblem(
             group=group.name,
             start_rad=start_rad,
             goal=read_goal(request["goal_constraints"], context),
             velocity_scaling=velocity_scaling,
             acceleration_scaling=acceleration_scaling,
-            allowed_time_s=_allowed_time_s(request["allowed_planning_time"], parameters, warnings),
+            allowed_time_s=allowed_time_s,
             attempts=_attempts(request["num_planning_attempts"], parameters, warnings),
             path_constraints=None if constraints.empty else constraints,
             planner_id=_planner_id(request["planner_id"], parameters, warnings) if pipeline == OMPL else "",
-            optimization_time_s=parameters.optimization_time,
+            optimization_time_s=parameters.shortening_time_s(allowed_time_s),
         )
         planner = _pilz_planner(request["planner_id"]) if pipeline == PILZ else POINT_TO_POINT
         warnings += _ignored_fields(request, planner)
@@ -180,9 +180,15 @@ class ProblemBuilder:
         """Return the joints of all groups of some moveit_msgs/MotionPlanRequest."""
         return frozenset().union(*(self.group(request["group_name"]).joints for request in requests))
 
-    def step(self, request: Message) -> Step:
-        """Return the function that builds the problem of a moveit_msgs/MotionPlanRequest once its start is known."""
-        return lambda start_rad: self.motion_plan(request, start_rad).problem
+    def placed(self, goal: Goal, frame: str, start_rad: Positions) -> Goal:
+        """Return a pose or position goal in a frame, which may move with the arm, as a goal in the root link."""
+        transform = self._frames.resolve(frame, start_rad)
+        match goal:
+            case PoseGoal():
+                return replace(goal, pose=composed(transform, goal.pose))
+            case PositionGoal():
+                return replace(goal, position_m=composed(transform, Pose(goal.position_m)).position_m)
+        raise AssertionError(f"a goal in a frame is {goal}")
 
     def cartesian_path(self, request: Message, start_rad: Positions) -> BuiltProblem[CartesianProblem]:
         """Build the problem of a moveit_msgs/GetCartesianPath request."""
@@ -224,6 +230,34 @@ class ProblemBuilder:
             allowed_time_s=min(timeout_s or context.parameters.kinematics_solver_timeout, MAX_KINEMATICS_TIMEOUT_S),
         )
         return BuiltProblem(question, tuple(context.warnings))
+
+
+@dataclass(frozen=True)
+class GoalStep(Step):
+    """Motion to a goal in the root link, or in a frame that may move with the arm, by parameters of its own if any."""
+
+    problems: ProblemBuilder
+    group: Group
+    goal: Goal
+    parameters: MoveItParameters | None = None
+    frame: str | None = None
+
+    def problem(self, start_rad: Positions) -> PlanningProblem:
+        """Build the problem of the goal at its place for this start."""
+        goal = self.goal if self.frame is None else self.problems.placed(self.goal, self.frame, start_rad)
+        return self.problems.goal(self.group, goal, start_rad, self.parameters)
+
+
+@dataclass(frozen=True)
+class RequestStep(Step):
+    """Motion of a moveit_msgs/MotionPlanRequest."""
+
+    problems: ProblemBuilder
+    request: Message
+
+    def problem(self, start_rad: Positions) -> PlanningProblem | CartesianProblem:
+        """Build the problem of the request."""
+        return self.problems.motion_plan(self.request, start_rad).problem
 
 
 def sequence_requests(sequence: Message) -> list[Message]:

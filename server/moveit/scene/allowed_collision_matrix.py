@@ -30,16 +30,11 @@ def disabled_collisions(robot: RobotModel) -> frozenset[Pair]:
 
 @dataclass(frozen=True)
 class AllowedCollisionMatrix:
-    """Contents of a moveit_msgs/AllowedCollisionMatrix; pairs that it does not name follow the SRDF.
-
-    Attributes:
-        allowed: pairs of them that may touch; the others may not.
-        defaults: name -> value for its pairs with names that are not in ``names``.
-    """
+    """Contents of a moveit_msgs/AllowedCollisionMatrix; pairs that it does not name follow the SRDF."""
 
     names: tuple[str, ...]
-    allowed: frozenset[Pair]
-    defaults: Mapping[str, bool]
+    allowed: frozenset[Pair]  # pairs of them that may touch; the others may not
+    defaults: Mapping[str, bool]  # name -> value for its pairs with names that are not in ``names``
 
     @classmethod
     def of_robot(cls, robot: RobotModel) -> AllowedCollisionMatrix:

@@ -184,21 +184,14 @@ GEOMETRY_KINDS: tuple[tuple[str, str, Callable[[Message, str], Shape]], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class CollisionObject:
-    """Object with its geometry and pose, kept so that it can be published again as it came.
-
-    Attributes:
-        frame: frame of ``pose``: the planning frame, or the link that holds the object.
-        type: object_recognition_msgs/ObjectType, passed on unread.
-        geometry: the shapes as messages, by field of :data:`GEOMETRY_KINDS`.
-        shapes: the same in the order of :data:`GEOMETRY_KINDS`, each with its pose in the object's frame.
-    """
+    """Object with its geometry and pose, kept so that it can be published again as it came."""
 
     name: str
-    frame: str
+    frame: str  # frame of ``pose``: the planning frame, or the link that holds the object
     pose: Pose
-    type: Message
-    geometry: Mapping[str, Sequence[Message]]
-    shapes: Shapes
+    type: Message  # object_recognition_msgs/ObjectType, passed on unread
+    geometry: Mapping[str, Sequence[Message]]  # the shapes as messages, by field of :data:`GEOMETRY_KINDS`
+    shapes: Shapes  # the same in the order of :data:`GEOMETRY_KINDS`, each with its pose in the object's frame
     subframes: Mapping[str, Pose]
 
     @cached_property

@@ -67,21 +67,17 @@ EMPTY_DIFF: Message = {
 
 @dataclass(frozen=True)
 class SceneContents:
-    """Contents of a planning scene. Objects are compared by identity, which makes comparing scenes quick.
-
-    Attributes:
-        objects: collision objects by name, in the planning frame.
-        padding_m: link -> padding [m]; links that are not in it have none.
-        colors: link or object -> std_msgs/ColorRGBA.
-    """
+    """Contents of a planning scene. Objects are compared by identity, which makes comparing scenes quick."""
 
     allowed_collisions: AllowedCollisionMatrix
     name: str = NO_NAME
+    # Collision objects by name, in the planning frame.
     objects: Mapping[str, CollisionObject] = field(default_factory=dict)
     attached: Mapping[str, AttachedCollisionObject] = field(default_factory=dict)
+    # Link -> padding [m]; links that are not in it have none.
     padding_m: Mapping[str, float] = field(default_factory=dict)
     scale: Mapping[str, float] = field(default_factory=dict)
-    colors: Mapping[str, Message] = field(default_factory=dict)
+    colors: Mapping[str, Message] = field(default_factory=dict)  # link or object -> std_msgs/ColorRGBA
     fixed_frames: Mapping[str, Pose] = field(default_factory=dict)
 
     def looks_same(self, other: SceneContents) -> bool:
@@ -108,19 +104,13 @@ class SceneContents:
 
 
 class SceneDraft:
-    """Scene contents under change.
-
-    Attributes:
-        before: the contents to start from, which stay as they are; an object that is only repeated stays the same one.
-        links: transforms of the links, which do not move meanwhile.
-        root: the planning frame.
-    The other attributes are as in :class:`SceneContents`.
-    """
+    """Scene contents under change."""
 
     def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
+        # The contents to start from, which stay as they are; an object that is only repeated stays the same one.
         self.before = contents
-        self.links = links
-        self.root = links.robot.root_link
+        self.links = links  # transforms of the links, which do not move meanwhile
+        self.root = links.robot.root_link  # the planning frame. The other attributes are as in :class:`SceneContents`
         self.allowed_collisions = contents.allowed_collisions
         self.name = contents.name
         self.objects: dict[str, CollisionObject] = dict(contents.objects)

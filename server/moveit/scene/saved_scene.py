@@ -31,7 +31,7 @@ from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene_message
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
-from server.named_files import NamedFiles, read_json
+from server.named_files import NamedFiles, read_json, set_aside
 from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
@@ -121,7 +121,7 @@ class SavedScene:
         except FileNotFoundError:
             return
         except (ValueError, MessageError, RefusedError) as error:
-            aside = files.set_aside(self._path)
+            aside = set_aside(self._path)
             log.warning("the planning scene in %s cannot be restored: %s; the file is now %s", self._path, error, aside)
             return
         world, held = len(self._state.contents.objects), len(self._state.contents.attached)
@@ -177,11 +177,7 @@ def kept_message(contents: SceneContents, robot: RobotModel) -> Message:
 
 
 def complete_scene(message_types: MessageTypes, content: Any) -> Message:
-    """Return the complete moveit_msgs/PlanningScene of a file; objects are completed one by one, as they came.
-
-    Raises:
-        MessageError: it is none.
-    """
+    """Return the moveit_msgs/PlanningScene of a file, object by object, as they came; raises MessageError for none."""
     complete = message_types.complete
     world: list[Any] = []
     held: list[Any] = []
@@ -195,11 +191,7 @@ def complete_scene(message_types: MessageTypes, content: Any) -> Message:
 
 
 def encoded_bounded(message: Message, max_bytes: int) -> bytes:
-    """Return a message as JSON, made in a thread beside the event loop.
-
-    Raises:
-        ValueError: it is too large.
-    """
+    """Return a message as JSON, made in a thread beside the event loop; raises ValueError if it is too large."""
     pieces, size = [], 0
     # With numbers that are not finite, in pieces of at most a millisecond.
     for piece in encoded_pieces(message, _NOTATION):

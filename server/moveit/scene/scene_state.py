@@ -66,10 +66,6 @@ class SceneState:
 
     Messages have every field of their type. Positions are the angles of every movable joint [rad], which place the
     links' frames; None while unknown.
-
-    Attributes:
-        contents: contents of the scene; another object after every change.
-        scene: the same as planners have it; another object, with another version, after every change they can see.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -81,7 +77,8 @@ class SceneState:
         self._waiting: deque[tuple[SceneChange, Positions, Done, Ended]] = deque()
         self._applying: asyncio.Task[None] | None = None
         self.frame = robot.root_link
-        self.contents = SceneContents(self._srdf_matrix)
+        self.contents = SceneContents(self._srdf_matrix)  # contents of the scene; another object after every change
+        # The same as planners have it; another object, with another version, after every change they can see.
         self.scene = EMPTY_SCENE
 
     def on_change(self, callback: Callable[[], None]) -> None:

@@ -37,6 +37,7 @@ from server.moveit.requests.planning_problems import (
     PILZ,
     PIPELINES,
     PLANNING_LIMITS,
+    RequestStep,
     check_pipeline,
     sequence_requests,
 )
@@ -104,11 +105,7 @@ def within_limits(robot: RobotModel, positions_rad: Mapping[str, float]) -> dict
 
 
 async def check_state_validity(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
-    """Check a state for limits, collisions and constraints; returns the response of moveit_msgs/GetStateValidity.
-
-    Raises:
-        UnsuccessfulError: the state is invalid.
-    """
+    """Return the response of moveit_msgs/GetStateValidity; raises UnsuccessfulError for an invalid state."""
     group = context.problems.group(request["group_name"])
     positions_rad = context.positions_rad(request["robot_state"], caller)
     scene = context.scene_of(request["robot_state"], positions_rad)
@@ -216,7 +213,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     If an item cannot be planned, the response has the motions of the items before it, and the item's error code.
     """
     requests = sequence_requests(request["request"])
-    steps = [context.problems.step(item) for item in requests]
+    steps = [RequestStep(context.problems, item) for item in requests]
     start = context.start(requests[0]["start_state"], caller)
     planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool.ask)
     root, performed, failure = context.robot.root_link, planned.performed, planned.failure

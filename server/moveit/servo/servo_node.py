@@ -135,15 +135,11 @@ class CommandGate:
     Args:
         timeout_s: after a silence of this time a stick counts as released [s].
         arm: the arm, whose stops release a held stick.
-
-    Attributes:
-        owner: the client in control, until it leaves or sends no more commands.
-        paused: true while all commands are rejected.
     """
 
     def __init__(self, present: Callable[[object], bool], timeout_s: float, arm: AnyArm) -> None:
         self._present = present
-        self.owner: object = None
+        self.owner: object = None  # the client in control, until it leaves or sends no more commands
         self._timeout_s = timeout_s
         self._arm = arm
         # Stop epoch of the last command.
@@ -154,7 +150,7 @@ class CommandGate:
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
-        self.paused = False
+        self.paused = False  # true while all commands are rejected
 
     def select(self, kind: CommandType) -> None:
         """Reject other types of commands, until the client in control gives it up."""

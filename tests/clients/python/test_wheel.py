@@ -3,12 +3,12 @@
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from harness.server import ROOT, RunningServer
+from tests.helpers.programs import UV, environment_with
 
 PYENV = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
 MOST_BYTES = 5_000_000
@@ -35,7 +35,7 @@ def python(version: str) -> str | None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("wheel")
     # By way of the sdist, which therefore has all that is needed.
-    command = [Path(sys.executable).with_name("uv"), "build", "--out-dir", out, ROOT / "clients" / "python"]
+    command = [UV, "build", "--out-dir", out, ROOT / "clients" / "python"]
     subprocess.run(command, capture_output=True, timeout=120, check=True)
     (made,) = out.glob("*.whl")
     return made
@@ -46,15 +46,12 @@ def test_the_wheel_moves_the_arm(version: str, wheel: Path, server: RunningServe
     interpreter = python(version)
     if interpreter is None:
         pytest.skip(f"this machine has no Python {version}")
-    subprocess.run([interpreter, "-m", "venv", tmp_path], timeout=120, check=True)
-    installed = tmp_path / "bin" / "python"
-    install = [installed, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", wheel]
-    subprocess.run(install, timeout=120, check=True)
+    installed = environment_with(interpreter, tmp_path / "venv", wheel)
     command = [installed, "-W", "error", "-X", "dev", "-c", PROGRAM, server.url]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout in ("holding\n", "moving\n")
-    (packages,) = tmp_path.glob("lib/python*/site-packages")
+    (packages,) = tmp_path.glob("venv/lib/python*/site-packages")
     size = sum(
         each.stat().st_size for name in ("armbridge_client", "websockets") for each in packages.glob(f"{name}/**/*.*")
     )

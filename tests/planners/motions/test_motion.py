@@ -8,6 +8,7 @@ from planners.geometry.certificate import certify
 from planners.motions import motion
 from planners.motions.curve import TICK_S, least_time_s, polyline
 from planners.motions.motion import Motion, MotionTask, find_motion, smooth
+from planners.motions.path import NOMINAL_CHECKS_PER_S
 from planners.motions.path_timing import MAX_DURATION_S
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits
 from tests.planners.invariants import (
@@ -53,6 +54,8 @@ def test_in_free_space_shortening_nearly_reaches_the_least_time():
     least_s = least_time_s(DETOUR[0], np.zeros(2), DETOUR[-1], np.zeros(2), LIMITS)
     assert TICK_S * shortened().duration_ticks < 1.03 * least_s
 
+
+CHECKS_A_CERTIFICATE = 3000  # of a motion that is found just before the time is over, and of longer ones if it touches
 
 HOME = np.zeros(5)
 READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
@@ -120,6 +123,42 @@ def test_optimisation_makes_motions_shorter(task_between):
     ]
     assert durations_s == sorted(durations_s, reverse=True)
     assert durations_s[1] < 0.9 * durations_s[0]
+
+
+def work(task):
+    """Return the checks that a motion takes."""
+    before = task.space.checks
+    assert isinstance(find_motion(task, unlimited()), Motion)
+    return task.space.checks - before
+
+
+@pytest.mark.parametrize("blocked", BLOCKED_LINES)
+def test_the_work_that_is_asked_for_is_spent_and_little_more(task_between, blocked):
+    first = work(task_between(*blocked, optimization_time_s=0.0))
+    for time_s in (0.1, 0.5):
+        spent = work(task_between(*blocked, optimization_time_s=time_s, attempts=1000))
+        assert time_s * NOMINAL_CHECKS_PER_S <= spent <= time_s * NOMINAL_CHECKS_PER_S + first + CHECKS_A_CERTIFICATE
+
+
+@pytest.mark.parametrize("blocked", BLOCKED_LINES)
+def test_the_best_motion_takes_all_the_time_that_is_allowed_and_is_no_longer(task_between, collision, at_home, blocked):
+    task = task_between(*blocked, optimization_time_s=np.inf, attempts=1)
+    clock = Budget(lambda: task.space.checks / NOMINAL_CHECKS_PER_S, 1.0, never)
+    best = find_motion(task, clock)
+    assert 1.0 <= clock.spent_s <= 1.0 + CHECKS_A_CERTIFICATE / NOMINAL_CHECKS_PER_S
+    assert_touches_nothing(best.trajectory, collision, at_home)
+    short = find_motion(replace(task, optimization_time_s=0.024), unlimited())
+    assert best.trajectory.duration_s <= short.trajectory.duration_s
+
+
+def test_a_request_that_is_cancelled_while_its_motion_is_shortened_has_none(task_between):
+    task = task_between(*BLOCKED_LINES[0], optimization_time_s=np.inf)
+    first = work(replace(task, optimization_time_s=0.0))
+    last = task.space.checks + 10 * first
+    budget = Budget(lambda: 0.0, 1.0, lambda: task.space.checks >= last)
+    find_motion(task, budget)
+    assert budget.failure().code is MoveItErrorCode.PREEMPTED
+    assert task.space.checks <= last + first
 
 
 def test_same_seed_gives_the_same_motion_whatever_the_clock_says(task_between):

@@ -7,10 +7,12 @@ import pytest
 from planners.geometry.joint_space import JointSpace
 from planners.goals import Constraints, OrientationConstraint
 from planners.ik.constraints import ConditionSet, conditions
+from planners.motions import path as path_module
 from planners.motions.curve import line, polyline
 from planners.motions.path import (
+    DOMAIN_EDGES,
     MOST_CHECKS,
-    ProjectedSearch,
+    ConnectSearch,
     Query,
     TreeSearch,
     coarse_first,
@@ -43,12 +45,15 @@ def free(space, path):
     return all(space.line_free(start, end, STEP_M) for start, end in itertools.pairwise(path))
 
 
+def search(query, name, seed):
+    return ConnectSearch(query, None, seed) if name == RRT_CONNECT else TreeSearch(query, name, seed)
+
+
 @pytest.mark.parametrize("name", PLANNER_IDS)
 def test_every_planner_finds_a_free_path_from_start_to_goal(joint_space, name):
     start, goal = (np.array(point) for point in BLOCKED_LINES[1])
     paths = (
-        TreeSearch(Query(joint_space, start, [goal], STEP_M), name, seed).run(after(joint_space, 6000))
-        for seed in range(5)
+        search(Query(joint_space, start, [goal], STEP_M), name, seed).run(after(joint_space, 6000)) for seed in range(5)
     )
     path = next(path for path in paths if path is not None)
     np.testing.assert_array_equal(path[[0, -1]], [start, goal])
@@ -63,7 +68,7 @@ def test_every_planner_finds_a_free_path_from_start_to_goal(joint_space, name):
 def test_search_ends_at_one_of_several_goals(joint_space, blocked):
     start, goal = blocked
     goals = [goal, goal + 0.01]
-    path = TreeSearch(Query(joint_space, start, goals, STEP_M), RRT_CONNECT, 3).run(never)
+    path = ConnectSearch(Query(joint_space, start, goals, STEP_M), None, 3).run(never)
     assert any(np.array_equal(path[-1], each) for each in goals)
 
 
@@ -71,7 +76,7 @@ def test_search_ends_at_one_of_several_goals(joint_space, blocked):
 def test_same_seed_gives_the_same_path(joint_space, name):
     start, goal = (np.array(point) for point in BLOCKED_LINES[0])
     query = Query(joint_space, start, [goal], 0.02)
-    first, again = (TreeSearch(query, name, 5).run(after(joint_space, 1500)) for _ in range(2))
+    first, again = (search(query, name, 5).run(after(joint_space, 1500)) for _ in range(2))
     assert (first is None) == (again is None)
     if first is not None:
         np.testing.assert_array_equal(first, again)
@@ -82,7 +87,7 @@ def test_search_stops_soon_after_it_is_asked_to(joint_space):
     inside = np.array([0.0, -1.745, 1.69, 1.0, 0.0])
     asked = iter(range(20))
     assert (
-        TreeSearch(Query(joint_space, HOME, [inside], STEP_M), RRT_CONNECT, 0).run(lambda: next(asked, None) is None)
+        ConnectSearch(Query(joint_space, HOME, [inside], STEP_M), None, 0).run(lambda: next(asked, None) is None)
         is None
     )
 
@@ -152,8 +157,8 @@ def projected(goal_states, collision, arm, holds):
 
 def test_path_leads_from_start_to_goal_where_the_condition_holds(projected, holds):
     query, project = projected
-    path = ProjectedSearch(query, project, 1).run(never)
-    np.testing.assert_array_equal(path, ProjectedSearch(query, project, 1).run(never))
+    path = ConnectSearch(query, project, 1).run(never)
+    np.testing.assert_array_equal(path, ConnectSearch(query, project, 1).run(never))
     np.testing.assert_array_equal(path[0], query.start)
     np.testing.assert_array_equal(path[-1], query.goals[0])
     for start, end in itertools.pairwise(path):
@@ -162,9 +167,9 @@ def test_path_leads_from_start_to_goal_where_the_condition_holds(projected, hold
 
 def test_search_that_is_stopped_has_no_path(projected):
     query, project = projected
-    assert ProjectedSearch(query, project, 1).run(lambda: True) is None
+    assert ConnectSearch(query, project, 1).run(lambda: True) is None
     asked = iter(range(50))
-    assert ProjectedSearch(query, lambda _: None, 1).run(lambda: next(asked, None) is None) is None
+    assert ConnectSearch(query, lambda _: None, 1).run(lambda: next(asked, None) is None) is None
 
 
 WALL_STEP_M = 0.1
@@ -191,6 +196,27 @@ WEST, EAST = np.array([-0.8, 0.0]), np.array([0.8, 0.0])
 
 def query(space, *goals):
     return Query(space, WEST, goals, WALL_STEP_M)
+
+
+class WalledRoom(Walled):
+    """As the square, with four more axes along which nothing is in the way."""
+
+    lower_rad, upper_rad, travel_m_per_rad = -np.ones(6), np.ones(6), np.ones(6)
+
+
+def test_a_narrow_gap_takes_fewer_checks_where_blocked_points_only_go_to_points_nearby(monkeypatch):
+    monkeypatch.setattr(path_module, "TREE_EDGE_M", 0.6)
+    start, goal = (np.append(point, np.zeros(4)) for point in (WEST, EAST))
+
+    def checks(edges):
+        monkeypatch.setattr(path_module, "DOMAIN_EDGES", edges)
+        spaces = [WalledRoom(0.6, 0.7) for _ in range(10)]
+        for seed, space in enumerate(spaces):
+            path = ConnectSearch(Query(space, start, [goal], WALL_STEP_M), None, seed).run(after(space, 20_000))
+            np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+        return sum(space.checks for space in spaces)
+
+    assert checks(DOMAIN_EDGES) < 0.7 * checks(np.inf)
 
 
 def way(asked, seed=0, should_stop=never, velocity_rad_s=(1.0, 1.0)):

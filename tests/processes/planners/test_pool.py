@@ -164,9 +164,7 @@ async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: 
     [(LONG, 2), (broken(broken_planner.NATIVE_LOOP), 1), (broken(broken_planner.DEAF), 1)],
     ids=["listens", "native loop", "deaf"],
 )
-async def test_a_cancelled_worker_is_kept_if_it_listens_and_else_replaced(
-    both_idle: PlannerPool, request_: Request, kept: int
-) -> None:
+async def test_a_cancelled_worker_is_kept_if_it_listens(both_idle: PlannerPool, request_: Request, kept: int) -> None:
     before = set(both_idle.pids)
     await given_up(both_idle, request_)
     await until(lambda: both_idle.idle_count == 2, 60.0)

@@ -64,9 +64,7 @@ async def test_an_order_is_answered_when_the_process_dies(rig: ArmOnServos) -> N
     assert "ended before it had answered" in (await asyncio.wait_for(answer, SOON_S)).message
 
 
-async def test_an_order_to_a_process_that_hangs_is_answered_in_time(
-    rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_an_order_to_a_hanging_process_is_answered(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 0.1)
     monkeypatch.setattr("robot.arm.SILENT_S", 0.3)
     rig.kill(signal.SIGSTOP)
@@ -103,9 +101,7 @@ async def test_an_arm_whose_process_is_starved_goes_on_from_where_it_was(rig: Ar
     assert max(abs(after - before) for before, after in itertools.pairwise(goals)) <= 16
 
 
-async def test_limits_of_time_are_counted_on_the_clock_of_a_starved_arm(
-    rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_time_limits_use_the_clock_of_a_starved_arm(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 2.5)
     assert rig.arm.pid is not None
     relaxing = rig.arm.order(Order.RELAX)
@@ -218,9 +214,7 @@ async def test_starts_that_fail_without_end_do_not_fill_the_log(
     await rig.arm.close()
 
 
-async def test_an_error_in_taking_a_state_does_not_end_the_restarts(
-    restarted: ArmOnServos, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_an_error_with_a_state_ends_no_restarts(restarted: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     first = restarted.arm.pid
     assert first is not None
 
@@ -359,9 +353,7 @@ async def test_an_arm_process_that_gets_no_time_is_waited_for_by_its_own_clock(t
     assert is_relaxed(made)
 
 
-async def test_an_arm_process_that_hangs_at_its_end_is_told_of_and_killed(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_arm_process_that_hangs_at_its_end_is_killed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     made = await relaxing_arm(tmp_path)
     assert made.arm.pid is not None
     os.kill(made.arm.pid, signal.SIGSTOP)

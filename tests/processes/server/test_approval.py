@@ -12,10 +12,7 @@ from harness.clients import ArmClient, arm_client, values_of
 from harness.server import FAST, RunningServer
 
 AGENT, PERSON = "agent-0123456789abc", "person-0123456789ab"
-TOKENS = {
-    "ARMBRIDGE_ACCESS__PROPOSE_TOKENS__AGENT": AGENT,
-    "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": PERSON,
-}
+TOKENS = {"ARMBRIDGE_ACCESS__PROPOSE_TOKENS__AGENT": AGENT, "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": PERSON}
 APPROVAL = "/moveit_goal_approval"
 
 
@@ -42,19 +39,14 @@ def server() -> Iterator[RunningServer]:
 
 @pytest.fixture
 async def two(server: RunningServer) -> AsyncIterator[Two]:
-    async with (
-        arm_client(f"{server.url}&token={AGENT}") as agent,
-        arm_client(f"{server.url}&token={PERSON}") as person,
-    ):
+    async with arm_client(f"{server.url}&token={AGENT}") as agent, arm_client(f"{server.url}&token={PERSON}") as person:
         await person.say("subscribe", topic=APPROVAL, type="diagnostic_msgs/DiagnosticStatus")
         yield Two(agent, person)
         await person.call("/arm/stop")
         await person.call("/arm/release_control")
 
 
-async def test_the_agent_cannot_approve_its_own_goal_nor_move_the_arm_in_another_way(
-    two: Two, server: RunningServer
-) -> None:
+async def test_the_agent_neither_approves_its_goal_nor_moves_the_arm_otherwise(two: Two, server: RunningServer) -> None:
     waiting = asyncio.create_task(two.agent.call("/moveit_goal", named="ready"))
     goal_id = (await two.request())["hardware_id"]
     ways: list[tuple[str, dict[str, Any]]] = [

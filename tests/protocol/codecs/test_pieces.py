@@ -22,10 +22,7 @@ VALUES: st.SearchStrategy[Any] = st.recursive(
 )
 PIECE_BYTES = st.integers(20, 300)
 
-MESH = {
-    "vertices": [{"x": 0.1, "y": 0.2, "z": 0.3}] * 40_000,
-    "triangles": [{"vertex_indices": [0, 1, 2]}] * 80_000,
-}
+MESH = {"vertices": [{"x": 0.1, "y": 0.2, "z": 0.3}] * 40_000, "triangles": [{"vertex_indices": [0, 1, 2]}] * 80_000}
 SCENE = {"world": {"collision_objects": [{"id": "a", "meshes": [MESH]}, {"id": "b", "meshes": []}]}}
 
 

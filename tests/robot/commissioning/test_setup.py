@@ -13,7 +13,6 @@ from robot.commissioning.setup import (
     changes_back,
     changes_for,
     check_model,
-    choose_profile,
     look,
     match_saved,
     needs_writing,
@@ -187,15 +186,6 @@ def test_a_supply_that_the_servo_is_not_made_for_is_said(kit, supply_v, said):
     complaint = supply_complaint(find(kit, GRIPPER))
     assert said in complaint
     assert bool(said) == bool(complaint)
-
-
-def test_without_a_wish_the_nearest_profile_is_kept(kit):
-    set_registers(kit.servos[4], {Register.P_GAIN: 16})
-    kit.plug(4)
-    servo = find(kit, ROLL)
-    assert choose_profile(None, None, [(servo, False)]) is LEROBOT
-    assert choose_profile("factory", LEROBOT, [(servo, False)]) is FACTORY
-    assert choose_profile(None, FACTORY, [(servo, False)]) is FACTORY
 
 
 class Broken(BaseException):

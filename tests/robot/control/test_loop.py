@@ -72,13 +72,21 @@ def test_sequences_go_on_when_every_tick_is_late() -> None:
         assert supervisor.mode is Mode.HOLDING
 
 
-def test_the_ideal_arm_loads_no_serial_library() -> None:
+@pytest.mark.parametrize(
+    ("hardware", "loaded"),
+    [
+        ("IdealConfig()", []),
+        ("IdealConfig(physics=True)", ["mujoco"]),
+        ("EmulatedConfig(Calibration.nominal(so101.hardware.servos))", ["scservo_sdk", "serial"]),
+    ],
+)
+def test_each_kind_of_simulated_arm_loads_its_own_library_alone(hardware: str, loaded: list[str]) -> None:
     program = (
         "import sys; from robot.description.robot_folder import built_in; from robot.messages import ArmConfig; "
-        "from robot.hardware.config import IdealConfig; from robot.control.pacing import LoopClock; "
-        "from robot.control.loop import hardware_opener; "
-        "hardware_opener(ArmConfig(built_in('so101').model, IdealConfig()), LoopClock())(); "
-        "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk'} & set(sys.modules)))"
+        "from robot.hardware.config import EmulatedConfig, IdealConfig; from robot.control.pacing import LoopClock; "
+        "from robot.calibration import Calibration; from robot.control.loop import hardware_opener; "
+        f"so101 = built_in('so101'); hardware_opener(ArmConfig(so101.model, {hardware}), LoopClock())(); "
+        "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk', 'mujoco'} & set(sys.modules)))"
     )
     printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
-    assert printed.stdout.strip() == "[]"
+    assert printed.stdout.strip() == str(loaded)

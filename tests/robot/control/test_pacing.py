@@ -183,7 +183,7 @@ def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
 
 @pytest.mark.parametrize(
     ("gaps_s", "factor"),
-    [([], 1.0), ([PERIOD_S] * 30, 1.0), ([4 * MAX_TICK_S] * 10, 0.25), ([5.0] + [PERIOD_S] * TICKS_KEPT, 1.0)],
+    [([], 1.0), ([PERIOD_S] * 30, 1.0), ([4 * MAX_TICK_S] * 10, 0.25), ([5.0] + [PERIOD_S] * 2 * TICKS_KEPT, 1.0)],
     ids=["before the first tick", "punctual", "starved", "no longer starved"],
 )
 def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed(gaps_s: list[float], factor: float) -> None:

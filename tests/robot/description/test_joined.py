@@ -13,8 +13,8 @@ import pytest
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.joined import ALL_ARMS, BOTH_ARMS, PlacedArm, joined, prefixed, reach_m
+from robot.description.meshes import find_mesh
 from robot.description.model import RobotModel
-from robot.description.urdf import find_mesh
 from tests.helpers.robots import so101
 from tests.helpers.stl_arm import write_package
 

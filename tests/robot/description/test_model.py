@@ -15,7 +15,7 @@ from robot.calibration import Calibration
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import END_STOP_MARGIN_RAD, FASTEST_TICKS_S, within_calibration
-from robot.description.urdf import find_mesh, package_path, with_mesh_paths
+from robot.description.meshes import find_mesh, package_path, with_mesh_paths
 from robot.errors import DescriptionError
 from tests.helpers.resources import shared_data
 from tests.helpers.robots import nominal_calibration, so101

@@ -26,7 +26,7 @@ from robot.emulator.servo_bus import (
     superimposed,
 )
 from robot.hardware.feetech.bus import parse_status_frames
-from robot.hardware.feetech.registers import Register, goal_block
+from robot.hardware.feetech.registers import Register
 from tests.helpers.emulated_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 from tests.helpers.emulator import (
     ACTION,
@@ -40,6 +40,7 @@ from tests.helpers.emulator import (
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
+    goal_block,
     packet,
 )
 from tests.helpers.robots import nominal_calibration

@@ -6,14 +6,7 @@ from pydantic import ValidationError
 
 from protocol.operations import Auth
 from server.access import authentication
-from server.access.authentication import (
-    MAX_KEPT,
-    MAX_WRONG,
-    WINDOW_S,
-    AuthThrottle,
-    RosauthVerifier,
-    Tokens,
-)
+from server.access.authentication import MAX_KEPT, MAX_WRONG, WINDOW_S, AuthThrottle, RosauthVerifier, Tokens
 from server.access.settings import AccessSettings
 from server.config_loader import load
 from server.errors import ConfigurationError
@@ -60,12 +53,9 @@ def test_without_a_token_everybody_drives_where_there_are_none_and_may_look_wher
     assert tokens(token=ONE, without_token="view").anonymous == Identity("", Role.VIEW)
 
 
-def test_a_server_that_lets_nobody_in_is_refused() -> None:
+def test_tokens_of_nobody_or_of_two_owners_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"without_token: none lets nobody in.*set access\.token"):
         tokens(without_token="none")
-
-
-def test_a_token_of_two_owners_is_refused_without_being_shown() -> None:
     with pytest.raises(ConfigurationError, match="otto and screen have the same token") as refused:
         tokens(operate_tokens={"otto": ONE}, view_tokens={"screen": ONE})
     assert ONE not in str(refused.value)
@@ -160,9 +150,7 @@ def test_a_proof_made_with_a_token_identifies_its_owner(verifier: RosauthVerifie
         (proof(end=1_000_000), 1.0, "field end"),
     ],
 )
-def test_a_proof_with_another_secret_or_of_another_time_does_not_count(
-    verifier: RosauthVerifier, made: Auth, after_s: float, words: str
-) -> None:
+def test_another_secret_or_time_is_no_proof(verifier: RosauthVerifier, made: Auth, after_s: float, words: str) -> None:
     assert words in str(verifier.identify(made, NOW_S + after_s))
 
 

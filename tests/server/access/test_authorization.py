@@ -27,11 +27,7 @@ REGISTRY = Registry.load()
 SERVER, SEVERAL = with_server_rules(Graph(REGISTRY)), with_server_rules(Graph(REGISTRY), "left", "right")
 
 # The server listens to these, as far as the tests are about them.
-STOPS = {
-    "/stop": "std_msgs/Empty",
-    "/emergency_stop": "std_msgs/Empty",
-    "/move_group/cancel": "actionlib_msgs/GoalID",
-}
+STOPS = {"/stop": "std_msgs/Empty", "/emergency_stop": "std_msgs/Empty", "/move_group/cancel": "actionlib_msgs/GoalID"}
 
 
 class World:
@@ -353,13 +349,10 @@ def test_without_limits_all_drive_at_once() -> None:
         assert authorizer.publishing("/moveit_goal_named", {}) is None
 
 
-async def test_every_service_of_the_server_stands_in_the_table_and_no_other(client: ArmClient) -> None:
+async def test_every_service_and_action_of_the_server_stands_in_the_table_and_no_other(client: ArmClient) -> None:
     offered = set((await client.call("/rosapi/services"))["services"])
     cancelling = {name for name in offered if name.endswith(authorization.CANCEL_SERVICE)}
     assert offered - cancelling == set(SERVER.services.rules)
-
-
-async def test_every_action_of_the_server_but_that_of_transforms_drives(client: ArmClient) -> None:
     offered = (await client.call("/rosapi/action_servers"))["action_servers"]
     assert set(offered) == set(SERVER.actions.rules)
     assert [name for name in offered if not authorization.rule_of_action(name, SERVER).drives] == [description.ACTION]
@@ -426,9 +419,7 @@ IN_OPTIONS, IN_CALL = permissions.PLANNING_GOAL, permissions.CALLED_GOAL
         (IN_CALL, None, False),
     ],
 )
-def test_a_goal_says_in_its_options_or_itself_that_it_only_asks_for_a_plan(
-    rule: permissions.Rule, goal: object, planned_only: bool
-) -> None:
+def test_a_goal_may_only_ask_for_a_plan(rule: permissions.Rule, goal: object, planned_only: bool) -> None:
     assert authorization.plans_only(rule, goal) is planned_only
 
 

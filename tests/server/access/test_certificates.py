@@ -90,9 +90,7 @@ def test_a_good_certificate_stays(files: CertificateFiles) -> None:
         (1, (*NAMES, "10.0.0.7"), "the old one lacks 10.0.0.7"),
     ],
 )
-def test_it_is_renewed_by_the_same_authority(
-    files: CertificateFiles, days: int, names: tuple[str, ...], reason: str
-) -> None:
+def test_the_same_authority_renews_it(files: CertificateFiles, days: int, names: tuple[str, ...], reason: str) -> None:
     first = ensure_certificate(files, NAMES, NOW)
     outcome = ensure_certificate(files, names, NOW + timedelta(days=days))
     assert outcome.reason == reason

@@ -4,13 +4,7 @@ from typing import Any
 import pytest
 
 from server.access import one_time_tokens as module
-from server.access.one_time_tokens import (
-    MAX_WAITING,
-    SERVICE,
-    VALID_FOR_S,
-    OneTimeTokens,
-    offer_one_time_tokens,
-)
+from server.access.one_time_tokens import MAX_WAITING, SERVICE, VALID_FOR_S, OneTimeTokens, offer_one_time_tokens
 from server.access.settings import AccessSettings
 from server.errors import ServiceError
 from server.graph.permissions import ANYONE, Identity, Role

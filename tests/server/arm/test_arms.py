@@ -88,11 +88,8 @@ def test_states_of_arms_in_any_order_are_told_once_a_period() -> None:
     assert len(told(arrivals)) == pytest.approx(100, abs=2)
 
 
-def test_an_arm_that_falls_silent_holds_nobody_up() -> None:
+def test_silent_arms_and_bursts_hold_nobody_up() -> None:
     arrivals = [(name, tick * PERIOD_S) for tick in range(100) for name in ("a", "b")]
     assert len(told(arrivals)) >= 98
-
-
-def test_bursts_of_a_busy_machine_are_told_once() -> None:
     arrivals = [(name, burst * 0.1) for burst in range(20) for name in ARMS for _ in range(5)]
     assert len(told(arrivals)) <= 2 * 20

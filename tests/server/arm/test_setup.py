@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import shutil
 import socket
@@ -116,6 +117,22 @@ def test_no_port_means_emulated_servos_with_the_faults_that_are_set(tmp_path: Pa
     assert hardware_of(arm=ArmSettings(**files, calibration=calibrated(tmp_path)), emulator=emulator) == wanted
 
 
+def test_physics_moves_every_kind_of_simulated_arm_and_no_real_one() -> None:
+    for robot, kind in (("so101", EmulatedConfig), ("koch_v1_1", EmulatedConfig), ("fetch", IdealConfig)):
+        hardware = hardware_of(arm=ArmSettings(robot=robot, simulation="physics"))
+        assert isinstance(hardware, kind)
+        assert hardware.physics
+        assert hardware_of(arm=ArmSettings(robot=robot)) == replace(hardware, physics=False)
+    with pytest.raises(ConfigurationError, match=r"arm\.simulation: the arm at /dev/arm is real; leave it out"):
+        hardware_of(arm=ArmSettings(serial="/dev/arm", simulation="physics"))
+
+
+def test_physics_without_mujoco_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(ConfigurationError, match=r"physics needs MuJoCo: pip install 'armbridge\[physics\]'"):
+        hardware_of(arm=ArmSettings(simulation="physics"))
+
+
 def test_a_koch_has_dynamixel_servos_on_a_port_and_emulated() -> None:
     servos = dynamixel.SERVOS
     nominal = Calibration.nominal(servos)
@@ -198,9 +215,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize(("name", "place", "words"), PLACES.values(), ids=PLACES.keys())
-def test_a_place_that_cannot_be_used_is_named_with_its_setting(
-    tmp_path: Path, name: str, place: str, words: str
-) -> None:
+def test_an_unusable_place_is_named_with_its_setting(tmp_path: Path, name: str, place: str, words: str) -> None:
     (tmp_path / "taken").touch()
     with pytest.raises(ConfigurationError, match=rf"emulator\.{words}"):
         hardware_of(emulator=EmulatorSettings(**{name: tmp_path / place}))
@@ -222,9 +237,7 @@ def test_a_trim_of_a_zero_moves_the_limits_of_its_joint() -> None:
     assert trimmed.rad_from_ticks(2000) == pytest.approx(plain.rad_from_ticks(2000) + 0.02)
 
 
-def test_a_calibration_is_found_by_the_id_that_lerobot_has_it_under(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_calibration_is_found_by_its_id_in_lerobot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
     file = new_calibration_path("my_arm", robots.SO101.hardware.calibrations, os.environ)
     save(nominal_calibration(), file)

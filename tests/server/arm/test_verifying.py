@@ -56,12 +56,7 @@ class Verification:
         self.arm.state = replace(self.arm.state, torque_enabled=True)
         served = ServedArm("", ArmSettings(), SimpleNamespace(calibration_file=None), self.arm.as_arm)
         self.procedure = VerificationProcedure(
-            self.arm.as_arm,
-            so101(),
-            frozenset({"gripper"}),
-            goals.go_to,
-            goals.cancel,
-            FirstMotions(served, Path()),
+            self.arm.as_arm, so101(), frozenset({"gripper"}), goals.go_to, goals.cancel, FirstMotions(served, Path())
         )
         self.dialogue = Dialogue("verify", lambda: None)
         self.task = asyncio.create_task(self.procedure.run(self.dialogue))

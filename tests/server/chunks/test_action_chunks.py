@@ -160,9 +160,7 @@ async def test_overlapping_chunks_are_joined_without_a_stop_or_a_jump(policy: Po
 
 
 @pytest.mark.parametrize("planning_s", [0.06, 0.2])
-async def test_slow_planners_never_stop_a_stream_of_chunks(
-    policy: Policy, monkeypatch: pytest.MonkeyPatch, planning_s: float
-) -> None:
+async def test_slow_planners_stop_no_stream(policy: Policy, monkeypatch: pytest.MonkeyPatch, planning_s: float) -> None:
     monkeypatch.setattr(stage_module, "PLANNING_S", planning_s)
     for number in range(8):
         start = 0.15 * number

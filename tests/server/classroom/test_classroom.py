@@ -22,9 +22,7 @@ from server.errors import ConfigurationError
         ({"server": {"port": 65_535}}, "there are none above 65535"),
     ],
 )
-def test_what_a_classroom_cannot_have_is_refused_before_anything_is_made(
-    settings: dict[str, Any], sentence: str, tmp_path: Path
-) -> None:
+def test_a_bad_classroom_is_refused_before_it_is_made(settings: dict[str, Any], sentence: str, tmp_path: Path) -> None:
     options = ClassroomOptions(students=2, planners=2, folder=tmp_path / "class")
     with pytest.raises(ConfigurationError, match=sentence):
         run_classroom(Settings.model_validate(settings), options)

@@ -82,10 +82,7 @@ OVERRIDES = {
         ("--interfaces", "a_msgs", "--interfaces", "ws/src"),
         {"server": {"interfaces": ["a_msgs", "ws/src"]}},
     ),
-    "an option counts more than an assignment": (
-        ("--set", "server.port=1", "--port", "2"),
-        {"server": {"port": "2"}},
-    ),
+    "an option counts more than an assignment": (("--set", "server.port=1", "--port", "2"), {"server": {"port": "2"}}),
     "a table is assigned as TOML": (
         ("--set", "arm.zero_offset_rad={elbow_flex=0.02}"),
         {"arm": {"zero_offset_rad": {"elbow_flex": 0.02}}},

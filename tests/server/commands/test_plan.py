@@ -24,9 +24,7 @@ PLAN_USAGE = {
 
 
 @pytest.mark.parametrize(("options", "words"), PLAN_USAGE.values(), ids=PLAN_USAGE.keys())
-def test_bad_input_of_plan_is_one_line_and_exit_2(
-    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_of_plan_is_one_line(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["plan", "/nowhere.json", *options]) == 2
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1

@@ -95,9 +95,7 @@ def test_an_arm_process_that_cannot_be_started_is_one_line_and_exit_1(
 
 
 @pytest.mark.parametrize("command", ["serve", "replay"])
-def test_problems_of_interface_files_are_told_together_with_exit_2(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_interface_files_are_one_report(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "my_msgs" / "msg").mkdir(parents=True)
     (tmp_path / "my_msgs" / "msg" / "Thing.msg").write_text("int33 a\nint34 b\n")
     recording = [str(record(tmp_path / "run.mcap", [text(0)]))] if command == "replay" else []
@@ -112,9 +110,7 @@ def test_a_file_that_is_no_recording_is_one_line_and_exit_1(tmp_path: Path, caps
     assert capsys.readouterr().err == f"armbridge: recording {tmp_path / 'notes.txt'}: is not an MCAP file\n"
 
 
-def test_an_address_that_others_reach_needs_a_token_here_too(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_needs_a_token(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     path = record(tmp_path / "run.mcap", [text(0), text(1)])
     arguments = ["replay", str(path), "--host", "0.0.0.0", "--port", "0", "--rate", "100"]
     assert cli.main(arguments) == ExitCode.USAGE
@@ -139,9 +135,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("arguments", "words"), WRONG.values(), ids=WRONG.keys())
-def test_an_option_out_of_range_is_named_with_its_limits(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_option_out_of_range_is_named(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["replay", "run.mcap", *arguments])
     assert ended.value.code == ExitCode.USAGE

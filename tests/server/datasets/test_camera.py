@@ -81,9 +81,7 @@ def test_a_source_without_a_pace_is_read_once_a_period() -> None:
     assert images.captured == 1
 
 
-def test_without_opencv_one_sentence_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_opencv_its_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def missing(name: str) -> None:
         raise ImportError(name)
 

@@ -216,9 +216,7 @@ def test_each_episode_has_the_actions_of_who_commanded_the_arm_in_it(recorded: R
     assert third == pytest.approx(0.601 + np.arange(20) / 100, abs=0.01)
 
 
-def test_an_episode_whose_leader_falls_silent_is_left_out_where_nothing_else_commanded(
-    recorded: Record, tmp_path: Path
-) -> None:
+def test_an_episode_with_a_silent_leader_is_left_out_without_other_commands(recorded: Record, tmp_path: Path) -> None:
     marks = [mark(kind, at_s) for n in range(2) for kind, at_s in (("start", 3.0 * n), ("stop", 3.0 * n + 2.0))]
     done = exported(tmp_path / "data", recorded([*states(9.0), *states(4.0, topic=LEADER), *marks]))
     assert (done.episodes, done.actions) == (1, LEADER)
@@ -235,9 +233,7 @@ def test_a_gripper_that_the_leader_lacks_has_the_commands_of_its_controller(reco
     assert column(tmp_path / "data", "action") == pytest.approx(expected)
 
 
-def test_a_gripper_that_the_action_topic_lacks_has_the_commands_of_its_controller(
-    recorded: Record, tmp_path: Path
-) -> None:
+def test_a_gripper_that_the_topic_lacks_has_the_commands_of_its_controller(recorded: Record, tmp_path: Path) -> None:
     name = "/program/joint_states"
     commands = [{"header": stamp(n / 10), "name": [JOINTS[0]], "position": [0.3]} for n in range(11)]
     arm = [entry(name, "sensor_msgs/JointState", msg, n / 10) for n, msg in enumerate(commands)]
@@ -333,9 +329,7 @@ def test_cameras_are_named_after_what_is_theirs_in_the_topic() -> None:
     }
 
 
-def test_the_command_tells_what_it_wrote_and_what_it_left_out(
-    recorded: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_reports_its_work(recorded: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "data"
     recording = recorded([*states(2.0), mark("start", 0.0), mark("stop", 1.0), mark("stop", 1.5)])
     arguments = ["export", str(recording), "--format", "lerobot", "--output", str(output), "--fps", "10"]

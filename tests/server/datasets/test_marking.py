@@ -66,9 +66,7 @@ async def test_a_mark_that_does_not_fit_is_refused_and_not_published() -> None:
     assert marked.texts == ["start"]
 
 
-async def test_a_camera_that_was_silent_is_reported_as_soon_as_its_episode_ends(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_silent_camera_is_reported_as_soon_as_its_episode_ends(caplog: pytest.LogCaptureFixture) -> None:
     marked, camera, topic = Marked(), Node("camera"), "/wrist/image/compressed"
     marked.graph.advertise(camera, topic, "sensor_msgs/CompressedImage")
     sentences = []

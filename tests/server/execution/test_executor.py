@@ -47,6 +47,7 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.steps import StepOf
 
 TIMEOUT_S = 30.0
 
@@ -61,7 +62,7 @@ def to(**positions_rad: float) -> PlannedMotion:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("arm", start_rad, JointGoal(positions_rad))
 
-    return PlannedMotion((problem,), frozenset(ARM))
+    return PlannedMotion((StepOf(problem),), frozenset(ARM))
 
 
 @dataclass
@@ -278,9 +279,7 @@ async def test_a_given_trajectory_that_takes_too_long_is_refused(stage: Stage) -
 
 
 @pytest.mark.parametrize("version", [0, 1])
-async def test_a_given_trajectory_is_checked_before_it_begins_also_in_a_scene_that_never_changed(
-    stage: Stage, version: int
-) -> None:
+async def test_a_given_trajectory_is_checked_before_it_begins_in_an_unchanged_scene(stage: Stage, version: int) -> None:
     stage.scene, stage.contact = Scene(version), WALL
     await stage.begin(given(0.0, 0.2))
     assert (await stage.answer()).code is WALL.code
@@ -309,10 +308,7 @@ async def test_a_goal_that_is_stopped_while_the_arm_is_being_started_moves_nothi
     await stage.begin(given(0.0, 0.4))
     stage.goal.cancel("stopped by a test")
     answer = await stage.answer()
-    assert (answer.code, answer.message) == (
-        MoveItErrorCode.PREEMPTED,
-        "stopped by a test before the motion began",
-    )
+    assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "stopped by a test before the motion began")
     assert not stage.arm.played
 
 
@@ -327,9 +323,7 @@ async def test_a_goal_out_of_reach_is_not_planned_again(stage: Stage) -> None:
 @pytest.mark.parametrize(
     ("failures", "attempts", "tried"), [(1, 3, 2), (9, 3, 3), (9, 2, 2)], ids=["then there is a way", "never", "of two"]
 )
-async def test_planning_is_repeated_up_to_the_limit_of_attempts(
-    stage: Stage, failures: int, attempts: int, tried: int
-) -> None:
+async def test_planning_is_repeated_up_to_the_limit(stage: Stage, failures: int, attempts: int, tried: int) -> None:
     stage.failures = [NO_WAY] * failures
     await stage.begin(replace(to(shoulder_pan=0.4), attempts=attempts))
     stage.arm.end()
@@ -354,7 +348,7 @@ async def test_a_scene_that_changes_during_planning_is_checked_before_the_motion
         stage.scene, stage.contact = Scene(2), WALL
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
 
-    await stage.begin(PlannedMotion((change,), frozenset(ARM)))
+    await stage.begin(PlannedMotion((StepOf(change),), frozenset(ARM)))
     assert (await stage.answer()).code is WALL.code
     assert stage.arm.played == []
 
@@ -364,7 +358,7 @@ async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: S
         stage.arm.put(shoulder_pan=0.3)
         return PlanningProblem("arm", start_rad, JointGoal({"shoulder_pan": 0.4}))
 
-    await stage.begin(PlannedMotion((move,), frozenset(ARM)))
+    await stage.begin(PlannedMotion((StepOf(move),), frozenset(ARM)))
     await stage.arrive()
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
 
@@ -458,9 +452,7 @@ def be_nowhere_to_leave(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("spliced", [True, False])
-async def test_a_given_trajectory_replaces_the_motion_without_a_stop_unless_it_begins_at_rest(
-    stage: Stage, *, spliced: bool
-) -> None:
+async def test_a_given_trajectory_replaces_the_motion_unless_it_begins_at_rest(stage: Stage, *, spliced: bool) -> None:
     await under_way(stage)
 
     def trajectory(_positions_rad: Positions, _at_s: float, point: SplicePoint | None) -> Trajectory:
@@ -485,9 +477,7 @@ OTHERWISE: dict[str, Callable[[Stage], object]] = {
 
 
 @pytest.mark.parametrize("obstacle", OTHERWISE.values(), ids=OTHERWISE.keys())
-async def test_the_arm_brakes_before_a_motion_that_cannot_be_blended_in(
-    stage: Stage, obstacle: Callable[[Stage], object]
-) -> None:
+async def test_the_arm_brakes_for_a_motion_it_cannot_blend(stage: Stage, obstacle: Callable[[Stage], object]) -> None:
     await under_way(stage)
     obstacle(stage)
     await stage.begin(to(shoulder_pan=-0.2))
@@ -632,7 +622,7 @@ def fingers() -> PlannedMotion:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("gripper", start_rad, JointGoal({"gripper": 0.5}))
 
-    return PlannedMotion((problem,), frozenset(("gripper",)))
+    return PlannedMotion((StepOf(problem),), frozenset(("gripper",)))
 
 
 async def test_a_motion_that_begins_during_the_last_check_is_checked_as_well(stage: Stage) -> None:

@@ -58,9 +58,7 @@ async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Pa
     assert left[-1] == "notes.json"
 
 
-async def test_a_directory_that_cannot_be_written_is_only_logged(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unwritable_directory_is_only_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").write_text("")
     await FailedGoals(tmp_path / "file", so101(), lambda: 0.0, KEPT).save(EASY, Scene(), FAILURE)
     assert "is not saved" in caplog.text

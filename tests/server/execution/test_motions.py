@@ -35,6 +35,7 @@ from server.execution.motions import (
 )
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
+from tests.helpers.steps import StepOf
 
 START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})
@@ -44,7 +45,7 @@ def to(position_rad: float) -> Step:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("arm", dict(start_rad), JointGoal({"a": position_rad}))
 
-    return problem
+    return StepOf(problem)
 
 
 class Planning:
@@ -92,7 +93,7 @@ async def test_a_step_without_a_problem_is_not_planned() -> None:
     def refusing(_start_rad: Positions) -> PlanningProblem:
         raise RefusedError(WALL)
 
-    planned = await plan_sequence([refusing], START, EMPTY_SCENE, planning.ask)
+    planned = await plan_sequence([StepOf(refusing)], START, EMPTY_SCENE, planning.ask)
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 
@@ -110,9 +111,7 @@ NEAR = st.floats(-START_TOLERANCE_RAD, START_TOLERANCE_RAD)
 @given(st.floats(0.0, 0.9), st.floats(0.0, 1.0), st.floats(0.1, 1.0))
 # The lead begins by rounding alone before a point of the motion.
 @example(0.06, 1e-279, 1.0)
-def test_the_lead_is_the_same_curve_as_the_motion_up_to_the_splice_point(
-    fraction: float, share: float, speed: float
-) -> None:
+def test_the_lead_is_the_motion_s_curve_up_to_the_splice_point(fraction: float, share: float, speed: float) -> None:
     path_time = PathTime(5.0, fraction * UNDER_WAY.duration_s, speed)
     splice_point = splice_point_of(UNDER_WAY, path_time, 5.0, HORIZON_S)
     assert splice_point is not None

@@ -219,9 +219,7 @@ async def test_a_way_that_cannot_be_found_takes_the_one_before_back(world: World
     assert world.arm.kept[1:] == [None]
 
 
-async def test_a_way_above_the_limit_of_the_arm_process_is_told_of(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_way_above_the_limit_of_the_arm_is_reported(world: World, caplog: pytest.LogCaptureFixture) -> None:
     world.duration_s = PARKING_TIMEOUT_S + 1.0
     await world.run()
     assert "16.0 s from here, above the limit of 15 s" in caplog.text
@@ -235,9 +233,7 @@ async def test_nothing_is_planned_for_an_arm_that_is_not_parked_at_its_end() -> 
 
 
 @pytest.mark.parametrize("moved_rad", [0.0, 0.5])
-async def test_the_end_of_the_server_has_the_way_from_the_present_place_planned_where_none_is_known(
-    moved_rad: float,
-) -> None:
+async def test_the_end_of_the_server_has_a_way_from_the_present_place_planned_where_none_is(moved_rad: float) -> None:
     world = World(on_server_lost="hold", on_exit="park")
     await world.run()
     world.arm.put(shoulder_pan=moved_rad)
@@ -255,12 +251,9 @@ async def test_parking_is_refused_where_there_is_no_rest_pose(monkeypatch: pytes
     assert "name one by arm.park_state" in answer.message
 
 
-def test_a_rest_pose_that_does_not_exist_is_refused_with_those_that_do() -> None:
+def test_a_rest_pose_is_one_of_the_srdf() -> None:
     with pytest.raises(ConfigurationError, match=r"arm\.park_state: the SRDF has no state 'bed', but closed, extended"):
         rest_pose(ROBOT, ArmSettings(park_state="bed"))
-
-
-def test_an_arm_whose_description_has_no_such_state_has_no_rest_pose() -> None:
     assert rest_pose(replace(ROBOT, park_state="bed"), ArmSettings()) is None
 
 

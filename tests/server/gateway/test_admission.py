@@ -91,9 +91,7 @@ def plain(path: str, *headers: tuple[str, str]) -> HandshakeRequest:
         *((LOCKED, plain(path), None) for path in ("/", "/index.html", "/assets/vendor.js", "/healthz", "/livez")),
     ],
 )
-def test_a_request_is_admitted_as_the_owner_of_its_token(
-    tokens: Tokens, asked: HandshakeRequest, admitted: Identity | None
-) -> None:
+def test_a_token_admits_its_owner(tokens: Tokens, asked: HandshakeRequest, admitted: Identity | None) -> None:
     assert AdmissionPolicy(tokens).check(asked) == admitted
 
 
@@ -257,9 +255,7 @@ def test_pages_of_this_machine_may_connect_whatever_their_port_and_other_pages_m
         ("http://evil.com:9090", "robot.lab:9090", False, False),
     ],
 )
-def test_the_servers_own_page_is_known_by_scheme_host_and_port(
-    origin: str, host: str, encrypted: bool, own: bool
-) -> None:
+def test_the_server_s_page_is_known_by_scheme_host_and_port(origin: str, host: str, encrypted: bool, own: bool) -> None:
     assert is_allowed(origin, host=host, encrypted=encrypted) is own
 
 
@@ -305,20 +301,15 @@ def test_a_public_address_needs_a_token_or_the_option_insecure(addresses: list[s
     assert addresses[-1] in str(refused.value)
 
 
-def test_with_tokens_it_is_served_without_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_tokens_need_no_warning_and_an_insecure_address_one_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
     check_exposure("0.0.0.0", EVERYWHERE, WITH_TOKEN, insecure=False)
     assert not caplog.records
-
-
-def test_an_insecure_address_is_warned_of_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(2):
         check_exposure("0.0.0.0", EVERYWHERE, WITHOUT_TOKENS, insecure=True)
     assert caplog.text.count("INSECURE: anyone at 0.0.0.0 may connect without a token as admin") == 2
 
 
-def test_anonymous_operators_need_the_option_insecure_and_anonymous_viewers_do_not(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_anonymous_operators_need_the_option_insecure_and_viewers_do_not(caplog: pytest.LogCaptureFixture) -> None:
     token = {"correct-horse-battery": Identity("admin", Role.ADMIN)}
     check_exposure("robot", EVERYWHERE, Tokens(token, Identity("", Role.VIEW)), insecure=False)
     assert not caplog.records

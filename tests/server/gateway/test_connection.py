@@ -49,9 +49,7 @@ async def receive(client: ClientConnection) -> dict[str, Any]:
 SUBSCRIBE = json.dumps({"op": "subscribe", "topic": "/t"})
 
 
-async def test_a_client_that_never_reads_costs_others_nothing_and_a_bounded_amount(
-    graph: Graph, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_client_that_never_reads_costs_a_bounded_amount(graph: Graph, caplog: pytest.LogCaptureFixture) -> None:
     settings = ServerSettings(port=0, limits=Limits(max_queued_bytes=500_000))
     async with listening(settings, graph=graph) as listener, connect(listener.url) as reading:
         await reading.send(SUBSCRIBE)
@@ -67,9 +65,7 @@ async def test_a_client_that_never_reads_costs_others_nothing_and_a_bounded_amou
         await until(lambda: "messages were dropped" in caplog.text)
 
 
-async def test_a_client_that_breaks_off_is_taken_out_of_the_graph_without_a_warning(
-    graph: Graph, url: str, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_aborted_client_leaves_the_graph(graph: Graph, url: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     client = await connect(url)
     await client.send(SUBSCRIBE)
@@ -152,9 +148,7 @@ async def test_a_call_that_runs_does_not_hold_up_what_the_client_says_next(graph
 @pytest.mark.parametrize(
     ("query", "ends"), [("", False), ("?on_disconnect=stop", True), ("?on_disconnect=finish", False)]
 )
-async def test_a_client_says_in_its_url_whether_its_goals_end_with_it(
-    graph: Graph, url: str, query: str, *, ends: bool
-) -> None:
+async def test_the_url_decides_if_goals_end_with_a_client(graph: Graph, url: str, query: str, *, ends: bool) -> None:
     async with connect(f"{url}/{query}") as client:
         await client.send(SUBSCRIBE)
         await until_subscribed(graph, 1)
@@ -201,9 +195,7 @@ class TestGuarded:
             code, _ = await self.closed(client)
         assert code == 1009
 
-    async def test_the_right_token_lifts_the_limits_on_time_and_size(
-        self, guarded: Listener, guarded_url: str, graph: Graph
-    ) -> None:
+    async def test_a_token_lifts_the_client_s_limits(self, guarded: Listener, guarded_url: str, graph: Graph) -> None:
         async with connect(guarded_url, max_size=None) as client:
             await client.send(json.dumps({"op": "auth", "token": self.TOKEN}))
             await client.send(SUBSCRIBE)
@@ -225,9 +217,7 @@ class TestGuarded:
             await client.send("x" * (connection.MAX_VIEW_BYTES + 1))
             assert (await self.closed(client))[0] == 1009
 
-    async def test_a_client_with_a_token_in_its_handshake_need_not_authenticate_again(
-        self, guarded_url: str, graph: Graph
-    ) -> None:
+    async def test_a_token_in_the_handshake_needs_no_authentication(self, guarded_url: str, graph: Graph) -> None:
         async with connect(guarded_url, additional_headers={"Authorization": f"Bearer {self.TOKEN}"}) as client:
             await client.send(SUBSCRIBE)
             await until_subscribed(graph, 1)

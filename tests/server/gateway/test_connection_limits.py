@@ -8,13 +8,7 @@ from websockets.asyncio.client import connect
 from harness.waiting import until
 from server.access.rate_limits import RateLimiter, client_key, is_loopback
 from server.gateway import admission as admission_module
-from server.gateway.admission import (
-    ANSWERS_PER_S,
-    BURST_TIME_S,
-    MAX_ANSWERED,
-    ConnectionLimiter,
-    ConnectionSlot,
-)
+from server.gateway.admission import ANSWERS_PER_S, BURST_TIME_S, MAX_ANSWERED, ConnectionLimiter, ConnectionSlot
 from server.gateway.settings import ServerSettings
 from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
 
@@ -184,9 +178,7 @@ async def test_a_connection_counts_before_it_asks_for_anything() -> None:
         await until_empty(listener)
 
 
-async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(caplog: pytest.LogCaptureFixture) -> None:
     async with listening(ServerSettings(port=0, connections_per_s=5.0)) as listener:
         # The kernel makes the connections, whatever the server does with them.
         flood = [socket.create_connection(("127.0.0.1", listener.port)) for _ in range(300)]
@@ -202,12 +194,9 @@ async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(
     assert caplog.text.count("new connections come too often; the limit is 5 a second") == 1
 
 
-def test_in_the_long_run_so_many_a_second() -> None:
+def test_a_rate_allows_a_burst_and_so_many_a_second() -> None:
     rate = RateLimiter(2.0, 1)
     assert [rate.take(100.0 + step / 10) for step in range(11)] == [step % 5 == 0 for step in range(11)]
-
-
-def test_a_long_rest_saves_up_a_burst_and_no_more() -> None:
     rate = RateLimiter(1.0, 2)
     assert [rate.take(1e6) for _ in range(3)] == [True, True, False]
 

@@ -304,9 +304,7 @@ async def test_a_client_that_reads_slowly_gets_all(folders: Path) -> None:
     assert got.partition(b"\r\n\r\n")[2] == octets
 
 
-async def test_clients_that_do_not_read_take_a_bounded_part_of_memory(
-    site: Site, folders: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_unread_answers_take_bounded_memory(site: Site, folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = f"/robot/{PACKAGE}/assets/large.stl"
     (folders / "robot" / "assets" / "large.stl").write_bytes(bytes(16 << 20))
     monkeypatch.setattr(gate, "MAX_UNREAD_BYTES", 20 << 20)
@@ -430,9 +428,7 @@ async def test_files_are_read_by_one_thread_beside_the_event_loop(tmp_path: Path
     await asyncio.gather(*(cache.read(find, gzipped=True) for _ in range(5)))
 
 
-def test_a_page_file_that_is_too_large_is_refused_with_the_limit(
-    folders: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_file_too_large_is_refused_with_the_limit(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gate, "MAX_PAGE_FILE_BYTES", 3)
     with pytest.raises(FileTooLargeError, match="bytes, the limit is 3"):
         find_page_file(folders / "dist", "")

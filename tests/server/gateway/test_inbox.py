@@ -20,13 +20,7 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
 from server.arrival import arrival_epoch
 from server.gateway.client_topics import StrictPublication, StrictTopic
-from server.gateway.inbox import (
-    LONG_FRAME_BYTES,
-    MAX_WAITING,
-    STOP_PERIOD_S,
-    STOP_TURN_S,
-    Inbox,
-)
+from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox
 from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, Scheduling, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
@@ -348,9 +342,7 @@ def test_what_comes_behind_a_frame_that_a_thread_reads_is_read_after_it(world: W
 @pytest.mark.parametrize(
     ("first", "length", "carried_out"), [("/large", 0, "/large"), ("/goal", LONG_FRAME_BYTES, "no /goal")]
 )
-def test_a_stop_overtakes_what_a_thread_completes_or_has_not_read_yet(
-    world: World, first: str, length: int, carried_out: str
-) -> None:
+def test_a_stop_overtakes_what_is_still_with_a_thread(world: World, first: str, length: int, carried_out: str) -> None:
     client = world.client()
     client.publish(first, length=length)
     for _ in range(5):
@@ -446,9 +438,7 @@ actions = st.lists(
 
 
 @given(actions)
-def test_whatever_one_client_sends_anothers_stop_is_carried_out_when_it_comes(
-    steps: list[tuple[str, list[str]]],
-) -> None:
+def test_a_stop_is_carried_out_when_it_comes_whatever_another_client_sends(steps: list[tuple[str, list[str]]]) -> None:
     world = World()
     attacker, other = world.client("attacker ", STEP_S), world.client("other ")
     for kind, topics in steps:

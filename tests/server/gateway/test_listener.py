@@ -37,16 +37,7 @@ from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
-from tests.helpers.gateway import (
-    TIMEOUT_S,
-    UPGRADE,
-    exchange,
-    limiter_of,
-    listening,
-    request,
-    status,
-    until_empty,
-)
+from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, status, until_empty
 from tests.helpers.resources import Pair, make_pair, openssl
 
 
@@ -85,9 +76,7 @@ def test_a_file_of_something_else_is_named(pairs: tuple[Pair, Pair], which: str,
         Tls(*pair)
 
 
-def test_a_key_with_a_passphrase_is_refused_and_nobody_is_asked_for_it(
-    pairs: tuple[Pair, Pair], tmp_path: Path
-) -> None:
+def test_a_key_with_a_passphrase_is_refused_without_a_prompt(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     locked = tmp_path / "locked.pem"
     openssl("pkey", "-in", str(pairs[0].key), "-aes256", "-passout", "pass:secret", "-out", str(locked))
     with pytest.raises(ConfigurationError, match="the key has a passphrase") as refused:
@@ -114,9 +103,7 @@ def certificate_shown(tls: Tls) -> bytes:
     return client.getpeercert(binary_form=True) or b""
 
 
-def test_a_new_pair_is_taken_and_a_broken_one_is_not(
-    pairs: tuple[Pair, Pair], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_only_a_sound_pair_is_taken(pairs: tuple[Pair, Pair], tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     one, other = pairs
     used = copied(one, Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"))
     tls = Tls(*used)
@@ -229,10 +216,7 @@ async def test_a_client_without_tls_is_logged_once(encrypted: Listener, caplog: 
 async def test_a_new_certificate_is_for_new_connections(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     pair, new = pairs
     used = copied(pair, Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"))
-    async with (
-        listening(over_tls_with(used)) as listener,
-        connect(listener.url, ssl=trusting(pair)) as client,
-    ):
+    async with listening(over_tls_with(used)) as listener, connect(listener.url, ssl=trusting(pair)) as client:
         copied(new, used)
         listener.reload_certificate()
         async with connect(listener.url, ssl=trusting(new)):
@@ -348,9 +332,7 @@ def test_an_address_of_ipv6_has_its_brackets() -> None:
     assert Listener(Graph(REGISTRY), ServerSettings(host="::1", port=9090)).url == "ws://[::1]:9090"
 
 
-async def test_without_a_certificate_there_is_nothing_to_read_again(
-    listener: Listener, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_without_a_certificate_there_is_no_reload(listener: Listener, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     listener.reload_certificate()
     assert "TLS is not configured (server.tls_certificate); nothing to reload" in caplog.text
@@ -472,9 +454,7 @@ def test_one_that_cannot_be_raised_enough_reduces_the_number_of_clients(
     assert f"it serves {clients} clients at a time, not server.max_clients = 5000" in caplog.text
 
 
-async def test_clients_beyond_the_files_that_the_system_allows_are_refused_and_told(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_clients_beyond_the_system_s_limit_of_open_files_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     Limit(monkeypatch, 2, 4)
     async with listening(ServerSettings(port=0, max_clients=3, max_clients_per_address=3)) as listener:
         url = f"ws://127.0.0.1:{listener.port}"
@@ -484,13 +464,7 @@ async def test_clients_beyond_the_files_that_the_system_allows_are_refused_and_t
     assert "the limit is 2 (server.max_clients, reduced to the files that the system lets the server open)" in answer
 
 
-@pytest.mark.parametrize(
-    ("host", "urls"),
-    [
-        ("127.0.0.1", []),
-        ("0.0.0.0", ["http://10.0.0.2:{port}/"]),
-    ],
-)
+@pytest.mark.parametrize(("host", "urls"), [("127.0.0.1", []), ("0.0.0.0", ["http://10.0.0.2:{port}/"])])
 async def test_other_machines_find_the_page_at_the_addresses_of_this_one(
     host: str, urls: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

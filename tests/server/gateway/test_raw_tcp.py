@@ -239,9 +239,7 @@ async def test_what_came_before_an_error_is_carried_out(listener: Listener) -> N
         assert (await client.receive())["op"] == "status"
 
 
-async def test_a_client_that_has_said_its_last_still_gets_its_answers(
-    listener: Listener, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_half_closed_client_still_gets_its_answers(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
     # A call a turn, so that most of them wait when the client's end is seen.
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with await RawClient.connect(port_of(listener)) as client:
@@ -261,18 +259,14 @@ async def test_a_client_that_goes_on_sending_is_told_why_it_is_closed(listener: 
         assert await asyncio.wait_for(client.reader.read(), TIMEOUT_S) == b""
 
 
-async def test_a_client_that_never_closes_its_side_is_closed(
-    listener: Listener, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_client_that_never_closes_is_closed(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "END_TIMEOUT_S", 0.05)
     async with await RawClient.connect(port_of(listener)) as client:
         client.write(b"####")
         await until_empty(listener)
 
 
-async def test_a_client_that_closes_its_side_is_not_waited_for_any_longer(
-    listener: Listener, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_client_that_closes_its_side_is_let_go(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "END_TIMEOUT_S", 10 * TIMEOUT_S)
     async with await RawClient.connect(port_of(listener)) as client:
         client.send(op="call_service", service="/trigger")

@@ -53,9 +53,7 @@ class TestThreads:
         assert encoded == [1]
         assert message.ready
 
-    async def test_a_message_that_cannot_be_encoded_is_left_out_with_a_log_line(
-        self, caplog: pytest.LogCaptureFixture
-    ) -> None:
+    async def test_an_unencodable_message_is_left_out_with_a_log_line(self, caplog: pytest.LogCaptureFixture) -> None:
         threads, ready = Threads(), asyncio.Event()
 
         def encode() -> EncodedMessage:

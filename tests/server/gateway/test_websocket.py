@@ -234,9 +234,7 @@ async def test_who_has_not_authenticated_sends_no_long_message_in_pieces_either(
 
 
 @pytest.mark.parametrize("burst_s", [-1.0, 0.0001, 60.0])
-async def test_messages_of_one_turn_of_the_loop_arrive_in_order(
-    monkeypatch: pytest.MonkeyPatch, burst_s: float
-) -> None:
+async def test_messages_of_one_turn_arrive_in_order(monkeypatch: pytest.MonkeyPatch, burst_s: float) -> None:
     monkeypatch.setattr(transport, "BURST_S", burst_s)
     async with linked() as link:
         await link.subscribe()
@@ -323,9 +321,7 @@ async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_dis
             assert reason in answer, sent
 
 
-async def test_a_client_that_sends_its_request_letter_by_letter_is_disconnected(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_client_that_sends_its_request_by_letters_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
     monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
@@ -396,9 +392,7 @@ async def test_no_token_gets_into_the_log_whatever_its_level(caplog: pytest.LogC
     assert not [record for record in ours if token in record.getMessage()]
 
 
-async def test_the_end_of_the_server_does_not_wait_for_those_who_have_asked_nothing_yet(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_the_end_of_the_server_does_not_wait_for_silent_clients(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", 2 * TIMEOUT_S)
     async with listening() as listener:
         _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
@@ -502,9 +496,7 @@ async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected(monkeypa
         ((), "/?token=wrong", 401, "token"),
     ],
 )
-async def test_a_plain_request_that_is_refused_is_answered_and_counted_once(
-    lines: tuple[str, ...], path: str, answer: int, reason: str
-) -> None:
+async def test_a_refused_request_is_counted_once(lines: tuple[str, ...], path: str, answer: int, reason: str) -> None:
     tokens = AccessSettings(token=SecretStr("right-" * 6))
     async with listening(access=Access(tokens)) as listener:
         host = None if lines and lines[0].startswith("Host") else "localhost"

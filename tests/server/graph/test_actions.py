@@ -46,13 +46,10 @@ def test_a_late_listener_is_told_of_a_cancel_at_once(sent: Sent) -> None:
     assert told == ["cancel"]
 
 
-def test_a_goal_that_has_ended_cannot_be_cancelled(sent: Sent) -> None:
+def test_a_goal_that_ended_is_not_cancelled_and_a_sender_that_left_hears_nothing(sent: Sent) -> None:
     sent.goal.finish(GoalStatus.SUCCEEDED, {})
     sent.goal.cancel()
     assert not sent.goal.cancel_requested
-
-
-def test_a_sender_that_left_hears_no_feedback(sent: Sent) -> None:
     sent.goal.forget_sender()
     sent.goal.feedback({})
     assert sent.feedback == []

@@ -30,9 +30,7 @@ def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
     assert data_of(kept, 100.0) == ["y"]
 
 
-def test_recent_messages_are_bounded_in_bytes_and_the_oldest_goes(
-    kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recent_messages_are_bounded_the_oldest_goes(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latching, "MAX_RECENT_BYTES", 1000)
     for number in range(20):
         kept.keep(published(f"{number:0200}", f"/t{number}"), 0.0, 1.0)

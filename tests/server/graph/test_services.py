@@ -7,14 +7,7 @@ from protocol.registry import Registry
 from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.services import (
-    LOCAL_TIMEOUT_S,
-    MAX_TIMEOUT_S,
-    Call,
-    Response,
-    Services,
-    answer,
-)
+from server.graph.services import LOCAL_TIMEOUT_S, MAX_TIMEOUT_S, Call, Response, Services, answer
 from tests.helpers.clock import FakeClock
 
 INTERFACES = MessageTypes(Registry.load())
@@ -80,9 +73,7 @@ def ask(services: Services, name: str = "/switch", caller: Node = CALLER, **opti
 
 
 @pytest.mark.parametrize("answer", [{"success": "yes"}, {"foo": 1}, "text", None])
-def test_a_function_with_a_bug_fails_the_call_and_is_logged(
-    services: Services, answer: Any, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_bug_fails_the_call_and_is_logged(services: Services, answer: Any, caplog: pytest.LogCaptureFixture) -> None:
     services.offer(SERVER, "/switch", SET_BOOL, lambda _: answer or 1 / 0)
     (response,) = ask(services)
     assert not response.ok
@@ -115,8 +106,7 @@ async def test_a_function_that_takes_too_long_is_cancelled(services: Services, c
 
 
 @pytest.mark.parametrize(
-    ("timeout_s", "bound_s"),
-    [(None, LOCAL_TIMEOUT_S), (0.5, 0.5), (0.0, MAX_TIMEOUT_S), (1e9, MAX_TIMEOUT_S)],
+    ("timeout_s", "bound_s"), [(None, LOCAL_TIMEOUT_S), (0.5, 0.5), (0.0, MAX_TIMEOUT_S), (1e9, MAX_TIMEOUT_S)]
 )
 def test_every_call_ends_in_time(services: Services, clock: FakeClock, timeout_s: float | None, bound_s: float) -> None:
     Provider(services)
@@ -148,9 +138,7 @@ def test_the_calls_of_a_caller_that_leaves_end_for_their_provider(services: Serv
 # Names
 
 
-def test_the_number_of_services_is_bounded_and_one_that_is_offered_again_is_none_more(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_number_of_services_is_bounded_and_a_repeated_offer_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.graph.services.MAX_SERVICES", 2)
     services = Services(MessageTypes(REGISTRY), FakeClock().call_later)
     for name in ("/a", "/b", "/b"):
@@ -171,9 +159,9 @@ def test_an_offer_is_withdrawn_by_its_own_node_only(services: Services) -> None:
     provider = Provider(services)
     services.withdraw(CALLER, "/switch")
     services.withdraw(provider.node, "/nothing")
-    assert services.types() == {"/switch": "std_srvs/srv/SetBool"}
+    assert services.names.types() == {"/switch": "std_srvs/srv/SetBool"}
     services.withdraw(provider.node, "/switch")
-    assert (services.types(), services.provided_by(provider.node)) == ({}, [])
+    assert (services.names.types(), services.provided_by(provider.node)) == ({}, [])
 
 
 @pytest.mark.parametrize("type_name", ["std_srvs/Nothing", "std_msgs/String", "control_msgs/action/PointHead"])

@@ -10,13 +10,7 @@ from server.errors import GraphError
 from server.graph import latching, topics
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
-from server.graph.topics import (
-    MAX_TOPICS_FOR_VIEWERS,
-    MAX_TOPICS_OF_PUBLISHER,
-    UNREGISTER_TIMEOUT_S,
-    Graph,
-    Subscriber,
-)
+from server.graph.topics import MAX_TOPICS_FOR_VIEWERS, MAX_TOPICS_OF_PUBLISHER, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls
 
@@ -88,9 +82,9 @@ def test_a_node_that_left_gets_nothing_and_its_topics_are_forgotten(graph: Graph
     graph.remove(listener.node)
     graph.publish(TALKER, "/a", {"data": "x"})
     assert listener.messages == []
-    assert list(graph.topic_types()) == ["/a"]
+    assert list(graph.topic_names.types()) == ["/a"]
     graph.unadvertise(TALKER, "/a")
-    assert graph.topic_types() == {}
+    assert graph.topic_names.types() == {}
 
 
 def test_the_refusal_of_a_topic_without_a_type_says_which_operation_can_name_one(graph: Graph) -> None:

@@ -100,9 +100,7 @@ async def test_the_file_has_a_minute_of_states_and_its_last_seconds_at_full_rate
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
-async def test_the_file_has_the_minute_before_though_the_machines_clock_was_set_in_it(
-    world: World, ring: LogRing, jump_s: float
-) -> None:
+async def test_the_file_has_the_minute_before_a_clock_that_was_set(world: World, ring: LogRing, jump_s: float) -> None:
     LOG.warning("the clock is about to jump")
     for number in range(100):
         stamp_s = START_S + number / 50.0 + (jump_s if number >= 50 else 0.0)
@@ -174,9 +172,7 @@ async def test_files_can_be_switched_off(tmp_path: Path, ring: LogRing) -> None:
     assert (world.files.latest, world.folder.exists()) == (None, False)
 
 
-async def test_a_directory_that_cannot_be_written_is_told_and_nothing_else(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unwritable_directory_is_told_and_nothing_else(world: World, caplog: pytest.LogCaptureFixture) -> None:
     world.folder.write_text("a file")
     await world.latch()
     assert "cannot be written" in caplog.text

@@ -35,14 +35,8 @@ NOT_READY: dict[str, tuple[dict[str, Any], str]] = {
     "stop": ({"stopping": True}, "the server is stopping"),
     "no bus": ({"arm": WatchedArm(arm_state(Mode.DISCONNECTED))}, "the arm is not connected"),
     "checks": ({"arm": WatchedArm(arm_state(Mode.CONNECTED))}, "the servos are being checked, or were refused"),
-    "fault": (
-        {"arm": WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED))},
-        "the arm has a fault: overheated",
-    ),
-    "stale": (
-        {"arm": WatchedArm(arm_state(), ARM_STALE_S + 0.1)},
-        "the last state of the arm is older than 1.5 s",
-    ),
+    "fault": ({"arm": WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED))}, "the arm has a fault: overheated"),
+    "stale": ({"arm": WatchedArm(arm_state(), ARM_STALE_S + 0.1)}, "the last state of the arm is older than 1.5 s"),
     "stale simulation": (
         {"arm": WatchedArm(arm_state(), 5.1, state_max_age_s=5.0)},
         "the last state of the arm is older than 5 s",
@@ -56,9 +50,7 @@ NOT_READY: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changes", "reason"), NOT_READY.values(), ids=NOT_READY.keys())
-def test_an_obstacle_to_carrying_out_goals_is_a_reason_not_to_be_ready(
-    sources: Sources, changes: dict[str, Any], reason: str
-) -> None:
+def test_an_obstacle_to_goals_is_a_reason_to_be_unready(sources: Sources, changes: dict[str, Any], reason: str) -> None:
     health = check_health(replace(sources, **changes))
     assert (health.live, health.ready, health.reasons) == (True, False, (reason,))
 

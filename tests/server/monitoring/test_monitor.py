@@ -409,18 +409,15 @@ def monitored(notifier: Listening, *found: Health, times_s: Iterable[float]) -> 
     return notifier.heard
 
 
-def test_a_sign_of_life_comes_well_before_it_is_missed() -> None:
+def test_signs_of_life_come_well_before_they_are_missed_and_never_from_a_dead_server() -> None:
     heard = monitored(Listening(watchdog_s=3.0), WELL, times_s=(100.0 + 0.25 * tick for tick in range(13)))
     assert heard == ["ready", *["alive"] * (1 + int(WATCHDOG_NOTIFICATIONS))]
+    assert monitored(Listening(), DEAD, times_s=range(100, 130)) == ["the arm process has been silent; and so on"]
 
 
 def test_the_status_is_told_when_it_changes_and_no_sign_of_life_where_nobody_waits_for_it() -> None:
     heard = monitored(Listening(watchdog_s=0.0), WELL, WELL, DEAD, DEAD, WELL, times_s=range(5))
     assert heard == ["ready", "the arm process has been silent; and so on", "ready"]
-
-
-def test_a_server_that_is_not_live_gives_no_sign_of_life() -> None:
-    assert monitored(Listening(), DEAD, times_s=range(100, 130)) == ["the arm process has been silent; and so on"]
 
 
 @pytest.mark.stepped_time

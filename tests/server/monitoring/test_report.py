@@ -99,9 +99,7 @@ def test_the_machine_is_told_by_versions_packages_and_ports(report: Report) -> N
     assert isinstance(json.loads(told["ports.json"]), list)
 
 
-def test_the_newest_files_about_faults_are_taken_along(
-    report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_newest_fault_files_are_included(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_module, "MAX_FAULT_BYTES", 250)
     (tmp_path / "other.jsonl").write_text("somebody else's")
     for number in range(4):

@@ -105,9 +105,7 @@ LEVELS = {
 
 
 @pytest.mark.parametrize(("state", "changes", "of_arm", "of_servo", "words"), LEVELS.values(), ids=LEVELS.keys())
-def test_a_complaint_is_told_of_the_servo_and_of_the_arm(
-    state: ArmState, changes: dict[str, Any], of_arm: int, of_servo: int, words: str
-) -> None:
+def test_one_servo_complains(state: ArmState, changes: dict[str, Any], of_arm: int, of_servo: int, words: str) -> None:
     arm, servo = statuses(state, replace(HEALTH, **changes))
     assert (arm["level"], servo["level"]) == (of_arm, of_servo)
     assert arm["message"].startswith(str(state.fault or ""))
@@ -162,13 +160,10 @@ def test_a_simulated_servo_has_the_advice_for_simulated_ones() -> None:
     assert told["advice"].endswith(SIMULATED_REMEDIES[FaultCode.OVERLOAD])
 
 
-def test_a_servo_that_is_not_read_is_stale() -> None:
+def test_what_says_nothing_more_is_stale() -> None:
     assert statuses(health=replace(HEALTH, joints=(replace(SERVO, age_s=2.0),)))[1]["level"] == 3
     assert statuses(health_age_s=4.0)[1]["level"] == 3
     assert statuses(replace(STATE, mode=Mode.DISCONNECTED))[1]["level"] == 3
-
-
-def test_an_arm_process_that_says_nothing_more_is_stale() -> None:
     arm = statuses(state_age_s=4.0)[0]
     assert (arm["level"], arm["message"]) == (3, "the last state of the arm is 4.0 s old")
 
@@ -308,9 +303,7 @@ async def test_loggers_without_end_are_refused(graph: Graph) -> None:
 @pytest.mark.parametrize(
     ("service", "field", "entry"), [(GET_LEVELS, "names", "armbridge"), (SET_LEVELS, "levels", {})]
 )
-async def test_more_than_there_are_loggers_are_refused_at_once(
-    graph: Graph, service: str, field: str, entry: object
-) -> None:
+async def test_more_than_all_loggers_are_refused_at_once(graph: Graph, service: str, field: str, entry: object) -> None:
     responses: list[Any] = []
     graph.services.call(CALLER, service, {field: [entry] * (MAX_REQUESTED + 1)}, responses.append)
     assert (responses[0].ok, responses[0].values) == (

@@ -83,9 +83,7 @@ def test_without_one_nothing_is_told() -> None:
     assert notifier.watchdog_s == 0.0
 
 
-def test_one_that_cannot_be_reached_is_told_of_and_passed_over(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_unreachable_notifier_is_logged_and_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
     notifier = SystemdNotifier(str(tmp_path / "nobody"))
     notifier.notify_ready("ready")
@@ -102,9 +100,7 @@ WATCHED = {
 
 
 @pytest.mark.parametrize(("variables", "watchdog_s"), WATCHED.values(), ids=WATCHED.keys())
-def test_the_watchdog_is_for_the_process_that_it_names(
-    systemd: Systemd, variables: dict[str, str], watchdog_s: float
-) -> None:
+def test_the_watchdog_is_for_the_named_process(systemd: Systemd, variables: dict[str, str], watchdog_s: float) -> None:
     notifier = SystemdNotifier.from_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
     assert notifier.watchdog_s == watchdog_s
     notifier.close()

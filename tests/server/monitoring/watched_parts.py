@@ -75,14 +75,7 @@ def arm_health() -> ArmHealth:
     )
     bus = BusCounters(sent=100, replies=90, timeouts=10, discarded_bytes=11, retries=12)
     return ArmHealth(
-        NOW_S,
-        Mode.HOLDING,
-        "/dev/ttySECRET",
-        servos,
-        bus,
-        (0.0001, 0.001, 0.002),
-        (0.003, 0.004, 0.005),
-        True,
+        NOW_S, Mode.HOLDING, "/dev/ttySECRET", servos, bus, (0.0001, 0.001, 0.002), (0.003, 0.004, 0.005), True
     )
 
 

@@ -8,12 +8,7 @@ from robot.trajectory import Trajectory
 from server.execution.motions import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from server.moveit.display import (
-    CONTACTS_TOPIC,
-    PATH_TOPIC,
-    PIPELINE_TOPIC,
-    DisplayTopics,
-)
+from server.moveit.display import CONTACTS_TOPIC, PATH_TOPIC, PIPELINE_TOPIC, DisplayTopics
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT
 

@@ -134,9 +134,7 @@ async def test_states_of_another_arm_stay_in_the_file(path: Path) -> None:
     assert set(NamedStatesFile(path).load()) == {"its", "mine"}
 
 
-async def test_a_file_that_another_process_has_is_refused_with_its_name(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_file_of_another_process_is_refused_with_its_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "LOCK_TIMEOUT_S", 0.0)
     holder = files.FileLock(path)
     holder.acquire()

@@ -137,17 +137,16 @@ def test_a_file_that_has_its_size_is_followed_by_the_next(tmp_path: Path) -> Non
     fill(series(tmp_path / "run.mcap"), 5)
     assert names(tmp_path) == ["run.mcap", "run_1.mcap", "run_2.mcap"]
     assert [len(topics(tmp_path / name)) for name in names(tmp_path)] == [2, 2, 1]
+    bounded = tmp_path / "bounded"
+    bounded.mkdir()
+    (bounded / "other.mcap").touch()
+    fill(series(bounded / "run.mcap", keep=2), 7)
+    assert names(bounded) == ["other.mcap", "run_2.mcap", "run_3.mcap"]
 
 
 def test_without_a_limit_there_is_one_file(tmp_path: Path) -> None:
     fill(series(tmp_path / "run.mcap", limit=None), 5)
     assert names(tmp_path) == ["run.mcap"]
-
-
-def test_the_oldest_files_of_the_series_are_given_up(tmp_path: Path) -> None:
-    (tmp_path / "other.mcap").touch()
-    fill(series(tmp_path / "run.mcap", keep=2), 7)
-    assert names(tmp_path) == ["other.mcap", "run_2.mcap", "run_3.mcap"]
 
 
 def test_latched_messages_stand_at_the_beginning_of_every_file(tmp_path: Path) -> None:

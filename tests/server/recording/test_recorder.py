@@ -11,6 +11,7 @@ from harness.waiting import wait_until
 from protocol.codecs.cdr import deserialize
 from protocol.messages import Stamp, complete
 from protocol.publication import PublishedMessage
+from server.config import RecordingSettings
 from server.errors import StartError
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -30,7 +31,7 @@ def graph() -> Graph:
 
 async def recorded(graph: Graph, path: Path, publish: Callable[[], None]) -> list[RecordedMessage]:
     """Return the messages in the file after something was published."""
-    recorder = Recorder(graph, path)
+    recorder = Recorder(graph, path, RecordingSettings())
     recorder.start()
     publish()
     await recorder.close()
@@ -52,7 +53,11 @@ async def test_every_message_of_every_topic_is_recorded_with_nobody_listening(gr
 async def test_times_are_of_the_epoch_and_do_not_jump_with_the_wall_clock(graph: Graph, tmp_path: Path) -> None:
     monotonic_ns = iter([5, 7, 9])
     recorder = Recorder(
-        graph, tmp_path / "run.mcap", clock_ns=lambda: next(monotonic_ns), wall_clock_ns=lambda: 1_000_005
+        graph,
+        tmp_path / "run.mcap",
+        RecordingSettings(),
+        clock_ns=lambda: next(monotonic_ns),
+        wall_clock_ns=lambda: 1_000_005,
     )
     recorder.start()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
@@ -76,11 +81,9 @@ async def test_a_message_of_an_unknown_type_is_left_out_and_told_once(
     assert told == ["recording: /own is left out, the type my_msgs/msg/Thing is unknown"]
 
 
-async def test_the_recorder_tells_its_state_and_its_queue(
-    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_recorder_shows_its_queue(graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
-    recorder = Recorder(graph, tmp_path / "run.mcap")
+    recorder = Recorder(graph, tmp_path / "run.mcap", RecordingSettings())
     recorder.start()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
@@ -99,11 +102,11 @@ async def test_after_its_end_nothing_is_taken(graph: Graph, tmp_path: Path) -> N
 
 def test_a_file_that_cannot_be_written_is_refused_with_its_name(graph: Graph, tmp_path: Path) -> None:
     with pytest.raises(StartError, match=r"recording\.file: .*nowhere/run\.mcap cannot be written: No such file"):
-        Recorder(graph, tmp_path / "nowhere" / "run.mcap").start()
+        Recorder(graph, tmp_path / "nowhere" / "run.mcap", RecordingSettings()).start()
 
 
 async def test_what_is_published_before_the_file_is_opened_is_in_it(graph: Graph, tmp_path: Path) -> None:
-    recorder = Recorder(graph, tmp_path / "run.mcap")
+    recorder = Recorder(graph, tmp_path / "run.mcap", RecordingSettings())
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
     assert not (tmp_path / "run.mcap").exists()
@@ -191,9 +194,7 @@ def test_a_full_disk_ends_the_recording_with_one_line(tmp_path: Path, caplog: py
     ]
 
 
-def test_a_recent_message_can_be_read_while_the_recording_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recent_message_is_read_while_the_recording_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
     writer = WriterThread(REGISTRY)
     writer.start(RecordingSeries(tmp_path / "run.mcap", REGISTRY, {}, None, 0))

@@ -41,9 +41,7 @@ def test_the_recording_of_a_killed_server_is_read_to_its_last_chunk(tmp_path: Pa
     assert [track.topic for track in summary.topics] == ["/t"]
 
 
-def test_a_file_cut_anywhere_is_read_as_far_as_its_whole_chunks_go(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_of_a_file_cut_anywhere_the_whole_chunks_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     octets = record_killed(tmp_path / "run.mcap", CHUNKS).read_bytes()
     counts = []
     for length in range(10, len(octets), 7):
@@ -108,9 +106,7 @@ NO_RECORDINGS: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize(("make", "words"), NO_RECORDINGS.values(), ids=NO_RECORDINGS.keys())
-def test_an_invalid_recording_is_refused_with_a_sentence(
-    tmp_path: Path, make: Callable[[Path], object], words: str
-) -> None:
+def test_an_invalid_recording_is_refused_in_words(tmp_path: Path, make: Callable[[Path], object], words: str) -> None:
     make(tmp_path / "run.mcap")
     with pytest.raises(RecordingError, match=rf"run\.mcap: {words}"):
         Recording(tmp_path / "run.mcap").summary()
@@ -166,9 +162,7 @@ async def test_a_latched_message_is_latched_again(tmp_path: Path) -> None:
     assert [published.msg for published in kept] == [{"data": "7"}]
 
 
-async def test_a_message_that_cannot_be_read_is_left_out_and_told_once(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unreadable_message_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     graph = Graph(REGISTRY)
     broken = [text(number)._replace(octets=b"\x00\x01\x00\x00\xff") for number in (1, 2)]
     playing = player(tmp_path, graph, [text(0), *broken, text(3)])
@@ -179,15 +173,13 @@ async def test_a_message_that_cannot_be_read_is_left_out_and_told_once(
     assert len([line for line in caplog.messages if "/t: a message of std_msgs/msg/String cannot be read" in line]) == 1
 
 
-async def test_a_topic_of_a_type_nobody_knows_is_left_out_and_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_topic_of_unknown_type_is_left_out_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     graph = Graph(REGISTRY)
     playing = RecordingPlayer(graph, Recording(tmp_path / "run.mcap"))
     playing.advertise(
         [RecordedTopic("/own", "my_msgs/msg/Thing", False), RecordedTopic("/t", "std_msgs/msg/String", False)]
     )
-    assert list(graph.topic_types()) == ["/t"]
+    assert list(graph.topic_names.types()) == ["/t"]
     assert "/own is left out: it cannot be offered" in caplog.text
 
 
@@ -213,7 +205,7 @@ async def test_a_second_type_on_a_topic_is_left_out(tmp_path: Path, caplog: pyte
 async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
     graph = Graph(REGISTRY)
     playing = asyncio.create_task(player(tmp_path, graph, [text(0), text(1000)], rate=1.0).play())
-    await until(lambda: "/t" in graph.topic_types())
+    await until(lambda: "/t" in graph.topic_names.types())
     playing.cancel()
     await asyncio.wait([playing], timeout=30.0)
     assert playing.cancelled()
@@ -244,9 +236,7 @@ async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest
     assert "replay ended: 3 messages published, 0 could not be read" in caplog.text
 
 
-async def test_a_loop_begins_again_until_a_signal_ends_it(
-    options: ReplayOptions, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     playing = asyncio.create_task(ReplayServer(replace(options, loop=True)).run())
     async with frame_client(await url(caplog)) as client:
@@ -257,9 +247,7 @@ async def test_a_loop_begins_again_until_a_signal_ends_it(
     assert "replay ended" in caplog.text
 
 
-async def test_a_recording_that_was_not_ended_is_played_and_told(
-    options: ReplayOptions, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unended_recording_is_played(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     record_killed(options.path, [[text(0)], [text(1)]])
     await ReplayServer(options).run()

@@ -47,7 +47,7 @@ async def desk(tmp_path: Path) -> Desk:
 
 
 def problems(motion: PlannedMotion) -> list[Any]:
-    return [step(HOME) for step in motion.steps]
+    return [step.problem(HOME) for step in motion.steps]
 
 
 def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() -> None:
@@ -83,9 +83,7 @@ def test_joints_that_make_no_group_without_others_are_refused() -> None:
         ("repeat", MAX_REPEAT + 1, f"repeat: must be 0 to {MAX_REPEAT}"),
     ],
 )
-async def test_a_field_out_of_its_range_is_refused_with_the_limit(
-    desk: Desk, field: str, value: float, says: str
-) -> None:
+async def test_a_field_out_of_range_is_refused_with_the_limit(desk: Desk, field: str, value: float, says: str) -> None:
     await desk.send(NAME, name="wave", **{field: value})
     await until(lambda: desk.results)
     assert desk.results[0].status == GoalStatus.ABORTED
@@ -129,9 +127,7 @@ def test_a_refusal_says_where_without_the_number_of_the_step() -> None:
     assert result(Answer.of(failure))["message"] == "at 1.20 s of the motion would touch: crate"
 
 
-async def test_a_replay_that_is_slower_says_where_in_its_result_and_in_the_log(
-    desk: Desk, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_slower_replay_names_the_place_in_result_and_log(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     await desk.send(NAME, name="wave")
     await until(lambda: desk.asked)

@@ -188,12 +188,9 @@ async def test_motions_are_renamed_and_deleted(lesson: Lesson) -> None:
 
 
 @pytest.mark.parametrize(
-    ("request_", "says"),
-    [({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "one of arm, gripper")],
+    ("request_", "says"), [({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "one of arm, gripper")]
 )
-async def test_a_recording_that_cannot_be_kept_does_not_begin(
-    lesson: Lesson, request_: dict[str, str], says: str
-) -> None:
+async def test_a_recording_without_a_place_does_not_begin(lesson: Lesson, request_: dict[str, str], says: str) -> None:
     assert says in await refused(lesson, "begin", **request_)
     assert not any(state["recording"] for state in lesson.states)
 

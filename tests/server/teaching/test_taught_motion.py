@@ -224,9 +224,7 @@ async def test_a_taken_name_is_neither_recorded_nor_renamed_to(motions: MotionFi
         await motions.rename("a", "b")
 
 
-async def test_the_number_of_motions_is_bounded_also_when_several_are_saved_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_several_motions_at_once_keep_to_their_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(taught_motion, "MAX_MOTIONS", 2)
     motions = MotionFiles(tmp_path, ROBOT)
     saved = await asyncio.gather(*(motions.save(name, WAVE) for name in "abcd"), return_exceptions=True)
@@ -257,9 +255,7 @@ GOOD = {"joint_names": ["elbow_flex"], "time_s": [0.0, 1.0], "positions_rad": [[
         '{"joint_names": ["elbow_flex"], "time_s": [0.0, 1.0], "positions_rad": [[0.0], [NaN]]}',
     ],
 )
-async def test_a_file_that_holds_no_motion_of_this_arm_is_refused_with_its_path(
-    motions: MotionFiles, tmp_path: Path, content: Any
-) -> None:
+async def test_files_without_a_motion_are_refused(motions: MotionFiles, tmp_path: Path, content: Any) -> None:
     await motions.save("wave", WAVE)
     file = tmp_path / "motions" / "wave.json"
     file.write_text(content if isinstance(content, str) else json.dumps(content))

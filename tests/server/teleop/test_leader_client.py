@@ -76,9 +76,7 @@ async def test_an_arm_that_is_not_read_publishes_nothing(publishing: Publishing)
     assert positions(publishing.server) == []
 
 
-def test_a_real_leader_without_a_calibration_is_refused_in_one_sentence(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_real_leader_needs_a_calibration(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(logs, "configure", lambda *_arguments: None)
     assert cli.main(["leader", "--serial", "/dev/nothing"]) == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -60,11 +60,7 @@ def with_certificate(authority: Pair, folder: Path) -> Path:
     """zenoh's file of a machine that has a certificate, as the page shows it."""
     machine = make_signed_pair(folder, authority)
     (text,) = blocks(ROOT / "docs" / "zenoh.md", "json5")
-    paths = {
-        "authority.pem": authority.certificate,
-        "machine.pem": machine.certificate,
-        "machine.key": machine.key,
-    }
+    paths = {"authority.pem": authority.certificate, "machine.pem": machine.certificate, "machine.key": machine.key}
     for name, path in paths.items():
         text = text.replace(f'"{name}"', f'"{path}"')
     (folder / "zenoh.json5").write_text(text)
@@ -132,7 +128,7 @@ async def test_one_server_shows_the_arms_of_others_to_its_viewers() -> None:
         for site in (one, two):
             site.graph.advertise(site.part, "/joint_states", STRING, latch=True)
             site.graph.publish(site.part, "/joint_states", {"data": site.namespace})
-        await until(lambda: {"/arm1/joint_states", "/arm2/joint_states"} <= edge.graph.topic_types().keys())
+        await until(lambda: {"/arm1/joint_states", "/arm2/joint_states"} <= edge.graph.topic_names.types().keys())
         heard = edge.hear("/arm1/joint_states"), edge.hear("/arm2/joint_states")
         await until(lambda: all(heard))
     assert [messages[0].msg["data"] for messages in heard] == ["/arm1", "/arm2"]
@@ -191,9 +187,7 @@ async def test_a_topic_of_a_client_that_does_not_go_out_is_warned_of_once(caplog
     assert edge.graph.remarks["/arm1/last"] == f"topic /arm1/last {reason}"
 
 
-async def test_an_error_does_not_end_the_sharing(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_sharing_outlives_an_error(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     port, refresh, failures = free_port(), OutgoingTopics.refresh, iter([True])
 
     def fail_once(topics: OutgoingTopics, foreign: frozenset[str]) -> None:

@@ -76,13 +76,10 @@ def test_only_what_was_declared_is_taken_back_the_last_first() -> None:
 # Names.
 
 
-def test_a_pattern_fits_whole_names_with_all_that_lies_below() -> None:
+def test_a_pattern_fits_whole_names_and_no_patterns() -> None:
     patterns = SharedNames(["/joint_states", "/arm/*"])
     names = ("/joint_states", "/joint_states2", "/arm/a/b", "/arm", "/armada")
     assert [name for name in names if patterns.matches(name)] == ["/joint_states", "/arm/a/b"]
-
-
-def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:
     assert not SharedNames(["*"]).matches("/**")
 
 
@@ -95,9 +92,7 @@ def test_a_name_that_is_a_pattern_of_keys_is_never_shared() -> None:
         ("", "/joint_states", "/joint_states"),
     ],
 )
-async def test_names_lose_the_namespace_of_this_server_and_no_other_on_their_way_in(
-    alone: Network, namespace: str, there: str, here: str
-) -> None:
+async def test_names_lose_this_server_s_namespace_alone(alone: Network, namespace: str, there: str, here: str) -> None:
     found = replace(alone, tokens=LivelinessTokens(0, "us", namespace))
     assert found.to_local(there) == here
     assert found.is_local(there) == there.startswith(f"{namespace}/")

@@ -19,17 +19,11 @@ ADDER = (
 )
 
 
-def test_a_topic_has_the_key_that_rmw_zenoh_gives_it() -> None:
+def test_topics_services_and_nodes_have_the_keys_of_rmw_zenoh() -> None:
     robot = Endpoint("/robot1/chatter", "std_msgs/msg/String", STRING_HASH)
     assert CHATTER.key(0) == f"0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
     assert robot.key(0) == f"0/robot1/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
-
-
-def test_a_service_has_the_key_that_rmw_zenoh_gives_it() -> None:
     assert ADD.key(2) == f"2/add_two_ints/example_interfaces::srv::dds_::AddTwoInts_/{ADD_HASH}"
-
-
-def test_a_node_announces_itself_as_those_of_rmw_zenoh_do() -> None:
     assert LivelinessTokens(2, "aac3", "").node() == "@ros2_lv/2/aac3/0/0/NN/%/%/armbridge"
     assert LivelinessTokens(2, "aac3", "/arm1").node() == "@ros2_lv/2/aac3/0/0/NN/%/%arm1/armbridge"
 

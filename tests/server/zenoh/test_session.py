@@ -84,9 +84,7 @@ def test_a_call_that_waits_for_its_machine_does_not_hold_up_the_end(opened: Sess
         assert opened.close()
 
 
-def test_a_network_that_stands_still_holds_up_neither_work_nor_the_end(
-    opened: SessionThread, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stuck_network_delays_neither_work_nor_end(opened: SessionThread, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session_module, "CLOSE_TIMEOUT_S", 0.05)
     with hanging(opened.submit):
         accepted = sum(opened.submit(lambda _session: None) for _ in range(session_module.MAX_JOBS + 10))
@@ -95,9 +93,7 @@ def test_a_network_that_stands_still_holds_up_neither_work_nor_the_end(
     assert opened.rejected >= 9
 
 
-def test_a_session_that_cannot_be_opened_is_tried_again(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_failed_session_is_opened_again(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(session_module, "RETRY_PERIOD_S", 0.01)
     tries = iter([zenoh.ZError("no router at /a/line/of/zenoh"), zenoh.ZError("no router at /a/line/of/zenoh"), None])
 

@@ -34,13 +34,10 @@ def test_a_setting_that_cannot_be_is_refused_with_an_example() -> None:
         assert sentence in str(refused.value), case
 
 
-def test_nothing_is_shared_and_nothing_comes_in_unless_it_is_asked_for() -> None:
+def test_by_itself_nothing_comes_in_and_no_command_goes_out() -> None:
     settings = ZenohSettings()
     assert settings.mode == "off"
     assert (settings.listen, settings.subscribe, settings.offer, settings.call) == ((), (), (), ())
-
-
-def test_no_topic_that_moves_the_arm_goes_out_by_itself() -> None:
     assert not [pattern for pattern in ZenohSettings().publish if pattern in ("*", "/*", "/moveit_goal_*")]
 
 
@@ -152,12 +149,9 @@ OF_THIS_MACHINE = [
 OF_EVERYBODY = [f"tcp/{host}:7447" for host in ("0.0.0.0", "[::]", "192.168.1.2", "arm.local")]
 
 
-def test_everybody_reaches_other_addresses_than_those_of_this_machine_alone() -> None:
+def test_exposed_endpoints_are_found_unless_certificates_guard_them() -> None:
     assert exposed_endpoint(OF_THIS_MACHINE, mutual_tls=False) is None
     for endpoint in (*OF_EVERYBODY, "tls/0.0.0.0:7447", "?"):
         assert exposed_endpoint([*OF_THIS_MACHINE, endpoint], mutual_tls=False) == endpoint
-
-
-def test_certificates_guard_encrypted_links_alone() -> None:
     assert exposed_endpoint(["tls/0.0.0.0:7447", "quic/0.0.0.0:7447"], mutual_tls=True) is None
     assert exposed_endpoint(["tcp/0.0.0.0:7447"], mutual_tls=True) == "tcp/0.0.0.0:7447"

@@ -149,9 +149,7 @@ async def test_an_arm_that_is_switched_on_meanwhile_ends_the_calibration(arm: Se
         assert "switched on meanwhile" in await ended(client)
 
 
-async def test_a_swept_arm_is_calibrated_anew_and_the_server_uses_it_at_once(
-    arm: ServerOnBus, files: Path, systemd: Systemd
-) -> None:
+async def test_the_calibration_of_a_swept_arm_is_used_at_once(arm: ServerOnBus, files: Path, systemd: Systemd) -> None:
     swept = [servo for servo in STOPS if servo != ROLL]
     async with admin(arm) as client:
         await begin_sweep(client)

@@ -76,9 +76,7 @@ def until_ready(folder: Path) -> None:
     wait_until(lambda: len(list(folder.glob("ready *"))) == 2)
 
 
-def test_a_member_that_ends_is_started_again_later_each_time(
-    run: Callable[[str], psutil.Process], tmp_path: Path
-) -> None:
+def test_a_member_that_ends_starts_again_later_each_time(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
     supervisor = run("end")
     wait_until(lambda: (tmp_path / "two.log").read_text().count("begun") >= 3)
     (first, *_) = supervisor.children()
@@ -116,9 +114,7 @@ def test_members_are_out_of_reach_of_the_terminals_ctrl_c(run: Callable[[str], p
     assert all(os.getsid(child.pid) == child.pid for child in supervisor.children())
 
 
-def test_a_member_that_cannot_be_started_is_tried_again_later_each_time(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_member_without_a_start_is_retried(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     tries_s: list[float] = []
     member = Member("one", lambda: None)
     now_s = 0.0

@@ -196,9 +196,7 @@ def test_one_ctrl_c_ends_everything_and_the_tokens_stay_for_the_next_time(room: 
         assert again.end(signal.SIGTERM) == 0
 
 
-def test_a_port_that_is_in_use_is_named_before_anything_starts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_port_in_use_is_named_before_anything_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

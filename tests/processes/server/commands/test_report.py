@@ -83,9 +83,7 @@ def test_a_file_that_is_there_is_not_replaced(tmp_path: Path, capsys: pytest.Cap
     assert output.read_text() == "mine"
 
 
-def test_the_servos_are_read_and_not_written_when_no_server_runs(
-    armbridge: Run, file: Path, tmp_path: Path, write_log: Path
-) -> None:
+def test_without_a_server_servos_are_only_read(armbridge: Run, file: Path, tmp_path: Path, write_log: Path) -> None:
     output, calibration = tmp_path / "report.zip", tmp_path / "arm.json"
     save(nominal_calibration(), calibration)
     options = "--config", str(file), "--output", str(output), "--calibration", str(calibration)

@@ -48,11 +48,8 @@ def test_input_that_ends_cancels_the_procedure(arm: ServerOnBus, tmp_path) -> No
     assert arm.server.has_logged("verify ended early: cancelled", ANSWER_TIMEOUT_S)
 
 
-def test_a_server_that_is_not_there_is_one_line(capsys) -> None:
+def test_a_missing_server_and_a_missing_token_file_are_errors(capsys, tmp_path) -> None:
     assert cli.main(["verify", "--url", f"ws://127.0.0.1:{free_port()}"]) == ExitCode.FAILED
     assert "is armbridge serve running there?" in capsys.readouterr().err
-
-
-def test_a_token_file_that_is_not_there_is_called_wrongly(capsys, tmp_path) -> None:
     assert cli.main(["verify", "--token-file", str(tmp_path / "none")]) == ExitCode.USAGE
     assert "cannot be read" in capsys.readouterr().err

@@ -21,9 +21,7 @@ async def test_pictures_pass_to_four_readers_without_loss() -> None:
         assert await asyncio.gather(*reading) == [list(range(count))] * 4
 
 
-async def test_a_client_that_reads_one_large_message_slowly_keeps_those_behind_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_slow_reader_of_one_large_message_keeps_the_messages_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 0.3)
     async with world_with(Limits(max_topic_delay_s=0.3)) as world:
         reader = await world.deaf()

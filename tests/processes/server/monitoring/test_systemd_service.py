@@ -19,18 +19,12 @@ LOADING_S = 60.0
 @pytest.fixture(scope="module")
 def service(systemd: Systemd) -> Iterator[RunningServer]:
     """A server as systemd starts it, with JSON for journald's readers."""
-    settings = {
-        "NOTIFY_SOCKET": systemd.address,
-        "WATCHDOG_USEC": "300000",
-        "ARMBRIDGE_SERVER__LOG_FORMAT": "json",
-    }
+    settings = {"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "300000", "ARMBRIDGE_SERVER__LOG_FORMAT": "json"}
     with RunningServer(settings=settings) as running:
         yield running
 
 
-def test_systemd_hears_that_the_server_is_ready_and_again_and_again_that_it_lives(
-    service: RunningServer, systemd: Systemd
-) -> None:
+def test_systemd_hears_that_the_server_is_ready_and_repeatedly_alive(service: RunningServer, systemd: Systemd) -> None:
     assert systemd.has_heard("READY=1")
     assert systemd.has_heard("WATCHDOG=1", times=systemd.heard.count("WATCHDOG=1") + 3)
     assert any(words.startswith("STATUS=the server is starting") for words in systemd.heard)

@@ -13,6 +13,7 @@ from harness.clients import ArmClient, arm_client, values_of
 from harness.server import EmulatorControl, RunningServer
 from tests.helpers.moveit import box, pose
 from tests.helpers.robots import so101
+from tests.helpers.teleop import follow
 
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
 TIMEOUT_S = 60.0
@@ -80,14 +81,6 @@ async def follows(client: ArmClient, joint: str, least_rad: float) -> None:
                 return
 
 
-async def start(client: ArmClient, **request: Any) -> None:
-    async with asyncio.timeout(TIMEOUT_S):
-        # On a busy machine the way to the leader of the test before may still be braking.
-        while not (answer := await client.call("/teleop/start", follower="follower", **request))["success"]:
-            assert "it is in use" in answer["message"]
-    await phase_is(client, "following")
-
-
 @asynccontextmanager
 async def glove(client: ArmClient, places: dict[str, float]) -> AsyncIterator[asyncio.Task[None]]:
     """Samples of a leader elsewhere, whose places [rad] the test changes."""
@@ -111,7 +104,7 @@ async def glove(client: ArmClient, places: dict[str, float]) -> AsyncIterator[as
 
 
 async def test_the_follower_goes_where_a_hand_leads_the_leader(client: ArmClient, hand: EmulatorControl) -> None:
-    await start(client, leader="leader")
+    await follow(client, "/teleop", follower="follower", leader="leader")
     await client.say("subscribe", topic="/teleop/leader_joint_states", type="sensor_msgs/JointState")
     for ticks in (300, -300):
         hand.command(hand={"1": MIDDLE_TICK + ticks})
@@ -123,7 +116,7 @@ async def test_the_follower_goes_where_a_hand_leads_the_leader(client: ArmClient
 async def test_a_leader_by_topic_is_followed_and_its_silence_ends_it(client: ArmClient) -> None:
     places = dict.fromkeys(JOINTS, 0.0)
     async with glove(client, places):
-        await start(client, leader=TOPIC)
+        await follow(client, "/teleop", follower="follower", leader=TOPIC)
         async with asyncio.timeout(TIMEOUT_S):
             while (await client.positions())["follower_wrist_roll"] < 0.4:
                 places["wrist_roll"] = min(places["wrist_roll"] + 0.01, 0.5)
@@ -136,14 +129,14 @@ async def test_a_leader_by_topic_is_followed_and_its_silence_ends_it(client: Arm
 
 @pytest.mark.parametrize("service", ["/arm/stop", "/follower/arm/stop", "/teleop/stop"])
 async def test_every_stop_ends_the_following(client: ArmClient, service: str) -> None:
-    await start(client, leader="leader")
+    await follow(client, "/teleop", follower="follower", leader="leader")
     assert (await client.call(service))["success"]
     assert "stopped" in (await phase_is(client, "idle"))["message"]
     assert (await client.call("/teleop/stop"))["message"] == "nothing follows: /teleop/start begins"
 
 
 async def test_a_goal_from_elsewhere_ends_the_following(client: ArmClient) -> None:
-    await start(client, leader="leader")
+    await follow(client, "/teleop", follower="follower", leader="leader")
     await client.goal("/follower/moveit_goal_named", "std_msgs/String", {"data": "ready"})
     assert (await phase_is(client, "idle"))["message"]
 
@@ -165,18 +158,14 @@ async def test_a_relaxed_follower_does_not_begin(client: ArmClient) -> None:
         ({"follower": "", "leader": "leader", "scale": -1.0}, "scale: must be above 0"),
     ],
 )
-async def test_a_following_that_cannot_be_is_refused_in_one_sentence(
-    client: ArmClient, request_: dict[str, Any], said: str
-) -> None:
+async def test_an_impossible_following_is_refused(client: ArmClient, request_: dict[str, Any], said: str) -> None:
     refused = await client.call("/teleop/start", **request_)
     assert not refused["success"]
     assert refused["message"].startswith(said)
 
 
-async def test_the_follower_stops_before_what_stands_in_the_way_of_its_joints(
-    client: ArmClient, hand: EmulatorControl
-) -> None:
-    await start(client, leader="leader")
+async def test_the_follower_stops_before_an_obstacle_to_its_joints(client: ArmClient, hand: EmulatorControl) -> None:
+    await follow(client, "/teleop", follower="follower", leader="leader")
     # A wall beside the follower's gripper, which reaches 0.39 m forward from its foot at y = 0.4 m.
     wall = box("wall", at=pose(0.3, 0.55, 0.15), frame="world")
     wall["primitives"][0]["dimensions"] = [0.3, 0.02, 0.3]

@@ -3,12 +3,12 @@
 import asyncio
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import EmulatorControl, RunningServer
+from tests.helpers.teleop import follow
 
 CONFIG = """
 [server]
@@ -49,18 +49,9 @@ async def phase_is(client: ArmClient, arm: str, phase: str) -> str:
     return str(states[-1]["message"])
 
 
-async def start(client: ArmClient, service: str, **request: Any) -> None:
-    """Start a following; on a busy machine the way to the leader of the test before may still be braking."""
-    async with asyncio.timeout(TIMEOUT_S):
-        while not (answer := await client.call(service, leader="leader", **request))["success"]:
-            assert "it is in use" in answer["message"]
-
-
 async def both_follow(client: ArmClient) -> None:
     for arm in ("left", "right"):
-        await start(client, "/teleop/start", follower=arm)
-    for arm in ("left", "right"):
-        await phase_is(client, arm, "following")
+        await follow(client, f"/{arm}/teleop", leader="leader")
 
 
 async def rolled(client: ArmClient, *arms: str, least_rad: float) -> None:
@@ -104,7 +95,7 @@ async def test_a_clutch_is_that_of_one_follower_or_of_all(client: ArmClient) -> 
 
 
 async def test_a_follower_follows_one_leader_and_an_arm_is_started_by_its_own_name_alone(client: ArmClient) -> None:
-    await start(client, "/left/teleop/start")
+    await follow(client, "/left/teleop", leader="leader")
     again = await client.call("/teleop/start", follower="left", leader="leader")
     assert again["message"] == "left follows leader: call /teleop/stop first"
     other = await client.call("/left/teleop/start", follower="right", leader="leader")

@@ -22,8 +22,7 @@ from robot.hardware.feetech.bus import (
 )
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
-    CONTROL_ADDRESS,
-    CONTROL_BYTES,
+    CONTROL,
     EPROM,
     SETTINGS,
     SETTINGS_BLOCK,
@@ -143,10 +142,10 @@ def test_blocks_of_different_length_never_ask_for_the_same_number_of_bytes():
     line = ScriptedPort(lambda _instruction: [])
     bus = line.open_bus()
     for _ in range(SYNC_READ_PADDINGS):
-        bus.sync_read((1,), CONTROL_ADDRESS, CONTROL_BYTES)
+        bus.sync_read((1,), CONTROL.address, CONTROL.length)
         read_telemetry(bus)
     asked = [(instruction.parameters[0], instruction.parameters[1]) for instruction in line.instructions]
-    control = {length for address, length in asked if address == CONTROL_ADDRESS}
+    control = {length for address, length in asked if address == CONTROL.address}
     telemetry = {length for address, length in asked if address == TELEMETRY_ADDRESS}
     assert not control & telemetry
 

@@ -12,19 +12,19 @@ import pytest
 from harness.server import read_write_log
 from robot.calibration import Calibration
 from robot.commissioning.scan import scan
-from robot.description.servo_table import ProfileSpec
+from robot.description.robot_file import ProfileTable
 from robot.errors import DescriptionError, RobotError, StartupError
 from robot.faults import ServoAlert
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech, differences, read_differences, write_to_servos
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, nearest_profile, profile_of
-from robot.hardware.feetech.registers import GOAL_ADDRESS, SETTINGS, Register, goal_block
+from robot.hardware.feetech.registers import GOAL_ADDRESS, SETTINGS, Register
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Limit, ServoFound, ServoMap
 from robot.hardware.servos.hardware import CYCLES_BETWEEN
 from robot.hardware.servos.survey import survey
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, run
-from tests.helpers.emulator import SteppedEmulator
+from tests.helpers.emulator import SteppedEmulator, goal_block
 from tests.helpers.feetech import FeetechsInUse
 from tests.helpers.robots import nominal_calibration
 
@@ -133,7 +133,7 @@ def test_goals_are_written_with_acceleration_and_velocity_cap(emulator: SteppedE
     servos.hardware.write_goals(np.zeros(6))
     ticks, cap = CALIBRATION.joints[0].ticks_from_rad(0.0), servos.hardware.servos.speed_ticks_s[1]
     block = servos.hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data
-    assert block == goal_block(ticks, int(np.ceil(cap)), 254)
+    assert block == goal_block(ticks, int(np.ceil(cap)))
 
 
 def test_torque_limits_that_servos_have_lost_are_written_again(emulator: SteppedEmulator) -> None:
@@ -294,11 +294,13 @@ def test_the_nearest_profile_is_found_though_a_setting_differs(profile: ServoPro
 
 
 def test_a_profile_by_name_is_the_known_one() -> None:
-    assert profile_of(ProfileSpec("lerobot")) is LEROBOT
+    assert profile_of(ProfileTable(base="lerobot")) is LEROBOT
 
 
 def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
-    profile = profile_of(ProfileSpec("lerobot", {"P_GAIN": 20, "overload_torque": 60}, {"MAX_TORQUE": 400}))
+    profile = profile_of(
+        ProfileTable(base="lerobot", registers={"P_GAIN": 20, "overload_torque": 60}, gripper={"MAX_TORQUE": 400})
+    )
     arm, gripper = profile.expected(gripper=False), profile.expected(gripper=True)
     assert arm[Register.P_GAIN] == gripper[Register.P_GAIN] == 20
     assert arm[Register.OVERLOAD_TORQUE] == gripper[Register.OVERLOAD_TORQUE] == 60
@@ -310,14 +312,14 @@ def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
     ("spec", "words"),
     [
         (
-            ProfileSpec(registers={"P_GAINN": 20}),
+            ProfileTable(registers={"P_GAINN": 20}),
             r"hardware.profile.registers.P_GAINN: there is no such setting; .*P_GAIN",
         ),
-        (ProfileSpec(registers={"GOAL_POSITION": 20}), "there is no such setting"),
-        (ProfileSpec(gripper={"P_GAIN": 256}), r"hardware.profile.gripper.P_GAIN: must be 0 to 255, not 256"),
-        (ProfileSpec(registers={"HOMING_OFFSET": 2048}), "must be -2047 to 2047, not 2048"),
+        (ProfileTable(registers={"GOAL_POSITION": 20}), "there is no such setting"),
+        (ProfileTable(gripper={"P_GAIN": 256}), r"hardware.profile.gripper.P_GAIN: must be 0 to 255, not 256"),
+        (ProfileTable(registers={"HOMING_OFFSET": 2048}), "must be -2047 to 2047, not 2048"),
     ],
 )
-def test_a_register_that_cannot_be_is_refused_with_its_place(spec: ProfileSpec, words: str) -> None:
+def test_a_register_that_cannot_be_is_refused_with_its_place(spec: ProfileTable, words: str) -> None:
     with pytest.raises(DescriptionError, match=words):
         profile_of(spec)

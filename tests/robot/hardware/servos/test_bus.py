@@ -49,7 +49,6 @@ def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(family: Famil
     emulator.servo_bus.faults.offline = {3}
     with pytest.raises(NoReply, match="servo 3 ") as silent:
         bus.read(3, family.registers.Register.TORQUE_ENABLE)
-    assert silent.value.servo_id == 3
     assert isinstance(silent.value, TimeoutError)
     assert bus.counters.timeouts > 0
     assert sorted(block_read(family, bus)) == [1, 2, 4, 5, 6]

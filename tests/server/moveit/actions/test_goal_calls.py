@@ -18,6 +18,7 @@ from server.graph.permissions import Identity, Role
 from server.graph.services import Response
 from server.moveit.actions.goal_calls import NAME, GoalCalls
 from server.moveit.goals.goal_topics import Confirmation
+from server.moveit.parameters import MAX_PLANNING_ATTEMPTS
 from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.goal_runner import THERE
 from tests.helpers.moveit import ActionDesk, translator
@@ -53,7 +54,7 @@ class Desk(ActionDesk):
         """The problem of the motion that was asked for."""
         (motion,) = self.asked
         assert isinstance(motion, PlannedMotion)
-        problem = motion.steps[0](HOME)
+        problem = motion.steps[0].problem(HOME)
         assert isinstance(problem, PlanningProblem)
         return problem
 
@@ -100,9 +101,7 @@ async def test_a_proposal_preempts_no_motion_whatever_the_policy(desk: Desk) -> 
 
 
 @pytest.mark.parametrize("confirm", [True, False])
-async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_a_plan_needs_no_approval(
-    desk: Desk, *, confirm: bool
-) -> None:
+async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_no_plan_is(desk: Desk, *, confirm: bool) -> None:
     desk.confirmation.enabled = confirm
     await desk.ask(named="ready")
     (motion,) = desk.asked
@@ -158,15 +157,36 @@ async def test_exactly_one_goal_must_be_given(desk: Desk, request_: dict[str, An
         ("velocity_scaling", 1.5, -16, "velocity_scaling must be from 0 to 1"),
         ("velocity_scaling", -0.1, -16, "velocity_scaling must be from 0 to 1"),
         ("acceleration_scaling", float("nan"), -16, "acceleration_scaling must be from 0 to 1"),
+        ("optimization", "worst", -16, "optimization: Input should be 'first', 'short' or 'best', not 'worst'"),
+        ("optimization_time", 10.1, -16, "optimization_time: Input should be less than or equal to 10, not 10.1"),
+        ("optimization_time", -1.0, -16, "optimization_time: Input should be greater than or equal to 0, not -1.0"),
+        ("allowed_planning_time", float("nan"), -16, "allowed_planning_time: Input should be"),
+        ("allowed_planning_time", 61.0, -16, "allowed_planning_time: Input should be less than or equal to 60, not 61"),
         ("group", "leg", -15, "there is no planning group 'leg'"),
     ],
 )
-async def test_a_wrong_field_is_answered_with_its_code(
-    desk: Desk, field: str, value: object, code: int, words: str
-) -> None:
+async def test_a_wrong_field_gets_its_code(desk: Desk, field: str, value: object, code: int, words: str) -> None:
     await desk.ask(named="ready", **{field: value})
     assert (desk.answer["success"], desk.answer["code"]) == (False, code)
     assert words in desk.answer["message"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "time_s", "allowed_s", "attempts"),
+    [
+        ({}, 0.024, 5.0, 5),
+        ({"optimization": "first"}, 0.0, 5.0, 5),
+        ({"optimization_time": 0.5}, 0.5, 5.0, MAX_PLANNING_ATTEMPTS),
+        ({"optimization": "short", "allowed_planning_time": 2.0}, 0.024, 2.0, 5),
+        ({"optimization": "best", "allowed_planning_time": 2.0}, 2.0, 2.0, 5),
+    ],
+)
+async def test_a_goal_chooses_the_time_of_its_planning(
+    desk: Desk, fields: dict[str, object], time_s: float, allowed_s: float, attempts: int
+) -> None:
+    await desk.ask(named="ready", **fields)
+    problem = desk.problem()
+    assert (problem.optimization_time_s, problem.allowed_time_s, problem.attempts) == (time_s, allowed_s, attempts)
 
 
 async def test_joints_of_another_group_are_refused(desk: Desk) -> None:

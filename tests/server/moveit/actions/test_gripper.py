@@ -80,9 +80,7 @@ async def test_the_gripper_opens_and_closes_with_feedback(client: ArmClient) -> 
     assert way == sorted(way)
 
 
-async def test_an_object_between_the_jaws_is_gripped_gently_and_released(
-    client: ArmClient, served: ServerOnBus
-) -> None:
+async def test_an_object_in_the_jaws_is_gripped_gently_and_released(client: ArmClient, served: ServerOnBus) -> None:
     await move(client, 1.2)
     served.emulator.command(obstacle={"6": JOINTS["gripper"].ticks_from_rad(0.5)})
     ended = await move(client, 0.0, max_effort=0.4)
@@ -214,7 +212,7 @@ async def test_a_gripper_whose_goal_ends_by_an_error_is_braked() -> None:
     assert len(grippers.arm.stops) == 1
 
 
-@pytest.mark.parametrize(("velocity", "told"), [(1e-3, "1000"), (5e-324, "inf")])
+@pytest.mark.parametrize(("velocity", "told"), [(1e-3, "1000"), (5e-324, "1e+08")])
 async def test_a_gripper_motion_that_takes_too_long_is_refused(velocity: float, told: str) -> None:
     grippers = Grippers()
     await grippers.send(velocity=[velocity])

@@ -270,9 +270,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("changes", "code", "words"), REFUSED.values(), ids=REFUSED.keys())
-def test_a_trajectory_that_cannot_be_played_is_refused_with_its_code(
-    changes: dict[str, Any], code: FollowCode, words: str
-) -> None:
+def test_an_unplayable_trajectory_is_refused_with_a_code(changes: dict[str, Any], code: FollowCode, words: str) -> None:
     refused = refusal(**changes)
     assert refused is not None
     assert getattr(refused, "code", FollowCode.INVALID_GOAL) is code

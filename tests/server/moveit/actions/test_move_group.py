@@ -53,9 +53,7 @@ def codes(planning_desk: ActionDesk) -> list[int]:
 
 
 @pytest.mark.parametrize("name", MOVE_ACTIONS)
-async def test_a_goal_under_both_names_gets_each_state_once_and_then_its_result(
-    planning_desk: ActionDesk, name: str
-) -> None:
+async def test_a_goal_under_both_names_gets_each_state_and_result_once(planning_desk: ActionDesk, name: str) -> None:
     await planning_desk.send(name, request=to(0.3))
     for state in (GoalState.PLANNING, GoalState.EXECUTING, GoalState.EXECUTING):
         planning_desk.report(Progress(state, ""))
@@ -85,9 +83,7 @@ async def test_a_goal_that_is_over_takes_its_motion_along_and_leaves_others_alon
     assert not first.answered.done()
 
 
-async def test_a_goal_that_is_over_before_its_turn_never_moves(
-    planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_goal_over_before_its_turn_is_still(planning_desk: ActionDesk, monkeypatch: pytest.MonkeyPatch) -> None:
     await planning_desk.send("/move_group", request=to(0.3))
     monkeypatch.setattr(planning_desk, "preempt", lambda _reason: None)
     goal = await planning_desk.send("/move_group", request=to(0.5))
@@ -182,7 +178,7 @@ async def test_the_problem_is_made_for_the_start_that_counts_when_the_goals_turn
     motion = planned_motion(asked(GOAL), rig.context)
     assert isinstance(motion, PlannedMotion)
     later_rad = {**HOME, "elbow_flex": 0.2}
-    problem = motion.steps[0](later_rad)
+    problem = motion.steps[0].problem(later_rad)
     assert isinstance(problem, PlanningProblem)
     assert problem.start_rad == later_rad
 
@@ -273,9 +269,7 @@ TOO_LONG = "trajectory.points[0].time_from_start is 3600 s, longer than goals.ma
 
 
 @pytest.mark.parametrize(("bad", "words"), [(trajectory(9.0), "elbow_flex"), (trajectory(0.5, 3600), TOO_LONG)])
-async def test_a_bad_trajectory_is_answered_and_the_motion_continues(
-    execution_desk: ActionDesk, bad: dict[str, object], words: str
-) -> None:
+async def test_a_bad_trajectory_stops_no_motion(execution_desk: ActionDesk, bad: dict[str, object], words: str) -> None:
     await execution_desk.send(EXECUTE_ACTION, trajectory=trajectory(0.5))
     await execution_desk.send(EXECUTE_ACTION, trajectory=bad)
     assert [result.values["error_code"]["val"] for result in execution_desk.results] == [-2]
@@ -283,8 +277,6 @@ async def test_a_bad_trajectory_is_answered_and_the_motion_continues(
     assert len(execution_desk.asked) == 1
 
 
-async def test_multi_dof_joints_are_ignored_with_a_warning(
-    execution_desk: ActionDesk, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_multi_dof_joints_are_only_logged(execution_desk: ActionDesk, caplog: pytest.LogCaptureFixture) -> None:
     await execution_desk.send(EXECUTE_ACTION, trajectory={"multi_dof_joint_trajectory": {"points": [{}]}})
     assert "multi_dof_joint_trajectory is ignored" in caplog.text

@@ -97,9 +97,7 @@ async def test_a_stream_of_points_moves_the_arm_without_a_stop_and_within_a_lag(
     controller.assert_within_limits()
 
 
-async def test_slow_planners_make_the_stream_later_and_never_stop_the_arm(
-    controller: Controller, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_slow_planners_stop_no_stream(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each check takes longer than the next message takes to come."""
     monkeypatch.setattr(stage_module, "PLANNING_S", 0.06)
     await controller.stream(3.0)
@@ -135,9 +133,7 @@ async def test_a_stop_at_any_moment_of_a_message_ends_the_stream(controller: Con
     assert (np.array(controller.arm_rad[at_rest:]) == controller.arm_rad[at_rest]).all()
 
 
-async def test_a_stream_into_an_object_stops_before_it_and_is_logged_once(
-    controller: Controller, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_stream_stops_before_an_object(controller: Controller, caplog: pytest.LogCaptureFixture) -> None:
     statuses: list[Any] = []
     listener = Node("listener")
     subscriber = Subscriber(lambda each: statuses.append(each.msg))

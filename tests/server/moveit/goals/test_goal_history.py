@@ -24,6 +24,7 @@ from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
 from tests.helpers.fake_arm import JOINTS, FakeArm
 from tests.helpers.moveit import REGISTRY, planning_of
+from tests.helpers.steps import StepOf
 
 HISTORY, RECORD = "/armbridge/goal_history", "/armbridge/goal_record"
 STOOD = dict.fromkeys(JOINTS, 0.0)
@@ -64,7 +65,7 @@ def records() -> Records:
 
 def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
     """A goal that moves the base joint to one position after the other [rad]."""
-    made = [lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to})) for to in steps]
+    made = [StepOf(lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to}))) for to in steps]
     request = PlannedMotion(tuple(made), frozenset({"shoulder_pan"})) if steps else None
     return Goal(goal_id, GoalRequest("/moveit_goal_named", request, NAMED, only_for=only_for))
 
@@ -145,9 +146,7 @@ async def test_goals_of_the_last_ten_scenes_alone_have_a_problem_file(records: R
     assert kept["problem"]
 
 
-async def test_armbridge_plan_takes_a_record_as_a_problem_file(
-    client: ArmClient, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_plan_takes_a_record(client: ArmClient, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     await client.say("subscribe", topic="/moveit_goal_status", type="diagnostic_msgs/DiagnosticStatus")
     await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})
     statuses = await client.until("/moveit_goal_status", lambda all_: values_of(all_[-1])["state"] == "done")

@@ -34,7 +34,7 @@ def pose_stamped(frame: str, **position: float) -> dict[str, Any]:
 
 def goal(motion: PlannedMotion, start_rad: Mapping[str, float] | None = None) -> Any:
     """Return the problem that is planned when the goal's turn comes."""
-    problem = motion.steps[0](start_rad or HOME)
+    problem = motion.steps[0].problem(start_rad or HOME)
     assert isinstance(problem, PlanningProblem)
     return problem.goal
 
@@ -88,7 +88,7 @@ def test_a_pose_in_an_unknown_frame_is_rejected_at_once_with_those_that_exist() 
 def test_while_the_arms_position_is_unknown_frames_are_resolved_at_the_goals_turn() -> None:
     asked = translator(FakeArm(None)).pose(pose_stamped("moon", x=0.3))
     with pytest.raises(RefusedError, match="moon"):
-        asked.steps[0](HOME)
+        asked.steps[0].problem(HOME)
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
@@ -160,7 +160,7 @@ GROUPS_OF_JOINTS = {
 @pytest.mark.parametrize(("names", "group"), GROUPS_OF_JOINTS.values(), ids=GROUPS_OF_JOINTS.keys())
 def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator, names: list[str], group: str) -> None:
     motion = lifted.joints(joint_state(name=names, position=[0.01] * len(names)))
-    assert motion.steps[0](LIFTED_HOME).group == group
+    assert motion.steps[0].problem(LIFTED_HOME).group == group
 
 
 def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:

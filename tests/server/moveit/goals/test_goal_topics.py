@@ -175,9 +175,7 @@ async def test_goals_wait_for_confirmation_while_that_is_wanted(desk: Desk, *, w
     assert ran.confirm is wanted
 
 
-async def test_a_goal_of_a_client_that_may_not_send_one_is_answered_to_it_alone(
-    desk: Desk, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_refusal_of_a_goal_goes_to_its_sender_alone(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     sender, answers = Node("sender", remote=True), []
     for topic in (RESULT_TOPIC, STATUS_TOPIC):
         desk.graph.subscribe(sender, topic, None, Subscriber(lambda published: answers.append(published.msg)))

@@ -227,11 +227,8 @@ def test_chosen_tolerances_bind_five_joints_and_all_bind_seven(tolerance, robot,
 AT = point(0.3, 0.0, 0.2)
 
 
-def test_the_goal_of_a_sphere_is_its_middle_within_its_radius() -> None:
+def test_the_goal_of_a_region_is_its_middle() -> None:
     assert goal({"position_constraints": [ball(0.3, 0.0, 0.2, 0.02)]}) == PositionGoal(TIP, (0.3, 0.0, 0.2), 0.02)
-
-
-def test_the_goal_of_a_box_is_its_middle_within_half_its_shortest_edge() -> None:
     box = region((BOX, [0.02, 0.02, 0.03]), poses=[AT])
     assert goal({"position_constraints": [box]}).tolerance_m == 0.01
     assert on_the_way(position_constraints=[box]).positions[0].half_size_m == (0.01, 0.01, 0.015)

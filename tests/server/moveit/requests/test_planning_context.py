@@ -10,10 +10,8 @@ from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode, PlanningProblem
 from server.graph.node import Node
-from server.moveit.requests.planning_context import (
-    MAX_START_BOUNDS_ERROR_RAD,
-    start_positions,
-)
+from server.moveit.requests.planning_context import MAX_START_BOUNDS_ERROR_RAD, start_positions
+from server.moveit.requests.planning_problems import RequestStep
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome, rejection
 
@@ -58,13 +56,10 @@ BOX = {"primitives": [{"type": 1, "dimensions": [0.01] * 3}], "primitive_poses":
 HELD = {"link_name": "gripper_link", "object": {"id": "mug", "header": {"frame_id": "gripper_link"}, **BOX}}
 
 
-def test_an_assumed_state_counts_for_its_client_alone(rig: ServiceRig) -> None:
+def test_a_request_s_state_overrides_that_which_its_client_alone_assumes(rig: ServiceRig) -> None:
     rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7})
     assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
     assert rig.context.start(state(), Node("other")).start_rad == HOME
-
-
-def test_a_requests_state_overrides_the_assumed_one(rig: ServiceRig) -> None:
     rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7, "wrist_roll": 0.1})
     start = rig.context.start(state({"elbow_flex": 0.2}), rig.client).start_rad
     assert start == HOME | {"elbow_flex": 0.2, "wrist_roll": 0.1}
@@ -95,8 +90,8 @@ def request(**fields):
 
 
 def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
-    step = rig.context.problems.step(request())
+    step = RequestStep(rig.context.problems, request())
     for start_rad in (HOME, HOME | {"wrist_roll": 0.3}):
-        problem = step(start_rad)
+        problem = step.problem(start_rad)
         assert isinstance(problem, PlanningProblem)
         assert problem.start_rad == start_rad

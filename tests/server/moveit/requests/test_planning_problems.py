@@ -83,6 +83,16 @@ def test_fields_of_a_request_override_the_parameters() -> None:
     assert (said.velocity_scaling, said.acceleration_scaling) == (0.2, 0.1)
 
 
+@pytest.mark.parametrize(("optimization", "time_s"), [("first", 0.0), ("short", 0.5), ("best", 2.5)])
+def test_the_chosen_optimization_has_its_time_and_the_best_motion_all_that_is_allowed(optimization, time_s) -> None:
+    read = asked(
+        PARAMETERS.changed({"optimization": optimization, "optimization_time": 0.5}), allowed_planning_time=2.5
+    )
+    assert isinstance(read, BuiltProblem)
+    assert isinstance(read.problem, PlanningProblem)
+    assert (read.problem.optimization_time_s, read.problem.allowed_time_s) == (time_s, 2.5)
+
+
 @pytest.mark.parametrize("field", ["max_velocity_scaling_factor", "max_acceleration_scaling_factor"])
 @pytest.mark.parametrize("value", [-0.1, math.nan])
 def test_a_senseless_scaling_is_refused(field: str, value: float) -> None:
@@ -122,11 +132,7 @@ def test_time_and_attempts_are_bounded_with_a_warning() -> None:
     assert len(read.warnings) == 2
 
 
-IGNORED = {
-    "trajectory_constraints": {"constraints": [{}]},
-    "reference_trajectories": [{}],
-    "max_cartesian_speed": 0.1,
-}
+IGNORED = {"trajectory_constraints": {"constraints": [{}]}, "reference_trajectories": [{}], "max_cartesian_speed": 0.1}
 
 
 @pytest.mark.parametrize("field", IGNORED)

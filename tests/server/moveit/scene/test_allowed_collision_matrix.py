@@ -67,12 +67,9 @@ def test_only_what_is_above_the_diagonal_counts():
     assert matrix(["a", "b"], [True, False], [True, True]).allowed == frozenset()
 
 
-def test_a_default_holds_for_every_pair_that_is_not_named():
+def test_defaults_hold_for_pairs_that_are_not_named_where_both_allow():
     said = matrix([], cup=True).exceptions(UNCHECKED, ["base_link", "gripper_link", "cup"])
     assert said == {frozenset(("cup", "base_link")): True, frozenset(("cup", "gripper_link")): True}
-
-
-def test_two_defaults_must_both_allow_it():
     assert matrix([], cup=True, base_link=False).exceptions(UNCHECKED, ["base_link", "cup"]) == {}
 
 

@@ -132,13 +132,10 @@ def test_a_colour_stands_behind_each_shape():
     assert "0.5 0.25 0.0 1.0" in write_geometry(state.contents).splitlines()
 
 
-def test_moveits_own_text_is_read():
+def test_moveit_s_own_text_is_read_in_both_versions():
     text = "(noname)\n* Can\n0.1 0.2 0.3\n0 0 0 1\n1\ncylinder\n0.03 0.12\n0 0 0\n0 0 0 1\n0 0 0 0\n0\n.\n"
     (can,) = scene_state(*read_geometry(text, "")).contents.objects.values()
     assert (can.pose.position_m, can.shapes[0][0]) == ((0.1, 0.2, 0.3), Cylinder(0.03, 0.12))
-
-
-def test_the_text_of_older_versions_has_neither_pose_nor_subframes():
     text = "(noname)\n* Box\n1\nbox\n0.1 0.1 0.1\n0.5 0 0\n0 0 0 1\n0 0 0 0\n.\n"
     (thing,) = scene_state(*read_geometry(text, "")).contents.objects.values()
     assert thing.pose.position_m == (0.5, 0.0, 0.0)

@@ -289,13 +289,10 @@ def new(name, *, at, frame, **fields):
     return held(name, **{**box(name, at=at, frame=frame), **fields})
 
 
-def test_attach_by_name_alone_takes_the_object_from_the_world():
+def test_attach_takes_the_object_from_the_world_or_from_another_frame():
     changing = after_attached(held("cup"))
     assert changing.objects == {}
     np.testing.assert_allclose(place_in_root(changing.attached["cup"])[:3, 3], (0.3, 0.0, 0.0), atol=1e-12)
-
-
-def test_attach_with_shapes_in_another_frame_transforms_them():
     thing = after_attached(new("tool", at=pose(0.1), frame="cup")).attached["tool"]
     np.testing.assert_allclose(place_in_root(thing)[:3, 3], (0.4, 0.0, 0.0), atol=1e-12)
 

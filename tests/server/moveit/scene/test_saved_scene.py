@@ -173,9 +173,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
-async def test_a_file_that_cannot_be_restored_is_set_aside_and_the_scene_kept_anew(
-    path: Path, content: str, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unrestorable_file_is_set_aside(path: Path, content: str, caplog: pytest.LogCaptureFixture) -> None:
     octets = content.encode("utf-8", "surrogateescape")
     with files.locked(path):
         files.replace(path, octets)
@@ -188,9 +186,7 @@ async def test_a_file_that_cannot_be_restored_is_set_aside_and_the_scene_kept_an
 
 
 @pytest.mark.parametrize("fault", ["a folder in its place", "no folder"])
-async def test_a_file_that_cannot_be_read_or_written_prevents_nothing(
-    tmp_path: Path, fault: str, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unusable_file_prevents_nothing(tmp_path: Path, fault: str, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "scene.json").mkdir()
     async with Run(tmp_path / ("scene.json" if fault == "a folder in its place" else "file/scene.json")) as run:

@@ -16,17 +16,7 @@ from server.errors import RefusedError
 from server.graph.node import Node
 from server.moveit.scene.allowed_collision_matrix import MAX_EXCEPTIONS
 from server.moveit.scene.scene_state import MAX_WAITING_ELEMENTS, AssumedStates, SceneChange
-from tests.helpers.moveit import (
-    BENT,
-    ROBOT,
-    box,
-    diff,
-    held,
-    message,
-    pose,
-    rejection,
-    scene_state,
-)
+from tests.helpers.moveit import BENT, ROBOT, box, diff, held, message, pose, rejection, scene_state
 
 ADDED = diff(world={"collision_objects": [box("cup", at=pose(0.3)), box("pen")]})
 

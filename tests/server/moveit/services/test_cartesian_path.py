@@ -14,12 +14,7 @@ from planners.problem import CartesianProblem, Line, MoveItErrorCode
 from planners.scene import Pose
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.trajectory import Trajectory
-from server.moveit.services.cartesian_path import (
-    JumpThresholds,
-    cut_lines,
-    first_jump,
-    length_m,
-)
+from server.moveit.services.cartesian_path import JumpThresholds, cut_lines, first_jump, length_m
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, TIP, ServiceRig, point
 from tests.helpers.resources import examples
@@ -130,13 +125,10 @@ def test_a_cut_path_has_the_length_to_keep(along_m: float) -> None:
     assert length_m(START, cut_lines(START, [ALONG_X, THEN_Y], along_m)) == pytest.approx(along_m, abs=1e-12)
 
 
-def test_orientations_turn_the_shorter_way() -> None:
+def test_a_cut_path_turns_the_shorter_way_and_ends_at_its_end() -> None:
     flipped = Line(Pose((1.0, 0.0, 0.0), (0.0, 0.0, -HALF, -HALF)))
     (half,) = cut_lines(START, [flipped], 0.5)
     assert abs(np.dot(half.end.orientation, (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8)))) > 1.0 - 1e-9
-
-
-def test_a_cut_beyond_the_end_leaves_the_path_whole() -> None:
     assert cut_lines(START, [ALONG_X, THEN_Y], 9.0) == (ALONG_X, THEN_Y)
 
 

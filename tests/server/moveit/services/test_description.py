@@ -127,13 +127,10 @@ def test_only_files_below_the_description_are_served(files: Path, name: str) -> 
         files_in(files).read(name)
 
 
-def test_a_file_that_is_too_large_is_refused_with_the_limit(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_too_large_or_of_no_description_are_refused(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
     with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
         files_in(files).read("assets/base.stl")
-
-
-def test_a_description_without_files_serves_none() -> None:
     with pytest.raises(ServiceError, match="names no files"):
         files_in(None).read("assets/base.stl")
 
@@ -284,9 +281,9 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
         world.say("c", op="unsubscribe", topic=topic)
         world.move(0.4)
     world.move(0.4)
-    assert topic in world.graph.topic_types()
+    assert topic in world.graph.topic_names.types()
     world.move(0.4)
-    assert topic not in world.graph.topic_types()
+    assert topic not in world.graph.topic_names.types()
 
 
 def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> None:
@@ -357,9 +354,7 @@ def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
-def test_a_machines_clock_that_is_set_neither_silences_transforms_nor_brings_more(
-    screen: Screen, jump_s: float
-) -> None:
+def test_a_clock_that_is_set_neither_silences_transforms_nor_brings_more(screen: Screen, jump_s: float) -> None:
     for tick in range(100):
         screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
     assert len(screen.heard) == pytest.approx(1 + 50, abs=1)

@@ -14,14 +14,7 @@ import pytest
 from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
-from planners.servo.question import (
-    Anchor,
-    JointVelocities,
-    ServoAnswer,
-    ServoLimits,
-    ServoQuestion,
-    ServoStatus,
-)
+from planners.servo.question import Anchor, JointVelocities, ServoAnswer, ServoLimits, ServoQuestion, ServoStatus
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from robot.control.motion import SETPOINT_LASTS_S

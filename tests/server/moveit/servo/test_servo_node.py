@@ -142,9 +142,7 @@ async def test_when_the_first_client_leaves_the_second_may_steer(rig: Rig) -> No
 @pytest.mark.parametrize(
     ("busy", "speed", "said"), [("", 2.0, "twist.linear.x"), ("goal 3 is worked on", 0.5, "goal 3 is worked on")]
 )
-async def test_a_command_that_is_not_followed_is_published_on_the_status(
-    rig: Rig, busy: str, speed: float, said: str
-) -> None:
+async def test_a_command_not_followed_is_published_on_the_status(rig: Rig, busy: str, speed: float, said: str) -> None:
     rig.queue.goal = busy
     await rig.say(TWIST_TOPIC, {"twist": {"linear": {"x": speed}}})
     assert rig.heard[-1]["code"] == ServoStatus.INVALID
@@ -233,9 +231,7 @@ def gate_rig() -> GateRig:
 
 
 @pytest.mark.parametrize("said", ["a goal came", "the arm was stopped"])
-def test_after_an_interruption_or_a_stop_commands_are_rejected_until_a_pause_in_them(
-    gate_rig: GateRig, said: str
-) -> None:
+def test_after_an_interruption_or_a_stop_commands_are_rejected_until_a_pause(gate_rig: GateRig, said: str) -> None:
     gate_rig.said(0.0)
     if said == "the arm was stopped":
         gate_rig.arm.stop()

@@ -13,9 +13,7 @@ from tests.helpers.moveit import box, pose
 
 
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
-async def test_a_server_that_was_ended_or_killed_starts_with_its_scene_though_it_touches_the_arm(
-    tmp_path: Path, end: signal.Signals
-) -> None:
+async def test_a_killed_server_starts_with_its_scene_though_it_touches(tmp_path: Path, end: signal.Signals) -> None:
     settings = {"ARMBRIDGE_SCENE__FILE": str(tmp_path / "scene.json")}
     around = {"collision_objects": [box("around the arm", at=pose(z=0.1))]}
     scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": around}

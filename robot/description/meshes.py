@@ -1,0 +1,98 @@
+"""Mesh files of a URDF.
+
+A mesh ``package://NAME/meshes/base.stl`` is sought below the package folders and the folders around the URDF: in a
+folder NAME there, and in the folder itself where it is the package (the standard layouts of ROS).
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from urllib.parse import unquote
+
+from robot.errors import DescriptionError
+
+log = logging.getLogger("armbridge.description")
+
+_PACKAGE = "package://"
+_FILE = "file://"
+
+# The URDF of a package is in its folder urdf or robots, or one below it; the packages of a repository are side by side.
+_FOLDERS_AROUND = 4
+
+
+def package_path(environment: Mapping[str, str]) -> tuple[Path, ...]:
+    """Return the folders of packages that ``ROS_PACKAGE_PATH`` of ROS 1 and ``AMENT_PREFIX_PATH`` of ROS 2 name."""
+    folders = [Path(each) for each in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
+    prefixes = [Path(each) for each in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
+    return (*folders, *(prefix / "share" for prefix in prefixes))
+
+
+def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Path:
+    """Find the file of a mesh, a URL or a path beside the URDF; the error names the paths that were tried."""
+    tried = list(dict.fromkeys(_candidates(name, directory, packages)))
+    found = next((path for path in tried if path.is_file()), None)
+    if found is not None:
+        return found.resolve()
+    places = ", ".join(map(str, tried)) or "nothing, for the URDF has no folder"
+    remedy = "correct the name"
+    if name.startswith(_PACKAGE):
+        package = name.removeprefix(_PACKAGE).partition("/")[0]
+        remedy = f"give the folder that contains the package {package!r}, with --package-path or ROS_PACKAGE_PATH"
+    raise DescriptionError(f"mesh {name!r}", f"is not there: {remedy}; tried: {places}")
+
+
+def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Path]) -> None:
+    """Check that the meshes of collisions are there; missing visual meshes are logged."""
+    unseen = []
+    for link in ET.fromstring(urdf).iterfind("link"):  # noqa: S314 - already parsed by robot.description.urdf
+        for use in ("collision", "visual"):
+            for mesh in _meshes(link.iterfind(use)):
+                try:
+                    find_mesh(mesh.get("filename", ""), directory, packages)
+                except DescriptionError as error:
+                    if use == "collision":
+                        raise DescriptionError(f"{source} link {link.get('name')!r} <collision>", str(error)) from error
+                    unseen.append(error)
+    if unseen:
+        log.warning("%s: %d meshes of <visual> will not be seen; the first: %s", source, len(unseen), unseen[0])
+
+
+def with_mesh_paths(urdf: str, directory: Path | None, packages: Sequence[Path]) -> str:
+    """Return a URDF whose collision meshes have their paths for names."""
+    root = ET.fromstring(urdf)  # noqa: S314 - already parsed by robot.description.urdf
+    for mesh in _meshes(root.iterfind("link/collision")):
+        mesh.set("filename", str(find_mesh(mesh.get("filename", ""), directory, packages)))
+    return ET.tostring(root, encoding="unicode")
+
+
+def _meshes(shapes: Iterable[ET.Element]) -> Iterator[ET.Element]:
+    for shape in shapes:
+        yield from shape.iterfind("geometry/mesh")
+
+
+def _candidates(name: str, directory: Path | None, packages: Sequence[Path]) -> Iterator[Path]:
+    if name.startswith(_PACKAGE):
+        package, _, inner = name.removeprefix(_PACKAGE).partition("/")
+        around = () if directory is None else (directory, *directory.parents)[:_FOLDERS_AROUND]
+        for folder in (*packages, *around):
+            # The folder contains the package, or is it.
+            yield folder / package / inner
+            if folder.name == package or _name_of_package(folder) == package:
+                yield folder / inner
+    elif name.startswith(_FILE):
+        yield Path(unquote(name.removeprefix(_FILE)))
+    elif directory is not None:
+        yield directory / name
+    elif Path(name).is_absolute():
+        yield Path(name)
+
+
+def _name_of_package(folder: Path) -> str | None:
+    try:
+        return ET.fromstring((folder / "package.xml").read_text(encoding="utf-8")).findtext("name")  # noqa: S314 - the user's
+    except (OSError, UnicodeDecodeError, ET.ParseError):
+        return None

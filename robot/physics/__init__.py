@@ -1,0 +1,1 @@
+"""Physics by MuJoCo below the emulated servos and the ideal arm: mass, contact and gravity of links and objects."""

@@ -1,0 +1,114 @@
+"""MuJoCo's model of an arm, made from its URDF: links with masses and collision shapes, and joints with limits."""
+
+from __future__ import annotations
+
+import logging
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+
+from robot.description.meshes import with_mesh_paths
+from robot.description.model import RobotModel
+from robot.errors import DescriptionError
+
+TIMESTEP_S = 0.002
+
+# Density of links without a mass: printed parts with servos inside. The SO-101's masses over the volumes of its
+# collision shapes are 330 to 910 kg/m^3.
+LINK_DENSITY_KG_M3 = 600.0
+
+# Inertia of the rotor behind the gear: 0.028 kg m^2 in MuJoCo Menagerie's model of the SO-101 (system identification of
+# its STS3215). Links alone are too light for stable contacts at this time step.
+ARMATURE_KG_M2 = 0.028
+
+MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
+
+# Bits of contype and conaffinity: the floor carries objects, and does not touch links, which the planners do not keep
+# above it either.
+LINKS, FLOOR = 1, 2
+
+# Grip needs friction across the finger, also about its normal: condim 4 has both.
+CONTACT_DIMENSIONS = 4
+
+# MuJoCo's advice against slip of gripped objects: elliptic cones, and friction much stiffer than the normal force.
+FRICTION_STIFFNESS_RATIO = 10.0
+
+log = logging.getLogger("armbridge.physics")
+
+
+def arm_model(robot: RobotModel) -> mujoco.MjSpec:
+    """Return the model of an arm on a floor, one body a link; raises DescriptionError for what cannot be read."""
+    root = ET.fromstring(with_mesh_paths(robot.urdf, robot.mesh_directory, robot.package_directories))  # noqa: S314
+    for mesh in root.iterfind("link/collision/geometry/mesh"):
+        if (path := Path(mesh.get("filename", ""))).suffix.lower() not in MESH_FORMATS:
+            raise DescriptionError(f"mesh {path}", f"cannot be loaded by physics, only {', '.join(MESH_FORMATS)}")
+    compiler = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler")
+    for name, value in {"fusestatic": "false", "strippath": "false", "balanceinertia": "true"}.items():
+        compiler.set(name, value)
+    try:
+        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+    except ValueError as error:
+        raise DescriptionError("URDF", f"cannot be loaded by MuJoCo: {error}") from error
+    _complete(spec, robot)
+    return spec
+
+
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a model; raises DescriptionError for what MuJoCo refuses, such as a damaged mesh."""
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise DescriptionError("URDF", f"cannot be loaded by MuJoCo: {' '.join(str(error).split())}") from error
+
+
+def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
+    """Add to a URDF's model the parts that a URDF does not have."""
+    option = spec.option
+    option.timestep = TIMESTEP_S
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = FRICTION_STIFFNESS_RATIO
+    # A world that became unstable is reset by this package, with a fault.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    for joint in spec.joints:
+        joint.armature = ARMATURE_KG_M2
+    gripper = gripper_links(robot)
+    massless = []
+    for body in spec.bodies:
+        if body.name in gripper and body.name in robot.parts:
+            # The URDF's boxes enclose the fingers, and would fill the space between them.
+            for geom in list(body.geoms):
+                spec.delete(geom)
+            for index, vertices in enumerate(robot.parts[body.name]):
+                mesh = spec.add_mesh(name=f"{body.name} {index}", uservert=vertices.ravel().tolist())
+                body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)
+        for geom in body.geoms:
+            geom.contype = geom.conaffinity = LINKS
+            geom.condim = CONTACT_DIMENSIONS
+            if not body.explicitinertial:
+                geom.density = LINK_DENSITY_KG_M3
+        if body.geoms and not body.explicitinertial:
+            massless.append(body.name)
+    if massless:
+        log.warning(
+            "physics: the URDF has no mass of %s; estimated from the collision shapes at %g kg/m^3",
+            ", ".join(massless),
+            LINK_DENSITY_KG_M3,
+        )
+    for first, second in robot.disabled_pairs:
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+    for follower in robot.joints.values():
+        if follower.mimic is not None:
+            equality = spec.add_equality(name1=follower.name, name2=follower.mimic.joint)
+            equality.type, equality.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
+            equality.data[:2] = follower.mimic.offset, follower.mimic.multiplier
+    spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1], contype=FLOOR, conaffinity=FLOOR
+    )
+
+
+def gripper_links(robot: RobotModel) -> frozenset[str]:
+    """Return the links between which the gripper holds objects."""
+    joints = () if robot.gripper is None else (robot.joints[name] for name in robot.gripper.joints)
+    return frozenset(link for joint in joints for link in (joint.parent, joint.child))

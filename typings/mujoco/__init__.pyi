@@ -1,0 +1,120 @@
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Vector = NDArray[np.float64]
+
+class mjtIntegrator:
+    mjINT_IMPLICITFAST: int
+
+class mjtCone:
+    mjCONE_ELLIPTIC: int
+
+class mjtDisableBit:
+    mjDSBL_AUTORESET: int
+
+class mjtGeom:
+    mjGEOM_PLANE: int
+    mjGEOM_SPHERE: int
+    mjGEOM_CYLINDER: int
+    mjGEOM_BOX: int
+    mjGEOM_MESH: int
+
+class mjtEq:
+    mjEQ_JOINT: int
+
+class mjtObj:
+    mjOBJ_JOINT: int
+    mjOBJ_BODY: int
+
+class MjsOption:
+    timestep: float
+    integrator: int
+    cone: int
+    impratio: float
+    disableflags: int
+
+class MjsGeom:
+    contype: int
+    conaffinity: int
+    condim: int
+    density: float
+    friction: list[float]
+    mass: float
+    meshname: str
+
+class MjsJoint:
+    name: str
+    armature: float
+
+class MjsMesh:
+    name: str
+
+class MjsEquality:
+    type: int
+    objtype: int
+    data: Any
+
+class MjsBody:
+    name: str
+    mass: float
+    explicitinertial: bool
+    geoms: list[MjsGeom]
+    def add_geom(self, **values: object) -> MjsGeom: ...
+    def add_body(self, **values: object) -> MjsBody: ...
+    def add_freejoint(self, **values: object) -> MjsJoint: ...
+
+class MjSpec:
+    option: MjsOption
+    bodies: list[MjsBody]
+    joints: list[MjsJoint]
+    worldbody: MjsBody
+    @staticmethod
+    def from_string(xml: str, assets: Mapping[str, bytes] | None = None) -> MjSpec: ...
+    def add_mesh(self, **values: object) -> MjsMesh: ...
+    def add_exclude(self, **values: object) -> object: ...
+    def add_equality(self, **values: object) -> MjsEquality: ...
+    def body(self, name: str) -> MjsBody | None: ...
+    def delete(self, element: object) -> None: ...
+    def compile(self) -> MjModel: ...
+    def recompile(self, model: MjModel, data: MjData) -> tuple[MjModel, MjData]: ...
+
+class _Named:
+    id: int
+    name: str
+
+class MjModel:
+    nq: int
+    nv: int
+    nbody: int
+    ngeom: int
+    body_mass: _Vector
+    body_jntadr: NDArray[np.int32]
+    geom_bodyid: NDArray[np.int32]
+    jnt_range: _Vector
+    jnt_limited: NDArray[np.bool_]
+    jnt_actfrcrange: _Vector
+    jnt_qposadr: NDArray[np.int32]
+    jnt_dofadr: NDArray[np.int32]
+    dof_damping: _Vector
+    def joint(self, name: str | int) -> _Named: ...
+    def body(self, name: str | int) -> _Named: ...
+
+class MjData:
+    qpos: _Vector
+    qvel: _Vector
+    qfrc_applied: _Vector
+    qfrc_bias: _Vector
+    xpos: _Vector
+    xquat: _Vector
+    ncon: int
+    contact: Any
+    def __init__(self, model: MjModel) -> None: ...
+
+def mj_step(m: MjModel, d: MjData, nstep: int = ...) -> None: ...
+def mj_forward(m: MjModel, d: MjData) -> None: ...
+def mj_resetData(m: MjModel, d: MjData) -> None: ...
+def mj_mulM(m: MjModel, d: MjData, res: _Vector, vec: _Vector) -> None: ...
+def set_mju_user_warning(handler: Callable[[str], None] | None) -> None: ...

@@ -162,7 +162,7 @@ def pan_rad(arm: Arm) -> float:
         ("cut", (), "cannot be read: "),
         ("no map", (), "must answer with a map, not list"),
         ("ramp", ("--openpi.actions_key=action",), "openpi.actions_key: the answer has no 'action', but ['actions'"),
-        ("ramp", ("--openpi.state_keys={state: [hand]}",), "openpi.state_keys: state has hand, which is none of "),
+        ("ramp", ("--openpi.state_keys={state: [hand]}",), "openpi.state_keys: state has hand, not one of "),
         ("ramp", ("--openpi.url=ws://127.0.0.1:9",), "openpi.url: no policy server answers at ws://127.0.0.1:9"),
         ("ramp", ("--policy=somewhere",), "must be given, not policy and openpi.url"),
         ("ramp", ("--actions_per_chunk=501",), "actions_per_chunk must be 1 to 500, not 501"),

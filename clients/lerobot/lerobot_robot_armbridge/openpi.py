@@ -64,7 +64,7 @@ class OpenPiPolicy:
         self._state_keys = options.state_keys or {"observation/state": list(server_names)}
         for key, joints in self._state_keys.items():
             if unknown := sorted(set(joints) - set(server_names)):
-                raise PolicyError(f"openpi.state_keys: {key} has {unknown[0]}, which is none of {sorted(server_names)}")
+                raise PolicyError(f"openpi.state_keys: {key} has {unknown[0]}, not one of {sorted(server_names)}")
         key_file = options.api_key_file
         headers = {} if key_file is None else {"Authorization": f"Api-Key {key_file.read_text().strip()}"}
         try:
@@ -165,7 +165,7 @@ def unpack(data: bytes) -> Any:
 
 
 def fitted(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    """Return an image in a square of ``size`` pixels with black borders, shape (size, size, 3); 0 for as it is."""
+    """Return an image in a square of ``size`` pixels with black borders, shape (size, size, 3); 0 leaves it."""
     if not size:
         return image
     height, width = image.shape[:2]

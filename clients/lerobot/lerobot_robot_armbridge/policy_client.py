@@ -48,7 +48,7 @@ CONTROL_POLL_S = 1.0
 
 @dataclass
 class PolicyClientConfig:
-    """Options of ``armbridge-policy``; those of lerobot's RobotClient have its names.
+    """Options of ``armbridge-policy``, which has the names of lerobot's RobotClient for its options.
 
     Attributes:
         policy: folder or hub name of a policy of lerobot that runs in this process.

@@ -195,7 +195,7 @@ class Connection:
     def _check_reading(self, taken_bytes: int, since_s: float) -> None:
         """Drop what waits for too long, if the client stands still; disconnect it if it does not read its replies."""
         self._watch = None
-        # What was encoded for long is not late: the client had no chance to read it.
+        # A starved loop may look here before it hears that a message has been encoded, which the client could not read yet.
         self._flush()
         session, now_s = self._client.session, time.monotonic()
         if self._transport.taken_bytes > taken_bytes:

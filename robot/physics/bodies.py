@@ -13,6 +13,10 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 
 DEFAULT_FRICTION = 1.0  # sliding friction of rubber or printed fingers on wood or plastic
 
+# A world is compiled within a second with these; its process is silent meanwhile, and counts as hung after 5 s.
+MAX_BODIES = 100
+MAX_HULL_CORNERS = 200
+
 
 @dataclass(frozen=True)
 class BodyShape:

@@ -203,17 +203,21 @@ class World:
         """Compile the model with other bodies, the arm where it is; return the bodies that can be simulated."""
         position_rad, velocity_rad_s = self.position_rad, self.velocity_rad_s
         stops_rad = self.model.jnt_range[self._joints]
-        for name in self._bodies:
-            self._remove(name)
-        for body in wanted.values():
-            self._add(body)
+        before = {name: _kind(body) for name, body in self._bodies.items()}
+        added = [name for name, body in wanted.items() if before.get(name) != _kind(body)]
+        for name in before:
+            if name in added or name not in wanted:
+                self._remove(name)
+        for name in added:
+            self._add(wanted[name])
         try:
             model = compiled(self._spec)
         except DescriptionError as error:
-            log.warning("physics: the objects cannot be simulated, and are left out: %s", error)
-            for name in wanted:
+            log.warning("physics: %s cannot be simulated, and are left out: %s", ", ".join(map(repr, added)), error)
+            for name in added:
                 self._remove(name)
-            model, wanted = compiled(self._spec), {}
+            model = compiled(self._spec)
+            wanted = {name: body for name, body in wanted.items() if name not in added}
         self.model, self.data = model, mujoco.MjData(model)
         self.limit(*stops_rad.T)
         self.place(position_rad)

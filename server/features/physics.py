@@ -5,14 +5,15 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
+from planners.scene import Plane, Pose
 from robot.arm import Arm
 from robot.messages import ArmState
-from robot.physics.bodies import DEFAULT_FRICTION, Body, BodyShape, BodyState, SetBodies
+from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
 from server.errors import ConfigurationError, RefusedError
 from server.features.context import ServerContext
 from server.graph.node import Node
@@ -20,7 +21,7 @@ from server.graph.permissions import WORKING
 from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import CollisionObject
-from server.moveit.scene.frames import in_root
+from server.moveit.scene.physical_bodies import body_of
 from server.moveit.scene.planning_scene import SceneDraft
 from server.moveit.scene.scene_state import SceneChange
 
@@ -38,8 +39,6 @@ SAME_M, SAME_QUATERNION = 2e-4, 1e-3
 
 MAX_MASS_KG = 100.0
 MAX_FRICTION = 10.0
-
-CONE_SIDES = 24  # of the prism that stands for a cone
 
 log = logging.getLogger("armbridge.physics")
 
@@ -139,7 +138,9 @@ class Physics(Feature):
         for name, held in contents.attached.items():
             if name in self._bodies and self._bodies[name].movable:
                 bodies[name], known[name] = self._bodies[name], held.collision_object
-        for name, each in contents.objects.items():
+        if (left_out := len(bodies) + len(contents.objects) - MAX_BODIES) > 0:
+            log.warning("physics has %d objects at most: the last %d of the scene are left out", MAX_BODIES, left_out)
+        for name, each in islice(contents.objects.items(), max(0, MAX_BODIES - len(bodies))):
             before = self._known.get(name)
             # A detached object is where the fingers left it, not where its link would have carried it.
             same = before is each or (before is not None and before.frame != each.frame)
@@ -158,10 +159,8 @@ class Physics(Feature):
         self._arm.set_bodies(SetBodies(self._version, tuple(bodies.values()), reset))
 
     def _body_of(self, each: CollisionObject) -> Body:
-        shapes = tuple(_body_shape(*shape) for shape in each.shapes)
         mass_kg, friction = self._movable.get(each.name, (0.0, DEFAULT_FRICTION))
-        pose, movable = each.pose, each.name in self._movable
-        return Body(each.name, shapes, pose.position_m, pose.orientation, movable, mass_kg, friction)
+        return replace(body_of(each), movable=each.name in self._movable, mass_kg=mass_kg, friction=friction)
 
     def _set_body(self, request: dict[str, Any]) -> Message:
         name, mass_kg, friction = request["id"], request["mass"], request["friction"]
@@ -169,6 +168,8 @@ class Physics(Feature):
         refusal = ""
         if each is None:
             refusal = f"there is no object {name!r} in the planning scene"
+        elif name not in self._bodies:
+            refusal = f"physics has {MAX_BODIES} objects at most, and {name!r} is left out"
         elif not 0.0 <= mass_kg <= MAX_MASS_KG:
             refusal = f"mass must be 0 to {MAX_MASS_KG:g} kg, 0 for a mass by its volume, not {mass_kg:g}"
         elif not 0.0 <= friction <= MAX_FRICTION:
@@ -200,33 +201,3 @@ def _differ(first: Pose, second: Pose) -> bool:
     way_m = np.abs(np.subtract(first.position_m, second.position_m)).max()
     turned = np.abs(np.subtract(first.orientation, second.orientation)).max()
     return bool(way_m > SAME_M or turned > SAME_QUATERNION)
-
-
-def _body_shape(shape: Shape, pose: Pose) -> BodyShape:
-    """Return the shape of a body; a mesh has its convex hull, and a cone is a pyramid of many sides."""
-    at = pose.position_m, pose.orientation
-    match shape:
-        case Box(size_m):
-            return BodyShape("box", tuple(0.5 * edge for edge in size_m), *at)
-        case Sphere(radius_m):
-            return BodyShape("sphere", (radius_m,), *at)
-        case Cylinder(radius_m, height_m):
-            return BodyShape("cylinder", (radius_m, 0.5 * height_m), *at)
-        case Plane(normal, offset_m):
-            return BodyShape("plane", (), *_plane_pose(pose, normal, offset_m))
-        case Cone(radius_m, height_m):
-            angles = np.linspace(0.0, math.tau, CONE_SIDES, endpoint=False).tolist()
-            foot = [(radius_m * math.cos(each), radius_m * math.sin(each), -0.5 * height_m) for each in angles]
-            return BodyShape("hull", (), *at, ((0.0, 0.0, 0.5 * height_m), *foot))
-        case Mesh():
-            x_y_z = np.unique(shape.vertices_m, axis=0).tolist()
-            return BodyShape("hull", (), *at, tuple((x, y, z) for x, y, z in x_y_z))
-
-
-def _plane_pose(pose: Pose, normal: tuple[float, float, float], offset_m: float) -> tuple[Any, Any]:
-    """Return position and orientation of a plane whose z axis is the normal: the shortest turn from z to it."""
-    x, y, z = normal
-    length = math.hypot(1.0 + z, x, y)
-    turn = (-y / length, x / length, 0.0, (1.0 + z) / length) if z > -1.0 + 1e-9 else (1.0, 0.0, 0.0, 0.0)
-    at = in_root(pose, Pose((offset_m * x, offset_m * y, offset_m * z), turn))
-    return at.position_m, at.orientation

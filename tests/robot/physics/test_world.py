@@ -140,9 +140,11 @@ def test_a_body_that_mujoco_refuses_is_left_out_with_a_sentence(arm: Driven, cap
     flat = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.1, 0.1, 0.0))
     sheet = Body("sheet", (BodyShape("hull", (), (0.0, 0.0, 0.0), LEVEL, flat),), FAR, LEVEL, movable=True)
     before = arm.tick().position_rad
+    world_of(arm).set_bodies(SetBodies(1, (BLOCK,)))
     with caplog.at_level(logging.WARNING):
-        world_of(arm).set_bodies(SetBodies(1, (sheet,)))
-    assert "physics: the objects cannot be simulated, and are left out: " in caplog.text
+        world_of(arm).set_bodies(SetBodies(2, (BLOCK, sheet)))
+    assert "physics: 'sheet' cannot be simulated, and are left out: " in caplog.text
+    assert state_of(world_of(arm), "block").position_m == pytest.approx(BLOCK.position_m, abs=0.001)
     assert arm.tick(10).position_rad == pytest.approx(before, abs=0.002)
 
 

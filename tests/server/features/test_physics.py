@@ -12,7 +12,7 @@ import pytest
 
 from protocol.registry import Registry
 from robot.messages import ArmState, Mode
-from robot.physics.bodies import BodyState, BodyStates, SetBodies
+from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
 from server.config import Settings
 from server.errors import ConfigurationError
 from server.features.physics import DROPPED_AFTER_S, RELEASED_AFTER_S, Physics, physics_of
@@ -210,13 +210,19 @@ async def test_a_plane_cannot_be_movable(stage: Stage) -> None:
     )
 
 
-@pytest.mark.parametrize("kind", [2, 3, 4])
-async def test_round_shapes_become_bodies(kind: int, stage: Stage) -> None:
-    stage.apply({"id": "round", "primitives": [{"type": kind, "dimensions": [0.06, 0.02]}], "pose": pose()})
-    shape = stage.arm.bodies["round"].shapes[0]
-    assert (shape.kind, shape.size_m) == {2: ("sphere", (0.06,)), 3: ("cylinder", (0.02, 0.03)), 4: ("hull", ())}[kind]
-    if kind == 4:
-        assert np.ptp(np.array(shape.vertices_m), axis=0) == pytest.approx([0.04, 0.04, 0.06])
+async def test_more_objects_than_physics_has_are_left_out_with_a_sentence(
+    stage: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        stage.apply(*(box(f"box {at}") for at in range(MAX_BODIES)))
+    assert [record.message for record in caplog.records] == [
+        "physics has 100 objects at most: the last 2 of the scene are left out"
+    ]
+    assert len(stage.arm.bodies) == MAX_BODIES
+    assert stage.call("/simulation/set_body", id="box 99", movable=True) == (
+        False,
+        "physics has 100 objects at most, and 'box 99' is left out",
+    )
 
 
 async def test_several_arms_have_no_physics() -> None:

@@ -150,6 +150,9 @@ class OpenPage:
         A page in a context of its own takes half as long again to open.
         """
         origin = self.page.evaluate("location.origin")
+        if origin != "null":
+            # Here as well: what a page of a busy browser has stored last may reach the disk after the session's order.
+            self.page.evaluate("localStorage.clear()")
         self.page.goto("about:blank")
         if origin != "null":
             session = self.page.context.new_cdp_session(self.page)
@@ -238,6 +241,7 @@ class OpenPage:
 
     def box(self, test_id: str) -> dict[str, float]:
         """Where an element is on the screen: x, y, width and height [px]."""
+        self.part(test_id).wait_for()
         box = self.part(test_id).bounding_box()
         assert box is not None, f"{test_id} is not shown"
         return dict(box)

@@ -202,18 +202,22 @@ def _never_near(arms: Mapping[str, PlacedArm]) -> Iterator[ET.Element]:
 
 def reach_m(robot: RobotModel) -> float:
     """Return a distance from the root link beyond which no part of an arm comes: its longest chain, or infinite [m]."""
-    root = _parsed(robot.urdf)
-    extents_m = {link.get("name", ""): _extent_m(link, robot) for link in root.iterfind("link")}
-    from_root_m = {robot.root_link: 0.0}
-    elements = {joint.get("name"): joint for joint in root.iterfind("joint")}
+    extents_m = {link.get("name", ""): _extent_m(link, robot) for link in _parsed(robot.urdf).iterfind("link")}
+    return max(length_m + extents_m[link] for link, length_m in chain_lengths_m(robot).items())
+
+
+def chain_lengths_m(robot: RobotModel) -> dict[str, float]:
+    """Return for each link the length of the stretched chain from the root link to its frame [m]."""
+    lengths_m = {robot.root_link: 0.0}
+    elements = {joint.get("name"): joint for joint in _parsed(robot.urdf).iterfind("joint")}
     by_child = {joint.child: joint for joint in robot.joints.values()}
     # Root first, each with what it carries.
     for link in robot.links[1:]:
         joint = by_child[link]
         slides_m = max(abs(joint.lower), abs(joint.upper)) if joint.type == "prismatic" else 0.0
         length_m = math.hypot(*origin_transform(elements[joint.name])[:3, 3])
-        from_root_m[link] = from_root_m[joint.parent] + length_m + slides_m
-    return max(from_root_m[link] + extents_m[link] for link in robot.links)
+        lengths_m[link] = lengths_m[joint.parent] + length_m + slides_m
+    return lengths_m
 
 
 def _extent_m(link: ET.Element, robot: RobotModel) -> float:

@@ -59,7 +59,8 @@ def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
     host, file = settings.server.host, options.folder / LIST_FILE
     students = places(options.students, settings.server.port, options.folder, host)
     teacher_token = read_tokens(file).get(TEACHER) or new_token()
-    all_settings = [student.settings(settings, teacher_token) for student in students]
+    ports = {student.name: student.port for student in students}
+    all_settings = [student.settings(settings, teacher_token, ports) for student in students]
     _check_ports(host, students)
     _make_folders(options.folder, students)
     write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)

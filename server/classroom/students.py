@@ -6,7 +6,7 @@ import csv
 import os
 import secrets
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
@@ -37,18 +37,24 @@ class Student:
     token: str
     folder: Path
 
-    def settings(self, base: Settings, teacher_token: str) -> Settings:
-        """Return the settings of the student's server; raises ConfigurationError for a token or a name given twice."""
+    def settings(self, base: Settings, teacher_token: str, ports: Mapping[str, int]) -> Settings:
+        """Return the settings of the student's server, which lets the pages of all servers in by their ports.
+
+        Raises ConfigurationError for a token or a name given twice.
+        """
         access, recording = base.access, base.recording
         operators, admins = dict(access.operate_tokens), dict(access.admin_tokens)
         if self.name in operators or TEACHER in admins:
             raise ConfigurationError(f"access: {self.name} and {TEACHER} are names of a classroom's own tokens")
         operators[self.name], admins[TEACHER] = SecretStr(self.token), SecretStr(teacher_token)
+        origins = (*access.allowed_origins, *(f"*:{port}" for port in ports.values()))
         file = recording.file and self.folder / recording.file.name
         return base.model_copy(
             update={
-                "server": base.server.model_copy(update={"port": self.port}),
-                "access": access.model_copy(update={"operate_tokens": operators, "admin_tokens": admins}),
+                "server": base.server.model_copy(update={"port": self.port, "classroom": dict(ports)}),
+                "access": access.model_copy(
+                    update={"operate_tokens": operators, "admin_tokens": admins, "allowed_origins": origins}
+                ),
                 "scene": base.scene.model_copy(update={"file": self.folder / "scene.json"}),
                 "goals": base.goals.model_copy(update={"named_states_file": self.folder / "named_states.json"}),
                 "recording": recording.model_copy(update={"file": file}),

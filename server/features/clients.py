@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import json
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from importlib import metadata
@@ -19,6 +20,7 @@ from server.features.context import ArmContext, ServerContext
 from server.gateway import http_goals
 from server.gateway.http import HttpHandler, HttpResponse, Route
 from server.gateway.listener import Listener
+from server.graph.node import Node
 from server.graph.permissions import NameFilter, Role, Rule
 from server.graph.services import MAX_TIMEOUT_S
 from server.graph.topics import Graph
@@ -39,10 +41,18 @@ class Clients(Feature):
         self.listener = Listener(
             context.graph,
             context.settings.server,
-            HttpHandler(context.planning.robot, routes=self.routes, post_routes={http_goals.PATH: goals.answer}),
+            HttpHandler(
+                context.planning.robot,
+                routes=self.routes,
+                post_routes={http_goals.PATH: goals.answer},
+                classroom_ports=context.settings.server.classroom.values(),
+            ),
             access,
             takes_goals_along=stops,
         )
+        node = Node("classroom")
+        context.graph.advertise(node, CLASSROOM_TOPIC, "std_msgs/String", latch=True)
+        context.graph.publish(node, CLASSROOM_TOPIC, {"data": json.dumps(context.settings.server.classroom)})
         offer_one_time_tokens(
             context.graph, access.one_time_tokens, access.tokens, lambda: self.listener.page_urls_elsewhere
         )
@@ -53,6 +63,9 @@ class Clients(Feature):
     async def stop(self) -> None:
         await self.listener.close()
 
+
+# Names and ports of a classroom's servers; empty elsewhere.
+CLASSROOM_TOPIC = "/armbridge/classroom"
 
 PATH = "armbridge/interface.json"
 
@@ -86,9 +99,9 @@ class InterfaceDocument:
                 "max_call_s": MAX_TIMEOUT_S,
             },
             "arms": [_arm(arm) for arm in context.arms],
-            "topics": _names(graph.topic_types(), rule_of_topic, graph, access.topics, "topic"),
-            "services": _names(graph.services.types(), rule_of_service, graph, access.services, "service"),
-            "actions": _names(graph.actions.types(), rule_of_action, graph, access.services, "action"),
+            "topics": _names(graph.topic_names.types(), rule_of_topic, graph, access.topics, "topic"),
+            "services": _names(graph.services.names.types(), rule_of_service, graph, access.services, "service"),
+            "actions": _names(graph.actions.names.types(), rule_of_action, graph, access.services, "action"),
             "types": types,
             "types_sha256": hashlib.sha256("".join(map("{0[0]}{0[1]}".format, types.items())).encode()).hexdigest(),
         }

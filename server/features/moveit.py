@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import logging
 import os
 import time
@@ -41,6 +40,7 @@ from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named
 from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
 from server.moveit.services.description import RobotDescription, TransformRepublisher, TransformsTopics
 from server.moveit.services.move_group_services import offer_services
+from server.moveit.services.robot_groups import publish_groups
 from server.moveit.servo.servo_node import ServoNode
 from server.timers import call_later
 
@@ -98,6 +98,8 @@ class MoveGroup(Feature):
         graph, planning, goals = context.graph, context.planning, context.goals
         robot = planning.robot
         RobotDescription(graph, robot, context.rosapi.parameters.keep)
+        several = {arm.name: arm.robot for arm in context.arms if arm.name}
+        publish_groups(graph, robot, several or {"": robot}, context.whole.parameters)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
         NamedStatesServices(graph, robot, goals.named_states, planning.current)
@@ -225,5 +227,4 @@ def _servo_node(arm: ArmContext) -> ServoNode:
     whole = arm.served.arm
     steered = whole.part(planning_group(arm.planning.robot, "", arm.parameters).joints)
     joints = frozenset(name for name in arm.joints if whole.part((name,)) is steered)
-    busy = functools.partial(arm.goals.queue.busy, joints)
-    return ServoNode(arm.graph, arm.parameters, steered, arm.planning, busy)
+    return ServoNode(arm.graph, arm.parameters, steered, arm.planning, arm.goals.queue, joints)

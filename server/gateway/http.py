@@ -13,7 +13,7 @@ import json
 import logging
 import re
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from email.utils import formatdate
 from http import HTTPStatus
@@ -334,6 +334,12 @@ def accepts_gzip(headers: Headers) -> bool:
     return False
 
 
+def _policy_reaching(ports: Iterable[int]) -> str:
+    """Return the policy of a page that connects to other ports of any host: browsers know no pattern for its own."""
+    sources = "".join(f" ws://*:{port} wss://*:{port}" for port in ports)
+    return POLICY.replace("connect-src 'self'", f"connect-src 'self'{sources}")
+
+
 class HttpHandler:
     """Handler of requests over HTTP; routes, by path without its first slash, come before the page's files."""
 
@@ -344,11 +350,13 @@ class HttpHandler:
         routes: Mapping[str, Route] | None = None,
         post_routes: Mapping[str, PostRoute] | None = None,
         docs_directory: Path = DOCS_DIRECTORY,
+        classroom_ports: Iterable[int] = (),
     ) -> None:
         self._files = None if robot is None else RobotFiles(robot)
         self._routes = {} if routes is None else routes
         self._post_routes = {} if post_routes is None else post_routes
         self._page_directory = page_directory
+        self._policy = _policy_reaching(classroom_ports)
         self._docs_directory = docs_directory
         # Large meshes do not put the page out, nor does their disk hold it up.
         self._page_files = FileCache()
@@ -442,7 +450,7 @@ class HttpHandler:
             return HttpResponse.of_data(HTTPStatus.NOT_FOUND, NOT_BUILT.encode(), "text/html; charset=utf-8")
         file = await self._page_files.read(lambda: find_page_file(self._page_directory, name), gzipped=gzipped)
         keeping = _FOR_EVER if _HASHED.fullmatch(name) else _ASK_AGAIN
-        return HttpResponse.of_file(file, media_type(name or INDEX), keeping)
+        return HttpResponse.of_file(file, media_type(name or INDEX), keeping, {"Content-Security-Policy": self._policy})
 
     async def _docs_file(self, name: str, gzipped: bool) -> HttpResponse:
         if not page_is_built(self._docs_directory):

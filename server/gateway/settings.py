@@ -55,6 +55,8 @@ class ServerSettings(SettingsSection):
     """time for which an unused topic keeps its type and its latched message [s]."""
     max_queued_bytes: int = Field(default=MAX_SERVER_QUEUED_BYTES, ge=65_536, le=1_000_000_000_000)
     """all data that waits for clients; beyond, the slowest clients lose messages of topics [bytes]."""
+    classroom: dict[str, int] = Field(default_factory=dict, max_length=200)
+    """names and ports of a classroom's servers, which administrators see on the page; armbridge classroom sets it."""
     limits: Limits = Limits()
     """limits of one client."""
 

@@ -66,7 +66,7 @@ def settings(settings: dict[str, str], tmp_path_factory: pytest.TempPathFactory)
 def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     with opened(browser) as open_page:
         open_page.open(server.port)
-        open_page.until_state("s.srdf !== null && Object.keys(s.limits).length > 0")
+        open_page.until_state("s.robot !== null && Object.keys(s.limits).length > 0")
         yield open_page
 
 
@@ -104,7 +104,7 @@ def fetch(settings: dict[str, str]) -> Iterator[RunningServer]:
 def test_an_arm_with_a_lift_has_all_panels_and_moves(browser: Browser, fetch: RunningServer) -> None:
     with opened(browser) as page:
         page.open(fetch.port)
-        page.until_state("s.srdf !== null && Object.keys(s.limits).length > 0")
+        page.until_state("s.robot !== null && Object.keys(s.limits).length > 0")
         assert page.part("group").locator("option").all_text_contents() == ["arm", "arm_with_torso"]
         page.part("group").select_option("arm_with_torso")
         page.part("joint-torso_lift_joint-number").wait_for()
@@ -127,7 +127,7 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
         opened(browser) as page,
     ):
         page.open(arms.port)
-        page.until_state("s.srdf !== null && Object.keys(s.limits).length > 0")
+        page.until_state("s.robot !== null && Object.keys(s.limits).length > 0")
         assert page.part("group").locator("option").all_text_contents() == ["left_arm", "right_arm", "both_arms"]
         before = page.joints()
         page.part("group").select_option("right_arm")

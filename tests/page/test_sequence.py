@@ -42,7 +42,7 @@ def page(tab: OpenPage, server: RunningServer) -> OpenPage:
     """The panel, with an empty scene."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
     tab.open(server.port)
-    tab.until_state("s.link.connected && s.identity !== null && s.actions !== null")
+    tab.until_state("s.link.connected && s.identity !== null && s.robot !== null")
     tab.open_panel("sequence")
     return tab
 

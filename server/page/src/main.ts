@@ -3,6 +3,7 @@ import "./accessibility.css";
 import { exposeToConsole } from "./inspect";
 import { Authentication, storedToken, takeTokenFromUrl } from "./link/authentication";
 import { Cameras } from "./link/cameras";
+import { Classroom } from "./link/classroom";
 import { ArmCommands, StopCommand } from "./link/commands";
 import { CommissioningCommands, subscribeCommissioning } from "./link/commissioning";
 import { Connection, serverUrl } from "./link/connection";
@@ -13,9 +14,10 @@ import { fetchGoalHistory } from "./link/goal-history";
 import { SceneEditor } from "./link/scene-editor";
 import { SequencePlayer } from "./link/sequence";
 import { Teaching } from "./link/teaching";
+import { JogSteps } from "./link/jog-steps";
 import { JogSender, subscribeServoNode } from "./link/servo-node";
 import { subscribeSpeedLimit } from "./link/speed-limit";
-import { fetchActions, resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
+import { resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
 import { loadPreference } from "./state/preferences";
 import { emptyState } from "./state/state";
@@ -41,6 +43,7 @@ async function startPage(): Promise<void> {
   const moveGroup = new MoveGroupClient(connection, store);
   const commands = new ArmCommands(connection, store);
   const jogSender = new JogSender(connection, store, commands);
+  const jogSteps = new JogSteps(connection, store, moveGroup, commands, jogSender);
   const stopCommand = new StopCommand(connection, store, () => {
     jogSender.releaseAll();
     moveGroup.cancel();
@@ -49,7 +52,7 @@ async function startPage(): Promise<void> {
   const sceneEditor = new SceneEditor(connection, store);
   const sequencePlayer = new SequencePlayer(connection, store);
   const teaching = new Teaching(connection, store);
-  createPanel({ connection, store, moveGroup, commands, stopCommand, jogSender, commissioning, authentication, sceneEditor, sequencePlayer, teaching, cameras: new Cameras(connection) });
+  createPanel({ connection, store, moveGroup, commands, stopCommand, jogSender, jogSteps, commissioning, authentication, sceneEditor, sequencePlayer, teaching, cameras: new Cameras(connection), classroom: new Classroom(connection, store) });
   subscribeTopics(connection, store);
   subscribeControl(connection, store);
   subscribeCommissioning(connection, store);
@@ -65,7 +68,6 @@ async function startPage(): Promise<void> {
       if (!connected) return;
       resetAfterReconnect(store);
       subscribeControllerState(connection, store, subscribed_topics).catch(() => undefined);
-      fetchActions(connection, store).catch(() => undefined);
       fetchGoalHistory(connection, store).catch(() => undefined);
     },
   );

@@ -56,17 +56,23 @@ def test_a_file_that_is_no_such_list_is_refused_and_left_alone(tmp_path: Path, t
 
 def test_what_a_server_keeps_is_in_the_students_folder(tmp_path: Path) -> None:
     (student,) = places(1, 9100, tmp_path, HOST)
-    settings = student.settings(Settings(recording=RecordingSettings(file=Path("runs/lesson.mcap"))), TOKEN)
+    settings = student.settings(
+        Settings(recording=RecordingSettings(file=Path("runs/lesson.mcap"))),
+        TOKEN,
+        {"student01": 9100, "student02": 9101},
+    )
     kept = (settings.scene.file, settings.goals.named_states_file, settings.recording.file)
     assert [file.parent for file in kept if file is not None] == [tmp_path / "student01"] * 3
     assert settings.server.port == 9100
+    assert settings.server.classroom == {"student01": 9100, "student02": 9101}
+    assert settings.access.allowed_origins == ("*:9100", "*:9101")
 
 
 def test_a_token_of_the_same_name_in_the_settings_is_refused(tmp_path: Path) -> None:
     (student,) = places(1, 9100, tmp_path, HOST)
     settings = Settings.model_validate({"access": {"operate_tokens": {"student01": new_token()}}})
     with pytest.raises(ConfigurationError, match="student01"):
-        student.settings(settings, TOKEN)
+        student.settings(settings, TOKEN, {})
 
 
 def test_an_address_that_stands_for_all_is_shown_by_the_name_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:

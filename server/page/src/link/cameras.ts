@@ -1,16 +1,10 @@
 import type { Connection } from "./connection";
+import type { CompressedImage } from "./messages";
 
 const TYPE = "sensor_msgs/CompressedImage";
 
 /** Least time between two pictures of a camera [ms]. */
 const PERIOD_MS = 100;
-
-/** sensor_msgs/CompressedImage; rosbridge sends bytes in base64. */
-interface CompressedImage {
-  /** "jpeg", "png", or as "rgb8; jpeg compressed bgr8" (image_transport). */
-  format: string;
-  data: string;
-}
 
 /** Topics of compressed pictures, of any client. */
 export class Cameras {
@@ -29,7 +23,6 @@ export class Cameras {
   }
 }
 
-/** Return a picture as a data URL. */
 export function pictureUrl(format: string, data: string): string {
   return `data:image/${/png/i.test(format) ? "png" : "jpeg"};base64,${data}`;
 }

@@ -1,4 +1,5 @@
 import { expect, test, vi } from "vitest";
+import { WITH_FINGERS } from "../logic/robots.test.data";
 import { emptyState, type State } from "../state/state";
 import { Store } from "../state/store";
 import { ArmCommands, StopCommand } from "./commands";
@@ -48,13 +49,8 @@ test("says when the arm did not stop", async () => {
   expect([s.phase(), s.text()]).toEqual(["failed", "not stopped: it is disconnected"]);
 });
 
-const URDF = `<robot><joint name="a" type="revolute"><limit lower="-1" upper="1"/></joint>
-<joint name="left" type="prismatic"><limit lower="0" upper="0.05"/></joint></robot>`;
-const SRDF = `<robot><group name="arm"><joint name="a"/></group><group name="fingers"><joint name="left"/></group>
-<end_effector name="hand" parent_link="x" group="fingers" parent_group="arm"/></robot>`;
-
 test("a gripper is moved by the action that the server offers for it", async () => {
-  const store = new Store<State>({ ...emptyState("ws://here"), urdf: URDF, srdf: SRDF, actions: ["/fingers_controller/gripper_cmd"] });
+  const store = new Store<State>({ ...emptyState("ws://here"), robot: WITH_FINGERS });
   const sent: unknown[] = [];
   const goal = (action: string, _type: string, message: unknown): unknown => {
     sent.push([action, message]);
@@ -62,7 +58,7 @@ test("a gripper is moved by the action that the server offers for it", async () 
   };
   const commands = new ArmCommands({ goal } as unknown as Connection, store);
   await commands.moveGripper(0.02);
-  expect(sent).toEqual([["/fingers_controller/gripper_cmd", { command: { position: 0.02, max_effort: 0 } }]]);
+  expect(sent).toEqual([["/gripper_controller/gripper_cmd", { command: { position: 0.02, max_effort: 0 } }]]);
 });
 
 test("a joint group is selected for this page and for the server, and the goal of the group before is gone", () => {

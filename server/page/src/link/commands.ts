@@ -1,4 +1,4 @@
-import { armGripper, armNamespace, gripperAction } from "../logic/joints";
+import { armGripper, armNamespace } from "../logic/joints";
 import type { State, SuggestedGoal } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
@@ -68,10 +68,8 @@ export class ArmCommands {
   async moveGripper(position: number): Promise<void> {
     await this.attempt(async () => {
       const gripper = armGripper(this.store.state);
-      const action = gripper && gripperAction(gripper, this.store.state.actions);
-      if (action === null) return;
-      const type = "control_msgs/action/GripperCommand";
-      this.gripper_goal = this.connection.goal(action, type, gripperGoal(position));
+      if (gripper === null) return;
+      this.gripper_goal = this.connection.goal(gripper.action, "control_msgs/action/GripperCommand", gripperGoal(position));
       const { status, values, reason } = await this.gripper_goal.result;
       const refused = status === STATUS_ABORTED || values === null;
       const text = t("answer.gripper", { reason: reason || t("answer.gripper.aborted") });

@@ -1,6 +1,6 @@
 import { HandObserver } from "../logic/commissioning";
 import { setNotice, type PageStore } from "../state/store";
-import type { Connection } from "./connection";
+import { ask, type Connection } from "./connection";
 import { readCommissioning, type CommissioningMessage, type TriggerResponse } from "./messages";
 
 /** Least time between two drawn states [ms]; bars that move faster cannot be read. */
@@ -52,13 +52,8 @@ export class CommissioningCommands {
   }
 
   private async request(service: string, request: object): Promise<boolean> {
-    try {
-      const { success, message } = await this.connection.call<TriggerResponse>(service, request, ANSWER_TIMEOUT_S);
-      setNotice(this.store, NOTICE, success ? "" : message);
-      return success;
-    } catch (error) {
-      setNotice(this.store, NOTICE, (error as Error).message);
-      return false;
-    }
+    const { success, message } = await ask<TriggerResponse>(this.connection, service, request, ANSWER_TIMEOUT_S);
+    setNotice(this.store, NOTICE, success ? "" : message);
+    return success;
   }
 }

@@ -1,4 +1,3 @@
-import { Ros, Topic } from "roslib";
 import { t } from "../texts/texts";
 
 /** Failure to reach the server or to get its answer; the message is shown to the user. */
@@ -22,127 +21,34 @@ export function backoff_s(failures: number): number {
   return Math.min(MAX_BACKOFF_S, INITIAL_BACKOFF_S * 2 ** Math.max(0, failures - 1));
 }
 
-/** Seconds from an answer to the next heartbeat, and from a heartbeat to the loss of the connection. */
-const HEARTBEAT_PERIOD_S = 2;
-const HEARTBEAT_TIMEOUT_S = 4;
-
-/** Measure of the round trip, which also detects a server that no longer answers. */
-export class Heartbeat {
-  private timer: ReturnType<typeof setTimeout> | undefined;
-  private timeout: ReturnType<typeof setTimeout> | undefined;
-
-  /**
-   * @param send - sends the server any small request.
-   * @param onLatency - called with the round-trip time of each answer [ms].
-   * @param onTimeout - called when an answer does not come in time.
-   */
-  constructor(
-    private readonly send: () => Promise<unknown>,
-    private readonly onLatency: (latency_ms: number) => void,
-    private readonly onTimeout: () => void,
-  ) {}
-
-  /** Start sending. */
-  start(): void {
-    this.stop();
-    this.sendNow();
-  }
-
-  /** Stop sending. */
-  stop(): void {
-    clearTimeout(this.timer);
-    clearTimeout(this.timeout);
-  }
-
-  /** Send at once, as after a sleep of the device. */
-  sendNow(): void {
-    this.stop();
-    const sent_ms = performance.now();
-    this.timeout = setTimeout(this.onTimeout, HEARTBEAT_TIMEOUT_S * 1000);
-    this.send().then(
-      () => this.handleAnswer(performance.now() - sent_ms),
-      () => undefined,
-    );
-  }
-
-  private handleAnswer(latency_ms: number): void {
-    this.stop();
-    this.onLatency(latency_ms);
-    this.timer = setTimeout(() => this.sendNow(), HEARTBEAT_PERIOD_S * 1000);
-  }
-}
+/**
+ * Time between two heartbeats [ms], and heartbeats in a row without a word of the server after which it is left.
+ *
+ * Counted, as a page that stood still has not read what has come meanwhile: time alone would blame the server for it.
+ */
+const HEARTBEAT_MS = 2000;
+const SILENT_HEARTBEATS = 2;
 
 /** action_msgs/GoalStatus.STATUS_ABORTED. */
 export const STATUS_ABORTED = 6;
 
+/** Final status of action_msgs/GoalStatus with the result, or with the reason where the goal was rejected. */
+export interface GoalResult<Result> {
+  status: number;
+  values: Result | null;
+  reason: string;
+}
+
 /** Goal that was sent to an action. */
 export interface GoalHandle<Result> {
-  /** Final status of action_msgs/GoalStatus, with the result, or with the reason where the goal was rejected. */
-  result: Promise<{ status: number; values: Result | null; reason: string }>;
+  result: Promise<GoalResult<Result>>;
   /** Ask the server to cancel it. */
   cancel: () => void;
-}
-
-interface ActionResult {
-  op: string;
-  status: number;
-  result: boolean;
-  values: unknown;
-}
-
-/** Number of the last call or goal, by which its answer is known. */
-let sent_requests = 0;
-
-/** Send a goal by rosbridge's own operations, as roslib's Action turns the result of a failed goal into a text. */
-export function sendActionGoal<Result>(ros: Ros, action: string, type: string, goal: unknown): GoalHandle<Result> {
-  sent_requests += 1;
-  const id = `send_action_goal:${action}:${sent_requests}`;
-  const result = new Promise<Awaited<GoalHandle<Result>["result"]>>((resolve) => {
-    const onMessage = (message: unknown): void => {
-      const answer = message as ActionResult;
-      if (answer.op !== "action_result") return;
-      ros.off(id, onMessage);
-      const readable = typeof answer.values === "object" && answer.values !== null;
-      const values = readable ? (answer.values as Result) : null;
-      resolve({ status: answer.status, values, reason: readable ? "" : String(answer.values ?? "") });
-    };
-    ros.on(id, onMessage);
-  });
-  ros.callOnConnection({ op: "send_action_goal", id, action, action_type: type, args: goal, feedback: false });
-  const cancel = (): void => {
-    if (ros.isConnected) ros.callOnConnection({ op: "cancel_action_goal", id, action });
-  };
-  return { result, cancel };
 }
 
 /** Reason of a response that says only that the service has not succeeded; empty for others. */
 export interface Refusable {
   refusal: string;
-}
-
-/** Call a service by rosbridge's own operations: roslib does not tell the id, by which the server's status names the reason. */
-function callService<Response>(
-  ros: Ros,
-  service: string,
-  args: unknown,
-  resolve: (response: Response & Refusable) => void,
-  reject: (reason: string) => void,
-): void {
-  sent_requests += 1;
-  const id = `call_service:${service}:${sent_requests}`;
-  let refusal = "";
-  // The status comes before the response (docs/protocol.md, "Status").
-  const onStatus = (status: unknown): void => {
-    refusal = (status as { msg: string }).msg.replace(/^call_service: service \S+: /, "");
-  };
-  ros.on(`status:${id}`, onStatus);
-  ros.once(id, (message) => {
-    ros.off(`status:${id}`, onStatus);
-    const { result, values } = message as unknown as { result: boolean; values: Response };
-    if (result) resolve({ ...values, refusal });
-    else reject(toText(values ?? ""));
-  });
-  ros.callOnConnection({ op: "call_service", id, service, args });
 }
 
 /** Condition of the connection. */
@@ -157,27 +63,50 @@ export interface ConnectionStatus {
 const POLICY_VIOLATION = 1008;
 
 interface Subscription {
+  id: string;
   topic: string;
   type: string;
   throttle_ms: number;
   listener: (message: never) => void;
-  /** Subscriber of the present connection. */
-  subscriber: Topic | null;
+}
+
+/** Operation of rosbridge that the server sends (rosbridge v2 protocol, section 3). */
+interface Operation {
+  op: string;
+  id?: string;
+  topic: string;
+  msg: unknown;
+  status: number;
+  result: boolean;
+  values: unknown;
+}
+
+/** Request that waits for its answer. */
+interface Waiting {
+  /** Reason that the server has told before the answer (docs/protocol.md, "Status"). */
+  refusal: string;
+  answer: (operation: Operation) => void;
+  lost: () => void;
 }
 
 /** rosbridge connection that reconnects by itself and restores its subscriptions. */
 export class Connection {
-  private ros: Ros | null = null;
+  /** Socket of the present attempt to connect. */
+  private socket: WebSocket | null = null;
   private connected = false;
   /** True once the server has answered a request of this connection. */
   private accepted = false;
   private refused = "";
   private failures = 0;
+  /** Number of the last request or subscription, by which its answer is known. */
+  private number = 0;
+  private silent_heartbeats = 0;
   private reconnect_timer: ReturnType<typeof setTimeout> | undefined;
+  private heartbeat_timer: ReturnType<typeof setInterval> | undefined;
   private readonly subscriptions = new Set<Subscription>();
-  private readonly publishers = new Map<string, Topic>();
-  private readonly disconnect_listeners = new Set<() => void>();
-  private readonly heartbeat: Heartbeat;
+  private readonly advertised = new Set<string>();
+  private readonly waiting = new Map<string, Waiting>();
+  private readonly closing = new AbortController();
 
   /**
    * @param url - WebSocket address of the server.
@@ -188,23 +117,24 @@ export class Connection {
     readonly url: string,
     private readonly onStatus: (status: ConnectionStatus) => void,
     private readonly token: () => string | null = () => null,
-  ) {
-    this.heartbeat = new Heartbeat(
-      () => this.call("/rosapi/get_time", {}),
-      (latency_ms) => this.handleHeartbeat(latency_ms),
-      () => this.reconnectLater(this.ros),
-    );
-  }
+  ) {}
 
-  /** Connect, and stay connected. */
+  /** Connect, and stay connected until it is closed. */
   open(): void {
     const retryNow = (): void => this.retryNow();
-    window.addEventListener("online", retryNow);
-    document.addEventListener("visibilitychange", retryNow);
+    const { signal } = this.closing;
+    window.addEventListener("online", retryNow, { signal });
+    document.addEventListener("visibilitychange", retryNow, { signal });
     this.connect();
   }
 
-  /** Connect anew with the present token. */
+  /** End the connection for good. */
+  close(): void {
+    this.closing.abort();
+    this.disconnect();
+  }
+
+  /** Connect again with the present token. */
   reopen(): void {
     this.disconnect();
     this.onStatus({ connected: false, latency_ms: null, refused: "" });
@@ -223,114 +153,151 @@ export class Connection {
    * @returns function that ends the subscription.
    */
   subscribe<Message>(topic: string, type: string, listener: (message: Message) => void, throttle_ms = 0): () => void {
-    const subscription: Subscription = { topic, type, throttle_ms, listener, subscriber: null };
+    const subscription: Subscription = { id: this.newId("subscribe", topic), topic, type, throttle_ms, listener };
     this.subscriptions.add(subscription);
-    if (this.connected && this.ros) subscribeTopic(this.ros, subscription);
+    if (this.connected) this.sendSubscription(subscription);
     return () => {
       this.subscriptions.delete(subscription);
-      if (this.connected) subscription.subscriber?.unsubscribe();
+      if (this.connected) this.send({ op: "unsubscribe", id: subscription.id, topic });
     };
   }
 
   /** Publish a message; throw a ConnectionError while there is no connection. */
-  publish(topic: string, type: string, message: unknown): void {
-    const ros = this.requireRos();
-    let publisher = this.publishers.get(topic);
-    if (!publisher) {
-      publisher = new Topic({ ros, name: topic, messageType: type, reconnect_on_close: false });
-      this.publishers.set(topic, publisher);
-    }
-    publisher.publish(message);
+  publish(topic: string, type: string, msg: unknown): void {
+    this.requireConnection();
+    if (!this.advertised.has(topic)) this.send({ op: "advertise", topic, type });
+    this.advertised.add(topic);
+    this.send({ op: "publish", topic, msg });
   }
 
   /** Call a service; reject with a ConnectionError on failure, timeout or loss of the connection. */
-  async call<Response>(service: string, request: unknown, timeout_s = 8): Promise<Response & Refusable> {
-    const ros = this.requireRos();
-    return this.awaitAnswer(service, timeout_s, (resolve, reject) => {
-      callService<Response>(ros, service, request, resolve, (reason) => reject(new ConnectionError(`${service}: ${reason}`)));
+  async call<Response>(service: string, args: unknown, timeout_s = 8): Promise<Response & Refusable> {
+    this.requireConnection();
+    const id = this.newId("call_service", service);
+    const answered = this.request(id, service, timeout_s, (message, refusal) => {
+      const { result, values } = message;
+      if (!result) throw new ConnectionError(`${service}: ${toText(values ?? "")}`);
+      return { ...(values as Response), refusal: refusal.replace(/^call_service: service \S+: /, "") };
     });
+    this.send({ op: "call_service", id, service, args });
+    return answered;
   }
 
   /** Send a goal to an action; its result rejects with a ConnectionError when the connection is lost. */
-  goal<Result>(action: string, type: string, goal: unknown): GoalHandle<Result> {
-    const ros = this.requireRos();
-    const handle = sendActionGoal<Result>(ros, action, type, goal);
-    const result = this.awaitAnswer<Awaited<GoalHandle<Result>["result"]>>(action, Infinity, (resolve, reject) => {
-      handle.result.then(resolve, reject);
+  goal<Result>(action: string, action_type: string, args: unknown): GoalHandle<Result> {
+    this.requireConnection();
+    const id = this.newId("send_action_goal", action);
+    const result = this.request(id, action, Infinity, ({ status, values }): GoalResult<Result> => {
+      const readable = typeof values === "object" && values !== null;
+      return { status, values: readable ? (values as Result) : null, reason: readable ? "" : String(values ?? "") };
     });
-    return { ...handle, result };
+    this.send({ op: "send_action_goal", id, action, action_type, args, feedback: false });
+    return { result, cancel: () => this.waiting.has(id) && this.send({ op: "cancel_action_goal", id, action }) };
   }
 
-  private requireRos(): Ros {
-    if (this.ros && this.connected) return this.ros;
-    if (this.refused) throw new ConnectionError(t("request.token", { reason: this.refused }));
-    throw new ConnectionError(t("request.offline"));
+  private newId(op: string, name: string): string {
+    this.number += 1;
+    return `${op}:${name}:${this.number}`;
   }
 
-  /** Return a promise that also rejects when the connection is lost, and after a timeout. */
-  private awaitAnswer<Value>(
-    request: string,
-    timeout_s: number,
-    begin: (resolve: (value: Value) => void, reject: (reason: Error) => void) => void,
-  ): Promise<Value> {
-    return new Promise((resolve, reject) => {
-      const fail = (reason: string): void => end(() => reject(new ConnectionError(`${request}: ${reason}`)));
-      const lost = (): void => fail(t("request.lost"));
-      const late = (): void => fail(t("request.late", { seconds: timeout_s }));
-      const timer = Number.isFinite(timeout_s) ? setTimeout(late, timeout_s * 1000) : undefined;
-      const end = (then: () => void): void => {
-        clearTimeout(timer);
-        this.disconnect_listeners.delete(lost);
-        then();
-      };
-      this.disconnect_listeners.add(lost);
-      begin(
-        (value) => end(() => resolve(value)),
-        (reason) => end(() => reject(reason)),
-      );
-    });
+  private send(operation: object): void {
+    this.socket?.send(JSON.stringify(operation));
+  }
+
+  private requireConnection(): void {
+    if (this.connected) return;
+    throw new ConnectionError(this.refused ? t("request.token", { reason: this.refused }) : t("request.offline"));
+  }
+
+  /** Return what is read from an answer; reject as well when the connection is lost, and after a timeout. */
+  private async request<Value>(id: string, name: string, timeout_s: number, read: (answer: Operation, refusal: string) => Value): Promise<Value> {
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    try {
+      return await new Promise((resolve, reject) => {
+        const fail = (reason: string): void => reject(new ConnectionError(`${name}: ${reason}`));
+        const waiting: Waiting = {
+          refusal: "",
+          answer: (answer) => resolve(answer),
+          lost: () => fail(t("request.lost")),
+        };
+        this.waiting.set(id, waiting);
+        if (Number.isFinite(timeout_s)) timer = setTimeout(() => fail(t("request.late", { seconds: timeout_s })), timeout_s * 1000);
+      }).then((answer) => read(answer as Operation, this.waiting.get(id)?.refusal ?? ""));
+    } finally {
+      clearTimeout(timer);
+      this.waiting.delete(id);
+    }
   }
 
   private connect(): void {
     clearTimeout(this.reconnect_timer);
     this.refused = "";
     this.accepted = false;
-    // A new Ros each time: the old one would still send its unsent messages, perhaps a motion that is no longer wanted.
-    const ros = new Ros();
-    this.ros = ros;
-    ros.on("connection", () => this.handleOpen(ros));
-    ros.on("close", (event) => this.handleClose(ros, event as unknown as Partial<CloseEvent>));
-    ros.on("error", () => undefined);
-    ros.connect(this.url).catch(() => this.reconnectLater(ros));
+    const socket = new WebSocket(this.url);
+    this.socket = socket;
+    socket.onopen = () => this.handleOpen();
+    socket.onclose = ({ code, reason }) => this.handleClose(code, reason);
+    socket.onmessage = ({ data }) => this.handleOperation(JSON.parse(data as string) as Operation);
   }
 
-  private handleOpen(ros: Ros): void {
-    if (ros !== this.ros) return ros.close();
+  private handleOpen(): void {
     this.connected = true;
     this.failures = 0;
     const token = this.token();
-    if (token !== null) ros.callOnConnection({ op: "auth", token } as never);
-    ros.callOnConnection({ op: "set_level", level: "error" } as never);
-    for (const subscription of this.subscriptions) subscribeTopic(ros, subscription);
+    if (token !== null) this.send({ op: "auth", token });
+    this.send({ op: "set_level", level: "error" });
+    for (const subscription of this.subscriptions) this.sendSubscription(subscription);
     this.onStatus({ connected: true, latency_ms: null, refused: "" });
-    this.heartbeat.start();
+    this.startHeartbeats();
   }
 
-  private handleHeartbeat(latency_ms: number): void {
-    this.accepted = true;
-    this.onStatus({ connected: true, latency_ms, refused: "" });
+  private sendSubscription({ id, topic, type, throttle_ms }: Subscription): void {
+    this.send({ op: "subscribe", id, topic, type, throttle_rate: throttle_ms, queue_length: throttle_ms > 0 ? 1 : 0 });
   }
 
-  private handleClose(ros: Ros, { code, reason }: Partial<CloseEvent>): void {
-    if (ros !== this.ros || code !== POLICY_VIOLATION || this.accepted) return this.reconnectLater(ros);
+  private handleOperation(operation: Operation): void {
+    this.silent_heartbeats = 0;
+    const { op, id = "", topic, msg } = operation;
+    if (op === "publish") {
+      for (const subscription of [...this.subscriptions]) if (subscription.topic === topic) deliver(subscription, msg);
+      return;
+    }
+    const waiting = this.waiting.get(id);
+    if (waiting === undefined) return;
+    if (op === "status") waiting.refusal = String(msg);
+    else if (op === "service_response" || op === "action_result") waiting.answer(operation);
+  }
+
+  private startHeartbeats(): void {
+    clearInterval(this.heartbeat_timer);
+    this.silent_heartbeats = 0;
+    this.heartbeat_timer = setInterval(() => this.beat(), HEARTBEAT_MS);
+    this.beat();
+  }
+
+  /** Measure the round trip, which also finds a server that no longer answers. */
+  private beat(): void {
+    if (this.silent_heartbeats >= SILENT_HEARTBEATS) return this.reconnectLater();
+    this.silent_heartbeats += 1;
+    const sent_ms = performance.now();
+    this.call("/rosapi/get_time", {}).then(
+      () => {
+        this.accepted = true;
+        this.onStatus({ connected: true, latency_ms: performance.now() - sent_ms, refused: "" });
+      },
+      () => undefined,
+    );
+  }
+
+  private handleClose(code: number, reason: string): void {
+    if (code !== POLICY_VIOLATION || this.accepted) return this.reconnectLater();
     // The server throttles clients that repeat a wrong token, so the page waits for another one.
     this.disconnect();
     this.refused = reason || t("request.token.no_reason");
     this.onStatus({ connected: false, latency_ms: null, refused: this.refused });
   }
 
-  private reconnectLater(ros: Ros | null): void {
-    if (!ros || ros !== this.ros) return;
+  private reconnectLater(): void {
     this.disconnect();
     this.failures += 1;
     this.reconnect_timer = setTimeout(() => this.connect(), backoff_s(this.failures) * 1000);
@@ -338,38 +305,53 @@ export class Connection {
 
   private disconnect(): void {
     clearTimeout(this.reconnect_timer);
-    const ros = this.ros;
-    this.ros = null;
-    const was_connected = this.connected;
+    clearInterval(this.heartbeat_timer);
+    const { socket, connected: was_connected } = this;
+    this.socket = null;
     this.connected = false;
-    this.heartbeat.stop();
-    this.publishers.clear();
-    for (const lost of [...this.disconnect_listeners]) lost();
-    // Closing a dead connection may take minutes: do not wait for it, and ignore late messages.
-    ros?.removeAllListeners();
-    ros?.close();
+    this.advertised.clear();
+    for (const { lost } of [...this.waiting.values()]) lost();
+    if (socket !== null) {
+      // Closing a dead connection may take minutes: do not wait for it, and ignore late messages.
+      socket.onopen = socket.onclose = socket.onmessage = null;
+      socket.close();
+    }
     if (was_connected) this.onStatus({ connected: false, latency_ms: null, refused: "" });
   }
 
   private retryNow(): void {
     if (document.visibilityState === "hidden") return;
-    if (this.connected) this.heartbeat.sendNow();
-    else if (!this.ros && !this.refused) this.connect();
+    if (this.connected) this.startHeartbeats();
+    else if (!this.socket && !this.refused) this.connect();
   }
 }
 
-function subscribeTopic(ros: Ros, subscription: Subscription): void {
-  const { topic, type, throttle_ms, listener } = subscription;
-  const subscriber = new Topic({
-    ros,
-    name: topic,
-    messageType: type,
-    throttle_rate: throttle_ms,
-    queue_length: throttle_ms > 0 ? 1 : 0,
-    reconnect_on_close: false,
-  });
-  subscriber.subscribe(listener as (message: unknown) => void);
-  subscription.subscriber = subscriber;
+/** Call a service that answers as a Trigger; a call that fails is an answer without success. */
+export async function ask<Response extends Answer>(
+  connection: Pick<Connection, "call">,
+  service: string,
+  request: object,
+  timeout_s?: number,
+): Promise<Partial<Response> & Answer> {
+  try {
+    return await connection.call<Response>(service, request, timeout_s);
+  } catch (error) {
+    return { success: false, message: (error as Error).message } as Partial<Response> & Answer;
+  }
+}
+
+interface Answer {
+  success: boolean;
+  message: string;
+}
+
+/** Deliver a message; the error of one listener is reported, and keeps nothing from the others. */
+function deliver({ listener }: Subscription, message: unknown): void {
+  try {
+    listener(message as never);
+  } catch (error) {
+    reportError(error);
+  }
 }
 
 function toText(reason: unknown): string {

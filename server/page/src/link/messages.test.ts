@@ -60,7 +60,7 @@ test("a joint without limits goes through a whole turn", () => {
   const limit = { joint_name: "a", has_position_limits: true, min_position: -1, max_position: 2 };
   const any = { joint_name: "b", has_position_limits: false, min_position: 0, max_position: 0 };
   const endless = { joint_name: "c", has_position_limits: true, min_position: null, max_position: null };
-  expect(readLimits({ joint_names: [], limits: [limit, any, endless] })).toEqual({
+  expect(readLimits({ joint_names: [], limits: [limit, any, endless] } as never)).toEqual({
     a: [-1, 2],
     b: [-Math.PI, Math.PI],
     c: [-Math.PI, Math.PI],
@@ -86,7 +86,7 @@ function status(values: Record<string, string>, patch: Partial<DiagnosticStatus>
 }
 
 test("joints without a position, and numbers that JSON has no word for, are not numbers", () => {
-  const read = readJoints({ header: { stamp }, name: ["a", "b", "c"], position: [1, null], velocity: [], effort: [] });
+  const read = readJoints({ header: { stamp }, name: ["a", "b", "c"], position: [1, null], velocity: [], effort: [] } as never);
   expect(read).toMatchObject({ names: ["a", "b", "c"], position_rad: [1, Number.NaN, Number.NaN], stamp: 12.5 });
 });
 
@@ -123,8 +123,8 @@ test("only the servos are listed, by joint", () => {
 test("a plan has times in seconds, and one without points is none", () => {
   const point = { positions: [0.1], time_from_start: stamp };
   const joint_trajectory = { joint_names: ["a"], points: [point] };
-  expect(readPlan({ joint_trajectory })).toEqual({ names: ["a"], points: [{ time_s: 12.5, position_rad: [0.1] }] });
-  expect(readPlan({ joint_trajectory: { joint_names: [], points: [] } })).toBeNull();
+  expect(readPlan({ joint_trajectory } as never)).toEqual({ names: ["a"], points: [{ time_s: 12.5, position_rad: [0.1] }] });
+  expect(readPlan({ joint_trajectory: { joint_names: [], points: [] } } as never)).toBeNull();
 });
 
 test("named states that cannot be read are none", () => {

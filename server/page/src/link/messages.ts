@@ -1,3 +1,4 @@
+import type { DiagnosticStatus, JointState, KinematicSolverInfo, MoveItErrorCodes, RobotTrajectory, Time } from "../../../../clients/js/armbridge";
 import type { TipVelocity } from "../logic/jog";
 import {
   noGoal,
@@ -21,50 +22,11 @@ import {
 } from "../state/state";
 
 // Messages of the server, spelled as in ROS 2: JSON has null for a number that is not finite.
-
-/** builtin_interfaces/Time. */
-export interface Time {
-  sec: number;
-  nanosec: number;
-}
-
-/** std_msgs/String. */
-export interface StringMessage {
-  data: string;
-}
-
-/** sensor_msgs/JointState. */
-export interface JointState {
-  header: { stamp: Time };
-  name: string[];
-  position: (number | null)[];
-  velocity: (number | null)[];
-  effort: (number | null)[];
-}
-
-/** diagnostic_msgs/DiagnosticStatus. */
-export interface DiagnosticStatus {
-  level: number;
-  name: string;
-  message: string;
-  hardware_id: string;
-  values: { key: string; value: string }[];
-}
+export type * from "../../../../clients/js/armbridge";
 
 /** diagnostic_msgs/DiagnosticArray. */
 export interface DiagnosticArray {
   status: DiagnosticStatus[];
-}
-
-/** moveit_msgs/KinematicSolverInfo. */
-export interface KinematicSolverInfo {
-  joint_names: string[];
-  limits: {
-    joint_name: string;
-    has_position_limits: boolean;
-    min_position: number | null;
-    max_position: number | null;
-  }[];
 }
 
 /** rcl_interfaces/Log. */
@@ -73,20 +35,6 @@ export interface LogMessage {
   level: number;
   name: string;
   msg: string;
-}
-
-/** moveit_msgs/MoveItErrorCodes. */
-export interface MoveItErrorCodes {
-  val: number;
-  message: string;
-}
-
-/** moveit_msgs/RobotTrajectory. */
-export interface RobotTrajectory {
-  joint_trajectory: {
-    joint_names: string[];
-    points: { positions: number[]; time_from_start: Time }[];
-  };
 }
 
 /** moveit_msgs/DisplayTrajectory, the field that is shown. */
@@ -98,58 +46,6 @@ export interface DisplayTrajectory {
 export interface MotionResult {
   error_code: MoveItErrorCodes;
   planned_trajectory?: RobotTrajectory;
-}
-
-/** armbridge_msgs/GoalCheck. */
-export interface GoalCheck {
-  code: number;
-  message: string;
-  reachable: boolean;
-  free: boolean;
-  decided: boolean;
-  position_error_m: number;
-  solution: { name: string[]; position: number[] };
-}
-
-/** geometry_msgs/Pose. */
-export interface Pose {
-  position: { x: number; y: number; z: number };
-  orientation: { x: number; y: number; z: number; w: number };
-}
-
-/** moveit_msgs/CollisionObject. */
-export interface CollisionObject {
-  header: { frame_id: string };
-  id: string;
-  pose: Pose;
-  primitives: { type: number; dimensions: number[]; polygon?: { points: { x: number; y: number; z: number }[] } }[];
-  primitive_poses: Pose[];
-  meshes: { triangles: { vertex_indices: number[] }[]; vertices: { x: number; y: number; z: number }[] }[];
-  mesh_poses: Pose[];
-  planes: { coef: number[] }[];
-  plane_poses: Pose[];
-  operation: number;
-}
-
-/** moveit_msgs/AttachedCollisionObject, the fields that are shown. */
-export interface AttachedCollisionObject {
-  link_name: string;
-  touch_links?: string[];
-  object: CollisionObject;
-}
-
-/** moveit_msgs/PlanningScene, the fields that are shown. */
-export interface PlanningScene {
-  is_diff: boolean;
-  robot_state: { is_diff: boolean; attached_collision_objects: AttachedCollisionObject[] };
-  world: { collision_objects: CollisionObject[] };
-  object_colors: { id: string; color: { r: number; g: number; b: number; a: number } }[];
-}
-
-/** Response of std_srvs/Trigger. */
-export interface TriggerResponse {
-  success: boolean;
-  message: string;
 }
 
 /** armbridge_msgs/CommissioningState. */
@@ -173,12 +69,6 @@ export interface ServoHistoryResponse {
   voltage_v: (number | null)[];
   current_a: (number | null)[];
   events: string[];
-}
-
-/** control_msgs/JointTrajectoryControllerState. */
-export interface ControllerState {
-  joint_names: string[];
-  reference: { positions: (number | null)[] };
 }
 
 /** Names of moveit_msgs/MoveItErrorCodes, in MoveIt's spelling. */
@@ -315,12 +205,6 @@ export function gripperGoal(position: number): object {
   return { command: { position, max_effort: 0 } };
 }
 
-/** moveit_msgs/ServoStatus. */
-export interface ServoStatusMessage {
-  code: number;
-  message: string;
-}
-
 /**
  * Build geometry_msgs/TwistStamped.
  *
@@ -351,7 +235,6 @@ export function jointJog(velocities: JointValues): object {
   };
 }
 
-/** Return a time in seconds. */
 export function toSeconds({ sec, nanosec }: Time): number {
   return sec + nanosec * 1e-9;
 }
@@ -505,7 +388,7 @@ export function readCommissioning(message: CommissioningMessage): Commissioning 
 }
 
 /** Read moveit_msgs/RobotTrajectory; null when it has no points. */
-export function readPlan(trajectory: RobotTrajectory | undefined): Plan | null {
+export function readPlan(trajectory: Pick<RobotTrajectory, "joint_trajectory"> | undefined): Plan | null {
   const joint_trajectory = trajectory?.joint_trajectory;
   if (!joint_trajectory || joint_trajectory.points.length === 0) return null;
   return {

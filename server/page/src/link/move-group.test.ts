@@ -2,7 +2,6 @@ import { expect, test } from "vitest";
 import { emptyState } from "../state/state";
 import { selectGoal, Store, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
-import type { MotionResult } from "./messages";
 import { MoveGroupClient, startsAtCurrentState } from "./move-group";
 
 const TIME = { sec: 1, nanosec: 0 };
@@ -20,7 +19,7 @@ function setUp(): { store: PageStore; moveGroup: MoveGroupClient; sent: Sent[] }
   const goal = (action: string, _type: string, sent_goal: unknown): unknown => {
     const result = new Promise((resolve) => {
       const answer = (val: number, message: string): void => {
-        const values: MotionResult = { error_code: { val, message }, planned_trajectory: PLANNED };
+        const values = { error_code: { val, message }, planned_trajectory: PLANNED };
         resolve({ status: val === 1 ? 4 : 6, values, reason: "" });
       };
       sent.push({ action, goal: sent_goal, answer });

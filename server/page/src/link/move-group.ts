@@ -1,12 +1,13 @@
 import { currentPositions } from "../logic/joints";
 import { planningGroup } from "../logic/robot-info";
 import { duration_s, samplePlan } from "../logic/trajectory";
-import { noGoal, noPlan, type PendingRequest, type Plan, type State } from "../state/state";
+import { noGoal, noPlan, type JointValues, type PendingRequest, type Plan, type State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
 import {
   goalConstraints,
+  jointConstraints,
   moveGroupGoal,
   PREEMPTED,
   readPlan,
@@ -63,6 +64,11 @@ export class MoveGroupClient {
     await this.sendMoveGroupGoal("move", false);
   }
 
+  /** Move to joint values at once, in place of a motion in progress, at a fraction of the speed limits. */
+  async moveTo(joints_rad: JointValues, speed: number): Promise<void> {
+    await this.sendConstraints("move", jointConstraints(joints_rad), speed, false);
+  }
+
   /** Cancel this page's goal, if there is one. */
   cancel(): void {
     this.handle?.cancel();
@@ -74,10 +80,14 @@ export class MoveGroupClient {
       this.report(null, t("answer.no_goal"));
       return null;
     }
-    const { settings, group } = this.store.state;
+    return this.sendConstraints(pending_request, constraints, this.store.state.settings.speed, plan_only);
+  }
+
+  private sendConstraints(pending_request: PendingRequest, constraints: object, speed: number, plan_only: boolean): Promise<MotionResult | null> {
+    const { group } = this.store.state;
     // Before the server has told a group, it knows its own default best.
     const group_name = group && (planningGroup(this.store.state)?.name ?? "");
-    const goal = moveGroupGoal(constraints, settings.speed, plan_only, group_name);
+    const goal = moveGroupGoal(constraints, speed, plan_only, group_name);
     return this.sendGoal(pending_request, "/move_action", "moveit_msgs/action/MoveGroup", goal);
   }
 

@@ -17,7 +17,7 @@ function collisionObject(id: string, operation = 0): CollisionObject {
     planes: [],
     plane_poses: [],
     operation,
-  };
+  } as unknown as CollisionObject;
 }
 
 function planningScene(world: CollisionObject[], attached: CollisionObject[] = [], is_diff = true): PlanningScene {
@@ -27,7 +27,7 @@ function planningScene(world: CollisionObject[], attached: CollisionObject[] = [
     robot_state: { is_diff: true, attached_collision_objects },
     world: { collision_objects: world },
     object_colors: [{ id: "red", color: { r: 1, g: 0, b: 0, a: 1 } }],
-  };
+  } as unknown as PlanningScene;
 }
 
 const ids = (objects: { id: string }[]): string[] => objects.map(({ id }) => id);

@@ -11,11 +11,6 @@ export class LatestRequestQueue<Request> {
   /** @param send - sends a request and handles its answer; must not reject. */
   constructor(private readonly send: (request: Request) => Promise<void>) {}
 
-  /** True while a newer request waits for the answer to the present one. */
-  get superseded(): boolean {
-    return this.next !== null;
-  }
-
   /** Send a request, now or after the answer to the present one. */
   put(request: Request): void {
     this.next = { request };

@@ -1,5 +1,5 @@
 import { takesOrientation } from "../logic/joints";
-import { reach_m, reachOf, regionPoints, type RegionPoint } from "../logic/scene-region";
+import { reachOf, regionPoints, type RegionPoint } from "../logic/scene-region";
 import type { Cell, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
@@ -35,7 +35,7 @@ export class RegionScan {
     const causes: ((state: State) => unknown)[] = [
       (state) => state.region.shown,
       (state) => state.region.slice,
-      (state) => state.urdf,
+      (state) => state.robot,
       (state) => state.group,
       (state) => state.objects,
       (state) => state.link.connected,
@@ -47,13 +47,13 @@ export class RegionScan {
 
   private begin(): void {
     this.run += 1;
-    const { region, urdf, link } = this.store.state;
+    const { region, robot, link } = this.store.state;
     const empty = region.cells.length === 0 && region.total === 0;
     if (!region.shown || !link.connected) {
       if (!empty) this.store.patch("region", { cells: [], total: 0, problem: "" });
       return;
     }
-    const points = regionPoints(region.slice, reach_m(urdf));
+    const points = regionPoints(region.slice, robot?.reach_m ?? 0);
     this.store.patch("region", { cells: [], total: points.length, problem: "" });
     void this.scan(this.run, points);
   }

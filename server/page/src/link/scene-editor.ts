@@ -1,11 +1,11 @@
-import { holderOf } from "../logic/scene-attach";
+import { planningGroup } from "../logic/robot-info";
 import { readSceneText, sceneText, type SceneFile } from "../logic/scene-file";
 import { before, beforeReplacement, undoing, withChange } from "../logic/scene-history";
 import { duplicateOf, placedOn } from "../logic/scene-objects";
 import type { Color, Orientation, Point, SceneChange, SceneObject, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import type { Connection } from "./connection";
+import { ask, type Connection } from "./connection";
 import type { TriggerResponse } from "./messages";
 import {
   addObject,
@@ -83,8 +83,8 @@ export class SceneEditor {
 
   /** Attach an object of the world to the gripper, where it is. */
   async attach(id: string): Promise<void> {
-    const holder = holderOf(this.store.state);
-    if (holder !== null) await this.change([id], { attached: [attachObject(id, holder.link, holder.touch_links)] });
+    const group = planningGroup(this.store.state);
+    if (group?.tip) await this.change([id], { attached: [attachObject(id, group.tip, group.touch_links)] });
   }
 
   /** Put a held object back into the world, where it is. */
@@ -116,15 +116,11 @@ export class SceneEditor {
   /** Save, load or delete a scene by name on the server. */
   async scenes(work: "save" | "load" | "delete", name: string): Promise<boolean> {
     const objects = this.store.state.objects;
-    const done = await this.attempt(async () => {
-      const service = `/arm/scenes/${work}`;
-      const { success, message } = await this.connection.call<TriggerResponse>(service, { name }, APPLY_TIMEOUT_S);
-      this.edit({ result: message });
-      return success;
-    });
-    if (done && work === "load") this.remember(beforeReplacement(objects));
+    const { success, message } = await ask<TriggerResponse>(this.connection, `/arm/scenes/${work}`, { name }, APPLY_TIMEOUT_S);
+    this.edit({ result: message });
+    if (success && work === "load") this.remember(beforeReplacement(objects));
     await this.listSaved();
-    return done;
+    return success;
   }
 
   /** Return the present scene as the text of a file; null when the server does not tell it. */

@@ -1,11 +1,11 @@
-import { armGripper, armJoints, currentPositions, gripperAction } from "../logic/joints";
+import { armGripper, armJoints, currentPositions } from "../logic/joints";
 import { legRequest, sequenceSteps, type LegCheck, type Step, type Waypoint } from "../logic/sequence";
 import { duration_s } from "../logic/trajectory";
 import type { JointValues, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
-import { readPlan, SUCCESS, type MoveItErrorCodes, type RobotTrajectory } from "./messages";
+import { readPlan, SUCCESS, type CheckMotionResponse, type MoveItErrorCodes, type RobotTrajectory } from "./messages";
 
 /** Time for the plan of a leg [s]: planners give up after allowed_planning_time, 5 s unless it is set. */
 const PLAN_TIMEOUT_S = 20;
@@ -106,9 +106,7 @@ export class SequencePlayer {
 
   /** Play waypoints once; return the reason for an end before the last one as a sentence, null for none. */
   private async playOnce(waypoints: readonly Waypoint[]): Promise<string | null> {
-    const gripper = armGripper(this.store.state);
-    const action = gripper && gripperAction(gripper, this.store.state.actions);
-    for (const step of sequenceSteps(waypoints, action)) {
+    for (const step of sequenceSteps(waypoints, armGripper(this.store.state)?.action ?? null)) {
       if (this.stopped) break;
       this.store.patch("sequence", { playing: { index: step.index, doing: step.doing } });
       const problem = await this.carryOut(step);
@@ -190,23 +188,16 @@ export class SequencePlayer {
       this.answers.set(key, check);
       return check;
     } catch (error) {
-      return { verdict: "unknown", message: (error as Error).message, duration_s: 0, end_rad: null, plan: null };
+      return { ...CHECKING, verdict: "unknown", message: (error as Error).message };
     }
   }
 
   /** Ask for the replay of a taught motion, once the arm has reached its start. */
   private async checkReplay({ speed, joints_rad }: Waypoint, name: string, before_s: number): Promise<LegCheck> {
-    const { success, message, duration_s } = await this.connection.call<MotionCheck>("/teach/check", { name, speed }, PLAN_TIMEOUT_S);
-    if (!success) return { verdict: "refused", message, duration_s: 0, end_rad: null, plan: null };
+    const { success, message, duration_s } = await this.connection.call<CheckMotionResponse>("/teach/check", { name, speed }, PLAN_TIMEOUT_S);
+    if (!success) return { ...CHECKING, verdict: "refused", message };
     return { verdict: "possible", message: "", duration_s: before_s + duration_s, end_rad: joints_rad, plan: null };
   }
-}
-
-/** armbridge_msgs/srv/CheckMotion, the response. */
-interface MotionCheck {
-  success: boolean;
-  message: string;
-  duration_s: number;
 }
 
 /** Largest number of answers that are kept, a few edits of the longest sequence. */
@@ -218,10 +209,8 @@ const BAD_START = [-10, -26];
 function readCheck({ error_code, trajectory }: PlanResponse["motion_plan_response"], is_first: boolean): LegCheck {
   const { val, message } = error_code;
   // The leg itself is not to blame: it would begin at a waypoint where the arm cannot be.
-  if (!is_first && BAD_START.includes(val)) {
-    return { verdict: "unknown", message: t("sequence.bad_start"), duration_s: 0, end_rad: null, plan: null };
-  }
-  if (val !== SUCCESS) return { verdict: "refused", message, duration_s: 0, end_rad: null, plan: null };
+  if (!is_first && BAD_START.includes(val)) return { ...CHECKING, verdict: "unknown", message: t("sequence.bad_start") };
+  if (val !== SUCCESS) return { ...CHECKING, verdict: "refused", message };
   // An arm that is there already gets a trajectory without points.
   const plan = readPlan(trajectory);
   const last = plan?.points.at(-1);

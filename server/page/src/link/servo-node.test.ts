@@ -1,5 +1,6 @@
 import { afterEach, beforeEach, expect, test, vi } from "vitest";
-import { JogStep, type JogCommand } from "../logic/jog";
+import type { JogCommand } from "../logic/jog";
+import { TWO_ARMS, WITH_FINGERS } from "../logic/robots.test.data";
 import { emptyState, type State } from "../state/state";
 import { Store } from "../state/store";
 import { JogSender, PERIOD_MS, subscribeServoNode } from "./servo-node";
@@ -85,12 +86,11 @@ test.each([
   const { jog, sent } = page;
   jog.hold("key", X);
   end(page);
-  expect([jog.active, sent.at(-1)?.message.twist?.linear.x]).toEqual([false, 0]);
+  expect([jog.busy, sent.at(-1)?.message.twist?.linear.x]).toEqual([true, 0]);
   const halted = sent.length;
   jog.hold("key", X);
   jog.hold("other", X);
   jog.release("key");
-  jog.step("third", new JogStep(X, 0.01, 0.2, 0.25));
   vi.advanceTimersByTime(1000);
   expect(sent).toHaveLength(halted);
   jog.release("other");
@@ -106,36 +106,17 @@ test("a page that nobody attends to waits for no release", () => {
   expect(sent.at(-1)?.message.twist?.linear.x).toBe(1);
 });
 
-test("a step goes on after its press", () => {
-  const { jog } = sender();
-  jog.step("button", new JogStep(X, 0.01, 0.2, 0.25));
-  jog.release("button");
-  expect(jog.active).toBe(true);
-});
-
 test("another's control and a lost connection end it", () => {
   const held = sender();
   held.jog.hold("key", X);
   held.store.set({ identity: { address: "me", role: "view", version: "" } });
   vi.advanceTimersByTime(PERIOD_MS);
-  expect(held.jog.active).toBe(false);
+  expect(held.sent.at(-1)?.message.twist?.linear.x).toBe(0);
   const lost = sender();
   lost.jog.hold("key", X);
   lost.store.patch("link", { connected: false });
   vi.advanceTimersByTime(PERIOD_MS);
-  expect([lost.jog.active, lost.sent.length]).toEqual([false, 1]);
-});
-
-test("a step is made once, and ends by itself with a halt", () => {
-  const { jog, sent } = sender();
-  const step = (): JogStep => new JogStep(X, 0.01, 0.2, 0.25);
-  jog.step("button", step());
-  jog.step("button", step());
-  vi.advanceTimersByTime(1000);
-  const way_m = sent.reduce((sum, { message }) => sum + ((message.twist?.linear.x ?? 0) * 0.2 * PERIOD_MS) / 1000, 0);
-  expect(way_m).toBeCloseTo(0.01, 9);
-  expect(sent.at(-1)?.message.twist?.linear.x).toBe(0);
-  expect(jog.active).toBe(false);
+  expect(lost.sent).toHaveLength(1);
 });
 
 test("speeds are in the server's units", () => {
@@ -145,15 +126,10 @@ test("speeds are in the server's units", () => {
   expect(sent[0]?.message.twist?.linear.x).toBe(0.2);
 });
 
-const URDF = `<robot><joint name="a" type="revolute"><limit lower="-1" upper="1"/></joint>
-<joint name="left" type="prismatic"><limit lower="0" upper="0.06"/></joint></robot>`;
-const SRDF = `<robot><group name="arm"><joint name="a"/></group><group name="fingers"><joint name="left"/></group>
-<end_effector name="hand" parent_link="x" group="fingers" parent_group="arm"/></robot>`;
-
 test("the gripper goes on in small goals while it is held, up to its limit", () => {
   const blank = emptyState("ws://here");
   const joints = { ...blank.joints, names: ["a", "left"], position_rad: [0, 0.045] };
-  const { jog, gripper, sent } = sender({ urdf: URDF, srdf: SRDF, joints, actions: ["/fingers_controller/gripper_cmd"] });
+  const { jog, gripper, sent } = sender({ robot: WITH_FINGERS, joints });
   jog.hold("open", { kind: "gripper", velocity: { opening: 1 } });
   vi.advanceTimersByTime(2000);
   expect(gripper.map((position) => Number(position.toFixed(4)))).toEqual([0.053, 0.06]);
@@ -176,30 +152,21 @@ test("commands expire early, every press is announced, and the page takes no con
   expect(timeouts).toHaveLength(2);
 });
 
-const TWO_ARMS: Partial<State> = {
-  limits: { left_a: [0, 1], right_a: [0, 1] },
-  urdf: `<robot><link name="world"/><link name="left"/><link name="right"/>
-    <joint name="left_a" type="revolute"><parent link="world"/><child link="left"/><limit lower="0" upper="1"/></joint>
-    <joint name="right_a" type="revolute"><parent link="world"/><child link="right"/><limit lower="0" upper="1"/></joint></robot>`,
-  srdf: `<robot><group name="left_arm"><joint name="left_a"/></group><group name="right_arm"><joint name="right_a"/></group></robot>`,
-  actions: ["/left/moveit_goal", "/right/moveit_goal"],
-  group: "left_arm",
-};
+const OF_TWO: Partial<State> = { robot: TWO_ARMS, group: "left_arm" };
 
 test("of several arms that of the planning group is steered, and a change of the group halts it", () => {
-  const { jog, sent, store } = sender(TWO_ARMS);
+  const { jog, sent, store } = sender(OF_TWO);
   jog.hold("joint", { kind: "joints", velocity: { left_a: 1 } });
   expect(sent.at(-1)).toMatchObject({ topic: "/left/servo_node/delta_joint_cmds", message: { velocities: [1] } });
   store.set({ group: "right_arm" });
   expect(sent.at(-1)).toMatchObject({ topic: "/left/servo_node/delta_joint_cmds", message: { velocities: [0] } });
-  expect(jog.active).toBe(false);
   jog.release("joint");
   jog.hold("joint", { kind: "joints", velocity: { right_a: 1 } });
   expect(sent.at(-1)?.topic).toBe("/right/servo_node/delta_joint_cmds");
 });
 
 test("status and parameters are those of the arm that is steered", () => {
-  const { store } = sender(TWO_ARMS);
+  const { store } = sender(OF_TWO);
   const listeners = new Map<string, (message: never) => void>();
   const subscribe = ((topic: string, _type: string, listener: (message: never) => void) => listeners.set(topic, listener)) as never;
   subscribeServoNode({ subscribe }, store);

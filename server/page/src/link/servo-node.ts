@@ -1,12 +1,12 @@
-import { armGripper, armJoints, armNamespace, currentPositions, hasTip } from "../logic/joints";
-import { summed, type JogCommand, type JogStep } from "../logic/jog";
+import { armGripper, armJoints, armNamespace, currentPositions, isOneArm } from "../logic/joints";
+import { summed, type JogCommand } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
 import type { State } from "../state/state";
 import { setNotice, type PageStore } from "../state/store";
 import type { ArmCommands } from "./commands";
 import type { Connection } from "./connection";
-import { jointJog, twistStamped, type ServoStatusMessage, type StringMessage } from "./messages";
+import { jointJog, twistStamped, type ServoStatus, type String as StringMessage } from "./messages";
 
 /** Period of commands [ms]: three fit into the time after which a command expires. */
 export const PERIOD_MS = 25;
@@ -18,7 +18,7 @@ export const COMMAND_TIMEOUT_S = 0.08;
 const GRIPPER_PERIOD_MS = 200;
 
 /** Time in which the gripper goes through its range at full speed [s]. */
-export const GRIPPER_RANGE_S = 1.5;
+const GRIPPER_RANGE_S = 1.5;
 
 /** Values of moveit_msgs/ServoCommandType. */
 const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
@@ -34,7 +34,7 @@ export function subscribeServoNode(connection: Pick<Connection, "subscribe">, st
     if (parameters.has(namespace)) return;
     parameters.set(namespace, {});
     const isPresent = (): boolean => armNamespace(store.state) === namespace;
-    connection.subscribe<ServoStatusMessage>(`${namespace}/servo_node/status`, "moveit_msgs/ServoStatus", ({ code, message }) => {
+    connection.subscribe<ServoStatus>(`${namespace}/servo_node/status`, "moveit_msgs/ServoStatus", ({ code, message }) => {
       if (isPresent()) store.patch("servo_node", { code, message });
     }, 100);
     connection.subscribe<StringMessage>(`${namespace}/servo_node/parameters`, "std_msgs/String", ({ data }) => {
@@ -62,10 +62,8 @@ export class JogSender {
   private readonly held = new Map<string, JogCommand>();
   /** Inputs that were released from here while they were held, and those pressed since: nothing moves before all are let go. */
   private readonly locked = new Set<string>();
-  private readonly steps = new Map<string, JogStep>();
   private readonly release_listeners = new Set<() => void>();
   private timer: ReturnType<typeof setInterval> | undefined;
-  private sent_ms = 0;
   private arm_kind: ArmKind | null = null;
   /** What the topics begin with of the arm that is steered. */
   private namespace = "";
@@ -88,9 +86,9 @@ export class JogSender {
     store.subscribe((state) => state.arm.last_stop, () => this.releaseAll());
   }
 
-  /** True while any input is held, or a step is made. */
-  get active(): boolean {
-    return this.held.size > 0;
+  /** True while any input is held, or must still be let go. */
+  get busy(): boolean {
+    return this.held.size + this.locked.size > 0;
   }
 
   /** Call back whenever everything is released by other means than the inputs themselves. */
@@ -110,23 +108,9 @@ export class JogSender {
     this.timer ??= setInterval(() => this.send(), PERIOD_MS);
   }
 
-  /** Make one step; a further press while it is made adds nothing. */
-  step(input: string, step: JogStep): void {
-    if (this.steps.has(input) || this.locked.size > 0) return;
-    const command = step.next(0, PERIOD_MS / 1000);
-    if (command === null) return;
-    this.hold(input, command);
-    if (this.held.has(input)) this.steps.set(input, step);
-  }
-
-  /** Release an input; with the last one of the arm, halt. A step goes on after its press, which may be shorter. */
+  /** Release an input; with the last one of the arm, halt. */
   release(input: string): void {
     this.locked.delete(input);
-    if (!this.steps.has(input)) this.end(input);
-  }
-
-  private end(input: string): void {
-    this.steps.delete(input);
     const released = this.held.get(input);
     if (!this.held.delete(input)) return;
     if (released?.kind === "gripper") {
@@ -137,9 +121,8 @@ export class JogSender {
 
   /** Release every input and halt at once; nothing moves the arm before all of them are let go. */
   releaseAll(): void {
-    for (const input of this.held.keys()) if (!this.steps.has(input)) this.locked.add(input);
+    for (const input of this.held.keys()) this.locked.add(input);
     this.held.clear();
-    this.steps.clear();
     if (this.gripper) this.gripper_commands.cancelGripper();
     this.gripper = null;
     this.stopTimer();
@@ -164,26 +147,13 @@ export class JogSender {
 
   private isAllowed(): boolean {
     const { state } = this.store;
-    return state.link.connected && denialReason("drive", state) === "" && hasTip(state);
+    return state.link.connected && denialReason("drive", state) === "" && isOneArm(state);
   }
 
   private send(): void {
     if (!this.isAllowed()) return this.releaseAll();
-    this.advanceSteps();
     if (this.arm_kind) this.publish(this.arm_kind, summed(this.commandsOf(this.arm_kind)));
     this.sendGripper(summed(this.commandsOf("gripper")).opening ?? 0);
-  }
-
-  /** Go on with the steps by the time that their last commands were followed, which ends when they expire. */
-  private advanceSteps(): void {
-    const now_ms = performance.now();
-    const followed_s = Math.min((now_ms - this.sent_ms) / 1000, COMMAND_TIMEOUT_S);
-    this.sent_ms = now_ms;
-    for (const [input, step] of [...this.steps]) {
-      const command = step.next(followed_s, PERIOD_MS / 1000);
-      if (command === null) this.end(input);
-      else this.held.set(input, command);
-    }
   }
 
   private halt(): void {

@@ -1,4 +1,5 @@
 import { expect, test } from "vitest";
+import { TWO_ARMS } from "../logic/robots.test.data";
 import { emptyState, type State } from "../state/state";
 import { Store } from "../state/store";
 import { ArmCommands } from "./commands";
@@ -7,12 +8,7 @@ import { subscribeSpeedLimit } from "./speed-limit";
 
 const LEFT_AND_RIGHT: Partial<State> = {
   limits: { left_a: [0, 1], right_a: [0, 1] },
-  urdf: `<robot><link name="world"/><link name="left"/><link name="right"/>
-    <joint name="left_a" type="revolute"><parent link="world"/><child link="left"/><limit lower="0" upper="1"/></joint>
-    <joint name="right_a" type="revolute"><parent link="world"/><child link="right"/><limit lower="0" upper="1"/></joint></robot>`,
-  srdf: `<robot><group name="left_arm"><joint name="left_a"/></group><group name="right_arm"><joint name="right_a"/></group>
-    <group name="both_arms"><group name="left_arm"/><group name="right_arm"/></group></robot>`,
-  actions: ["/left/moveit_goal", "/right/moveit_goal"],
+  robot: TWO_ARMS,
   group: "left_arm",
 };
 

@@ -5,7 +5,6 @@ import type { Connection } from "./connection";
 import type { DiagnosticStatus } from "./messages";
 import {
   applyGoalStatus,
-  fetchActions,
   subscribeControl,
   subscribeControllerState,
   subscribeTopics,
@@ -126,12 +125,6 @@ test("the group of the server is that of the page, and telling it again keeps wh
   store.set({ selection: { kind: "joints", joints_rad: { a: 1 } } });
   tell("/moveit_goal_group", { data: "left" });
   expect(store.state.selection.kind).toBe("joints");
-});
-
-test("the server's actions are asked for", async () => {
-  const store = new Store(emptyState("ws://here"));
-  await fetchActions(listening({ "/rosapi/action_servers": { action_servers: ["/move_action"] } }).connection, store);
-  expect(store.state.actions).toEqual(["/move_action"]);
 });
 
 test("a log line that the server sends again after a break of the connection is shown once", () => {

@@ -16,14 +16,14 @@ import {
   readServos,
   SUCCESS,
   valuesByJoint,
-  type ControllerState,
   type DiagnosticArray,
   type DiagnosticStatus,
   type JointState,
+  type JointTrajectoryControllerState,
   type KinematicSolverInfo,
   type LogMessage,
   type PlanningScene,
-  type StringMessage,
+  type String as StringMessage,
   type TriggerResponse,
 } from "./messages";
 import { PAGE_VERSION, versionMismatch } from "../logic/version";
@@ -67,8 +67,8 @@ export function withLogEntry(log: readonly LogEntry[], entry: LogEntry): LogEntr
 
 function subscribeRobot(connection: Connection, store: PageStore): void {
   connection.subscribe<StringMessage>("/robot_description", "std_msgs/String", ({ data }) => store.set({ urdf: data }));
-  connection.subscribe<StringMessage>("/robot_description_semantic", "std_msgs/String", ({ data }) => {
-    store.set({ srdf: data });
+  connection.subscribe<StringMessage>("/armbridge/robot", "std_msgs/String", ({ data }) => {
+    store.set({ robot: JSON.parse(data) as State["robot"] });
   });
   connection.subscribe<StringMessage>("/moveit_goal_group", "std_msgs/String", ({ data }) => selectGroup(store, data));
   connection.subscribe<KinematicSolverInfo>("/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", (message) => {
@@ -92,21 +92,15 @@ export async function subscribeControllerState(
   const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
   // Each controller has its state under an old and a new name.
   const of_controllers = topics.filter((name) => name.endsWith("/controller_state"));
-  const onState = ({ joint_names, reference }: ControllerState): void => {
+  const onState = ({ joint_names, reference }: JointTrajectoryControllerState): void => {
     const commanded = valuesByJoint(joint_names, reference.positions);
     store.set({ commanded_rad: { ...store.state.commanded_rad, ...commanded } });
   };
   for (const topic of of_controllers.length > 0 ? of_controllers : topics.slice(0, 1)) {
     if (subscribed_topics.has(topic)) continue;
     subscribed_topics.add(topic);
-    connection.subscribe<ControllerState>(topic, type, onState, REDRAW_PERIOD_MS);
+    connection.subscribe<JointTrajectoryControllerState>(topic, type, onState, REDRAW_PERIOD_MS);
   }
-}
-
-/** Ask for the actions of the server, which tell whether it moves a gripper. */
-export async function fetchActions(connection: Connection, store: PageStore): Promise<void> {
-  const { action_servers } = await connection.call<{ action_servers: string[] }>("/rosapi/action_servers", {});
-  store.set({ actions: action_servers });
 }
 
 /** Forget goals and commands that may have ended while the page was disconnected. */

@@ -5,34 +5,21 @@ import { duration_s } from "../logic/trajectory";
 import type { Plan } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import type { Connection, GoalHandle } from "./connection";
-import { readPlan, type MoveItErrorCodes, type RobotTrajectory, type TriggerResponse } from "./messages";
+import { ask, type Connection, type GoalHandle } from "./connection";
+import { readPlan, type JointTrajectory, type ReplayMotionResult, type TeachState, type TriggerResponse } from "./messages";
 import { setWaypoints } from "./sequence";
 
 /** Time for making a motion of a recording, or for checking an edited one [s]: minutes of motion take seconds. */
 const WORK_TIMEOUT_S = 30;
 
-/** armbridge_msgs/TeachState. */
-interface TeachState {
-  recording: boolean;
-  name: string;
-  duration_s: number | null;
-  message: string;
-}
-
 /** armbridge_msgs/srv/GetMotion, the response. */
 interface MotionResponse extends TriggerResponse {
-  trajectory: RobotTrajectory["joint_trajectory"];
-}
-
-interface ReplayResult {
-  error_code: MoveItErrorCodes;
-  message: string;
+  trajectory: JointTrajectory;
 }
 
 /** Records motions that a hand shows, keeps them on the server, and replays them. */
 export class Teaching {
-  private handle: GoalHandle<ReplayResult> | null = null;
+  private handle: GoalHandle<ReplayMotionResult> | null = null;
 
   constructor(
     private readonly connection: Connection,
@@ -117,15 +104,10 @@ export class Teaching {
 
   /** Ask for a motion; null when there is none, of which the answer is told. */
   private async get(name: string): Promise<Plan | null> {
-    try {
-      const { success, message, trajectory } = await this.connection.call<MotionResponse>("/teach/get", { name }, WORK_TIMEOUT_S);
-      const motion = success ? readPlan({ joint_trajectory: trajectory }) : null;
-      if (motion === null) this.store.patch("teaching", { told: message });
-      return motion;
-    } catch (error) {
-      this.store.patch("teaching", { told: (error as Error).message });
-      return null;
-    }
+    const { success, message, trajectory } = await ask<MotionResponse>(this.connection, "/teach/get", { name }, WORK_TIMEOUT_S);
+    const motion = success && trajectory ? readPlan({ joint_trajectory: trajectory }) : null;
+    if (motion === null) this.store.patch("teaching", { told: message });
+    return motion;
   }
 
   /** Replay a motion, at a multiple of the speed in which it was shown. */
@@ -135,7 +117,7 @@ export class Teaching {
     let told = "";
     try {
       const goal = { name, speed, reverse, repeat: 0 };
-      this.handle = this.connection.goal<ReplayResult>("/replay_motion", "armbridge_msgs/action/ReplayMotion", goal);
+      this.handle = this.connection.goal<ReplayMotionResult>("/replay_motion", "armbridge_msgs/action/ReplayMotion", goal);
       const { values, reason } = await this.handle.result;
       told = values?.message || reason;
     } catch (error) {
@@ -163,16 +145,9 @@ export class Teaching {
 
   /** Call a service; true when it has done what it was asked for. */
   private async work(service: string, request: object): Promise<boolean> {
-    let done = false;
-    let told = "";
-    try {
-      const { success, message } = await this.connection.call<TriggerResponse>(service, request, WORK_TIMEOUT_S);
-      [done, told] = [success, message];
-    } catch (error) {
-      told = (error as Error).message;
-    }
-    this.store.patch("teaching", { told, ...(done ? { edited: null } : {}) });
+    const { success, message } = await ask<TriggerResponse>(this.connection, service, request, WORK_TIMEOUT_S);
+    this.store.patch("teaching", { told: message, ...(success ? { edited: null } : {}) });
     await this.list();
-    return done;
+    return success;
   }
 }

@@ -45,7 +45,6 @@ export interface RangeBar {
 /** Room beside the expected range on each side, as a share of it: a range that is too wide is seen as such. */
 const BAR_MARGIN = 0.15;
 
-/** Return the bar of a joint. */
 export function rangeBar({ lowest, present, highest, expected_width }: SweptJoint): RangeBar {
   const width = Math.max(highest - lowest, 0);
   const known = Math.max(expected_width, 0);

@@ -1,5 +1,5 @@
 import type { State } from "../state/state";
-import { armJoints, currentPositions, groupPoses, jointLimits } from "./joints";
+import { armJoints, currentPositions, groupPoses } from "./joints";
 
 /** Least travel of a joint that one sees as a motion [rad or m]. */
 const LEAST_TRAVEL = 0.2;
@@ -7,7 +7,7 @@ const LEAST_TRAVEL = 0.2;
 /** Return the described pose that is nearest to the arm among those that it visibly moves to; null without one. */
 export function firstPose(state: State): string | null {
   const current = currentPositions(state);
-  const limits = jointLimits(state);
+  const limits = state.limits;
   const names = armJoints(state);
   const candidates = Object.entries(groupPoses(state)).flatMap(([name, { saved, joints }]) => {
     const inside = Object.entries(joints).every(([joint, value]) => {

@@ -40,8 +40,7 @@ test.each([
 ])("%s is of the kind %s", (source, kind) => expect(goalKind(source)).toBe(kind));
 
 const ARM = {
-  urdf: '<robot><joint name="rail" type="prismatic"><limit lower="0" upper="1"/></joint></robot>',
-  srdf: "<robot/>",
+  robot: { joints: { rail: "prismatic" as const }, default_group: "", groups: [], reach_m: 1 },
   settings: { units: "deg" as const, speed: 1 },
 };
 

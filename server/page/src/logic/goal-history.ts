@@ -62,8 +62,8 @@ interface JointList {
   position: number[];
 }
 
-/** Units of choice, and the descriptions that tell which joints slide. */
-type ShownUnits = Pick<State, "urdf" | "srdf" | "settings">;
+/** Units of choice, and the robot, whose joints may slide. */
+type ShownUnits = Pick<State, "robot" | "settings">;
 
 /** Read what a client asked for from its message as JSON. */
 export function readAsked(text: string, shown: ShownUnits): Asked {

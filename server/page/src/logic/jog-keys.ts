@@ -37,7 +37,6 @@ export function printedKey(code: string): string {
   return PRINTED[code] ?? code.slice(-1);
 }
 
-/** Return the keys of an axis of the tip. */
 export function tipKeys(axis: TipAxis): KeyPair {
   return TIP_KEYS[axis];
 }

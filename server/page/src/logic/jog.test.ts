@@ -1,5 +1,5 @@
 import { describe, expect, it, test } from "vitest";
-import { JogStep, scaled, shaped, summed, tipAxes, type JogCommand } from "./jog";
+import { scaled, shaped, summed, tipAxes, type JogCommand } from "./jog";
 import { DeadMan, gamepadCommands, isDeadManHeld } from "./jog-gamepad";
 import { jointKeys, keyCommand, printedKey } from "./jog-keys";
 import { LEFT_PAD, padCommand, PAD_REACH_PX, rightPad } from "./jog-pads";
@@ -24,34 +24,6 @@ describe("a stick", () => {
     expect(shaped(Number.NaN, 0.15)).toBe(0);
   });
   it("is finer around its middle", () => expect(shaped(0.5, 0)).toBeCloseTo(0.3125));
-});
-
-describe("a step", () => {
-  const total = (step: JogStep, period_s: number, scale: number): [number, number] => {
-    let [sum, calls] = [0, 0];
-    for (let command = step.next(0, period_s); command; command = step.next(period_s, period_s)) {
-      sum += ((command.velocity as { x: number }).x ?? 0) * scale * period_s;
-      calls += 1;
-    }
-    return [sum, calls];
-  };
-  it.each([[0.001], [0.0123], [0.05]])("of %f m is met", (size) => {
-    const step = new JogStep({ kind: "tip", velocity: { x: -1 } }, size, 0.2, 0.5);
-    expect(total(step, 0.025, 0.2)[0]).toBeCloseTo(-size, 5);
-  });
-  it("is met by a page that is late now and then", () => {
-    const step = new JogStep({ kind: "tip", velocity: { x: 1 } }, 0.05, 0.2, 0.5);
-    let way_m = 0;
-    let elapsed_s = 0;
-    for (let command = step.next(0, 0.025), tick = 0; command; command = step.next(elapsed_s, 0.025), tick += 1) {
-      elapsed_s = tick % 3 === 0 ? 0.04 : 0.025;
-      way_m += ((command.velocity as { x: number }).x ?? 0) * 0.2 * elapsed_s;
-    }
-    expect(Math.abs(way_m - 0.05)).toBeLessThan(0.1 * 0.02);
-  });
-  it("takes at least a fifth of a second", () => {
-    expect(total(new JogStep({ kind: "tip", velocity: { x: 1 } }, 0.001, 0.2, 1), 0.025, 0.2)[1]).toBe(8);
-  });
 });
 
 describe("keys", () => {

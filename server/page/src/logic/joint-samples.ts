@@ -63,8 +63,7 @@ export interface CurveUnit {
   digits: number;
 }
 
-/** Return the unit of a joint's quantity. */
-export function curveUnit(state: Pick<State, "urdf" | "srdf" | "settings">, joint: string, quantity: Quantity): CurveUnit {
+export function curveUnit(state: Pick<State, "robot" | "settings">, joint: string, quantity: Quantity): CurveUnit {
   if (quantity === "load") return { name: "%", scale: 100, digits: 0 };
   if (quantity === "temperature") return { name: "°C", scale: 1, digits: 0 };
   const unit = unitOf(jointKind(state, joint), state.settings.units);

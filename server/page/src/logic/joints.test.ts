@@ -1,14 +1,15 @@
 import { describe, expect, it, test } from "vitest";
+import { robotOf, TWO_ARMS } from "./robots.test.data";
 import { emptyState } from "../state/state";
 import {
   armGripper,
   armJoints,
-  armName,
+  armNamespace,
   currentPositions,
   displayedPositions,
-  gripperAction,
   groupPoses,
-  jointLimits,
+  isOneArm,
+  jointKind,
   jointReport,
   looksEqual,
   shownPosition,
@@ -17,73 +18,33 @@ import {
 } from "./joints";
 
 const empty = emptyState("ws://here");
-const urdf = `<robot><joint name="a" type="revolute"><limit effort="1" lower="-1" upper="1"/></joint>
-<joint name='claw' type='revolute'><limit lower='0' upper='1.5'/></joint>
-<joint name="wheel" type="continuous"/>
-<joint name="fixed" type="fixed"><parent link="x"/></joint></robot>`;
-const srdf = '<robot><group name="arm"><joint name="a"/><joint name="wheel"/></group></robot>';
 const limits: Record<string, [number, number]> = { a: [-0.5, 2], claw: [-1, 1], wheel: [-9, 9] };
-const TURN = [-Math.PI, Math.PI];
+const gripper = { joints: ["claw"], open: 1, closed: 0, action: "/gripper_controller/gripper_cmd" };
+const robot = { ...robotOf({ name: "arm", joints: ["a", "wheel"], gripper }), joints: { wheel: "continuous" as const } };
 
-test("limits are those of the server within those of the description", () => {
-  expect(jointLimits({ limits, urdf, srdf: null })).toEqual({ a: [-0.5, 1], claw: [0, 1], wheel: TURN });
-  expect(jointLimits({ limits: {}, urdf, srdf: null })).toEqual({ a: [-1, 1], claw: [0, 1.5], wheel: TURN });
-  expect(jointLimits({ limits: { a: [3, 4] }, urdf, srdf: null })).toEqual({ a: [3, 4] });
-});
-
-test("joints of the arm are those of the group that the server drives, or all", () => {
+test("joints of the arm are those of the group, or all that are driven before it is known", () => {
   expect(armJoints({ ...empty, limits })).toEqual(["a", "claw", "wheel"]);
-  expect(armJoints({ ...empty, limits, urdf, srdf })).toEqual(["a", "wheel"]);
-  expect(armJoints({ ...empty, limits: { a: [0, 1] }, urdf, srdf })).toEqual(["a"]);
+  expect(armJoints({ ...empty, limits, robot })).toEqual(["a", "wheel"]);
 });
 
-test("a gripper of no group is the joints of no group, and there is none where all have one", () => {
-  const gripper = { group: "", joints: ["claw"], open: 1, closed: 0 };
-  expect(armGripper({ ...empty, limits, urdf, srdf })).toEqual(gripper);
-  expect(armGripper({ ...empty, limits, urdf })).toBeNull();
-  expect(armGripper({ ...empty, limits: { a: [0, 1] }, urdf, srdf })).toBeNull();
-});
-
-test("a gripper that the server offers no action for is not shown", () => {
-  expect(armGripper({ ...empty, limits, urdf, srdf, actions: [] })).toBeNull();
-  expect(armGripper({ ...empty, limits, urdf, srdf, actions: ["/gripper_controller/gripper_action"] })).not.toBeNull();
-});
-
-test("a gripper is moved by its own controller, else by that of the only gripper", () => {
-  const gripper = { group: "left_hand", joints: ["claw"], open: 1, closed: 0 };
-  const own = "/left_hand_controller/gripper_cmd";
-  expect(gripperAction(gripper, ["/gripper_controller/gripper_cmd", own])).toBe(own);
-  expect(gripperAction(gripper, ["/gripper_controller/gripper_cmd"])).toBe("/gripper_controller/gripper_cmd");
-  expect(gripperAction(gripper, null)).toBe("/gripper_controller/gripper_cmd");
-  expect(gripperAction(gripper, ["/other"])).toBeNull();
-});
-
-test("an arm among several is that of whose name all joints begin with", () => {
-  const actions = ["/left/moveit_goal", "/left_hand/moveit_goal", "/execute_trajectory"];
-  expect(armName(["left_a", "left_b"], actions)).toBe("left");
-  expect(armName(["left_hand_a"], actions)).toBe("left_hand");
-  expect(armName(["left_a", "right_a"], actions)).toBe("");
-  expect(armName(["left_a"], ["/moveit_goal"])).toBe("");
-  expect(armName([], actions)).toBe("");
-  expect(armName(["left_a"], null)).toBe("");
-});
-
-test("the gripper of one of several arms is moved below the arm's name", () => {
-  const gripper = { group: "left_gripper", joints: ["left_claw"], open: 1, closed: 0 };
-  const own = "/left/gripper_controller/gripper_cmd";
-  expect(gripperAction(gripper, ["/gripper_controller/gripper_cmd", "/left/moveit_goal", own])).toBe(own);
+test("gripper, namespace and kinds of joints are those that the server tells", () => {
+  expect([armGripper({ ...empty, robot }), armGripper(empty)]).toEqual([gripper, null]);
+  const both = { ...empty, robot: TWO_ARMS, group: "both_arms" };
+  expect([armNamespace({ ...both, group: "right_arm" }), armNamespace(both), armNamespace(empty)]).toEqual(["/right", "", ""]);
+  expect([isOneArm({ ...both, group: "right_arm" }), isOneArm(both), isOneArm(empty)]).toEqual([true, false, true]);
+  expect([jointKind({ robot }, "wheel"), jointKind({ robot: null }, "wheel")]).toEqual(["continuous", "revolute"]);
 });
 
 test("a saved pose says something of all joints, of which the group takes its own", () => {
   const named = { aside: { saved: true, joints: { a: 1, claw: 2 } }, grip: { saved: true, joints: { claw: 2 } } };
   const poses = { aside: { saved: true, joints: { a: 1 } } };
-  expect(groupPoses({ ...empty, limits, urdf, srdf, named })).toEqual(poses);
+  expect(groupPoses({ ...empty, limits, robot, named })).toEqual(poses);
 });
 
 test("described poses are those of the group's joints", () => {
   const pose = (joints: Record<string, number>) => ({ saved: false, joints });
   const named = { home: pose({ a: 0, wheel: 0 }), part: pose({ a: 1 }), open: pose({ claw: 1 }), all: pose({ a: 0, claw: 0 }) };
-  expect(Object.keys(groupPoses({ ...empty, limits, urdf, srdf, named }))).toEqual(["home", "part"]);
+  expect(Object.keys(groupPoses({ ...empty, limits, robot, named }))).toEqual(["home", "part"]);
 });
 
 test("a continuous joint is shown within half a turn of zero, other joints as they are", () => {

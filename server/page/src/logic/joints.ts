@@ -1,19 +1,14 @@
 import type { Joints, JointValues, State } from "../state/state";
 import { t } from "../texts/texts";
-import { planningGroup, robotInfo, type GripperInfo, type JointKind } from "./robot-info";
+import { planningGroup, type GripperInfo, type JointKind, type KnownGroup } from "./robot-info";
 
-/** Parts of the state that describe the joints, groups and arms. */
-type KnownJoints = Pick<State, "limits" | "named" | "urdf" | "srdf" | "group" | "actions">;
-
-/** Return the joints that goals are for: those of the planning group that are driven; without groups, all. */
-export function armJoints(known: KnownJoints): string[] {
-  const driven = Object.keys(jointLimits(known));
-  const group = planningGroup(known);
-  return group === null ? driven : group.joints.filter((name) => driven.includes(name));
+/** Return the joints that goals are for: those of the planning group, before it is known all that are driven. */
+export function armJoints(known: KnownGroup & Pick<State, "limits">): string[] {
+  return planningGroup(known)?.joints ?? Object.keys(known.limits);
 }
 
 /** Return the named poses that say something of the planning group's joints, without what they say of others. */
-export function groupPoses(known: KnownJoints): State["named"] {
+export function groupPoses(known: KnownGroup & Pick<State, "limits" | "named">): State["named"] {
   const joints = new Set(armJoints(known));
   const poses = Object.entries(known.named).flatMap(([name, { saved, joints: all }]) => {
     const own = Object.entries(all).filter(([joint]) => joints.has(joint));
@@ -24,91 +19,32 @@ export function groupPoses(known: KnownJoints): State["named"] {
   return Object.fromEntries(poses);
 }
 
-/** Return false for a planning group of several arms: nothing can be asked of its tip, and one arm is driven at a time. */
-export function hasTip(known: Pick<State, "urdf" | "srdf" | "group">): boolean {
-  return planningGroup(known)?.tip !== null;
+/** Return false for a planning group of several arms: one arm is driven at a time. */
+export function isOneArm(known: KnownGroup): boolean {
+  return planningGroup(known)?.namespace !== null;
 }
 
-/** Most fingers of a gripper. */
-const MAX_FINGERS = 2;
-
-/** Return the gripper of the planning group: that of its end effector, else the joints of no group; null without one. */
-export function armGripper(known: KnownJoints): GripperInfo | null {
-  if (!hasTip(known)) return null;
-  const { groups, grippers } = robotInfo(known);
-  const limits = jointLimits(known);
-  const parent = planningGroup(known)?.name ?? "";
-  const of_group = grippers.find(({ parent_group }) => parent_group === parent) ?? grippers[0];
-  const gripper = of_group?.gripper ?? gripperOf(limits, groups.flatMap(({ joints }) => joints));
-  const driven = gripper?.joints.every((name) => name in limits) ?? false;
-  return gripper && driven && gripperAction(gripper, known.actions) !== null ? gripper : null;
+/** Return the gripper of the planning group's arm; null without one. */
+export function armGripper(known: KnownGroup): GripperInfo | null {
+  return planningGroup(known)?.gripper ?? null;
 }
 
-/** Return a gripper of the driven joints of no group; null where all have one, or there are more than fingers. */
-function gripperOf(limits: Record<string, [number, number]>, in_groups: readonly string[]): GripperInfo | null {
-  const joints = Object.keys(limits).filter((name) => in_groups.length > 0 && !in_groups.includes(name));
-  const [closed, open] = limits[joints[0] ?? ""] ?? [0, 0];
-  return joints.length > 0 && joints.length <= MAX_FINGERS ? { group: "", joints, open, closed } : null;
-}
-
-/** Action of each of several arms, below its name. */
-const ARM_ACTION = /^\/([^/]+)\/moveit_goal$/;
-
-/** Return the name of the arm that all of some joints belong to; empty on a server with one arm, and for joints of several. */
-export function armName(joints: readonly string[], offered: State["actions"]): string {
-  const names = (offered ?? []).flatMap((action) => ARM_ACTION.exec(action)?.[1] ?? []);
-  const own = names.filter((name) => joints.length > 0 && joints.every((joint) => joint.startsWith(`${name}_`)));
-  // Of left and left_hand the longer one, whose joints have the other's name as well.
-  return own.sort((a, b) => b.length - a.length)[0] ?? "";
-}
-
-/** Return what the names of the topics and services begin with by which the arm of the planning group is steered. */
-export function armNamespace(known: KnownJoints): string {
-  const name = armName(armJoints(known), known.actions);
-  return name === "" ? "" : `/${name}`;
-}
-
-/** Controller of the gripper of an arm that has one. */
-const GRIPPER_CONTROLLER = "/gripper_controller";
-
-/** Return the action that moves a gripper; null when the server offers none. */
-export function gripperAction(gripper: GripperInfo, offered: State["actions"]): string | null {
-  const arm = armName(gripper.joints, offered);
-  const below = arm === "" ? [] : [`/${arm}/${gripper.group.slice(arm.length + 1)}_controller`, `/${arm}${GRIPPER_CONTROLLER}`];
-  const controllers = [...below, `/${gripper.group}_controller`, GRIPPER_CONTROLLER];
-  const names = controllers.flatMap((controller) => ["gripper_cmd", "gripper_action"].map((name) => `${controller}/${name}`));
-  // Before the server has answered, or where it tells nobody, the usual one.
-  if (offered === null) return `${GRIPPER_CONTROLLER}/gripper_cmd`;
-  return names.find((name) => offered.includes(name)) ?? null;
+/** Return the begin of the names of the topics and services by which the arm of the planning group is steered. */
+export function armNamespace(known: KnownGroup): string {
+  return planningGroup(known)?.namespace ?? "";
 }
 
 /** Number of joints from which on a pose of the tool has an orientation of its own choice. */
 const POSE_JOINTS = 6;
 
 /** Return true when targets of the planning group are whole poses, and not points alone. */
-export function takesOrientation(known: KnownJoints): boolean {
+export function takesOrientation(known: Parameters<typeof armJoints>[0]): boolean {
   return armJoints(known).length >= POSE_JOINTS;
 }
 
-/** Return the kind of a joint; one that the description does not have turns. */
-export function jointKind(known: Pick<State, "urdf" | "srdf">, name: string): JointKind {
-  return robotInfo(known).joints.get(name)?.kind ?? "revolute";
-}
-
-/** Return the joint limits: those of the server, within those of the robot description [rad or m]. */
-export function jointLimits(known: Pick<State, "limits" | "urdf" | "srdf">): Record<string, [number, number]> {
-  const described = robotInfo(known).joints;
-  const { limits } = known;
-  if (Object.keys(limits).length === 0) {
-    return Object.fromEntries([...described.values()].map((joint) => [joint.name, joint.limits]));
-  }
-  const pairs = Object.entries(limits).map(([name, [low, high]]) => {
-    const [lower, upper] = described.get(name)?.limits ?? [low, high];
-    const within: [number, number] = [Math.max(low, lower), Math.min(high, upper)];
-    // Of limits that exclude each other take the server's, which are those that reject goals.
-    return [name, within[0] <= within[1] ? within : [low, high]] as const;
-  });
-  return Object.fromEntries(pairs) as Record<string, [number, number]>;
+/** Return the kind of a joint; one that the server does not name turns. */
+export function jointKind({ robot }: Pick<State, "robot">, name: string): JointKind {
+  return robot?.joints[name] ?? "revolute";
 }
 
 /** Return the position of a joint as it is shown: that of a continuous joint within half a turn of zero. */

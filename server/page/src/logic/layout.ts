@@ -9,7 +9,6 @@ export interface Layout {
 /** Layout of a page that nobody has arranged yet. */
 export const INITIAL_LAYOUT: Layout = { shown: "move", pinned: "" };
 
-/** Layout of the picture alone. */
 export const PICTURE_ALONE: Layout = { shown: "", pinned: "" };
 
 /** Return true for an open panel. */
@@ -17,7 +16,6 @@ export function isOpen({ shown, pinned }: Layout, id: string): boolean {
   return id === shown || id === pinned;
 }
 
-/** Return the layout with a panel open. */
 export function openPanel(layout: Layout, id: string): Layout {
   return isOpen(layout, id) ? layout : { ...layout, shown: id };
 }

@@ -9,7 +9,6 @@ export const LOG_LEVELS = [
 ] as const;
 export type LogLevelName = (typeof LOG_LEVELS)[number][1];
 
-/** Return the name of a level. */
 export function levelName(level: number): LogLevelName {
   return LOG_LEVELS.findLast(([least]) => level >= least)?.[1] ?? "debug";
 }
@@ -20,7 +19,6 @@ export function filteredLog(entries: readonly LogEntry[], level: number, text: s
   return entries.filter((entry) => entry.level >= level && `${entry.name} ${entry.text}`.toLowerCase().includes(wanted));
 }
 
-/** Return an entry as a line of text. */
 export function logLine({ stamp, level, name, text }: LogEntry): string {
   return `${new Date(stamp * 1000).toISOString()} ${levelName(level)} ${name} ${text}`;
 }

@@ -35,7 +35,6 @@ export function lengthUnit(system: UnitSystem): Unit {
   return LENGTHS[system];
 }
 
-/** Return the unit of angles. */
 export function angleUnit(system: UnitSystem): Unit {
   return ANGLES[system];
 }

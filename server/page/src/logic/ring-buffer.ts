@@ -37,17 +37,6 @@ export class RingBuffer {
     return this.filled === 0 ? Number.NaN : (this.rows[0]?.[newest] ?? Number.NaN);
   }
 
-  /** Return the times, then each curve, oldest sample first; gaps are null, as in uPlot. */
-  columns(): (number | null)[][] {
-    const begin = (this.next + this.capacity - this.filled) % this.capacity;
-    return this.rows.map((row) => {
-      return Array.from({ length: this.filled }, (_, index) => {
-        const value = row[(begin + index) % this.capacity] ?? Number.NaN;
-        return finiteOrNull(value);
-      });
-    });
-  }
-
   /** Number of samples. */
   get count(): number {
     return this.filled;

@@ -12,7 +12,6 @@ export const ROTATIONS = [["roll", Math.PI], ["pitch", Math.PI / 2], ["yaw", Mat
 /** Distance of the pitch's sine from 1 at which roll and yaw turn about the same axis. */
 const GIMBAL_LOCK = 1e-9;
 
-/** Return the quaternion of roll, pitch and yaw. */
 export function quaternionOf([roll, pitch, yaw]: RollPitchYaw): Orientation {
   const [cr, sr] = [Math.cos(roll / 2), Math.sin(roll / 2)];
   const [cp, sp] = [Math.cos(pitch / 2), Math.sin(pitch / 2)];

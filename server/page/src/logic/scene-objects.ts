@@ -40,7 +40,6 @@ export function sizedShape(kind: SizedKind, dimensions: readonly number[]): Shap
   return { kind, ...AT_ORIGIN, dimensions: [...dimensions], vertices: [], triangles: [] };
 }
 
-/** Return a mesh. */
 export function meshShape(vertices: Point[], triangles: Shape["triangles"]): Shape {
   return { kind: "mesh", ...AT_ORIGIN, dimensions: [], vertices, triangles };
 }

@@ -1,15 +1,5 @@
 import { expect, test } from "vitest";
-import { reach_m, reachOf, regionPoints } from "./scene-region";
-
-const URDF = `<robot name="r"><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
-<joint name="1" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0 0 0.3"/></joint>
-<joint name="2" type="prismatic"><parent link="b"/><child link="c"/><origin xyz="0.4 0 0"/><limit lower="0" upper="0.2"/></joint>
-<joint name="3" type="fixed"><parent link="b"/><child link="d"/></joint></robot>`;
-
-test("the reach is bounded by the longest way along the joints, with what slides", () => {
-  expect(reach_m(URDF)).toBeCloseTo(0.9);
-  expect(reach_m(null)).toBe(0);
-});
+import { reachOf, regionPoints } from "./scene-region";
 
 const upright = { kind: "upright", height_m: 0.2, angle_rad: Math.PI / 2 } as const;
 

@@ -42,7 +42,6 @@ export interface LegCheck {
   plan: Plan | null;
 }
 
-/** Return the key of a pose. */
 export function poseKey(joints_rad: JointValues): string {
   return JSON.stringify(joints_rad);
 }

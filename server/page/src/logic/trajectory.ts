@@ -28,7 +28,6 @@ export function sampleTimes_s(plan: Plan, count: number): number[] {
   return Array.from({ length: count }, (_, index) => (end_s * index) / (count - 1));
 }
 
-/** Pose of the ghost. */
 export interface GhostPose {
   joints_rad: JointValues;
   /** Distance of the tool from a target out of reach, in metres; null when it gets there. */

@@ -5,9 +5,8 @@ import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { Icon, Shown, SignButton, usePage } from "./ui";
 
-/** Panel of the page. */
 export interface Panel {
-  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "log" | "settings";
+  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "class" | "log" | "settings";
   /** SVG path of its icon, in a square of 24. */
   icon: string;
   /** On the rail itself, or in its menu. */
@@ -28,7 +27,7 @@ export function changeLayout(store: PageStore, layout: Layout): void {
 
 /** Buttons of the panels; those of seldom used ones are in a menu. */
 export function Rail({ panels }: { panels: readonly Panel[] }): JSX.Element {
-  const { layout } = usePage().store.state;
+  const { layout, classroom } = usePage().store.state;
   const menu = useRef<HTMLDetailsElement>(null);
   const close = (): void => {
     if (menu.current) menu.current.open = false;
@@ -43,7 +42,7 @@ export function Rail({ panels }: { panels: readonly Panel[] }): JSX.Element {
   const leave = ({ relatedTarget }: FocusEvent): void => {
     if (relatedTarget instanceof Node && !menu.current?.contains(relatedTarget)) close();
   };
-  const more = panels.filter(({ place }) => place === "more");
+  const more = panels.filter(({ id, place }) => place === "more" && (id !== "class" || classroom.length > 0));
   return (
     <>
       {panels.filter(({ place }) => place === "rail").map((panel) => <Tab key={panel.id} panel={panel} press={() => undefined} />)}

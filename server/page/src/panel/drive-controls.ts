@@ -11,14 +11,13 @@ export interface JogControls {
   /** Begin what a press does: one step, or motion until the release. */
   press: (input: string, command: JogCommand) => void;
   /** Make one step, the smallest while presses are held: for a press without a release. */
-  step: (input: string, command: JogCommand) => void;
+  step: (command: JogCommand) => void;
   release: (input: string) => void;
 }
 
 export const Controls = createContext({} as JogControls);
 export const useControls = (): JogControls => useContext(Controls);
 
-/** Return the text of an axis. */
 export function axisText(axis: TipAxis): string {
   return t(`drive.axis.${axis}`);
 }

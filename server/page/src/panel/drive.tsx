@@ -1,9 +1,8 @@
 import "./drive.css";
 import type { JSX } from "preact";
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
-import { GRIPPER_RANGE_S } from "../link/servo-node";
-import { isRotation, JogStep, scaled, tipAxes, type JogCommand, type TipAxis } from "../logic/jog";
-import { armGripper, armJoints, hasTip, jointKind } from "../logic/joints";
+import { isRotation, scaled, tipAxes, type JogCommand, type TipAxis } from "../logic/jog";
+import { armGripper, armJoints, isOneArm, jointKind } from "../logic/joints";
 import { loadPreference, storePreference } from "../state/preferences";
 import type { State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
@@ -26,7 +25,7 @@ const LYING = matchMedia("(max-height: 500px) and (pointer: coarse)");
 
 /** Panel of driving by hand: settings, the servo node's status, and a section for each kind of input. */
 export function Drive(): JSX.Element {
-  const { store, jogSender } = usePage();
+  const { store, jogSender, jogSteps } = usePage();
   const [lying, lie] = useState(LYING.matches);
   const [mode, setMode] = useStored("drive-mode", ["hold", "0", "1", "2"]);
   const [speed, setSpeed] = useState(() => Number(loadPreference("drive-speed", "0.5")));
@@ -41,13 +40,13 @@ export function Drive(): JSX.Element {
     for (const event of ["blur", "pagehide"]) window.addEventListener(event, leave);
     document.addEventListener("visibilitychange", leave);
   }, []);
-  const step = (input: string, command: JogCommand): void => {
-    const { size, scale } = stepOf(store.state, command, STEPS[Number(newest.current.mode) || 0] ?? STEPS[0]);
-    jogSender.step(input, new JogStep(command, size, scale, newest.current.speed));
+  const step = (command: JogCommand): void => {
+    const size = stepSize(store.state, command, STEPS[Number(newest.current.mode) || 0] ?? STEPS[0]);
+    jogSteps.step(command, size, newest.current.speed);
   };
   const press = (input: string, command: JogCommand): void => {
     if (newest.current.mode === "hold") jogSender.hold(input, scaled(command, newest.current.speed));
-    else step(input, command);
+    else step(command);
   };
   const [controls] = useState<JogControls>({ share: () => newest.current.speed, press, step, release: (input) => jogSender.release(input) });
   const chooseMode = (value: string): void => {
@@ -63,7 +62,7 @@ export function Drive(): JSX.Element {
     <div class="drive" data-testid="section-drive">
       <StatusLine />
       <Controls.Provider value={controls}>
-        <div hidden={!hasTip(store.state)}>
+        <div hidden={!isOneArm(store.state)}>
           {/* On a touch screen the pads come first, where the thumbs are. */}
           {isTouch() && pads}
           <details class="drive-rest" data-testid="drive-rest" open={!lying}>
@@ -111,18 +110,12 @@ function SpeedLine({ speed, choose }: { speed: number; choose: (speed: number) =
   );
 }
 
-/** Return the size of a step and the speed for a velocity of 1, in the unit that the command moves in. */
-function stepOf(state: State, command: JogCommand, step: (typeof STEPS)[number]): { size: number; scale: number } {
-  const { linear_scale, rotational_scale, joint_scale } = state.servo_node;
-  const angle_rad = (step.angle_deg * Math.PI) / 180;
-  const name = Object.keys(command.velocity)[0] ?? "";
-  if (command.kind === "gripper") return { size: step.opening, scale: 1 / GRIPPER_RANGE_S };
-  if (command.kind === "joints") {
-    const slides = jointKind(state, name) === "prismatic";
-    return { size: slides ? step.length_mm / 1000 : angle_rad, scale: joint_scale };
-  }
-  if (isRotation(name as TipAxis)) return { size: angle_rad, scale: rotational_scale };
-  return { size: step.length_mm / 1000, scale: linear_scale };
+/** Return the size of a step in the unit that its command moves in. */
+function stepSize(state: State, { kind, velocity }: JogCommand, step: (typeof STEPS)[number]): number {
+  if (kind === "gripper") return step.opening;
+  const name = Object.keys(velocity)[0] ?? "";
+  const turns = kind === "joints" ? jointKind(state, name) !== "prismatic" : isRotation(name as TipAxis);
+  return turns ? (step.angle_deg * Math.PI) / 180 : step.length_mm / 1000;
 }
 
 /** Line that says what limits the arm; a message without a code is what of the command was given up. */
@@ -131,7 +124,7 @@ function StatusLine(): JSX.Element {
   const { code, message } = state.servo_node;
   const words = code !== 0 && code >= -1 && code <= 6 ? t(`drive.status.${code}` as TextKey) : "";
   const text = code === 0 ? message || t("drive.hint") : `${words} ${message}`.trim();
-  return <p class="drive-status" data-testid="drive-status" role="status" data-code={code}>{hasTip(state) ? text : t("drive.one_arm")}</p>;
+  return <p class="drive-status" data-testid="drive-status" role="status" data-code={code}>{isOneArm(state) ? text : t("drive.one_arm")}</p>;
 }
 
 /** Row of buttons that move the arm: along an axis of the tip, by a joint, or by the gripper. */
@@ -183,6 +176,6 @@ function HoldButton({ text, label, testid, command }: { text: string; label: str
   const controls = useControls();
   const button = useHold<HTMLButtonElement>(() => controls.press(testid, command), () => controls.release(testid));
   // A screen reader's press has no release, and no pointer either.
-  const click = ({ detail, isTrusted }: MouseEvent): void => void (detail === 0 && isTrusted && controls.step(testid, command));
+  const click = ({ detail, isTrusted }: MouseEvent): void => void (detail === 0 && isTrusted && controls.step(command));
   return <button ref={button} type="button" class="hold" aria-label={label} data-testid={testid} onClick={click}>{text}</button>;
 }

@@ -1,7 +1,7 @@
 import type { JSX } from "preact";
-import { armGripper, armJoints, currentPositions, displayedPositions, hasTip, jointKind, jointLimits, shownPosition, takesOrientation } from "../logic/joints";
+import { armGripper, armJoints, currentPositions, displayedPositions, isOneArm, jointKind, shownPosition, takesOrientation } from "../logic/joints";
 import { angleUnit, distanceText, fromUnit, lengthUnit, positionText, toUnit, unitOf, type NumberRange, type Unit } from "../logic/numbers";
-import { planningGroup, robotInfo } from "../logic/robot-info";
+import { planningGroup } from "../logic/robot-info";
 import { AXES, quaternionOf, rollPitchYawOf, ROTATIONS, type RollPitchYaw } from "../logic/rotations";
 import type { Orientation, Point, State } from "../state/state";
 import { selectGoal, selectTarget } from "../state/store";
@@ -17,7 +17,7 @@ const UPDATE_PERIOD_MS = 100;
 /** Choice of the joint group that goals are for, which is hidden where there is one alone. */
 export function GroupChoice(): JSX.Element {
   const { store: { state }, commands } = usePage();
-  const names = robotInfo(state).groups.map(({ name }) => name);
+  const names = (state.robot?.groups ?? []).map(({ name }) => name);
   return (
     <Gate to="drive" hidden={names.length < 2}>
       <Line text={t("group.label")}>
@@ -46,7 +46,7 @@ export function Target(): JSX.Element {
   const angles_rad = rollPitchYawOf(targetOrientation(state));
   const is_selected = selection.kind === "target";
   return (
-    <Section name="target" title={t("target.title")} hidden={!hasTip(state)}>
+    <Section name="target" title={t("target.title")} hidden={!isOneArm(state)}>
       <Problems>
         <div class="axes">
           {AXES.map((axis, index) => <UnitField key={axis} name={axis} limit={MAX_COORDINATE_M} unit={lengthUnit(units)} value={position_m[index] ?? Number.NaN} take={(value) => move(index, value)} />)}
@@ -115,7 +115,7 @@ function JointRow({ name, state }: { name: string; state: State }): JSX.Element 
   const kind = jointKind(state, name);
   const unit = unitOf(kind, state.settings.units);
   const { suffix, digits, step } = unit;
-  const limits = jointLimits(state)[name] ?? [-Math.PI, Math.PI];
+  const limits = state.limits[name] ?? [-Math.PI, Math.PI];
   const [lower, upper] = limits.map((limit) => toUnit(limit, unit)) as [number, number];
   const take = (value: number): void => {
     const names = armJoints(store.state);

@@ -12,8 +12,8 @@ import { Button, Line, Select, Shown, SignButton, Tick, usePage, useSlowState } 
 /** Least time between two drawings [ms]: each takes some milliseconds, and five a second look live. */
 const REDRAW_PERIOD_MS = 200;
 
-/** Most points of a curve that are drawn: more than one for each pixel cannot be told apart. */
-const MAX_POINTS = 1200;
+/** Least number of points of a curve: a chart that is laid out later has no width yet. */
+const MIN_POINTS = 200;
 
 /** Colours of joints; a ninth joint has that of the first. */
 const COLORS = 8;
@@ -100,10 +100,12 @@ export function Plots(): JSX.Element {
   }, [chart_class, JSON.stringify(chosen)]);
   useLayoutEffect(() => {
     if (!shown || host.current === null) return;
+    // More than one for each pixel cannot be told apart, and each costs time.
+    const max_points = Math.max(MIN_POINTS, host.current.clientWidth);
     host.current.dataset.draws = String(Number(host.current.dataset.draws ?? 0) + 1);
     charts.current.forEach(({ chart, columns }) => {
       const curves = columns.map(({ joint, quantity }) => samples.curve(joint, quantity));
-      const [times = [], ...rows] = samples.ring.span(begin_s, end_s, curves, MAX_POINTS);
+      const [times = [], ...rows] = samples.ring.span(begin_s, end_s, curves, max_points);
       const scaled = rows.map((row, at) => row.map((value) => (value === null ? null : value * (columns[at]?.unit.scale ?? 1))));
       chart.draw([times.map((time_s) => (time_s ?? 0) - zero_s), ...scaled], [begin_s - zero_s, end_s - zero_s]);
     });

@@ -105,7 +105,6 @@ function MeshForm({ hidden, take }: { hidden: boolean; take: (mesh: NewObject | 
   );
 }
 
-/** Return the name of an object from that of its file. */
 function objectName(file_name: string): string {
   return file_name.replace(/\.[^.]*$/, "").replace(/[^\p{L}\p{N}_-]+/gu, "_").slice(0, 40) || "mesh";
 }

@@ -1,7 +1,7 @@
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
 import { AXES, quaternionOf, rollPitchYawOf, ROTATIONS, type RollPitchYaw } from "../logic/rotations";
-import { holderOf } from "../logic/scene-attach";
+import { planningGroup } from "../logic/robot-info";
 import { MAX_NAME_LENGTH, MAX_PLACE_M, MAX_SIZE_M, MIN_SIZE_M, nameProblem, sizesOf, withSize } from "../logic/scene-objects";
 import type { Color, Point, SceneObject } from "../state/state";
 import { t } from "../texts/texts";
@@ -50,7 +50,7 @@ export function ObjectsSection(): JSX.Element {
 function ObjectEditor({ object }: { object: SceneObject }): JSX.Element {
   const { store, sceneEditor } = usePage();
   const { id, attached, color } = object;
-  const link = holderOf(store.state)?.link ?? "";
+  const link = planningGroup(store.state)?.tip ?? "";
   return (
     <div class="object-editor" role="group" aria-label={id}>
       <NameLine object={object} />

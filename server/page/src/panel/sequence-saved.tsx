@@ -1,6 +1,6 @@
 import type { JSX } from "preact";
 import { setWaypoints } from "../link/sequence";
-import { armGripper, gripperAction } from "../logic/joints";
+import { armGripper } from "../logic/joints";
 import { MAX_WAYPOINTS, readSequence, sequenceText, type Waypoint } from "../logic/sequence";
 import { sequenceProgram, type ProgramLanguage } from "../logic/sequence-program";
 import { loadPreference, storePreference } from "../state/preferences";
@@ -68,9 +68,7 @@ export function SavedSequences(): JSX.Element {
     setWaypoints(store, read);
   };
   const exportProgram = (language: ProgramLanguage): void => {
-    const { link, actions } = store.state;
-    const gripper = armGripper(store.state);
-    const { file, text } = sequenceProgram(language, waypoints, link.url, gripper && gripperAction(gripper, actions));
+    const { file, text } = sequenceProgram(language, waypoints, store.state.link.url, armGripper(store.state)?.action ?? null);
     saveFile(file, "text/plain", text);
   };
   return (

@@ -1,7 +1,6 @@
 import type { JSX } from "preact";
 import { useContext, useEffect, useRef, useState } from "preact/hooks";
-import { fetchServoHistory } from "../link/servo-history";
-import { HISTORY_S, ServoHistories } from "../logic/servo-history";
+import type { ServoHistoryResponse } from "../link/messages";
 import { amperes, complaints, percent, servoReport, type ServoReport } from "../logic/servo-report";
 import type { ServoState } from "../state/state";
 import { t } from "../texts/texts";
@@ -14,18 +13,16 @@ const DIAGNOSTIC_LEVELS = ["ok", "warn", "error", "stale"];
 /** Time between two updates [ms]; diagnostics come once a second. */
 const UPDATE_PERIOD_MS = 500;
 
-/** Time between two requests for the server's history, which has the events too [ms]. */
-const FETCH_PERIOD_MS = 10_000;
+/** Time between two requests for the server's history of a servo [ms], and the time that it has [s]. */
+const FETCH_PERIOD_MS = 2000;
+const HISTORY_S = 600;
 
 /** Events that are shown, newest first. */
 const MAX_EVENTS = 30;
 
 /** Table of the servos' condition, each of which opens its details. */
 export function ServosSection(): JSX.Element {
-  const { store } = usePage();
   const { servos, selected_servo } = useSlowState(UPDATE_PERIOD_MS);
-  const [histories] = useState(() => new ServoHistories());
-  useEffect(() => store.subscribe((state) => state.servos, (newest) => histories.record(newest, now_s())), []);
   const selected = servos.find(({ name }) => name === selected_servo);
   const heads = [t("servos.joint"), "°C", "A", t("servos.load"), t("servos.torque"), t("servos.condition")];
   return (
@@ -37,13 +34,9 @@ export function ServosSection(): JSX.Element {
           <tbody data-testid="servos">{servos.map((servo) => <ServoRow key={servo.name} servo={servo} />)}</tbody>
         </table>
       </div>
-      {selected && <ServoDetails key={selected.name} servo={selected} histories={histories} />}
+      {selected && <ServoDetails key={selected.name} servo={selected} />}
     </Section>
   );
-}
-
-function now_s(): number {
-  return performance.now() / 1000;
 }
 
 function ServoRow({ servo: { name, level, message, values } }: { servo: ServoState }): JSX.Element {
@@ -62,7 +55,7 @@ function ServoRow({ servo: { name, level, message, values } }: { servo: ServoSta
 }
 
 /** Details of a servo: condition, advice, lines, errors, events and registers. */
-function ServoDetails({ servo, histories }: { servo: ServoState; histories: ServoHistories }): JSX.Element {
+function ServoDetails({ servo }: { servo: ServoState }): JSX.Element {
   const { store } = usePage();
   const report = servoReport(servo);
   const errors = report.errors.length === 0 ? [t("servos.errors.none")] : report.errors.map(({ kind, count }) => `${kind}: ${count}`);
@@ -71,7 +64,7 @@ function ServoDetails({ servo, histories }: { servo: ServoState; histories: Serv
       <div class="row-head"><b data-testid="servo-title">{`${servo.name} (${servo.hardware})`}</b><Button testid="servo-close" press={() => store.set({ selected_servo: "" })}>{t("servos.close")}</Button></div>
       <p class="hint" data-testid="servo-condition">{conditionText(servo)}</p>
       <TextList kind="findings" testid="servo-advice" label={t("servos.advice")} texts={complaints(servo)} />
-      <HistoryLines name={servo.name} histories={histories}><h4>{t("servos.errors")}</h4><TextList kind="plain" testid="servo-errors" texts={errors} /></HistoryLines>
+      <HistoryLines name={servo.name}><h4>{t("servos.errors")}</h4><TextList kind="plain" testid="servo-errors" texts={errors} /></HistoryLines>
       <h4>{t("servos.registers")}</h4>
       <Registers registers={report.registers} />
     </div>
@@ -85,10 +78,10 @@ function conditionText({ values }: ServoState): string {
 }
 
 /** Curves of the last minutes, and the events behind what stands between them. */
-function HistoryLines({ name, histories, children }: { name: string; histories: ServoHistories; children: JSX.Element[] }): JSX.Element {
+function HistoryLines({ name, children }: { name: string; children: JSX.Element[] }): JSX.Element {
   const { connection, store } = usePage();
   const shown = useContext(Shown);
-  const [events, setEvents] = useState<readonly string[]>([]);
+  const [history, setHistory] = useState<ServoHistoryResponse | null>(null);
   const [charts, setCharts] = useState<readonly TimeChart[]>([]);
   const box = useRef<HTMLDivElement>(null);
   useEffect(() => {
@@ -98,38 +91,44 @@ function HistoryLines({ name, histories, children }: { name: string; histories: 
       box.current?.replaceChildren(...created.map(({ element }) => element));
       setCharts(created);
     });
-    const fetch = async (): Promise<void> => {
+    const fetch = (): void => {
       if (!store.state.link.connected || document.visibilityState === "hidden") return;
-      const history = await fetchServoHistory(connection, name);
-      if (history === null) return;
-      histories.replace(name, history, now_s());
-      setEvents(history.events.slice(-MAX_EVENTS).reverse());
+      // A server without the service has no history.
+      connection.call<ServoHistoryResponse>("/arm/servo_history", { joint: name }).then(setHistory, () => undefined);
     };
-    void fetch();
-    const timer = setInterval(() => void fetch(), FETCH_PERIOD_MS);
+    fetch();
+    const timer = setInterval(fetch, FETCH_PERIOD_MS);
     return () => clearInterval(timer);
   }, []);
   useEffect(() => {
-    if (!shown || charts.length === 0 || box.current === null) return;
-    const [times = [], ...curves] = histories.columns(name, now_s());
-    charts.forEach((chart, index) => chart.draw([times, curves[index] ?? []], [-HISTORY_S, 0]));
-    box.current.dataset.samples = String(times.length);
-  });
+    if (!shown || history === null || box.current === null) return;
+    const { time_s } = history;
+    charts.forEach((chart, index) => {
+      const { field, scale } = CHARTS[index]!;
+      chart.draw([time_s, time_s.map((_, at) => toScale(history[field][at], scale))], [-HISTORY_S, 0]);
+    });
+    box.current.dataset.samples = String(time_s.length);
+  }, [shown, history, charts]);
   return (
     <>
       <div ref={box} class="servo-lines" data-testid="servo-lines" />
       {children}
       <h4>{t("servos.events")}</h4>
-      <TextList kind="plain" testid="servo-events" texts={events} />
+      <TextList kind="plain" testid="servo-events" texts={(history?.events ?? []).slice(-MAX_EVENTS).reverse()} />
     </>
   );
 }
 
 /** Charts of a servo; noise of a degree or a percent must not look like a mountain. */
 const CHARTS = [
-  { key: "servos.temperature", unit: "°C", color: "--measured", least_range: 40 },
-  { key: "servos.load_percent", unit: "%", color: "--commanded", least_range: 100 },
+  { key: "servos.temperature", field: "temperature_c", scale: 1, unit: "°C", color: "--measured", least_range: 40 },
+  { key: "servos.load_percent", field: "load", scale: 100, unit: "%", color: "--commanded", least_range: 100 },
 ] as const;
+
+/** Return a value that is missing or not measured as a gap. */
+function toScale(value: number | null | undefined, scale: number): number | null {
+  return value === null || value === undefined ? null : scale * value;
+}
 
 function Registers({ registers }: Pick<ServoReport, "registers">): JSX.Element {
   const has_expected = registers.some(({ expected }) => expected !== "");

@@ -1,5 +1,5 @@
 import type { JSX } from "preact";
-import { useEffect } from "preact/hooks";
+import { useLayoutEffect } from "preact/hooks";
 import { inUnits } from "../logic/numbers";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import type { GoalState, Notice, State } from "../state/state";
@@ -85,7 +85,7 @@ export function StatusBar(): JSX.Element {
   const { state } = store;
   const { arm, goal, link: { connected } } = state;
   const { label, kind } = statePill(state);
-  useEffect(() => void (document.title = t("bar.title", { state: label })), [label]);
+  useLayoutEffect(() => void (document.title = t("bar.title", { state: label })), [label]);
   const [text, code] = [statusText(state), statusCode(state)];
   const { suggestion } = goal;
   const is_waiting = isAwaitingConfirmation(goal) && connected;

@@ -3,22 +3,23 @@ import { createContext, type ComponentChildren, type JSX, type RefObject } from 
 import { useContext, useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { Authentication } from "../link/authentication";
 import type { Cameras } from "../link/cameras";
+import type { Classroom } from "../link/classroom";
 import type { Connection } from "../link/connection";
 import type { ArmCommands, StopCommand } from "../link/commands";
 import type { CommissioningCommands } from "../link/commissioning";
 import type { MoveGroupClient } from "../link/move-group";
 import type { SceneEditor } from "../link/scene-editor";
 import type { SequencePlayer } from "../link/sequence";
+import type { JogSteps } from "../link/jog-steps";
 import type { JogSender } from "../link/servo-node";
 import type { Teaching } from "../link/teaching";
 import { denialReason, type Operation } from "../logic/permissions";
-import { fromUnit, positionText, unitOf, type NumberRange } from "../logic/numbers";
+import { fromUnit, parseNumber, positionText, unitOf, type NumberRange } from "../logic/numbers";
 import { throttle } from "../logic/throttle";
 import { loadPreference, storePreference } from "../state/preferences";
 import type { State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import { NumberEntry } from "./number-entry";
 
 /** Services that every section of the panel uses. */
 export interface PanelContext {
@@ -28,11 +29,13 @@ export interface PanelContext {
   commands: ArmCommands;
   stopCommand: StopCommand;
   jogSender: JogSender;
+  jogSteps: JogSteps;
   commissioning: CommissioningCommands;
   authentication: Authentication;
   sceneEditor: SceneEditor;
   sequencePlayer: SequencePlayer;
   cameras: Cameras;
+  classroom: Classroom;
   teaching: Teaching;
 }
 
@@ -211,23 +214,37 @@ function ProblemTexts({ problems }: { problems: Signal<Record<string, string>> }
   return <>{Object.entries(problems.value).map(([testid, text]) => <small key={testid} class="problem" data-testid={`${testid}-problem`} role="alert">{text}</small>)}</>;
 }
 
-/** Input for a number within Problems. */
+/** Input for a number within Problems: clamped to its limits, reverted when it is invalid, with a message for either. */
 export function NumberField({ testid, label, range, text, take }: { testid: string; label: string; range: NumberRange; text: string; take: (value: number) => void }): JSX.Element {
   const problems = useContext(ProblemsOf);
   const report = (problem: string): void => {
     if (problems) problems.value = { ...problems.peek(), [testid]: problem };
   };
-  const newest = useRef({ range, take, report });
-  newest.current = { range, take, report };
-  const input = useRef<HTMLInputElement>(null);
-  const entry = useRef<NumberEntry | null>(null);
-  useLayoutEffect(() => {
-    if (input.current) entry.current ??= new NumberEntry(input.current, () => newest.current);
-    entry.current?.show(text);
-  }, [text]);
+  // Text while the field has the focus: another one would end the user's selection. Null shows the newest value.
+  const [kept, keep] = useState<string | null>(null);
+  const edited = useRef(false);
+  const commit = (input: HTMLInputElement): void => {
+    // Enter and, after it, the browser's change come for one text.
+    if (!edited.current) return;
+    edited.current = false;
+    const { value, message } = parseNumber(input.value, range);
+    report(message);
+    keep(value === null ? text : String(Number(value.toFixed(range.digits))));
+    if (value !== null) take(value);
+  };
+  const edit = ({ currentTarget }: { currentTarget: HTMLInputElement }): void => {
+    edited.current = true;
+    keep(currentTarget.value);
+    report("");
+  };
   // A screen reader speaks an alert whose element was there before.
   useEffect(() => report(""), []);
-  return <input ref={input} type="text" class="number" data-testid={testid} aria-label={label} inputmode="decimal" autocomplete="off" spellcheck={false} />;
+  return (
+    <input
+      type="text" class="number" data-testid={testid} aria-label={label} inputmode="decimal" autocomplete="off" spellcheck={false} value={kept ?? text}
+      onFocus={() => keep(text)} onInput={edit} onChange={({ currentTarget }) => commit(currentTarget)} onKeyDown={({ key, currentTarget }) => key === "Enter" && commit(currentTarget)} onBlur={() => keep(null)}
+    />
+  );
 }
 
 interface SliderProps {

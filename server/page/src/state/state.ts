@@ -1,5 +1,6 @@
 import type { GoalEntry } from "../logic/goal-history";
 import { INITIAL_LAYOUT, type Layout } from "../logic/layout";
+import type { RobotInfo } from "../logic/robot-info";
 import type { LegCheck, Step, Waypoint } from "../logic/sequence";
 
 // Everything that the page shows: link/ and the user's input write it, panel/ and view/ read it.
@@ -170,7 +171,6 @@ export interface NamedState {
   joints: JointValues;
 }
 
-/** Entry of the log. */
 export interface LogEntry {
   stamp: number;
   level: number;
@@ -379,7 +379,18 @@ export interface ServoNodeState {
   joint_scale: number;
 }
 
-/** State of the page. */
+/** Arm of a student in a classroom. */
+export interface StudentArm {
+  name: string;
+  /** Port of the student's server. */
+  port: number;
+  connected: boolean;
+  /** Null until its server has told it. */
+  arm: ArmState | null;
+  /** Joint values that its picture shows. */
+  seen_rad: JointValues;
+}
+
 export interface State {
   link: ConnectionState;
   token: TokenState;
@@ -388,11 +399,10 @@ export interface State {
   control: Control;
   /** Null until /robot_description has come. */
   urdf: string | null;
-  srdf: string | null;
+  /** Joint groups and grippers; null until the server has told them. */
+  robot: RobotInfo | null;
   /** Joint group that goals are for, of /moveit_goal_group; empty before the server has told it. */
   group: string;
-  /** Actions that the server offers; null before it has told them. */
-  actions: string[] | null;
   joints: Joints;
   limits: Record<string, [number, number]>;
   arm: ArmState;
@@ -443,6 +453,8 @@ export interface State {
   /** Pictures of the arm at waypoints, as data URLs by the key of the pose; the view draws them. */
   thumbnails: Record<string, string>;
   teaching: TeachingState;
+  /** Arms of the classroom; empty on a server of another kind. */
+  classroom: StudentArm[];
 }
 
 /** Return the state before the first message. */
@@ -453,9 +465,8 @@ export function emptyState(url: string): State {
     identity: null,
     control: { holder: "", address: "", policy: "lease", free_in_s: null },
     urdf: null,
-    srdf: null,
+    robot: null,
     group: "",
-    actions: null,
     joints: { names: [], position_rad: [], velocity: [], effort: [], stamp: 0 },
     limits: {},
     arm: noArm(),
@@ -498,6 +509,7 @@ export function emptyState(url: string): State {
     region: { shown: false, slice: { kind: "upright", height_m: 0.1, angle_rad: 0 }, cells: [], total: 0, problem: "" },
     sequence: noSequence(),
     thumbnails: {},
+    classroom: [],
     teaching: { recording: null, motions: null, edited: null, replaying: null, told: "" },
   };
 }

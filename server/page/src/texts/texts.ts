@@ -1,6 +1,5 @@
 import ENGLISH from "./en.json";
 
-/** Key of a text. */
 export type TextKey = keyof typeof ENGLISH;
 
 /** Every text of the page in one language; words in braces are filled in. */

@@ -10,7 +10,7 @@ import {
   type Object3D,
 } from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
-import { hasTip, takesOrientation } from "../logic/joints";
+import { isOneArm, takesOrientation } from "../logic/joints";
 import { isOpen } from "../logic/layout";
 import { denialReason } from "../logic/permissions";
 import { gripperClearance_m, HANDLE_END, HANDLE_START, handleLength_m } from "../logic/target-marker";
@@ -155,7 +155,7 @@ export class TargetMarker implements SceneComponent {
   }
 
   private place(state: State): Point | null {
-    if (!hasTip(state)) return null;
+    if (!isOneArm(state)) return null;
     if (state.selection.kind === "target" && state.target.position_m !== null) return state.target.position_m;
     return this.ghost.tool_m ?? state.tool_m;
   }

@@ -1,5 +1,5 @@
 import { BufferAttribute, BufferGeometry, Group, LineLoop, Mesh, Vector3 } from "three";
-import { armJoints, hasTip, jointLimits } from "../logic/joints";
+import { armJoints, isOneArm } from "../logic/joints";
 import { reachOutline, type ReachOutline } from "../logic/reach";
 import type { Point, State } from "../state/state";
 import type { Theme } from "./appearance";
@@ -39,10 +39,10 @@ export class ReachHint implements SceneComponent {
     setTint(this.fill, this.color, loud ? LOUD_FILL : QUIET_FILL);
     setTint(this.line, this.color, loud ? LOUD_LINE : QUIET_LINE);
     const { arm, tip } = this.robot;
-    const inputs = [arm, tip, state.limits, state.group, state.srdf];
+    const inputs = [arm, tip, state.limits, state.group, state.robot];
     if (inputs.every((input, index) => input === this.shown[index])) return;
     this.shown = inputs;
-    this.outline = arm === null || !hasTip(state) ? null : outlineOf(arm, tip, state);
+    this.outline = arm === null || !isOneArm(state) ? null : outlineOf(arm, tip, state);
     this.draw();
   }
 
@@ -69,7 +69,7 @@ export class ReachHint implements SceneComponent {
 
 /** Return the outline of a robot's reach about its first joint; null without joints or tool. */
 function outlineOf(arm: RobotModel, tip: string, state: State): ReachOutline | null {
-  const limits = jointLimits(state);
+  const limits = state.limits;
   const ranges = armJoints(state)
     .filter((name) => arm.joint_names.has(name))
     .map((name) => [name, ...(limits[name] ?? [0, 0])] as [string, number, number])

@@ -9,7 +9,7 @@ import type { SceneComponent, Viewer } from "./viewer";
 const WIDTH_PX = 112;
 const HEIGHT_PX = 84;
 
-/** Pictures of the arm at the waypoints of the sequence, drawn one a frame while its panel is open. */
+/** Pictures of the arm at the waypoints of the sequence and in the poses of a class, drawn one a frame while their panel is open. */
 export class Thumbnails implements SceneComponent {
   constructor(
     private readonly viewer: Viewer,
@@ -18,18 +18,21 @@ export class Thumbnails implements SceneComponent {
     private readonly background: Object3D,
   ) {}
 
-  update({ layout, sequence: { waypoints }, thumbnails }: State): void {
+  update({ layout, sequence: { waypoints }, classroom, thumbnails }: State): void {
     const { arm } = this.robot;
-    if (arm === null || !isOpen(layout, "sequence")) return;
-    const missing = waypoints.find(({ joints_rad }) => !(poseKey(joints_rad) in thumbnails));
-    if (missing === undefined) return;
+    const poses = [
+      ...(isOpen(layout, "sequence") ? waypoints.map(({ joints_rad }) => joints_rad) : []),
+      ...(isOpen(layout, "class") ? classroom.map(({ seen_rad }) => seen_rad) : []),
+    ];
+    const missing = poses.find((pose) => !(poseKey(pose) in thumbnails));
+    if (arm === null || missing === undefined) return;
     const before = arm.jointValues();
-    arm.setJoints(missing.joints_rad);
+    arm.setJoints(missing);
     const picture = this.viewer.portrait(arm.robot, this.background, WIDTH_PX, HEIGHT_PX);
     arm.setJoints(before);
-    const keys = waypoints.map(({ joints_rad }) => poseKey(joints_rad));
+    const keys = poses.map(poseKey);
     const kept = Object.entries(thumbnails).filter(([key]) => keys.includes(key));
-    this.store.set({ thumbnails: { ...Object.fromEntries(kept), [poseKey(missing.joints_rad)]: picture } });
+    this.store.set({ thumbnails: { ...Object.fromEntries(kept), [poseKey(missing)]: picture } });
     // The next one.
     this.viewer.request();
   }

@@ -137,7 +137,7 @@ export class SceneView {
     const { store } = this;
     const shown: ((state: State) => unknown)[] = [
       (state) => state.urdf,
-      (state) => state.srdf,
+      (state) => state.robot,
       (state) => state.group,
       (state) => state.plan,
       (state) => state.target,
@@ -149,6 +149,7 @@ export class SceneView {
       (state) => state.identity,
       (state) => state.layout,
       (state) => state.sequence,
+      (state) => state.classroom,
       (state) => state.collision_shapes,
       (state) => state.commissioning,
       (state) => state.joint_in_hand,

@@ -1,0 +1,80 @@
+"""The wall of a class: the teacher's page shows every student's arm, stops one, and ends its fault."""
+
+import csv
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser
+
+from harness.clients import call, goal
+from harness.page import opened
+from harness.server import FAST, ROOT
+
+START_TIMEOUT_S = 120.0
+END_TIMEOUT_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple[str, str]]]:
+    """Address and token of two students and the teacher by name, of a classroom that runs."""
+    folder = tmp_path_factory.mktemp("lab")
+    command = [sys.executable, "-m", "server.cli", "classroom", "--students", "2", "--port", "0", "--data", str(folder)]
+    with subprocess.Popen(
+        command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT), **FAST}, stderr=subprocess.PIPE, text=True
+    ) as process:
+        overdue = threading.Timer(START_TIMEOUT_S, process.kill)
+        overdue.start()
+        assert process.stderr is not None
+        lines: list[str] = []
+        while not lines or "the classroom is ready" not in lines[-1]:
+            lines.append(process.stderr.readline())
+            assert lines[-1], "the classroom did not start:\n" + "".join(lines)
+        overdue.cancel()
+        yield _places(folder)
+        process.terminate()
+        process.communicate(timeout=END_TIMEOUT_S)
+
+
+def _places(folder: Path) -> dict[str, tuple[str, str]]:
+    with (folder / "students.csv").open(newline="") as lines:
+        return {row["name"]: (row["url"], row["token"]) for row in csv.DictReader(lines)}
+
+
+def test_the_teacher_sees_every_arm_and_stops_one(browser: Browser, places: dict[str, tuple[str, str]]) -> None:
+    (url, token), (other, _) = places["teacher"], places["student02"]
+    second = f"{other}/?token={token}"
+    with opened(browser) as page:
+        page.open(int(url.rpartition(":")[2]), f"#token={token}")
+        page.open_panel("class")
+        for name in ("student01", "student02"):
+            page.until_text(f"class-{name}-state", "IDLE")
+            page.until(f"!document.querySelector('[data-testid=class-{name}] img').hidden")
+        before = page.part("class-student02").locator("img").get_attribute("src")
+        assert goal(second, "/moveit_goal_named", {"data": "extended"})["val"] == 1
+        page.wait(lambda: page.part("class-student02").locator("img").get_attribute("src") != before)
+        page.shot("class")
+        page.part("class-student02-stop").click()
+        page.until_state("s.classroom.find(each => each.name === 'student02').arm.last_stop !== ''")
+        page.until("document.querySelector('[data-testid=class-student02] small').textContent !== ''")
+        call(second, "/arm/relax")
+        page.until_text("class-student02-state", "RELAXED")
+        assert page.part("class-student01-state").text_content() == "IDLE"
+        page.part("class-student02-reset").click()
+        page.until_text("class-student02-state", "IDLE")
+        page.part("close-panel-class").click()
+        page.until_state("s.classroom.every(each => !each.connected)")
+        assert page.errors == []
+
+
+def test_a_student_sees_no_other_arm(browser: Browser, places: dict[str, tuple[str, str]]) -> None:
+    url, token = places["student01"]
+    with opened(browser) as page:
+        page.open(int(url.rpartition(":")[2]), f"#token={token}")
+        page.open_panel("class")
+        page.until_text("class-hint", "administrator")
+        assert page.part("class").locator("li").count() == 0

@@ -44,6 +44,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
+from robot.physics.bodies import SetBodies
 from robot.processes import Child, DescriptorReserve, RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from robot.trajectory import Trajectory, Vector
@@ -158,6 +159,7 @@ class Arm(ArmClock):
         # Stop epoch of the last stop of all motion; requests from earlier epochs move nothing any more.
         self.last_stop = 0
         self._speed_factor = 1.0
+        self._bodies: SetBodies | None = None
         reason = "the arm process is starting"
         state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
         self.state = self._with_speed_limit(state)
@@ -176,12 +178,22 @@ class Arm(ArmClock):
         if self._process.pid is None:
             await self.launch()
         self._begun = True
-        self._process.configure(self._config, Stop(epoch=self.last_stop))
+        self._configure()
         self._heartbeat = asyncio.create_task(self._beat(), name="heartbeat of the arm process")
         try:
             await asyncio.wait_for(self._first_state.wait(), timeout_s)
         finally:
             self._starting = False
+
+    def _configure(self) -> None:
+        self._process.configure(self._config, Stop(epoch=self.last_stop))
+        if self._bodies is not None:
+            self._process.send(self._bodies)
+
+    def set_bodies(self, bodies: SetBodies) -> None:
+        """Set the bodies around an arm with physics; a restarted process gets them too."""
+        self._bodies = bodies
+        self._process.send(bodies)
 
     async def until_started(self, timeout_s: float) -> None:
         """Wait while :meth:`start` is in progress, for ``timeout_s`` at most; return at once when it is not."""
@@ -471,7 +483,7 @@ class Arm(ArmClock):
             self._disconnect(f"{reason}; it is tried again")
             return False
         if self._begun:
-            self._process.configure(self._config, Stop(epoch=self.last_stop))
+            self._configure()
         return True
 
     def _disconnect(self, reason: str) -> None:

@@ -18,6 +18,7 @@ from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.faults import Fault, ServoWarning
 from robot.hardware.config import HardwareConfig
+from robot.physics.bodies import BodyStates
 from robot.trajectory import Trajectory, Vector
 
 # Least speed limit: below it a joint moves less than a servo's tick in a period of the control loop.
@@ -332,6 +333,7 @@ class ArmState(Frequent):
     fault: Fault | None = None  # latched fault, to be reset before the arm moves again
     clock_s: float = 0.0  # time of the control loop, which on a simulated arm passes no faster than the loop runs [s]
     torque_enabled: bool = False  # True while torque is on
+    bodies: BodyStates | None = None  # bodies around an arm with physics that have moved; None for none
 
 
 @dataclass

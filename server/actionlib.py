@@ -160,7 +160,7 @@ class ActionlibBridge:
     def open(self, names: Iterable[str]) -> None:
         """Open the topics of actions that are offered; one of a type that ROS 1 lacks has none."""
         for name in names:
-            type_name = self._graph.actions.type_of(name)
+            type_name = self._graph.actions.names.type_of(name)
             if type_name is not None and has_actionlib_types(self._graph.message_types.registry, type_name):
                 self._bridged.append(BridgedAction(self._graph, name, type_name, self._clock))
         self._beat()

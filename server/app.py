@@ -35,6 +35,7 @@ from server.features.context import context_of
 from server.features.monitoring import Logs, Monitoring, Recording
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
+from server.features.physics import physics_of
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
 from server.installation import PAGE_DIRECTORY
@@ -139,6 +140,7 @@ class App:
         shared = inherited is not None
         commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
+        self._physics = physics_of(context)
         made = (MoveGroup, ArmGoals, teaching_of, GoalQueueing, Servo, teleoperation_of, PolicyChunks)
         goals = [make(context) for make in made]
         self.features = self._in_order_of_start(commissioning, parkings, Together("goals", goals, 1.1))
@@ -162,6 +164,7 @@ class App:
             *([] if zenoh is None else [Part("other machines", stop=zenoh.stop, deadline_s=0.4)]),
             # Restored before anybody can see it, and written when nobody can change it any more.
             PlanningScene(self._context),
+            *self._physics,
             ArmControl(self._context),
             # The port before the processes: when the port is taken, no process and no arm is needed.
             self._clients,

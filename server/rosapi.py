@@ -174,7 +174,7 @@ class RosApi:
         return {"topics": shown, "types": [types[name] for name in shown]}
 
     def _topics_and_raw_types(self, dialect: Dialect) -> dict[str, Any]:
-        types = [type_name for name, type_name in self._graph.topic_types().items() if not _is_hidden(name)]
+        types = [type_name for name, type_name in self._graph.topic_names.types().items() if not _is_hidden(name)]
         texts = {type_name: self._full_text(type_name, dialect) for type_name in set(types)}
         return {**self._topics(dialect), "typedefs_full_text": _limited([texts[type_name] for type_name in types])}
 
@@ -201,8 +201,8 @@ class RosApi:
         # Several clients may have one name as ROS spells it.
         nodes = [node for node in graph.nodes() if node_name(node) == name]
         return {
-            "subscribing": _joined(map(graph.subscribed_by, nodes)),
-            "publishing": _joined(map(graph.published_by, nodes)),
+            "subscribing": _joined(map(graph.subscriptions.of, nodes)),
+            "publishing": _joined(map(graph.publications.of, nodes)),
             "services": _joined(map(self._services.provided_by, nodes)),
         }
 

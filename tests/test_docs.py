@@ -66,9 +66,10 @@ def commands(page: str) -> list[str]:
 COMMANDS = sorted({line for page in (*TOP, *(f"docs/{page.name}" for page in PAGES)) for line in commands(page)})
 # A file of tokens is no configuration; it is read by the tests of tokens.
 SETTINGS = [block for page in PAGES for block in blocks(page, "toml") if "_tokens]" not in block]
-# They need two arms, or servos; tests/examples runs them with these.
+# They need two arms, servos or physics; tests/examples runs them with these.
 OF_OTHER_ARMS = (
     "python examples/two_hands.py",
+    "python examples/lift_a_block.py",
     "python examples/servo_experiments.py --serial auto",
     "python examples/leader_follower.py --leader /leader/joint_states",
 )

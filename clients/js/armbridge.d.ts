@@ -585,6 +585,20 @@ export interface SaveSceneResponse {
   message: string;
 }
 
+/** armbridge_msgs/srv/SetBody_Request */
+export interface SetBodyRequest {
+  id: string;
+  movable: boolean;
+  mass: number;
+  friction: number;
+}
+
+/** armbridge_msgs/srv/SetBody_Response */
+export interface SetBodyResponse {
+  success: boolean;
+  message: string;
+}
+
 /** armbridge_msgs/srv/SetSpeedLimit_Request */
 export interface SetSpeedLimitRequest {
   speed_limit: number;
@@ -1044,6 +1058,7 @@ export interface Services {
   "armbridge_msgs/srv/MoveitGoal": { request: MoveitGoalRequest; response: MoveitGoalResponse };
   "armbridge_msgs/srv/RenameMotion": { request: RenameMotionRequest; response: RenameMotionResponse };
   "armbridge_msgs/srv/SaveScene": { request: SaveSceneRequest; response: SaveSceneResponse };
+  "armbridge_msgs/srv/SetBody": { request: SetBodyRequest; response: SetBodyResponse };
   "armbridge_msgs/srv/SetSpeedLimit": { request: SetSpeedLimitRequest; response: SetSpeedLimitResponse };
   "armbridge_msgs/srv/StartEpisode": { request: StartEpisodeRequest; response: StartEpisodeResponse };
   "armbridge_msgs/srv/StartTeleop": { request: StartTeleopRequest; response: StartTeleopResponse };

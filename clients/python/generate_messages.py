@@ -48,6 +48,7 @@ SERVICES = (
     "armbridge_msgs/MoveitGoal",
     "armbridge_msgs/RenameMotion",
     "armbridge_msgs/SaveScene",
+    "armbridge_msgs/SetBody",
     "armbridge_msgs/SetSpeedLimit",
     "armbridge_msgs/StartEpisode",
     "armbridge_msgs/StartTeleop",

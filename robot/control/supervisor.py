@@ -41,6 +41,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
+from robot.physics.bodies import SetBodies
 from robot.stop_epochs import STOPPED_SINCE
 
 log = logging.getLogger("armbridge.arm")
@@ -114,6 +115,7 @@ class Supervisor:
         self._ended = False
         self._lost_driven = False  # True when torque was on as the hardware was lost
         self._parking = Parking(self._joint_names)
+        self._bodies: SetBodies | None = None  # bodies around an arm with physics, kept while it is disconnected
 
     @property
     def fault(self) -> Fault | None:
@@ -142,6 +144,12 @@ class Supervisor:
         self._orders = Orders(self.arm, self._config, self._fault, self._report)
         self._check_at_s = self._clock()
         self._retry_s = FIRST_RETRY_S
+        self._set_bodies()
+
+    def _set_bodies(self) -> None:
+        world = None if self.arm is None else self.arm.hardware.world
+        if world is not None and self._bodies is not None:
+            world.set_bodies(self._bodies)
 
     def disconnect(self, reason: str) -> None:
         """End motions and orders in progress: the hardware is gone, or could not be opened."""
@@ -182,6 +190,9 @@ class Supervisor:
                 self._parking.give_up(controller, "the server must not wait")
         elif isinstance(message, KeepParking):
             self._parking.keep(message.plan)
+        elif isinstance(message, SetBodies):
+            self._bodies = message
+            self._set_bodies()
 
     @property
     def spare_ticks(self) -> int:
@@ -218,6 +229,9 @@ class Supervisor:
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)
+            if (world := arm.hardware.world) is not None:
+                # A state may be dropped on its way: once a second all bodies are in it.
+                state = replace(state, bodies=world.moved_bodies(every=self._health_due <= 0))
             self._send(state, True)
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS

@@ -186,9 +186,11 @@ class EmulatedArm(Generic[S]):
         """Open the servos' port; raises PortError while it is unplugged."""
         self.port.check()
         bus = self._family.bus(self.port, self._clock)
-        return ServoHardware(
+        hardware = ServoHardware(
             self._family, bus, self._calibration, self._bounds, self._limits, self._clock, simulated=True
         )
+        hardware.world = self.world
+        return hardware
 
 
 def start_pose_rad(config: EmulatedConfig) -> list[float]:

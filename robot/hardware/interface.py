@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from robot.errors import OrderRefused
 from robot.faults import Fault
 from robot.messages import BusCounters, JointHealth
 from robot.trajectory import Vector
+
+if TYPE_CHECKING:
+    from robot.physics.world import World
 
 Result = TypeVar("Result")
 Steps: TypeAlias = Generator[float, None, Result]
@@ -114,6 +117,7 @@ class HardwareInterface(ABC):
         self.needs_survey = False  # from the first write of a calibration until the next survey; enabling is refused
         self.latched_status = StatusFlag.OVERLOAD  # status flags that last until they are cleared
         self.counters: BusCounters | None = None  # events on the bus; None for hardware without one
+        self.world: World | None = None  # world that moves a simulated arm's joints; None without physics
         self.round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)  # durations of the latest reads
 
     @abstractmethod

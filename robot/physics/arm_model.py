@@ -73,7 +73,7 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     for joint in spec.joints:
         joint.armature = ARMATURE_KG_M2
-    gripper = _gripper_links(robot)
+    gripper = gripper_links(robot)
     massless = []
     for body in spec.bodies:
         if body.name in gripper and body.name in robot.parts:
@@ -108,7 +108,7 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
     )
 
 
-def _gripper_links(robot: RobotModel) -> frozenset[str]:
+def gripper_links(robot: RobotModel) -> frozenset[str]:
     """Return the links between which the gripper holds objects."""
     joints = () if robot.gripper is None else (robot.joints[name] for name in robot.gripper.joints)
     return frozenset(link for joint in joints for link in (joint.parent, joint.child))

@@ -35,20 +35,20 @@ class PhysicalArm(IdealArm):
         clock: Callable[[], float],
     ) -> None:
         super().__init__(config, joint_names, bounds, clock)
-        self.world = World(robot, joint_names, self._position_rad)
+        self.world = self._world = World(robot, joint_names, self._position_rad)
 
     def read(self) -> Measured | None:
         before_s, measured = self._at_s, super().read()
-        self.world.advance(self._at_s - before_s, self._drive)
-        position_rad = self.world.position_rad
+        self._world.advance(self._at_s - before_s, self._drive)
+        position_rad = self._world.position_rad
         # A relaxed joint stays where something pushes it.
         self._position_rad = np.where(self._on, self._position_rad, position_rad)
         if measured is None:
             return None
-        return measured._replace(position_rad=position_rad, velocity_rad_s=self.world.velocity_rad_s)
+        return measured._replace(position_rad=position_rad, velocity_rad_s=self._world.velocity_rad_s)
 
     def _drive(self) -> None:
-        world = self.world
+        world = self._world
         error_rad = self._position_rad - world.position_rad
         wanted = POLE_RAD_S * (POLE_RAD_S * error_rad - 2.0 * world.velocity_rad_s)
         torque_nm = np.where(self._on, world.torque_for(wanted), 0.0) + world.load_nm

@@ -1,25 +1,51 @@
-"""Simulated world of one arm: its links, in MuJoCo's time steps."""
+"""Simulated world of one arm: its links and the bodies around them, in MuJoCo's time steps."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from robot.description.model import RobotModel
 from robot.emulator.plant import MAX_STEP_S
-from robot.errors import PortLost
+from robot.errors import DescriptionError, PortLost
 from robot.hardware.config import EmulatedConfig
-from robot.physics.arm_model import TIMESTEP_S, arm_model, compiled
+from robot.physics.arm_model import (
+    CONTACT_DIMENSIONS,
+    FLOOR,
+    LINKS,
+    TIMESTEP_S,
+    arm_model,
+    compiled,
+    gripper_links,
+)
+from robot.physics.bodies import Body, BodyShape, BodyState, BodyStates, SetBodies
 from robot.trajectory import Vector
+
+BODY_DENSITY_KG_M3 = 500.0  # dry wood
+
+# A change of pose that is reported: less than a servo's tick at the tip of the SO-101.
+MOVED_M = 5e-4
+MOVED_QUATERNION = 2e-3  # of one of its components, about 0.2 deg
+
+OVERLAP_M = 0.002  # contacts of resting bodies are some tenths of a millimetre deep
+
+_KINDS = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "plane": mujoco.mjtGeom.mjGEOM_PLANE,
+    "hull": mujoco.mjtGeom.mjGEOM_MESH,
+}
 
 log = logging.getLogger("armbridge.physics")
 
 
 class World:
-    """World in which the torques of an arm's joints move its links.
+    """World in which the torques of an arm's joints move its links, and these move other bodies.
 
     Arrays have shape (joints,), in the order of ``joint_names``: positions [rad or m], torques [Nm or N].
     """
@@ -28,6 +54,7 @@ class World:
         # MuJoCo writes a log file into the working directory otherwise.
         mujoco.set_mju_user_warning(lambda text: log.debug("MuJoCo: %s", text))
         self._spec = arm_model(robot)
+        self._fingers = gripper_links(robot)
         self.model = compiled(self._spec)
         self.data = mujoco.MjData(self.model)
         # A joint of one degree of freedom has one index in positions and in velocities; the arm comes first in both.
@@ -36,6 +63,9 @@ class World:
         effort_nm = self.model.jnt_actfrcrange[self._joints, 1]
         self.effort_nm = np.where(effort_nm > 0.0, effort_nm, np.inf)
         self._due_s = 0.0
+        self._bodies: dict[str, Body] = {}
+        self._version = 0
+        self._reported: dict[str, BodyState] = {}
         self.place(position_rad)
 
     @property
@@ -102,3 +132,153 @@ class World:
                 self.data.qpos[:] = before
                 mujoco.mj_forward(self.model, self.data)
                 raise PortLost(EmulatedConfig.port, "the physics had no finite positions, and was reset")
+
+    def set_bodies(self, command: SetBodies) -> None:
+        """Have the bodies of a command in the world; bodies that overlap others, or cannot be simulated, are logged."""
+        before, wanted = self._bodies, {body.name: body for body in command.bodies}
+        states = {state.name: state for state in self._states()}
+        placed = {name for name, body in wanted.items() if command.reset or before.get(name) != body}
+        if {name: _kind(body) for name, body in before.items()} != {name: _kind(body) for name, body in wanted.items()}:
+            wanted = self._rebuild(wanted)
+        self._bodies, self._version, self._reported = wanted, command.version, {}
+        for name, body in wanted.items():
+            if body.movable and name not in placed and name in states:
+                self._put(name, states[name].position_m, states[name].orientation)
+            elif body.movable:
+                self._put(name, body.position_m, body.orientation)
+        mujoco.mj_forward(self.model, self.data)
+        for name, other, depth_m in self._overlaps(placed & wanted.keys()):
+            log.warning("physics: %r overlaps %r by %.0f mm; they push each other apart", name, other, 1e3 * depth_m)
+
+    def moved_bodies(self, *, every: bool) -> BodyStates | None:
+        """Return the movable bodies that have moved since they were returned last, or every one; None for none."""
+        moved = [state for state in self._states() if every or _differ(self._reported.get(state.name), state)]
+        self._reported.update({state.name: state for state in moved})
+        return BodyStates(self._version, tuple(moved)) if moved else None
+
+    def _states(self) -> list[BodyState]:
+        movable = [name for name, body in self._bodies.items() if body.movable]
+        if not movable:
+            return []
+        touching = self._touching()
+        states = []
+        for name in movable:
+            at = self.model.body(_in_model(name)).id
+            x, y, z = self.data.xpos[at].tolist()
+            qw, qx, qy, qz = self.data.xquat[at].tolist()
+            held = len(touching.get(_in_model(name), set()) & self._fingers) > 1
+            states.append(BodyState(name, (x, y, z), (qx, qy, qz, qw), held))
+        return states
+
+    def _touching(self) -> dict[str, set[str]]:
+        """Return the names of the bodies and links in contact with each body."""
+        touching: dict[str, set[str]] = {}
+        for first, second, _ in self._contacts():
+            touching.setdefault(first, set()).add(second)
+            touching.setdefault(second, set()).add(first)
+        return touching
+
+    def _contacts(self) -> list[tuple[str, str, float]]:
+        """Return the names of the bodies in each contact, and its depth [m]."""
+        bodies = self.model.geom_bodyid[np.reshape(self.data.contact.geom, (-1, 2))].tolist()
+        names = [(self.model.body(first).name, self.model.body(second).name) for first, second in bodies]
+        return [(*pair, -depth) for pair, depth in zip(names, self.data.contact.dist.tolist(), strict=True)]
+
+    def _overlaps(self, placed: set[str]) -> list[tuple[str, str, float]]:
+        deepest: dict[frozenset[str], float] = {}
+        for first, second, depth_m in self._contacts():
+            if depth_m > OVERLAP_M and {_outside(first), _outside(second)} & placed:
+                pair = frozenset((_outside(first), _outside(second)))
+                deepest[pair] = max(depth_m, deepest.get(pair, 0.0))
+        return [(*sorted(pair), depth_m) for pair, depth_m in deepest.items() if len(pair) == 2]  # type: ignore[misc]
+
+    def _put(self, name: str, position_m: Sequence[float], orientation: Sequence[float]) -> None:
+        joint = self.model.joint(_in_model(name)).id
+        at, dof = self.model.jnt_qposadr[joint], self.model.jnt_dofadr[joint]
+        x, y, z, w = orientation
+        self.data.qpos[at : at + 7] = (*position_m, w, x, y, z)
+        self.data.qvel[dof : dof + 6] = 0.0
+
+    def _rebuild(self, wanted: dict[str, Body]) -> dict[str, Body]:
+        """Compile the model with other bodies, the arm where it is; return the bodies that can be simulated."""
+        position_rad, velocity_rad_s = self.position_rad, self.velocity_rad_s
+        stops_rad = self.model.jnt_range[self._joints]
+        before = {name: _kind(body) for name, body in self._bodies.items()}
+        added = [name for name, body in wanted.items() if before.get(name) != _kind(body)]
+        for name in before:
+            if name in added or name not in wanted:
+                self._remove(name)
+        for name in added:
+            self._add(wanted[name])
+        try:
+            model = compiled(self._spec)
+        except DescriptionError as error:
+            log.warning("physics: %s cannot be simulated, and are left out: %s", ", ".join(map(repr, added)), error)
+            for name in added:
+                self._remove(name)
+            model = compiled(self._spec)
+            wanted = {name: body for name, body in wanted.items() if name not in added}
+        self.model, self.data = model, mujoco.MjData(model)
+        self.limit(*stops_rad.T)
+        self.place(position_rad)
+        self.data.qvel[self._joints] = velocity_rad_s
+        return wanted
+
+    def _remove(self, name: str) -> None:
+        body = self._spec.body(_in_model(name))
+        if body is not None:
+            self._spec.delete(body)
+
+    def _add(self, body: Body) -> None:
+        x, y, z, w = body.orientation
+        element = self._spec.worldbody.add_body(name=_in_model(body.name), pos=body.position_m, quat=[w, x, y, z])
+        if body.movable:
+            element.add_freejoint(name=_in_model(body.name))
+        bits = LINKS | FLOOR if body.movable else LINKS
+        for index, shape in enumerate(body.shapes):
+            x, y, z, w = shape.orientation
+            geom = element.add_geom(
+                type=_KINDS[shape.kind],
+                size=_size(shape),
+                pos=shape.position_m,
+                quat=[w, x, y, z],
+                contype=bits,
+                conaffinity=bits,
+                condim=CONTACT_DIMENSIONS,
+                density=BODY_DENSITY_KG_M3,
+                priority=1,  # MuJoCo takes the greater friction of two shapes of equal priority
+            )
+            geom.friction[0] = body.friction
+            if shape.kind == "hull":
+                vertices = np.array(shape.vertices_m).ravel().tolist()
+                geom.meshname = self._spec.add_mesh(name=f"{_in_model(body.name)} {index}", uservert=vertices).name
+        if body.movable and body.mass_kg > 0.0:
+            for geom in element.geoms:
+                geom.mass = body.mass_kg / len(element.geoms)
+
+
+def _size(shape: BodyShape) -> list[float]:
+    return [*shape.size_m, *[0.0] * (3 - len(shape.size_m))] if shape.kind != "plane" else [2.0, 2.0, 0.1]
+
+
+def _kind(body: Body) -> Body:
+    """Return all that the compiled model has of a body: a movable one has its pose in the state."""
+    return replace(body, position_m=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0)) if body.movable else body
+
+
+def _differ(before: BodyState | None, now: BodyState) -> bool:
+    if before is None or before.held != now.held:
+        return True
+    turned = np.abs(np.subtract(before.orientation, now.orientation)).max()
+    return bool(np.abs(np.subtract(before.position_m, now.position_m)).max() > MOVED_M or turned > MOVED_QUATERNION)
+
+
+_PREFIX = "object/"  # objects may have the names of links
+
+
+def _in_model(name: str) -> str:
+    return _PREFIX + name
+
+
+def _outside(name: str) -> str:
+    return name.removeprefix(_PREFIX)

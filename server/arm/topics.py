@@ -24,7 +24,7 @@ _FREQUENT = (TOPIC, "/tf", "_controller/controller_state", "_controller/state")
 
 def states_are_observed(graph: Graph) -> bool:
     """Return True while somebody subscribes to a topic that is published with the arm's states."""
-    return any(graph.subscribers(topic) for topic in graph.topic_types() if topic.endswith(_FREQUENT))
+    return any(graph.subscribers(topic) for topic in graph.topic_names.types() if topic.endswith(_FREQUENT))
 
 
 class JointStates:

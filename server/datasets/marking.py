@@ -79,11 +79,11 @@ class EpisodeServices:
 
     def _observe(self, *, wanted: bool) -> None:
         """Subscribe, or no longer, to topics that are published for subscribers alone: the recording then has them."""
-        for topic in self._graph.subscribed_by(self._observer):
+        for topic in self._graph.subscriptions.of(self._observer):
             self._graph.unsubscribe(self._observer, topic)
         if not wanted:
             return
-        for topic, type_name in self._graph.topic_types().items():
+        for topic, type_name in self._graph.topic_names.types().items():
             if type_name == IMAGE or topic == STATE_TOPIC:
                 self._watched.setdefault(topic, (self._clock(), 0.0))
             if topic in self._watched or topic.endswith(COMMANDED_TOPICS):

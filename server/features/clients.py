@@ -99,9 +99,9 @@ class InterfaceDocument:
                 "max_call_s": MAX_TIMEOUT_S,
             },
             "arms": [_arm(arm) for arm in context.arms],
-            "topics": _names(graph.topic_types(), rule_of_topic, graph, access.topics, "topic"),
-            "services": _names(graph.services.types(), rule_of_service, graph, access.services, "service"),
-            "actions": _names(graph.actions.types(), rule_of_action, graph, access.services, "action"),
+            "topics": _names(graph.topic_names.types(), rule_of_topic, graph, access.topics, "topic"),
+            "services": _names(graph.services.names.types(), rule_of_service, graph, access.services, "service"),
+            "actions": _names(graph.actions.names.types(), rule_of_action, graph, access.services, "action"),
             "types": types,
             "types_sha256": hashlib.sha256("".join(map("{0[0]}{0[1]}".format, types.items())).encode()).hexdigest(),
         }

@@ -136,7 +136,7 @@ class ClientServices(_Offers):
         """Call a service, or raise PostponedError while its request is completed in the background."""
         name, id_ = _name_and_id(operation)
         self._client.detect_dialect(operation.type, "srv")
-        type_name, plans = self._services.type_of(name), self._services.rules.get(name, WORKING).plans
+        type_name, plans = self._services.names.type_of(name), self._services.rules.get(name, WORKING).plans
 
         def answer(response: Response) -> None:
             fields = {
@@ -272,7 +272,7 @@ class ClientActions(_Offers):
         """Send a goal."""
         self._client.detect_dialect(operation.action_type, "action")
         name = qualify(operation.action)
-        type_name = self._actions.type_of(name)
+        type_name = self._actions.names.type_of(name)
 
         def on_result(result: Result) -> None:
             fields = {

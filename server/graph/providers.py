@@ -92,19 +92,6 @@ class Providers(Generic[AnyRequest]):
         # Requests on their way, by the node that has made them.
         self._made: Index[Node, AnyRequest] = Index()
 
-    @property
-    def revision(self) -> int:
-        """Number of changes of the offers."""
-        return self.names.revision
-
-    def types(self) -> dict[str, str]:
-        """Return the canonical type of everything that is offered, by name."""
-        return self.names.types()
-
-    def type_of(self, name: str) -> str | None:
-        """Return the canonical type of the offer under a name; None without one."""
-        return self.names.type_of(name)
-
     def provider(self, name: str) -> Node | None:
         """Return the node that provides a name; None when there is none."""
         offer = self._offers.get(name)

@@ -129,8 +129,8 @@ class Graph:
         self._topics: dict[str, Topic] = {}
         # Topics that nobody uses, the longest unused first.
         self._unused: OrderedDict[str, Topic] = OrderedDict()
-        self._publications: Index[Node, str] = Index()
-        self._subscriptions: Index[Node, str] = Index()
+        self.publications: Index[Node, str] = Index()
+        self.subscriptions: Index[Node, str] = Index()
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
         self.rules: dict[str, Rule] = {}  # rules of publishing on the topics that local parts subscribe to, by name
@@ -151,10 +151,6 @@ class Graph:
         """Call ``watcher`` no more."""
         self._watchers = tuple(each for each in self._watchers if each != watcher)
 
-    def topic_types(self) -> dict[str, str]:
-        """Return the canonical type of every topic in use."""
-        return self.topic_names.types()
-
     def topic_type(self, name: str) -> str | None:
         """Return the canonical type of a topic, given by its fully qualified name; None when it is not known."""
         topic = self._topics.get(name)
@@ -166,7 +162,7 @@ class Graph:
             return None
         own = [
             topic
-            for index in (self._publications, self._subscriptions)
+            for index in (self.publications, self.subscriptions)
             for node in index
             if not node.remote
             for topic in index.of(node)
@@ -186,15 +182,7 @@ class Graph:
 
     def nodes(self) -> set[Node]:
         """Return everyone who publishes, subscribes, or offers a service or an action."""
-        return {*self._publications, *self._subscriptions, *self.services.nodes(), *self.actions.nodes()}
-
-    def published_by(self, node: Node) -> list[str]:
-        """Return the topics that a node publishes."""
-        return self._publications.of(node)
-
-    def subscribed_by(self, node: Node) -> list[str]:
-        """Return the topics that a node subscribes to."""
-        return self._subscriptions.of(node)
+        return {*self.publications, *self.subscriptions, *self.services.nodes(), *self.actions.nodes()}
 
     def is_latched(self, name: str) -> bool:
         """Tell whether a topic, given by its fully qualified name, is latched."""
@@ -225,7 +213,7 @@ class Graph:
         if node not in topic.publishers:
             self._take_into_use(topic)
             topic.publishers.add(node)
-            self._publications.add(node, topic.name)
+            self.publications.add(node, topic.name)
             self.revision += 1
 
     def unadvertise(self, node: Node, name: str) -> None:
@@ -233,7 +221,7 @@ class Graph:
         topic = self._topics.get(name)
         if topic is not None and node in topic.publishers:
             topic.publishers.remove(node)
-            self._publications.discard(node, name)
+            self.publications.discard(node, name)
             last_latching = topic.latching == {node}
             topic.latching.discard(node)
             if last_latching:
@@ -252,7 +240,7 @@ class Graph:
         if subscriber.rule is not None:
             self.rules[name] = subscriber.rule
         self.revision += 1
-        self._subscriptions.add(node, name)
+        self.subscriptions.add(node, name)
         return self._latched_messages.of(name, self._clock())
 
     def unsubscribe(self, node: Node, name: str) -> None:
@@ -260,16 +248,16 @@ class Graph:
         topic = self._topics.get(name)
         if topic is not None and node in topic.subscribers:
             del topic.subscribers[node]
-            self._subscriptions.discard(node, name)
+            self.subscriptions.discard(node, name)
             self._left(topic)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left, everywhere."""
         self.actions.remove(node)
         self.services.remove(node)
-        for name in self._publications.of(node):
+        for name in self.publications.of(node):
             self.unadvertise(node, name)
-        for name in self._subscriptions.of(node):
+        for name in self.subscriptions.of(node):
             self.unsubscribe(node, name)
 
     def publish(
@@ -355,7 +343,7 @@ class Graph:
         return None
 
     def _check_publications(self, node: Node, name: str) -> None:
-        count = self._publications.count(node)
+        count = self.publications.count(node)
         if count >= MAX_TOPICS_OF_PUBLISHER:
             raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
 

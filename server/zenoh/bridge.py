@@ -140,7 +140,7 @@ class Sharing:
         """Refresh if anything has changed, or the last refresh is long ago."""
         graph, entities, now_s = self._network.graph, self._discovery.entities(), self._clock()
         # Noted before the refresh: what that changes is looked at once more.
-        seen = graph.revision, graph.services.revision, entities
+        seen = graph.revision, graph.services.names.revision, entities
         if seen == self._seen and now_s < self._refreshed_s + FULL_REFRESH_PERIOD_S:
             return
         self._seen, self._refreshed_s = seen, now_s

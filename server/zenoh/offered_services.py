@@ -45,7 +45,7 @@ class OfferedGoals:
 
     def send(self, action: str, octets: bytes, epoch: int, respond: Respond) -> None:
         """Serve ``send_goal``, a request as CDR that arrived in a stop epoch."""
-        network, type_name = self._network, self._network.graph.actions.type_of(action)
+        network, type_name = self._network, self._network.graph.actions.names.type_of(action)
         if type_name is None:
             respond(_no_action(action))
             return
@@ -84,7 +84,7 @@ class OfferedGoals:
 
     def get_result(self, action: str, octets: bytes, respond: Respond) -> None:
         """Serve ``get_result``: respond when the goal has ended; at once, with an unknown status, for no known goal."""
-        network, type_name = self._network, self._network.graph.actions.type_of(action)
+        network, type_name = self._network, self._network.graph.actions.names.type_of(action)
         if type_name is None:
             respond(_no_action(action))
             return
@@ -205,9 +205,9 @@ class OfferedServices:
 
     def _wanted(self) -> dict[str, Endpoint]:
         network, graph, found = self._network, self._network.graph, {}
-        services = graph.services.types() | {
+        services = graph.services.names.types() | {
             f"{action}{ACTION_PARTS}{part}": f"{type_name}{ending}"
-            for action, type_name in graph.actions.types().items()
+            for action, type_name in graph.actions.names.types().items()
             for part, ending in GOAL_SERVICES.items()
             if network.registry.knows(type_name, "action")
         }

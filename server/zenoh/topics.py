@@ -120,7 +120,7 @@ class OutgoingTopics:
     def _wanted(self, foreign: frozenset[str]) -> dict[str, tuple[Endpoint, bool]]:
         graph, found = self._network.graph, {}
         kept: list[str] = []
-        for name, type_name in graph.topic_types().items():
+        for name, type_name in graph.topic_names.types().items():
             if not set(graph.publishers(name)) - {self._network.node}:
                 continue
             if not self._names.matches(name):
@@ -272,7 +272,7 @@ class IncomingTopics:
 
     def _wanted(self) -> dict[str, Source]:
         network, found = self._network, dict[str, Source]()
-        for name, type_name in network.graph.topic_types().items():
+        for name, type_name in network.graph.topic_names.types().items():
             if self._names.matches(name) and network.is_own_subscription(name) and not network.is_own_publication(name):
                 own = network.endpoint(network.to_network(name), type_name, "msg")
                 if own is not None:

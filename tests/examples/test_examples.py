@@ -14,7 +14,7 @@ import pytest
 from websockets.sync.client import connect
 
 from harness.clients import call_on
-from harness.server import CLIENT_ENVIRONMENT, FAST_ARMS, RunningServer, free_port
+from harness.server import CLIENT_ENVIRONMENT, FAST, FAST_ARMS, RunningServer, free_port
 from harness.waiting import running
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
@@ -99,6 +99,16 @@ DONE = {
 def test_an_example_works(words: tuple[str, ...], told: str, run_example: RunExample, server: RunningServer) -> None:
     done = run_example(*words, "--url", server.url)
     assert (done.returncode, done.stdout) == (0, told), done.stderr
+
+
+def test_a_block_is_lifted_and_put_down_in_physics(run_example: RunExample) -> None:
+    with RunningServer("--port 0 --simulation physics", FAST) as physical:
+        done = run_example("lift_a_block.py", "--url", physical.url)
+    assert done.returncode == 0, done.stderr
+    gripped, lifted, placed = done.stdout.splitlines()
+    assert gripped.endswith("holds=True)")
+    assert 70 <= int(re.fullmatch(r"the block is (\d+) mm above the floor", lifted)[1]) <= 100
+    assert re.fullmatch(r"the block stands at x 0\.1\d, y -0\.1\d m, -?[01] mm above the floor", placed)
 
 
 REFUSED = {

@@ -81,7 +81,7 @@ class World:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, self.clock, self.clock, self.clock.call_later)
         RosApi(self.graph, self.clock)
-        self.topics = self.graph.topic_types()
+        self.topics = self.graph.topic_names.types()
         admin, operator, viewer = TOKENS
         settings = AccessSettings.model_validate(
             {
@@ -133,7 +133,7 @@ class World:
         """Have all clients leave; nothing of them may stay."""
         for client in self.clients:
             client.leave()
-        if self.graph.topic_types() != self.topics:
+        if self.graph.topic_names.types() != self.topics:
             raise FindError("topics of clients that have left are still there")
         self.clock.advance(1000.0)
         if self.clock.waiting:

@@ -274,7 +274,7 @@ class ActionDesk(ServiceRig, GoalRunner):
 
     async def send(self, action: str, **goal: Any) -> Goal | None:
         """Send a goal, and let everything that it sets going come to rest."""
-        type_name = self.graph.actions.type_of(action)
+        type_name = self.graph.actions.names.type_of(action)
         assert type_name is not None
         sent = self.graph.actions.send_goal(
             self.client, action, type_name, goal, self.results.append, self.feedback.append

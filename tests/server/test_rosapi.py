@@ -239,7 +239,7 @@ def test_every_response_is_complete_as_it_is(world: AskedWorld) -> None:
         "node": "/arm",
     }
     types = world.graph.message_types
-    for service, type_name in world.graph.services.types().items():
+    for service, type_name in world.graph.services.names.types().items():
         if service.startswith("/rosapi/"):
             short = service.removeprefix("/rosapi/")
             fields = [field.name for field in types.registry.message(f"{type_name}_Request").fields]

@@ -41,6 +41,9 @@ class MjsGeom:
     conaffinity: int
     condim: int
     density: float
+    friction: list[float]
+    mass: float
+    meshname: str
 
 class MjsJoint:
     name: str

@@ -80,6 +80,7 @@ class Scene(Face[AsyncScene]):
     attach = blocking(AsyncScene.attach)
     detach = blocking(AsyncScene.detach)
     allow_contact = blocking(AsyncScene.allow_contact)
+    make_movable = blocking(AsyncScene.make_movable)
     objects = blocking(AsyncScene.objects)
     held = blocking(AsyncScene.held)
     save = blocking(AsyncScene.save)
@@ -140,6 +141,9 @@ class Chunks(ContextFace[AsyncChunks]):
     """Chunks of joint targets of a learned policy, for the length of a ``with``; as :class:`AsyncChunks`."""
 
     send = blocking(AsyncChunks.send)
+    pause = blocking(AsyncChunks.pause)
+    resume = blocking(AsyncChunks.resume)
+    stop = blocking(AsyncChunks.stop)
 
 
 class Plan(Face[AsyncPlan]):

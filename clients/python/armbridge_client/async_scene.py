@@ -26,6 +26,7 @@ from armbridge_client.messages import (
     PoseStamped,
     RobotState,
     SaveSceneRequest,
+    SetBodyRequest,
     SolidPrimitive,
 )
 
@@ -102,6 +103,15 @@ class AsyncScene:
         """Let objects and links of these names touch each other."""
         rows = [AllowedCollisionEntry([True] * len(names)) for _ in names]
         await self._apply(PlanningScene(allowed_collision_matrix=AllowedCollisionMatrix(list(names), rows)))
+
+    async def make_movable(self, name: str, *, mass_kg: float = 0.0, friction: float = 0.0) -> None:
+        """Let the physics of a simulated arm move an object.
+
+        Args:
+            mass_kg: 0 for a mass by its volume.
+            friction: coefficient of friction, 0 for the default.
+        """
+        await self._connection.carry_out("/simulation/set_body", SetBodyRequest(name, True, mass_kg, friction))
 
     async def objects(self, timeout_s: float = CALL_TIMEOUT_S) -> dict[str, CollisionObject]:
         """Return the objects of the world by name."""

@@ -703,6 +703,26 @@ class SaveSceneRequest(Service[SaveSceneResponse]):
 
 
 @dataclass(repr=False)
+class SetBodyResponse(Message):
+    """armbridge_msgs/srv/SetBody_Response."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/SetBody_Response"
+    success: bool = False
+    message: str = ""
+
+
+@dataclass(repr=False)
+class SetBodyRequest(Service[SetBodyResponse]):
+    """armbridge_msgs/srv/SetBody_Request."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/SetBody"
+    id: str = ""
+    movable: bool = False
+    mass: float = 0.0
+    friction: float = 0.0
+
+
+@dataclass(repr=False)
 class SetSpeedLimitResponse(Message):
     """armbridge_msgs/srv/SetSpeedLimit_Response."""
 
@@ -1217,6 +1237,7 @@ TYPES = {
     "armbridge_msgs/srv/MoveitGoal": "RIHS01_6c513c6658820436306050c28a73097c02a69a41fa5bec412bfce870177cd98b",
     "armbridge_msgs/srv/RenameMotion": "RIHS01_9cfc125556ae3f7fb871d9ac820e7317279e66e6a70b794cea6abb6c8edd7942",
     "armbridge_msgs/srv/SaveScene": "RIHS01_0f3e0d3e69414aa970d94587c6517cd6df917019d1376c862d4874e85824f07c",
+    "armbridge_msgs/srv/SetBody": "RIHS01_53fc1dd708222dae818d32d54e62b279d9aa59ecc500b351b02516fe5195795d",
     "armbridge_msgs/srv/SetSpeedLimit": "RIHS01_278c041a0080c5fe5b3722c2794092dd07827879abffc9f4ff39f2f5f460773d",
     "armbridge_msgs/srv/StartEpisode": "RIHS01_274175baa6bcbfaafffee23f172500b367040591c83c2005037ea74d83abccd7",
     "armbridge_msgs/srv/StartTeleop": "RIHS01_65c0f5ca819224890a227d34ccd309fc64603c0b7807ccfe52dbcb04e2478dd6",

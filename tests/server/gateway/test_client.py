@@ -30,7 +30,7 @@ def test_a_bug_in_one_operation_does_not_take_the_client_with_it(
     world.say("x", op="advertise", topic="/a", type="std_msgs/String")
     assert "x: advertise failed" in caplog.text
     world.say("x", op="subscribe", topic="/b", type="std_msgs/String")
-    assert "/b" in world.graph.topic_types()
+    assert "/b" in world.graph.topic_names.types()
 
 
 async def test_messages_that_were_dropped_are_told_when_the_client_leaves(caplog: pytest.LogCaptureFixture) -> None:
@@ -118,7 +118,7 @@ class TestRefused:
                 screen.receive_frame(json.dumps(fields))
         else:
             screen.receive_frame('{"op":"subscribe","topic":"/b","type":"std_msgs/String"}' + inside)
-        assert "/a" not in guarded.graph.topic_types()
+        assert "/a" not in guarded.graph.topic_names.types()
         assert "needs the role operate" in guarded.heard("screen")[-1]["msg"]
 
     def test_the_log_hears_of_the_same_refusal_once(self, guarded: InProcess, caplog: pytest.LogCaptureFixture) -> None:

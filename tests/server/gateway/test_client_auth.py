@@ -48,7 +48,7 @@ def test_operations_after_auth_in_the_same_frame_are_carried_out(world: InProces
         {"op": "subscribe", "topic": "/a", "type": "std_msgs/String"}
     )
     world.client("x").receive_frame(frame)
-    assert "/a" in world.graph.topic_types()
+    assert "/a" in world.graph.topic_names.types()
 
 
 WRONG = {
@@ -88,7 +88,7 @@ def test_whatever_else_comes_first_ends_the_connection_and_does_nothing(world: I
     world.client("x").receive_frame(frame)
     assert world.closed["x"]
     assert identity(world) is None
-    assert world.graph.topic_types() == {}
+    assert world.graph.topic_names.types() == {}
 
 
 def test_there_is_one_guess_a_connection(world: InProcess) -> None:
@@ -112,10 +112,10 @@ def test_a_proof_that_somebody_has_overheard_is_good_for_nothing(world: InProces
 def test_a_client_raises_its_rights_by_a_right_token(world: InProcess) -> None:
     world.say("x", op="auth", token=SCREEN)
     world.say("x", op="advertise", topic="/a", type="std_msgs/String")
-    assert world.graph.topic_types() == {}
+    assert world.graph.topic_names.types() == {}
     world.say("x", op="auth", token=ADA)
     world.say("x", op="advertise", topic="/a", type="std_msgs/String")
-    assert "/a" in world.graph.topic_types()
+    assert "/a" in world.graph.topic_names.types()
 
 
 def test_a_wrong_token_costs_a_client_the_rights_that_it_had(world: InProcess) -> None:
@@ -123,7 +123,7 @@ def test_a_wrong_token_costs_a_client_the_rights_that_it_had(world: InProcess) -
     world.say("x", op="auth", token="guess-0123456789abcdef")
     assert world.closed["x"]
     world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
-    assert world.graph.topic_types() == {}
+    assert world.graph.topic_names.types() == {}
 
 
 @pytest.mark.parametrize("fields", [{"role": "admin"}, {"level": "admin"}, {"identity": {"role": 3}}])

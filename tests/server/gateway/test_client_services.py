@@ -26,12 +26,12 @@ def respond(world: InProcess, number: int) -> None:
 def test_the_number_of_offers_of_a_client_is_bounded(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:
     for service in ("/a", "/b"):
         world.say("p", op="advertise_service", service=service, type=TYPE)
-    assert set(world.graph.services.types()) == {"/s", "/a"}
+    assert set(world.graph.services.names.types()) == {"/s", "/a"}
     world.say("p", op="advertise_service", service="/a", type="std_srvs/Trigger")
-    assert world.graph.services.types()["/a"] == "std_srvs/srv/Trigger"
+    assert world.graph.services.names.types()["/a"] == "std_srvs/srv/Trigger"
     world.say("p", op="unadvertise_service", service="/a")
     world.say("p", op="advertise_service", service="/b", type=TYPE)
-    assert set(world.graph.services.types()) == {"/s", "/b"}
+    assert set(world.graph.services.names.types()) == {"/s", "/b"}
     assert "advertise_service: this client has 2, the limit is 2" in caplog.text
 
 

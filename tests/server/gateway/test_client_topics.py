@@ -23,7 +23,7 @@ def world() -> InProcess:
 def test_operations_over_the_limit_do_nothing(world: InProcess, op: str, caplog: pytest.LogCaptureFixture) -> None:
     for topic in ("/a", "/b", "/c"):
         world.say("x", op=op, topic=topic, type="std_msgs/String")
-    assert list(world.graph.topic_types()) == ["/a", "/b"]
+    assert list(world.graph.topic_names.types()) == ["/a", "/b"]
     assert "limit is 2" in caplog.text
 
 

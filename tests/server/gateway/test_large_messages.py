@@ -79,7 +79,7 @@ async def test_large_answers_that_come_at_once_all_arrive() -> None:
     async with world_with() as world:
         client, provider = await world.connect(), await world.connect()
         await provider.send(json.dumps({"op": "advertise_service", "service": "/s", "type": "std_srvs/Trigger"}))
-        await until(lambda: "/s" in world.graph.services.types())
+        await until(lambda: "/s" in world.graph.services.names.types())
         for number in range(30):
             await client.send(json.dumps({"op": "call_service", "service": "/s", "id": str(number)}))
         client.transport.pause_reading()

@@ -159,9 +159,9 @@ def test_an_offer_is_withdrawn_by_its_own_node_only(services: Services) -> None:
     provider = Provider(services)
     services.withdraw(CALLER, "/switch")
     services.withdraw(provider.node, "/nothing")
-    assert services.types() == {"/switch": "std_srvs/srv/SetBool"}
+    assert services.names.types() == {"/switch": "std_srvs/srv/SetBool"}
     services.withdraw(provider.node, "/switch")
-    assert (services.types(), services.provided_by(provider.node)) == ({}, [])
+    assert (services.names.types(), services.provided_by(provider.node)) == ({}, [])
 
 
 @pytest.mark.parametrize("type_name", ["std_srvs/Nothing", "std_msgs/String", "control_msgs/action/PointHead"])

@@ -82,9 +82,9 @@ def test_a_node_that_left_gets_nothing_and_its_topics_are_forgotten(graph: Graph
     graph.remove(listener.node)
     graph.publish(TALKER, "/a", {"data": "x"})
     assert listener.messages == []
-    assert list(graph.topic_types()) == ["/a"]
+    assert list(graph.topic_names.types()) == ["/a"]
     graph.unadvertise(TALKER, "/a")
-    assert graph.topic_types() == {}
+    assert graph.topic_names.types() == {}
 
 
 def test_the_refusal_of_a_topic_without_a_type_says_which_operation_can_name_one(graph: Graph) -> None:

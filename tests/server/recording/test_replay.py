@@ -179,7 +179,7 @@ async def test_a_topic_of_unknown_type_is_left_out_and_told(tmp_path: Path, capl
     playing.advertise(
         [RecordedTopic("/own", "my_msgs/msg/Thing", False), RecordedTopic("/t", "std_msgs/msg/String", False)]
     )
-    assert list(graph.topic_types()) == ["/t"]
+    assert list(graph.topic_names.types()) == ["/t"]
     assert "/own is left out: it cannot be offered" in caplog.text
 
 
@@ -205,7 +205,7 @@ async def test_a_second_type_on_a_topic_is_left_out(tmp_path: Path, caplog: pyte
 async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
     graph = Graph(REGISTRY)
     playing = asyncio.create_task(player(tmp_path, graph, [text(0), text(1000)], rate=1.0).play())
-    await until(lambda: "/t" in graph.topic_types())
+    await until(lambda: "/t" in graph.topic_names.types())
     playing.cancel()
     await asyncio.wait([playing], timeout=30.0)
     assert playing.cancelled()

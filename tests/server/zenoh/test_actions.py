@@ -281,7 +281,7 @@ class Sent:
 
 
 async def found_by(site: Site) -> None:
-    await until(lambda: site.graph.actions.type_of(GRIP) == GRIPPER)
+    await until(lambda: site.graph.actions.names.type_of(GRIP) == GRIPPER)
 
 
 async def test_a_client_sends_a_goal_to_an_action_of_a_ros_2_machine() -> None:
@@ -297,7 +297,7 @@ async def test_a_client_sends_a_goal_to_an_action_of_a_ros_2_machine() -> None:
         await until(lambda: sent.feedback)
         await server.end(SUCCEEDED, 0.5)
         await until(lambda: sent.results)
-        assert site.graph.services.type_of(f"{GRIP}/_action/send_goal") is None
+        assert site.graph.services.names.type_of(f"{GRIP}/_action/send_goal") is None
     assert (server.requests[0].position, sent.feedback[0]["position"]) == (0.5, 0.25)
     assert (sent.results[0].ok, sent.results[0].status) == (True, SUCCEEDED)
     assert sent.results[0].values["position"] == 0.5
@@ -330,5 +330,5 @@ async def test_a_goal_that_is_rejected_there_or_whose_machine_goes_fails() -> No
         await until(lambda: server.requests)
         machine.session.close()
         await until(lambda: sent.results)
-        await until(lambda: site.graph.actions.type_of(GRIP) is None)
+        await until(lambda: site.graph.actions.names.type_of(GRIP) is None)
     assert not sent.results[0].ok

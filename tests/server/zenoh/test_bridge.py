@@ -128,7 +128,7 @@ async def test_one_server_shows_the_arms_of_others_to_its_viewers() -> None:
         for site in (one, two):
             site.graph.advertise(site.part, "/joint_states", STRING, latch=True)
             site.graph.publish(site.part, "/joint_states", {"data": site.namespace})
-        await until(lambda: {"/arm1/joint_states", "/arm2/joint_states"} <= edge.graph.topic_types().keys())
+        await until(lambda: {"/arm1/joint_states", "/arm2/joint_states"} <= edge.graph.topic_names.types().keys())
         heard = edge.hear("/arm1/joint_states"), edge.hear("/arm2/joint_states")
         await until(lambda: all(heard))
     assert [messages[0].msg["data"] for messages in heard] == ["/arm1", "/arm2"]

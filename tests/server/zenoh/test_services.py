@@ -173,7 +173,7 @@ class Offering:
 
 
 async def found_by(site: Site, service: str = "/lamp/switch") -> None:
-    await until(lambda: site.graph.services.type_of(service) == "std_srvs/srv/Trigger")
+    await until(lambda: site.graph.services.names.type_of(service) == "std_srvs/srv/Trigger")
 
 
 async def test_a_client_calls_a_service_of_a_ros_2_machine() -> None:
@@ -198,7 +198,7 @@ async def test_a_service_that_goes_is_gone_and_calls_on_their_way_fail() -> None
             call = asyncio.create_task(site.called("/lamp/switch"))
             await until(lambda: offering.queries)
         response = await call
-        await until(lambda: site.graph.services.type_of("/lamp/switch") is None)
+        await until(lambda: site.graph.services.names.type_of("/lamp/switch") is None)
     assert not response.ok
     assert "/lamp/switch" in response.values
 
@@ -239,7 +239,7 @@ async def test_services_that_fit_no_pattern_are_not_there() -> None:
         Offering(machine, "/door/open")
         Offering(machine)
         await found_by(site)
-    assert site.graph.services.type_of("/door/open") is None
+    assert site.graph.services.names.type_of("/door/open") is None
 
 
 async def test_of_too_many_calls_at_a_time_those_beyond_fail_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

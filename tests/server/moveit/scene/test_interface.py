@@ -82,8 +82,8 @@ def opened():
 
 async def test_the_scene_has_moveits_names_and_types():
     graph, _ = opened()
-    assert graph.topic_types() == TOPICS
-    assert graph.services.types() == SERVICES
+    assert graph.topic_names.types() == TOPICS
+    assert graph.services.names.types() == SERVICES
 
 
 CUP = box("cup")

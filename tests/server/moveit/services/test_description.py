@@ -281,9 +281,9 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
         world.say("c", op="unsubscribe", topic=topic)
         world.move(0.4)
     world.move(0.4)
-    assert topic in world.graph.topic_types()
+    assert topic in world.graph.topic_names.types()
     world.move(0.4)
-    assert topic not in world.graph.topic_types()
+    assert topic not in world.graph.topic_names.types()
 
 
 def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> None:

@@ -19,7 +19,7 @@ from tests.helpers.moveit import REGISTRY, ROBOT, SEVEN, TIP, ServiceRig, ball, 
 
 def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
     for name, offer in SERVICES.items():
-        assert rig.graph.services.type_of(name) == offer.type_name
+        assert rig.graph.services.names.type_of(name) == offer.type_name
 
 
 async def test_an_empty_request_is_answered_also_for_an_arm_that_is_not_read(rig: ServiceRig) -> None:
@@ -264,7 +264,7 @@ async def test_large_responses_are_complete_messages() -> None:
     }
     for service, request in requests.items():
         response = await rig.call(service, **request)
-        type_name = f"{rig.graph.services.type_of(service)}_Response"
+        type_name = f"{rig.graph.services.names.type_of(service)}_Response"
         assert rig.graph.message_types.complete(type_name, response) == response
 
 

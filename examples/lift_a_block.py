@@ -1,0 +1,53 @@
+"""Lift a block, carry it over and put it down in physics; the server: ``armbridge serve --simulation physics``."""
+
+import argparse
+import sys
+import time
+
+from armbridge_client import Arm, ArmError, connect, pose  # pip install armbridge-client
+
+SIZE_M, MASS_KG = (0.025, 0.025, 0.05), 0.02
+FROM = (0.2, -0.009)  # x and y of the block [m]
+ABOVE = {"shoulder_pan": 0.0, "shoulder_lift": -0.456, "elbow_flex": 0.246, "wrist_flex": 1.6, "wrist_roll": -1.52}
+AROUND = {"shoulder_pan": 0.0, "shoulder_lift": -0.184, "elbow_flex": 0.628, "wrist_flex": 1.128, "wrist_roll": -1.52}
+ASIDE = {"shoulder_pan": 0.7}
+OPEN_RAD, CLOSED_RAD, FORCE = 1.0, -0.1, 0.4
+FINGERS = ("gripper_link", "moving_jaw_so101_v1_link")
+SETTLED_S = 0.5
+
+
+def height_m(arm: Arm) -> float:
+    """Return the height of the block's foot by the physics, once it is at rest."""
+    time.sleep(SETTLED_S)
+    return arm.scene.objects()["block"].pose.position.z - SIZE_M[2] / 2
+
+
+def main() -> None:
+    """Put the block there, grip it, lift it, carry it over and put it down."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
+    with connect(parser.parse_args().url) as arm:
+        arm.scene.add_box("block", SIZE_M, pose(*FROM, SIZE_M[2] / 2))
+        arm.scene.make_movable("block", mass_kg=MASS_KG)
+        arm.scene.allow_contact("block", *FINGERS)
+        arm.gripper.move(OPEN_RAD, FORCE)
+        for target in (ABOVE, AROUND):
+            arm.move_joints(target, speed=0.3)
+        print(arm.gripper.move(CLOSED_RAD, FORCE))
+        arm.move_joints(ABOVE, speed=0.3)
+        print(f"the block is {1000 * height_m(arm):.0f} mm above the floor")
+        arm.scene.attach("block", touch_links=FINGERS)
+        for target in (ABOVE | ASIDE, AROUND | ASIDE):
+            arm.move_joints(target, speed=0.3)
+        arm.gripper.move(OPEN_RAD, FORCE)
+        arm.scene.detach("block")
+        arm.move_joints(ABOVE | ASIDE, speed=0.3)
+        at = arm.scene.objects()["block"].pose.position
+        print(f"the block stands at x {at.x:.2f}, y {at.y:.2f} m, {1000 * height_m(arm):.0f} mm above the floor")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except ArmError as error:
+        sys.exit(str(error))

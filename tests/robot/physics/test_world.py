@@ -1,0 +1,164 @@
+"""Bodies around an arm: they fall, rest, are pushed, held and dropped, and their poses are reported as they move."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import pytest
+
+from robot.physics.bodies import Body, BodyShape, BodyState, BodyStates, Point, SetBodies
+from robot.physics.world import World
+from tests.robot.physics.test_servo_joints import Driven, driven, world_of
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+# Pointing down beside the block, the block between the open fingers, and the same lifted.
+AROUND = {
+    "shoulder_lift": -0.184,
+    "elbow_flex": 0.628,
+    "wrist_flex": 1.128,
+    "wrist_roll": -1.52,
+    "gripper": 1.0,
+}
+GRIPPER, SHOULDER_LIFT = 5, 1
+FAR = (0.3, 0.3, 0.02)
+
+
+def box(name: str, at: Point, half_m: float = 0.0125, *, movable: bool = True) -> Body:
+    shape = BodyShape("box", (half_m, half_m, half_m), (0.0, 0.0, 0.0), LEVEL)
+    return Body(name, (shape,), at, LEVEL, movable)
+
+
+BLOCK = replace(
+    box("block", (0.2, -0.009, 0.025)),
+    shapes=(BodyShape("box", (0.0125, 0.0125, 0.025), (0.0, 0.0, 0.0), LEVEL),),
+    mass_kg=0.02,
+)
+
+
+@pytest.fixture
+def arm() -> Driven:
+    return driven(physics=True, start_rad={})
+
+
+def state_of(world: World, name: str) -> BodyState:
+    states = world.moved_bodies(every=True)
+    assert states is not None
+    return next(each for each in states.bodies if each.name == name)
+
+
+def test_a_body_falls_onto_the_floor_or_onto_another_and_stays_there(arm: Driven) -> None:
+    world = world_of(arm)
+    table = box("table", (0.3, -0.3, 0.02), 0.02, movable=False)
+    world.set_bodies(SetBodies(3, (box("high", (0.3, 0.3, 0.1)), box("on table", (0.3, -0.3, 0.1)), table)))
+    first = world.moved_bodies(every=False)
+    assert first is not None
+    assert (first.version, {each.name for each in first.bodies}) == (3, {"high", "on table"})
+    arm.tick(100)
+    assert state_of(world, "high").position_m == pytest.approx((0.3, 0.3, 0.0125), abs=0.001)
+    assert state_of(world, "on table").position_m == pytest.approx((0.3, -0.3, 0.0525), abs=0.001)
+    arm.tick(50)
+    assert world.moved_bodies(every=False) is None
+    assert isinstance(world.moved_bodies(every=True), BodyStates)
+
+
+def test_other_bodies_leave_arm_and_bodies_where_they_are(arm: Driven) -> None:
+    world = world_of(arm)
+    world.set_bodies(SetBodies(1, (box("cube", (0.3, 0.3, 0.1)),)))
+    before = arm.tick(100).position_rad
+    fallen = state_of(world, "cube")
+    world.set_bodies(SetBodies(2, (box("cube", (0.3, 0.3, 0.1)), box("wall", FAR, movable=False))))
+    assert arm.tick().position_rad == pytest.approx(before, abs=0.002)
+    assert state_of(world, "cube").position_m == pytest.approx(fallen.position_m, abs=0.001)
+    world.set_bodies(SetBodies(3, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False))))
+    assert state_of(world, "cube").position_m == pytest.approx((0.2, 0.3, 0.1))
+    arm.tick(100)
+    world.set_bodies(SetBodies(4, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False)), reset=True))
+    assert state_of(world, "cube").position_m == pytest.approx((0.2, 0.3, 0.1))
+    world.set_bodies(SetBodies(5, ()))
+    assert world.moved_bodies(every=True) is None
+    assert arm.tick().position_rad == pytest.approx(before, abs=0.002)
+
+
+def test_an_arm_pushes_a_movable_body_and_is_stopped_by_a_fixed_one() -> None:
+    turned = {}
+    for movable in (True, False):
+        arm = driven(physics=True, start_rad=AROUND)
+        block = replace(BLOCK, position_m=(0.2, -0.06, 0.025), movable=movable)
+        world_of(arm).set_bodies(SetBodies(1, (block,)))
+        arm.move(0, 0.6, 100)
+        turned[movable] = arm.tick(60).position_rad[0]
+        if movable:
+            assert state_of(world_of(arm), "block").position_m[1] < -0.07
+    assert turned[True] == pytest.approx(0.6, abs=0.02)
+    assert turned[False] < 0.4
+
+
+def test_fingers_that_close_on_a_body_hold_it_lift_it_and_drop_it() -> None:
+    arm = driven(physics=True, start_rad=AROUND)
+    world = world_of(arm)
+    world.set_bodies(SetBodies(1, (BLOCK,)))
+    arm.tick(10)
+    assert not state_of(world, "block").held
+    arm.move(GRIPPER, -0.1, 100)
+    gripped = arm.tick(50)
+    assert gripped.position_rad[GRIPPER] == pytest.approx(0.07, abs=0.05)
+    assert state_of(world, "block").held
+    arm.move(SHOULDER_LIFT, -0.6, 100)
+    arm.tick(100)
+    lifted = state_of(world, "block")
+    assert lifted.held
+    assert lifted.position_m[2] > 0.08
+    arm.move(GRIPPER, 1.0, 60)
+    arm.tick(100)
+    dropped = state_of(world, "block")
+    assert not dropped.held
+    assert dropped.position_m[2] < 0.03
+
+
+def test_a_slippery_body_is_not_lifted() -> None:
+    arm = driven(physics=True, start_rad=AROUND)
+    world = world_of(arm)
+    world.set_bodies(SetBodies(1, (replace(BLOCK, friction=0.01, mass_kg=0.5),)))
+    arm.move(GRIPPER, -0.1, 100)
+    arm.move(SHOULDER_LIFT, -0.6, 100)
+    arm.tick(50)
+    assert state_of(world, "block").position_m[2] < 0.05
+
+
+def test_bodies_that_overlap_are_named_with_the_depth(arm: Driven, caplog: pytest.LogCaptureFixture) -> None:
+    cubes = box("left", (0.3, 0.3, 0.0125)), box("right", (0.3, 0.32, 0.0125))
+    with caplog.at_level(logging.WARNING):
+        world_of(arm).set_bodies(SetBodies(1, cubes))
+    assert [record.message for record in caplog.records] == [
+        "physics: 'left' overlaps 'right' by 5 mm; they push each other apart"
+    ]
+    arm.tick(100)
+
+
+def test_a_body_that_mujoco_refuses_is_left_out_with_a_sentence(arm: Driven, caplog: pytest.LogCaptureFixture) -> None:
+    flat = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.1, 0.1, 0.0))
+    sheet = Body("sheet", (BodyShape("hull", (), (0.0, 0.0, 0.0), LEVEL, flat),), FAR, LEVEL, movable=True)
+    before = arm.tick().position_rad
+    world_of(arm).set_bodies(SetBodies(1, (BLOCK,)))
+    with caplog.at_level(logging.WARNING):
+        world_of(arm).set_bodies(SetBodies(2, (BLOCK, sheet)))
+    assert "physics: 'sheet' cannot be simulated, and are left out: " in caplog.text
+    assert state_of(world_of(arm), "block").position_m == pytest.approx(BLOCK.position_m, abs=0.001)
+    assert arm.tick(10).position_rad == pytest.approx(before, abs=0.002)
+
+
+@pytest.mark.parametrize("kind", ["sphere", "cylinder", "hull", "plane"])
+def test_every_kind_of_shape_carries_a_body(kind: str, arm: Driven) -> None:
+    corners = tuple((x, y, z) for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.02, 0.02))
+    shapes = {
+        "sphere": BodyShape("sphere", (0.02,), (0.0, 0.0, 0.0), LEVEL),
+        "cylinder": BodyShape("cylinder", (0.05, 0.02), (0.0, 0.0, 0.0), LEVEL),
+        "hull": BodyShape("hull", (), (0.0, 0.0, 0.0), LEVEL, corners),
+        "plane": BodyShape("plane", (), (0.0, 0.0, 0.02), LEVEL),
+    }
+    below = Body("below", (shapes[kind],), (0.3, 0.3, 0.05), LEVEL)
+    world = world_of(arm)
+    world.set_bodies(SetBodies(1, (below, box("cube", (0.3, 0.3, 0.09)))))
+    arm.tick(60)
+    assert state_of(world, "cube").position_m == pytest.approx((0.3, 0.3, 0.0825), abs=0.002)

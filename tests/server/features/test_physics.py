@@ -1,0 +1,236 @@
+"""The planning scene as the world of a simulated arm: bodies out, poses and dropped objects back."""
+
+from __future__ import annotations
+
+import logging
+import math
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from protocol.registry import Registry
+from robot.messages import ArmState, Mode
+from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
+from server.config import Settings
+from server.errors import ConfigurationError
+from server.features.physics import DROPPED_AFTER_S, RELEASED_AFTER_S, Physics, physics_of
+from server.graph.node import Node
+from server.graph.topics import Graph
+from tests.helpers.moveit import ROBOT, box, current_state, diff, held, pose, scene_state
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+FINGERS = ("gripper_link", "moving_jaw_so101_v1_link")
+STAMP_S = 1000.0
+
+
+class PhysicalArm:
+    """An arm that keeps the bodies that it is sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[SetBodies] = []
+
+    def set_bodies(self, bodies: SetBodies) -> None:
+        self.sent.append(bodies)
+
+    @property
+    def bodies(self) -> dict[str, Any]:
+        return {each.name: each for each in self.sent[-1].bodies}
+
+
+class Stage:
+    """Scene, arm and feature, and the states that the arm sends."""
+
+    def __init__(self) -> None:
+        self.arm = PhysicalArm()
+        self.scene = scene_state()
+        self.graph = Graph(Registry.load())
+        planning = SimpleNamespace(scene_state=self.scene, current=current_state())
+        whole = SimpleNamespace(robot=ROBOT)
+        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph)
+        self.physics = Physics(cast(Any, context), cast(Any, self.arm))
+        self.clock_s = STAMP_S
+
+    def apply(self, *objects: dict[str, Any], **fields: Any) -> None:
+        message = diff(world={"collision_objects": list(objects)}, **fields) if objects else diff(**fields)
+        self.scene.apply_diff(message, {joint.name: 0.0 for joint in ROBOT.movable_joints})
+
+    def call(self, service: str, **request: Any) -> tuple[bool, str]:
+        answers: list[Any] = []
+        self.graph.services.call(Node("client"), service, request, answers.append)
+        return answers[0].values["success"], answers[0].values["message"]
+
+    def report(
+        self, *bodies: BodyState, after_s: float = 0.2, gripper_rad: float = 0.0, version: int | None = None
+    ) -> None:
+        self.clock_s += after_s
+        moved = BodyStates(self.arm.sent[-1].version if version is None else version, bodies) if bodies else None
+        state = ArmState(
+            STAMP_S,
+            Mode.HOLDING,
+            ("shoulder_pan", "gripper"),
+            goal_rad=np.array([0.0, gripper_rad]),
+            clock_s=self.clock_s,
+            bodies=moved,
+        )
+        self.physics.on_state("", state)
+
+    def position(self, name: str) -> tuple[float, float, float]:
+        return self.scene.contents.objects[name].pose.position_m
+
+
+@pytest.fixture
+async def stage() -> Stage:
+    made = Stage()
+    made.apply(box("cube", at=pose(0.2, 0.1, 0.025)), box("wall", at=pose(0.4, 0.0, 0.1)))
+    return made
+
+
+def moved(z: float, *, held: bool = False) -> BodyState:
+    return BodyState("cube", (0.2, 0.1, z), LEVEL, held)
+
+
+async def test_each_change_of_the_scene_is_sent_once_and_nothing_is_movable_at_first(stage: Stage) -> None:
+    assert set(stage.arm.bodies) == {"cube", "wall"}
+    assert not any(each.movable for each in stage.arm.bodies.values())
+    assert stage.arm.bodies["cube"].shapes[0].size_m == (0.025, 0.025, 0.025)
+    sent = len(stage.arm.sent)
+    stage.apply(name="another name")
+    assert len(stage.arm.sent) == sent
+    stage.apply({"id": "wall", "operation": 1})
+    assert set(stage.arm.bodies) == {"cube"}
+
+
+async def test_a_movable_object_follows_its_body_in_the_scene_without_being_sent_again(stage: Stage) -> None:
+    assert stage.call("/simulation/set_body", id="cube", movable=True, mass=0.05) == (True, "cube can be moved")
+    assert (stage.arm.bodies["cube"].movable, stage.arm.bodies["cube"].mass_kg) == (True, 0.05)
+    sent = len(stage.arm.sent)
+    stage.report(moved(0.08))
+    assert stage.position("cube") == (0.2, 0.1, 0.08)
+    stage.report(moved(0.09), after_s=0.02)
+    assert stage.position("cube") == (0.2, 0.1, 0.08), "more than ten changes of the scene a second"
+    stage.report(after_s=0.1)
+    assert stage.position("cube") == (0.2, 0.1, 0.09)
+    version = stage.scene.scene.version
+    stage.report(moved(0.0901))
+    assert stage.scene.scene.version == version, "a new scene for a body that did not move"
+    assert len(stage.arm.sent) == sent
+
+
+async def test_a_client_moves_a_body_and_older_reports_do_not_take_it_back(stage: Stage) -> None:
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    stage.report(moved(0.08))
+    before = stage.arm.sent[-1].version
+    stage.apply({"id": "cube", "operation": 3, "pose": pose(0.1, 0.2, 0.025)})
+    assert stage.arm.bodies["cube"].position_m == (0.1, 0.2, 0.025)
+    stage.report(moved(0.07), version=before)
+    assert stage.position("cube") == (0.1, 0.2, 0.025)
+
+
+def grip(stage: Stage) -> None:
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    stage.report(moved(0.08, held=True))
+    state = {"is_diff": True, "attached_collision_objects": [held("cube", touch_links=FINGERS)]}
+    stage.apply(robot_state=state)
+    assert "cube" in stage.scene.contents.attached
+
+
+async def test_an_attached_object_stays_a_body_and_is_attached_while_the_fingers_hold_it(stage: Stage) -> None:
+    grip(stage)
+    assert stage.arm.bodies["cube"].movable
+    for _ in range(20):
+        stage.report(moved(0.1, held=True))
+    assert "cube" in stage.scene.contents.attached
+
+
+async def test_a_dropped_object_is_detached_where_it_lies(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    grip(stage)
+    stage.report(moved(0.02), after_s=DROPPED_AFTER_S - 0.1)
+    assert "cube" in stage.scene.contents.attached
+    sent = len(stage.arm.sent)
+    with caplog.at_level(logging.WARNING):
+        stage.report(after_s=0.2)
+    assert "cube" not in stage.scene.contents.attached
+    assert stage.position("cube") == (0.2, 0.1, 0.02)
+    assert [record.message for record in caplog.records] == [
+        "the gripper does not hold 'cube': it is at x 0.200, y 0.100, z 0.020 m"
+    ]
+    assert len(stage.arm.sent) == sent
+
+
+async def test_a_gripper_that_opens_leaves_its_client_the_time_to_detach(stage: Stage) -> None:
+    grip(stage)
+    stage.report(moved(0.02), after_s=0.1, gripper_rad=1.0)
+    stage.report(after_s=DROPPED_AFTER_S + 0.5, gripper_rad=1.0)
+    assert "cube" in stage.scene.contents.attached
+    stage.report(after_s=RELEASED_AFTER_S, gripper_rad=1.0)
+    assert "cube" not in stage.scene.contents.attached
+
+
+async def test_a_detached_object_is_where_its_body_is(stage: Stage) -> None:
+    grip(stage)
+    sent = len(stage.arm.sent)
+    released = held("cube", operation=1)
+    stage.apply(robot_state={"is_diff": True, "attached_collision_objects": [released]})
+    stage.report(moved(0.03))
+    assert stage.position("cube") == (0.2, 0.1, 0.03)
+    assert len(stage.arm.sent) == sent
+
+
+async def test_a_reset_puts_every_movable_object_back(stage: Stage) -> None:
+    grip(stage)
+    assert stage.call("/simulation/reset") == (True, "1 objects are where they were put")
+    assert stage.position("cube") == (0.2, 0.1, 0.025)
+    assert "cube" not in stage.scene.contents.attached
+    assert stage.arm.sent[-1].reset
+
+
+REFUSED = {
+    "unknown": ({"id": "ball"}, "there is no object 'ball' in the planning scene"),
+    "mass": ({"id": "cube", "mass": -1.0}, "mass must be 0 to 100 kg, 0 for a mass by its volume, not -1"),
+    "no number": ({"id": "cube", "mass": math.nan}, "mass must be 0 to 100 kg, 0 for a mass by its volume, not nan"),
+    "friction": ({"id": "cube", "friction": 11.0}, "friction must be 0 to 10, 0 for 1, not 11"),
+}
+
+
+@pytest.mark.parametrize(("request_", "sentence"), REFUSED.values(), ids=REFUSED.keys())
+async def test_what_no_body_can_have_is_refused(request_: dict[str, Any], sentence: str, stage: Stage) -> None:
+    assert stage.call("/simulation/set_body", movable=True, **request_) == (False, sentence)
+    assert not stage.arm.bodies["cube"].movable
+
+
+async def test_a_plane_cannot_be_movable(stage: Stage) -> None:
+    plane = {"coef": [0.0, 0.0, 1.0, 0.05]}
+    stage.apply({"id": "floor", "planes": [plane], "plane_poses": [pose()]})
+    assert stage.arm.bodies["floor"].shapes[0].position_m == (0.0, 0.0, -0.05)
+    assert stage.call("/simulation/set_body", id="floor", movable=True) == (
+        False,
+        "'floor' has a plane, and cannot be movable",
+    )
+
+
+async def test_more_objects_than_physics_has_are_left_out_with_a_sentence(
+    stage: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        stage.apply(*(box(f"box {at}") for at in range(MAX_BODIES)))
+    assert [record.message for record in caplog.records] == [
+        "physics has 100 objects at most: the last 2 of the scene are left out"
+    ]
+    assert len(stage.arm.bodies) == MAX_BODIES
+    assert stage.call("/simulation/set_body", id="box 99", movable=True) == (
+        False,
+        "physics has 100 objects at most, and 'box 99' is left out",
+    )
+
+
+async def test_several_arms_have_no_physics() -> None:
+    settings = Settings.model_validate({"arms": {"left": {"simulation": "physics"}}})
+    with pytest.raises(ConfigurationError, match=r"arms\.left\.simulation: physics has one arm"):
+        physics_of(cast(Any, SimpleNamespace(settings=settings)))
+
+
+async def test_a_light_simulation_has_no_physics() -> None:
+    whole = SimpleNamespace(served=SimpleNamespace(arm=None))
+    assert physics_of(cast(Any, SimpleNamespace(settings=Settings(), whole=whole))) == []

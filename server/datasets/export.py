@@ -26,6 +26,7 @@ from server.datasets.samples import (
     Samples,
     Times,
     image_data,
+    interventions,
     merged,
     messages,
     read_samples,
@@ -153,6 +154,8 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
             tasked = replace(episode, task=episode.task or options.task or NO_TASK)
             tracks = _tracks_of(episode, commanded, next_state, options)
             frames = frames_of(tasked, tracks, options.fps, options.max_gap_s)
+            at_s = zero_s + frames.start_s + np.arange(frames.count) / options.fps
+            frames = replace(frames, interventions=interventions(samples, at_s))
         except LeftOutError as error:
             where = f"episode {number} ({episode.start_s:.1f} to {episode.end_s:.1f} s)"
             problems.append(f"{path}: {where} is left out: {error}")

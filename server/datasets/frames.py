@@ -40,13 +40,18 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of an episode: positions of shape (frames, joints), and by camera the index of each frame's image."""
+    """Frames of an episode: positions of shape (frames, joints), and by camera the index of each frame's image.
+
+    Attributes:
+        interventions: True in frames in which a person had taken over; None where no policy moved the arm.
+    """
 
     task: str
     start_s: float
     states: Positions
     actions: Positions
     images: Mapping[str, NDArray[np.int64]]
+    interventions: NDArray[np.bool_] | None = None
 
     @property
     def count(self) -> int:

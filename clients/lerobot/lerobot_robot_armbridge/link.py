@@ -129,14 +129,19 @@ class ArmLink:
         if missing:
             raise ValueError(f"joints: the server's arm has no {missing}; it has {sorted(self.limits_rad)}")
 
-    def positions(self) -> dict[str, float]:
-        """Return the newest position of each joint, in lerobot's units by lerobot's names.
+    def state(self) -> tuple[float, dict[str, float]]:
+        """Return the stamp of the newest joint states [s since the epoch], and positions by the server's joints [rad].
 
         Raises:
-            TimeoutError: the newest is older than 1 s.
+            TimeoutError: they came longer ago than 1 s.
         """
         message = self._joint_states.newest()
-        return self.in_units(dict(zip(message.name, message.position, strict=True)))
+        stamp = message.header.stamp
+        return stamp.sec + 1e-9 * stamp.nanosec, dict(zip(message.name, message.position, strict=True))
+
+    def positions(self) -> dict[str, float]:
+        """Return the newest position of each joint, in lerobot's units by lerobot's names; raises as :meth:`state`."""
+        return self.in_units(self.state()[1])
 
     def in_units(self, position_rad: Mapping[str, float]) -> dict[str, float]:
         """Return positions [rad, by the server's names] in lerobot's units by lerobot's names."""

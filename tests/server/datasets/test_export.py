@@ -10,6 +10,7 @@ import pytest
 from server.cli import main
 from server.datasets import export as export_module
 from server.datasets.export import Exported, ExportError, ExportOptions, camera_keys, export
+from server.recording.files import RecordedMessage
 from tests.server.datasets.conftest import JOINTS, Record, image, in_order, mark, stamp, state, states
 from tests.server.recordings import REGISTRY, entry, record
 
@@ -339,3 +340,24 @@ def test_the_command_reports_its_work(recorded: Record, tmp_path: Path, capsys: 
     assert "the stop at 1.5 s has no start" in told.err
     assert main(arguments) == 1
     assert "exists already" in capsys.readouterr().err
+
+
+def phase(phase: str, at_s: float) -> RecordedMessage:
+    """A state of the policy, as the server publishes it."""
+    values = [{"key": "phase", "value": phase}, {"key": "client", "value": "policy"}]
+    status = {"level": 0, "name": "policy", "message": "", "hardware_id": "", "values": values}
+    return entry("/arm/chunks/state", "diagnostic_msgs/DiagnosticStatus", status, at_s)
+
+
+def test_frames_in_which_a_person_has_taken_over_from_the_policy_are_marked(tmp_path: Path, recorded: Record) -> None:
+    phases = [phase("idle", 0.0), phase("following", 0.5), phase("taken_over", 1.05), phase("idle", 2.05)]
+    recordings = recorded([*states(3.0), *phases]), recorded([*states(1.0), phase("idle", 0.0)])
+    exported(tmp_path / "data", *recordings, video=False)
+    taken_over = column(tmp_path / "data", "intervention")
+    assert np.flatnonzero(taken_over).tolist() == list(range(11, 21))
+    assert info(tmp_path / "data")["features"]["intervention"] == {"dtype": "bool", "shape": [1], "names": None}
+
+
+def test_a_dataset_of_no_policy_has_no_column_of_interventions(tmp_path: Path, recorded: Record) -> None:
+    exported(tmp_path / "data", recorded([*states(1.0), phase("idle", 0.0)]), video=False)
+    assert "intervention" not in info(tmp_path / "data")["features"]

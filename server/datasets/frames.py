@@ -108,11 +108,14 @@ def is_gripper(joint: str) -> bool:
 
 
 def in_lerobot_units(
-    positions: Positions, joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
+    positions: Positions,
+    joints: Sequence[str],
+    ranges: Mapping[str, tuple[float, float]],
+    zeros_rad: Mapping[str, float],
 ) -> Positions:
-    """Return positions of shape (n, joints) [rad] in degrees, and grippers in percent of their limits [rad]."""
+    """Return positions of shape (n, joints) [rad] in degrees from zeros, grippers in percent of their ranges."""
     columns = [
-        gripper_percent(column, limits[name]) if is_gripper(name) else np.degrees(column)
+        gripper_percent(column, ranges[name]) if is_gripper(name) else np.degrees(column - zeros_rad[name])
         for name, column in zip(joints, positions.T, strict=True)
     ]
     return np.column_stack(columns)

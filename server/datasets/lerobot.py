@@ -237,8 +237,8 @@ def write(root: Path, dataset: Dataset) -> None:
         for each in camera.statistics:
             images.merge(each)
         whole[key] = images.result()
-    _write_json(root / STATS_PATH, whole)
-    _write_json(root / INFO_PATH, info(dataset))
+    write_json(root / STATS_PATH, whole)
+    write_json(root / INFO_PATH, info(dataset))
 
 
 def info(dataset: Dataset) -> dict[str, Any]:
@@ -371,6 +371,7 @@ def _described(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
 _PANDAS_COLUMNS = [_described("task_index", "int64", "int64"), _described("task", "unicode", "object")]
 
 
-def _write_json(path: Path, contents: Mapping[str, Any]) -> None:
+def write_json(path: Path, contents: Mapping[str, Any]) -> None:
+    """Write a file of metadata."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(contents, indent=4, ensure_ascii=False), encoding="utf-8")

@@ -66,6 +66,17 @@ class Samples:
     calibrated: dict[str, tuple[float, float]] = field(default_factory=dict)
     unreadable: int = 0
 
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Range of each joint, calibrated or else its limits [rad, m]."""
+        return self.limits | self.calibrated
+
+    @property
+    def zeros_rad(self) -> dict[str, float]:
+        """Position from which lerobot counts each joint's degrees: the middle of its calibrated range, else 0."""
+        joints = {name for samples in self.joints.values() for name in samples[0].names}
+        return {name: sum(self.calibrated.get(name, (0.0, 0.0))) / 2.0 for name in joints}
+
 
 def read_samples(path: Path, registry: Registry) -> Samples:
     """Read a recording, of images only their times; raises RecordingError."""

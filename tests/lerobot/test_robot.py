@@ -17,7 +17,7 @@ from threading import Event, Thread
 import pytest
 
 from armbridge_client import Arm, connect
-from armbridge_client.messages import ActionChunkAnswer, Header, JointState, Time
+from armbridge_client.messages import ActionChunkAnswer, Header, JointState, KinematicSolverInfo, Time
 from harness.server import FAST, FAST_ARMS, ROOT, RunningServer, free_port
 from harness.waiting import running, wait_until
 
@@ -321,3 +321,39 @@ def test_units_are_there_and_back_the_same(server: RunningServer) -> None:
     with scenario(server.port) as process:
         for use_degrees in ("true", "false"):
             assert ask(process, f"units {use_degrees}")["error_rad"] == pytest.approx(0.0, abs=1e-12)
+
+
+def exported_arm(folder: Path, arm: Arm, zero_rad: float, units: str = "lerobot") -> Path:
+    """A dataset's description of its arm, whose first joint has another zero than this arm's."""
+    limits = next(arm.messages("/arm/joint_limits", KinematicSolverInfo)).limits
+    ranges = {each.joint_name: (each.min_position, each.max_position) for each in limits}
+    joints = {name: {"zero_rad": 0.0, "range_rad": ends} for name, ends in ranges.items()}
+    joints["shoulder_pan"]["zero_rad"] = zero_rad
+    (folder / "meta").mkdir()
+    (folder / "meta/armbridge.json").write_text(json.dumps({"units": units, "joints": joints}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("zero_rad", "units", "sentence"),
+    [
+        (
+            0.5,
+            "lerobot",
+            "range of shoulder_pan differ by 28.6 degrees from this arm's (limit 1); convert=true",
+        ),
+        (0.0, "rad", "is in rad: export it with --units lerobot"),
+    ],
+)
+def test_a_dataset_of_an_arm_with_another_zero_is_refused_with_the_degrees(
+    server: RunningServer, arm: Arm, tmp_path: Path, zero_rad: float, units: str, sentence: str
+) -> None:
+    with scenario(server.port, "", str(exported_arm(tmp_path, arm, zero_rad, units))) as process:
+        assert sentence in str(ask(process, "observe")["error"])
+
+
+def test_a_dataset_of_an_arm_with_another_zero_is_converted(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
+    dataset = str(exported_arm(tmp_path, arm, 0.1))
+    with scenario(server.port) as plain, scenario(server.port, "", dataset, "convert") as other:
+        here, there = (float(ask(each, "observe")["shoulder_pan.pos"]) for each in (plain, other))
+        assert here - there == pytest.approx(math.degrees(0.1), abs=0.5)

@@ -13,7 +13,7 @@ from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, connect
 from armbridge_client.messages import DiagnosticStatus, JointState, KinematicSolverInfo
 from armbridge_client.wire import Message
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
-from lerobot_robot_armbridge.units import Units, units_of
+from lerobot_robot_armbridge.units import Units, difference, units_of, units_of_dataset
 
 M = TypeVar("M", bound=Message)
 
@@ -102,7 +102,7 @@ class ArmLink:
     """An arm of the server with its newest states, in lerobot's units.
 
     Raises:
-        ValueError: the arm has other joints than the options name.
+        ValueError: the arm has other joints than the options name, or another zero than their dataset's arm.
     """
 
     def __init__(self, options: ServerOptions, joints_topic: str = "") -> None:
@@ -118,11 +118,21 @@ class ArmLink:
             self._check_joints()
             state = Watch(self.arm, f"{self.prefix}/arm/state", DiagnosticStatus).latched()
             values = {each.key: each.value for each in state.values}
-            self.units: Units = units_of(self.limits_rad, values, use_degrees=options.use_degrees)
+            self.units = self._checked_units(units_of(self.limits_rad, values, use_degrees=options.use_degrees))
             self._joint_states = Watch(self.arm, joints_topic or f"{self.prefix}/joint_states", JointState)
         except BaseException:
             self.arm.close()
             raise
+
+    def _checked_units(self, present: Units) -> Units:
+        """Return this arm's units, or the units of the dataset's arm for values that are converted."""
+        options = self.options
+        if options.dataset is None:
+            return present
+        recorded = units_of_dataset(options.dataset, self.server_names, use_degrees=options.use_degrees)
+        if not options.convert and (different := difference(recorded, present)):
+            raise ValueError(f"dataset: {options.dataset}: {different}; convert=true shifts the values")
+        return recorded if options.convert else present
 
     def _check_joints(self) -> None:
         missing = [name for name in self.server_names.values() if name not in self.limits_rad]

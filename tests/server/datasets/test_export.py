@@ -260,6 +260,31 @@ def test_units_of_lerobot_use_the_grippers_calibrated_range_or_its_limits(record
         assert column(tmp_path / name, "observation.state")[-1] == pytest.approx([np.degrees(0.09), percent])
 
 
+def calibrated(**ranges: str) -> RecordedMessage:
+    """A state of the arm with its calibrated ranges."""
+    values = [{"key": f"calibrated_range_rad.{name}", "value": value} for name, value in ranges.items()]
+    status = {"level": 0, "name": "arm", "message": "", "hardware_id": "so101", "values": values}
+    return entry("/arm/state", "diagnostic_msgs/DiagnosticStatus", status)
+
+
+def test_an_export_has_the_arm_its_ranges_and_the_zero_of_its_degrees(recorded: Record, tmp_path: Path) -> None:
+    first = recorded([calibrated(shoulder_pan="-1.0 1.4", gripper="0.0 1.0"), *states(1.0)])
+    exported(tmp_path / "data", first, units="lerobot")
+    # lerobot counts from the middle of the calibrated range.
+    assert column(tmp_path / "data", "observation.state")[-1] == pytest.approx([np.degrees(0.09 - 0.2), 50.0])
+    arm = json.loads((tmp_path / "data/meta/armbridge.json").read_text())
+    assert (arm["robot"], arm["units"], len(arm["calibration"])) == ("so101", "lerobot", 12)
+    assert arm["joints"]["shoulder_pan"] == {
+        "zero_rad": pytest.approx(0.2),
+        "range_rad": [-1.0, 1.4],
+        "limits_rad": None,
+    }
+    other = recorded([calibrated(shoulder_pan="-1.0 1.2", gripper="0.0 1.0"), *states(1.0)])
+    with pytest.raises(ExportError, match="was recorded with another calibration or limits than the first recording"):
+        exported(tmp_path / "both", first, other, units="lerobot")
+    assert exported(tmp_path / "rad", first, other, units="rad").episodes == 2
+
+
 def test_an_episode_with_a_gap_is_left_out_and_said(recorded: Record, tmp_path: Path) -> None:
     marks = [mark("start", 0.0), mark("stop", 1.0), mark("start", 1.2), mark("stop", 3.0)]
     recording = recorded([*states(1.5), *states(3.0, 2.3), *marks])

@@ -155,7 +155,7 @@ build/lerobot/.installed: clients/lerobot/pyproject.toml
 	@for python in python3.12 python3.13 $${PYENV_ROOT:-$$HOME/.pyenv}/versions/3.1[23].*/bin/python; do \
 		if $$python -c pass 2>/dev/null; then exec $$python -m venv build/lerobot; fi; \
 	done; echo "lerobot needs Python 3.12 or 3.13; this machine has none" >&2; exit 1
-	build/lerobot/bin/python -m pip --disable-pip-version-check install --quiet "$(LEROBOT)" clients/python
+	build/lerobot/bin/python -m pip --disable-pip-version-check install --quiet "$(LEROBOT)" "msgpack>=1" clients/python
 	build/lerobot/bin/python -m pip --disable-pip-version-check install --quiet --no-deps --editable clients/python --editable clients/lerobot
 	touch $@
 

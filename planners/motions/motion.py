@@ -70,16 +70,12 @@ CURVE_STEPS_M = (0.01, 0.005, 0.0025, 0.001)
 # Another path found as coarsely costs less than one found more finely, but where something is thin all are blocked.
 BLOCKED_PATHS_A_STEP = 3
 
-# Some trees take ten times as long as most, so that two searches grow trees in turns, each for this many checks. This
-# halves UR5's p95 compared with giving a search up for another and throwing its trees away.
-SEARCHES = 2
-CHECKS_A_TURN = 3000
-
 # Work after which the shortest motion so far is certified, so that little is left to do once the time is over.
 CHECKS_A_ROUND = 6000
 
-# A search that has found nothing by then, in some 10 s, is given up for another: trees would grow without a bound.
-TURNS_A_SEARCH = 100
+# A search that has found nothing by then, in some 10 s, is given up for another: trees would grow without a bound. Two
+# searches in turns take as many checks.
+CHECKS_A_SEARCH = 300_000
 
 
 @dataclass(frozen=True)
@@ -213,9 +209,8 @@ class _Searching:
         self._space = task.space
         self._rng = np.random.default_rng(task.seed)
         self._number = count()
-        # Searches that have not found a path, and the step of their checks.
-        self._searches: dict[int, TreeSearch | ConnectSearch] = {}
-        self._step_m = SEARCH_STEPS_M[0]
+        self._search: TreeSearch | ConnectSearch | None = None  # a search that has not found a path
+        self._search_end = 0  # checks after which it is given up
         self._finer = self._blocked_paths = 0
         self._lead = lead
         # Where no via point of the quickest is free, others hardly ever are.
@@ -283,17 +278,13 @@ class _Searching:
         return self._name, self._without_detours(self._searched(query, number))
 
     def _searched(self, query: Query, number: int) -> Vector | None:
-        """Let one of the searches go on for its turn."""
-        if query.step_m != self._step_m:
-            self._searches, self._step_m = {}, query.step_m
-        running = self._searches.pop(number % SEARCHES, None)
-        if running is None:
+        """Let the search go on, or another once it has found a path, or nothing for long."""
+        if self._search is None or self._space.checks >= self._search_end:
             seed, ours = self._task.seed + number, self._name in (RRT_CONNECT, PROJECTED_SEARCH)
-            running = ConnectSearch(query, self._task.project, seed) if ours else TreeSearch(query, self._name, seed)
-        most = self._space.checks + CHECKS_A_TURN
-        path = running.run(lambda: self._space.checks >= most or self._enough())
-        if path is None and (number // SEARCHES + 1) % TURNS_A_SEARCH:
-            self._searches[number % SEARCHES] = running
+            search = ConnectSearch(query, self._task.project, seed) if ours else TreeSearch(query, self._name, seed)
+            self._search, self._search_end = search, self._space.checks + CHECKS_A_SEARCH
+        path = self._search.run(lambda: self._space.checks >= self._search_end or self._enough())
+        self._search = self._search if path is None else None
         return path
 
     def _without_detours(self, path: Vector | None) -> Vector | None:

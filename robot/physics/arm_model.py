@@ -11,6 +11,7 @@ import mujoco
 from robot.description.meshes import with_mesh_paths
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
+from robot.physics.camera import Camera, RenderingError
 
 TIMESTEP_S = 0.002
 
@@ -21,6 +22,8 @@ LINK_DENSITY_KG_M3 = 600.0
 # Inertia of the rotor behind the gear: 0.028 kg m^2 in MuJoCo Menagerie's model of the SO-101 (system identification of
 # its STS3215). Links alone are too light for stable contacts at this time step.
 ARMATURE_KG_M2 = 0.028
+
+CAMERA = "camera"  # name of the camera in a model
 
 MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
 
@@ -52,6 +55,17 @@ def arm_model(robot: RobotModel) -> mujoco.MjSpec:
         raise DescriptionError("URDF", f"cannot be loaded by MuJoCo: {error}") from error
     _complete(spec, robot)
     return spec
+
+
+def add_camera(spec: mujoco.MjSpec, camera: Camera) -> None:
+    """Add a camera to a link of a model, and light; raises RenderingError for a link that is not there."""
+    body, axes = spec.body(camera.link), camera.axes
+    if body is None:
+        raise RenderingError(f"there is no link {camera.link!r} for the camera")
+    added = body.add_camera(name=CAMERA, pos=camera.position_m, fovy=camera.field_of_view_deg)
+    added.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+    added.alt.xyaxes = [*axes[:, 0].tolist(), *axes[:, 1].tolist()]
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.5] * 3, [0.7] * 3
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -18,11 +18,13 @@ from robot.physics.arm_model import (
     FLOOR,
     LINKS,
     TIMESTEP_S,
+    add_camera,
     arm_model,
     compiled,
     gripper_links,
 )
-from robot.physics.bodies import Body, BodyShape, BodyState, BodyStates, SetBodies
+from robot.physics.bodies import Body, BodyShape, BodyState, BodyStates, Point, Quaternion, SetBodies
+from robot.physics.camera import Camera
 from robot.trajectory import Vector
 
 BODY_DENSITY_KG_M3 = 500.0  # dry wood
@@ -50,10 +52,14 @@ class World:
     Arrays have shape (joints,), in the order of ``joint_names``: positions [rad or m], torques [Nm or N].
     """
 
-    def __init__(self, robot: RobotModel, joint_names: Sequence[str], position_rad: Vector) -> None:
+    def __init__(
+        self, robot: RobotModel, joint_names: Sequence[str], position_rad: Vector, camera: Camera | None = None
+    ) -> None:
         # MuJoCo writes a log file into the working directory otherwise.
         mujoco.set_mju_user_warning(lambda text: log.debug("MuJoCo: %s", text))
         self._spec = arm_model(robot)
+        if camera is not None:
+            add_camera(self._spec, camera)
         self._fingers = gripper_links(robot)
         self.model = compiled(self._spec)
         self.data = mujoco.MjData(self.model)
@@ -163,12 +169,24 @@ class World:
         touching = self._touching()
         states = []
         for name in movable:
-            at = self.model.body(_in_model(name)).id
-            x, y, z = self.data.xpos[at].tolist()
-            qw, qx, qy, qz = self.data.xquat[at].tolist()
             held = len(touching.get(_in_model(name), set()) & self._fingers) > 1
-            states.append(BodyState(name, (x, y, z), (qx, qy, qz, qw), held))
+            states.append(BodyState(name, *self._pose(_in_model(name)), held))
         return states
+
+    def link_pose(self, link: str) -> tuple[Point, Quaternion]:
+        """Return position [m] and orientation of a link."""
+        return self._pose(link)
+
+    def color(self, colors: Mapping[str, Sequence[float]]) -> None:
+        """Set the colours of bodies by name: red, green, blue, alpha."""
+        for name in colors.keys() & self._bodies.keys():
+            self.model.geom_rgba[self.model.geom_bodyid == self.model.body(_in_model(name)).id] = colors[name]
+
+    def _pose(self, name: str) -> tuple[Point, Quaternion]:
+        at = self.model.body(name).id
+        x, y, z = self.data.xpos[at].tolist()
+        qw, qx, qy, qz = self.data.xquat[at].tolist()
+        return (x, y, z), (qx, qy, qz, qw)
 
     def _touching(self) -> dict[str, set[str]]:
         """Return the names of the bodies and links in contact with each body."""

@@ -1,14 +1,18 @@
-"""The door for action chunks: the topic and the action ``/arm/chunks``, and the answers to chunks.
+"""The topic and the action ``/arm/chunks``, the answers to chunks, and the services that pause or stop a policy.
 
 A chunk is the joint targets that a learned policy sends for the next second or so. Its motion is checked whole before
-it begins, is followed up to the first contact, and takes the place of the chunk before it without a stop.
+it begins, is followed up to the first contact, and takes the place of the chunk before it without a stop. A person's
+stick or leader takes over at any moment; the policy goes on when it is resumed.
 """
 
 from __future__ import annotations
 
 import functools
+import logging
+import math
 import time
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -19,10 +23,13 @@ from robot.arm_group import AnyArm
 from robot.control.checks import refusal
 from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
+from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Trajectory, Vector
+from server.access.control_lease import ControlLease
 from server.arrival import arrival_epoch, arrived_in
 from server.chunks.gripper import GripperTargets
 from server.chunks.targets import Blend, Targets, blended, deviation_rad, follow
+from server.diagnostic_values import LEVEL_OK, key_values
 from server.errors import GraphError, RefusedError, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
@@ -30,7 +37,9 @@ from server.graph.actions import Goal
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.permissions import GOAL
+from server.graph.permissions import GOAL, STOPPING, WORKING
+from server.graph.services import Call
+from server.graph.services import answer as answer_call
 from server.graph.topics import Subscriber
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.gripper import Gripper
@@ -43,6 +52,10 @@ TYPE = "armbridge_msgs/ActionChunk"
 ACTION_TYPE = "armbridge_msgs/action/FollowActionChunk"
 ANSWER = "/arm/chunks/answer"
 ANSWER_TYPE = "armbridge_msgs/ActionChunkAnswer"
+STATE, STATE_TYPE = "/arm/chunks/state", "diagnostic_msgs/DiagnosticStatus"
+PAUSE, RESUME, STOP = "/arm/chunks/pause", "/arm/chunks/resume", "/arm/chunks/stop"
+
+log = logging.getLogger("armbridge.chunks")
 
 # A policy that was stopped has ended when it sends nothing for this time: slow ones send a chunk every two seconds [s].
 PAUSE_S = 5.0
@@ -231,6 +244,15 @@ def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: Rob
         raise _invalid(text)
 
 
+class Phase(StrEnum):
+    """Phases of an arm's policy; chunks are refused while it is paused or taken over."""
+
+    IDLE = "idle"
+    FOLLOWING = "following"
+    PAUSED = "paused"
+    TAKEN_OVER = "taken_over"
+
+
 @dataclass
 class _Followed:
     """Chunk that is followed, or waits for its turn; ``goal`` is the action's, ``begun`` the number of its motions."""
@@ -239,12 +261,13 @@ class _Followed:
     motion: ChunkMotion
     epoch: int
     goal: Goal | None
+    number: str = ""
     begun: int = 0
     over: bool = False
 
 
 class ActionChunks:
-    """The topic, the action and the answers of one arm."""
+    """The topics, the action and the services of one arm."""
 
     def __init__(
         self,
@@ -253,8 +276,9 @@ class ActionChunks:
         joints: frozenset[str],
         context: TrajectoryContext,
         gripper: Gripper | None,
+        lease: ControlLease,
     ) -> None:
-        self._graph, self._arm, self._joints = graph, arm, joints
+        self._graph, self._arm, self._joints, self._lease = graph, arm, joints, lease
         self._planning, self._queue, self._time_limits = context.planning, context.queue, context.time_limits
         self._robot, self._clock = context.planning.robot, context.clock
         self._followed: _Followed | None = None
@@ -266,6 +290,17 @@ class ActionChunks:
         graph.offer_action(node, NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
         check = CHUNK_LIMITS.check(graph.message_types.registry, "armbridge_msgs/msg/ActionChunk")
         graph.subscribe(node, NAME, TYPE, Subscriber(self._take, check_lists=check, rule=GOAL))
+        # Time of the last chunk that was followed [s], and stop epoch of the last stop of the policy.
+        self._heard_s, self._stopped = -math.inf, 0
+        # Time of the last resumption [s since the epoch].
+        self._resumed_s = 0.0
+        self._phase, self._message = Phase.IDLE, ""
+        graph.advertise(node, STATE, STATE_TYPE, latch=True)
+        self._show(Phase.IDLE, "no chunk is followed")
+        self._queue.give_way(joints - self._fingers, self._take_over)
+        graph.offer(node, PAUSE, "std_srvs/Trigger", self._pause, rule=STOPPING)
+        graph.offer_calls(node, RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
+        graph.offer(node, STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
 
     async def close(self) -> None:
         """End the following of the gripper."""
@@ -275,7 +310,7 @@ class ActionChunks:
     def _take(self, published: PublishedMessage) -> None:
         message = published.msg
         try:
-            self._stream.check(self._arm.last_stop)
+            self._stream.check(max(self._arm.last_stop, self._stopped))
             self._submit(NAME, message, published.publisher)
         except RefusedError as error:
             self._publish(refused_answer(message, error))
@@ -295,7 +330,16 @@ class ActionChunks:
     def _submit(self, source: str, message: Message, publisher: object, goal: Goal | None = None) -> str:
         """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
         now_s, former = self._clock(), self._followed
+        if self._phase in (Phase.PAUSED, Phase.TAKEN_OVER):
+            # Its request has taken control from nobody.
+            self._leave_control(publisher)
+            resume = self._graph.resolve(RESUME)
+            raise refused(MoveItErrorCode.CONTROL_FAILED, f"{self._message}: the policy goes on after {resume}")
         chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
+        stamp_s = read_seconds(message["trajectory"]["header"]["stamp"], "trajectory.header.stamp")
+        if 0.0 < stamp_s < self._resumed_s:
+            text = "trajectory.header.stamp is from before the policy was resumed: send a chunk of a later observation"
+            raise _invalid(text)
         if former is not None and not former.over and former.publisher is not publisher:
             raise refused(
                 MoveItErrorCode.CONTROL_FAILED,
@@ -303,6 +347,7 @@ class ActionChunks:
             )
         motion = self._motion(chunk, None if former is None or former.over else former.motion.targets, now_s)
         followed = self._followed = _Followed(publisher, motion, arrival_epoch(), goal)
+        self._heard_s = now_s
         queued = self._queue.submit(
             GoalRequest(
                 source,
@@ -314,7 +359,57 @@ class ActionChunks:
                 streamed=True,
             )
         )
+        followed.number = queued.goal_id
         return queued.goal_id
+
+    # Pause, take-over and stop.
+
+    def _take_over(self, hand: str) -> None:
+        """Give way to a person, unless no policy moves the arm."""
+        recent = self._clock() - self._heard_s <= PAUSE_S
+        if self._phase is Phase.PAUSED or (self._phase is not Phase.TAKEN_OVER and recent):
+            self._halt(Phase.TAKEN_OVER, f"{hand} has taken over")
+
+    def _pause(self, _request: Message) -> Message:
+        if self._phase is not Phase.TAKEN_OVER:
+            self._halt(Phase.PAUSED, "the policy is paused")
+        return {"success": True, "message": self._message}
+
+    def _resume(self, call: Call) -> None:
+        self._leave_control(call.caller)
+        self._resumed_s = time.time()
+        self._show(Phase.IDLE, "the next chunk is followed")
+        answer_call(call, lambda _request: {"success": True, "message": self._message})
+
+    def _stop(self, _request: Message) -> Message:
+        self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf
+        self._halt(Phase.IDLE, "the policy is stopped")
+        return {"success": True, "message": self._message}
+
+    def _halt(self, phase: Phase, message: str) -> None:
+        """Brake on the path of the chunk that is followed, and hold; another client may take control."""
+        self._show(phase, message)
+        if self._followed is not None:
+            self._leave_control(self._followed.publisher)
+            if not self._followed.over:
+                self._queue.cancel(self._followed.number, message)
+
+    def _leave_control(self, client: object) -> None:
+        if isinstance(client, Node):
+            self._lease.leave(client)
+
+    def _show(self, phase: Phase, message: str) -> None:
+        if (phase, message) == (self._phase, self._message):
+            return
+        if Phase.TAKEN_OVER in (phase, self._phase) or Phase.PAUSED in (phase, self._phase):
+            log.info("%s: %s", self._graph.resolve(NAME), message)
+        self._phase, self._message = phase, message
+        client = "" if self._followed is None else str(self._followed.publisher)
+        values = key_values({"phase": phase.value, "client": client})
+        status = {"level": LEVEL_OK, "name": "policy", "message": message, "hardware_id": "", "values": values}
+        self._graph.publish(self._node, STATE, status)
+
+    # Progress and answers.
 
     def _take_progress(self, followed: _Followed, progress: Progress) -> None:
         motion = followed.motion
@@ -326,6 +421,7 @@ class ActionChunks:
             # A stop that came after the chunk keeps its gripper still, too.
             with arrived_in(followed.epoch):
                 self._gripper.follow(fingers)
+        self._show(Phase.FOLLOWING, f"{followed.publisher} moves the arm")
         answer = self._answer(motion, MoveItErrorCode.SUCCESS, begun_message(motion))
         self._publish(answer)
         if followed.goal is not None:
@@ -340,6 +436,8 @@ class ActionChunks:
             if self._gripper is not None:
                 self._gripper.end(answer.message)
             self._publish(end)
+        if followed is self._followed and self._phase is Phase.FOLLOWING:
+            self._show(Phase.IDLE, "no chunk is followed")
         if followed.goal is not None:
             followed.goal.finish(goal_status(answer.code), {"answer": end})
 

@@ -38,7 +38,7 @@ class Student:
     folder: Path
 
     def settings(self, base: Settings, teacher_token: str, ports: Mapping[str, int]) -> Settings:
-        """Return the settings of the student's server, which lets the pages of all servers in by their ports.
+        """Return the settings of the student's server, which lets the pages of all servers in.
 
         Raises ConfigurationError for a token or a name given twice.
         """
@@ -47,14 +47,11 @@ class Student:
         if self.name in operators or TEACHER in admins:
             raise ConfigurationError(f"access: {self.name} and {TEACHER} are names of a classroom's own tokens")
         operators[self.name], admins[TEACHER] = SecretStr(self.token), SecretStr(teacher_token)
-        origins = (*access.allowed_origins, *(f"*:{port}" for port in ports.values()))
         file = recording.file and self.folder / recording.file.name
         return base.model_copy(
             update={
                 "server": base.server.model_copy(update={"port": self.port, "classroom": dict(ports)}),
-                "access": access.model_copy(
-                    update={"operate_tokens": operators, "admin_tokens": admins, "allowed_origins": origins}
-                ),
+                "access": access.model_copy(update={"operate_tokens": operators, "admin_tokens": admins}),
                 "scene": base.scene.model_copy(update={"file": self.folder / "scene.json"}),
                 "goals": base.goals.model_copy(update={"named_states_file": self.folder / "named_states.json"}),
                 "recording": recording.model_copy(update={"file": file}),

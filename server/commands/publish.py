@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+import math
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,19 @@ MIN_WIDTH, MAX_WIDTH = 16, 4096
 MAX_QUALITY = 95
 DEFAULT_QUALITY = 80
 
+RENDERED = "physics"  # device that is rendered
+DEFAULT_VIEW = "0.6,-0.4,0.4,0.15,0,0.05"
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(each) for each in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"must be six numbers with commas, not {text!r}")
+    return numbers
+
 
 def add_camera_parser(subparsers: Subparsers) -> None:
     """Describe the command."""
@@ -41,8 +55,22 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], except for the device test.",
     )
     parser.add_argument(
-        "device", metavar="DEVICE", help="number or path of a camera, a video file, or test for a test pattern"
+        "device",
+        metavar="DEVICE",
+        help="number or path of a camera, a video file, test for a test pattern, or physics for rendered images of the "
+        "server's arm and scene",
     )
+    parser.add_argument(
+        "--view",
+        type=_numbers,
+        default=DEFAULT_VIEW,
+        metavar="X,Y,Z,X,Y,Z",
+        help="of rendered images: place of the camera and the point in the middle [m] (%(default)s)",
+    )
+    parser.add_argument(
+        "--link", default="", metavar="LINK", help="of rendered images: link that carries the camera (the base)"
+    )
+    add_robot(parser)
     add_connect(parser)
     parser.add_argument("--topic", default=CAMERA_TOPIC, help=f"of the images ({CAMERA_TOPIC})")
     parser.add_argument(
@@ -66,13 +94,20 @@ def add_camera_parser(subparsers: Subparsers) -> None:
 
 def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.datasets.camera import CameraOptions, open_source, publish_camera
+    from server.datasets.camera import CameraOptions, ImageSource, open_source, publish_camera
     from server.publishing_client import PublishedTopic
 
     token = read_token(options)
     target = PublishedTopic(options.connect, options.topic, token)
     chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
-    source = open_source(options.device, options.width)
+    if options.device == RENDERED:
+        # Imported when it is needed: not everyone has MuJoCo.
+        from server.datasets.rendered import open_rendered
+
+        rendered = open_rendered(options.connect, token, options.robot, options.link, options.view, options.width)
+        source: ImageSource = rendered
+    else:
+        source = open_source(options.device, options.width)
     count, by_signal = asyncio.run(publish_camera(target, chosen, source, terminal.say))
     terminal.tell(f"{count} images published on {options.topic}")
     if by_signal or source.finite:

@@ -55,6 +55,7 @@ class ImageSource(Protocol):
 
     paced: bool
     finite: bool
+    stamp_ns: int | None  # time that the latest image shows [ns since the epoch]; None for the time of its arrival
 
     def read(self) -> Pixels | None:
         """Return the next image, shape (height, width, 3); None after the last one."""
@@ -69,6 +70,7 @@ class TestPattern:
     __test__ = False
     paced = False
     finite = False
+    stamp_ns: int | None = None
 
     def __init__(self, width: int | None = None) -> None:
         self._width = width or TEST_WIDTH
@@ -93,6 +95,8 @@ class TestPattern:
 
 class OpenCvSource:
     """Camera or video file that OpenCV reads, or CameraError."""
+
+    stamp_ns: int | None = None
 
     def __init__(self, device: str, width: int | None) -> None:
         try:
@@ -191,7 +195,7 @@ class NewestImage:
         due_s = self._clock()
         try:
             while not self._ending.is_set() and (pixels := self._source.read()) is not None:
-                self._newest = Captured(self._wall_clock_ns(), pixels)
+                self._newest = Captured(self._source.stamp_ns or self._wall_clock_ns(), pixels)
                 self.captured += 1
                 self._arrived()
                 if not self._source.paced:

@@ -1,5 +1,6 @@
 """Export of recordings: what was recorded, made into the frames and videos of one dataset."""
 
+import hashlib
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -7,7 +8,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from server.datasets.samples import (
     Samples,
     Times,
     image_data,
+    interventions,
     merged,
     messages,
     read_samples,
@@ -36,6 +38,9 @@ from server.errors import ServerError
 
 # The end of an image topic's name says how it is sent, not which camera it is.
 _TRANSPORT = frozenset({"image", "image_raw", "image_color", "image_rect", "compressed", "color", "rgb"})
+
+# Arm, units, calibration and zeros of a dataset; lerobot reads other files.
+ARM_PATH = "meta/armbridge.json"
 
 NO_TASK = "no task named"
 NEXT_STATE = "the next state"
@@ -97,6 +102,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
             raise ExportError(f"{path}: must have the cameras of the first recording, {wanted}, not {found}")
         sources.append(source)
         tell(f"{path}: {len(source.episodes)} episodes, {sum(each.count for each in source.episodes)} frames")
+    arm = _arm_of(sources, joints, options)
     episodes = [each for source in sources for each in source.episodes]
     if not episodes:
         raise ExportError("no episode can be exported: " + ("; ".join(problems) or "none is left"))
@@ -108,6 +114,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
         cameras = _write_videos(root, sources, options, registry, tell)
         robot = next((source.samples.robot for source in sources if source.samples.robot), None)
         lerobot.write(root, lerobot.Dataset(options.fps, joints, robot, episodes, cameras))
+        lerobot.write_json(root / ARM_PATH, arm)
         root.rename(options.output)
     count = sum(each.count for each in episodes)
     actions = Counter(name for source in sources for name in source.actions)
@@ -153,6 +160,8 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
             tasked = replace(episode, task=episode.task or options.task or NO_TASK)
             tracks = _tracks_of(episode, commanded, next_state, options)
             frames = frames_of(tasked, tracks, options.fps, options.max_gap_s)
+            at_s = zero_s + frames.start_s + np.arange(frames.count) / options.fps
+            frames = replace(frames, interventions=interventions(samples, at_s))
         except LeftOutError as error:
             where = f"episode {number} ({episode.start_s:.1f} to {episode.end_s:.1f} s)"
             problems.append(f"{path}: {where} is left out: {error}")
@@ -216,13 +225,39 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
 def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:
     if options.units == "rad":
         return frames
-    ranges = samples.limits | samples.calibrated
+    ranges, zeros_rad = samples.ranges, samples.zeros_rad
     missing = [name for name in joints if is_gripper(name) and name not in ranges]
     if missing:
         needed = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
         raise ExportError(f"{samples.path}: --units lerobot needs {needed}")
-    states = in_lerobot_units(frames.states, joints, ranges)
-    return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, ranges))
+    states = in_lerobot_units(frames.states, joints, ranges, zeros_rad)
+    return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, ranges, zeros_rad))
+
+
+def _arm_of(sources: Sequence[_Source], joints: Sequence[str], options: ExportOptions) -> dict[str, Any]:
+    """Return the contents of ``meta/armbridge.json``; raises ExportError for recordings of arms with other zeros."""
+    found: dict[str, Any] = {}
+    for source in sources:
+        samples = source.samples
+        calibrated = "\n".join(f"{name} {lower:.5f} {upper:.5f}" for name, (lower, upper) in samples.calibrated.items())
+        arm = {
+            "robot": samples.robot,
+            "units": options.units,
+            "calibration": hashlib.sha256(calibrated.encode()).hexdigest()[:12] if calibrated else "",
+            "joints": {
+                name: {
+                    "zero_rad": samples.zeros_rad[name],
+                    "range_rad": samples.ranges.get(name),
+                    "limits_rad": samples.limits.get(name),
+                }
+                for name in joints
+            },
+        }
+        if found and options.units == "lerobot" and found != arm:
+            text = "was recorded with another calibration or limits than the first recording: export it by itself"
+            raise ExportError(f"{samples.path}: {text}")
+        found = found or arm
+    return found
 
 
 def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:

@@ -40,13 +40,18 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of an episode: positions of shape (frames, joints), and by camera the index of each frame's image."""
+    """Frames of an episode: positions of shape (frames, joints), and by camera the index of each frame's image.
+
+    Attributes:
+        interventions: True in frames in which a person had taken over; None where no policy moved the arm.
+    """
 
     task: str
     start_s: float
     states: Positions
     actions: Positions
     images: Mapping[str, NDArray[np.int64]]
+    interventions: NDArray[np.bool_] | None = None
 
     @property
     def count(self) -> int:
@@ -103,11 +108,14 @@ def is_gripper(joint: str) -> bool:
 
 
 def in_lerobot_units(
-    positions: Positions, joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
+    positions: Positions,
+    joints: Sequence[str],
+    ranges: Mapping[str, tuple[float, float]],
+    zeros_rad: Mapping[str, float],
 ) -> Positions:
-    """Return positions of shape (n, joints) [rad] in degrees, and grippers in percent of their limits [rad]."""
+    """Return positions of shape (n, joints) [rad] in degrees from zeros, grippers in percent of their ranges."""
     columns = [
-        gripper_percent(column, limits[name]) if is_gripper(name) else np.degrees(column)
+        gripper_percent(column, ranges[name]) if is_gripper(name) else np.degrees(column - zeros_rad[name])
         for name, column in zip(joints, positions.T, strict=True)
     ]
     return np.column_stack(columns)

@@ -167,6 +167,9 @@ CAMERA_PREFIX = "observation.images."
 # The limits that lerobot writes into new datasets; a reader does not hold files to them.
 CHUNK_FILES, DATA_FILE_MB, VIDEO_FILE_MB = 1000, 100, 200
 
+# Column of lerobot's rollouts in which a person corrects a policy (lerobot/rollout/strategies/dagger.py).
+INTERVENTION = "intervention"
+
 # Columns that every dataset has besides its own, with their types.
 INDEX_COLUMNS = {
     "timestamp": "float32",
@@ -202,6 +205,12 @@ class Dataset:
         return sum(episode.count for episode in self.episodes)
 
     @property
+    def flat_columns(self) -> dict[str, str]:
+        """Types of the columns of one value a frame; interventions only where a policy moved the arm."""
+        by_policy = any(episode.interventions is not None for episode in self.episodes)
+        return INDEX_COLUMNS | ({INTERVENTION: "bool"} if by_policy else {})
+
+    @property
     def tasks(self) -> list[str]:
         """All tasks, in the order in which they occur."""
         return list(dict.fromkeys(episode.task for episode in self.episodes))
@@ -228,8 +237,8 @@ def write(root: Path, dataset: Dataset) -> None:
         for each in camera.statistics:
             images.merge(each)
         whole[key] = images.result()
-    _write_json(root / STATS_PATH, whole)
-    _write_json(root / INFO_PATH, info(dataset))
+    write_json(root / STATS_PATH, whole)
+    write_json(root / INFO_PATH, info(dataset))
 
 
 def info(dataset: Dataset) -> dict[str, Any]:
@@ -253,7 +262,7 @@ def info(dataset: Dataset) -> dict[str, Any]:
                 "has_audio": False,
             },
         }
-    features |= {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in INDEX_COLUMNS.items()}
+    features |= {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in dataset.flat_columns.items()}
     return {
         "codebase_version": VERSION,
         "robot_type": dataset.robot_type,
@@ -275,7 +284,8 @@ def _columns(dataset: Dataset, index: int) -> dict[str, NDArray[Any]]:
     episode = dataset.episodes[index]
     first = sum(each.count for each in dataset.episodes[:index])
     number = np.arange(episode.count, dtype=np.int64)
-    return {
+    taken_over = episode.interventions
+    columns: dict[str, NDArray[Any]] = {
         ACTION: episode.actions.astype(np.float32),
         STATE: episode.states.astype(np.float32),
         "timestamp": (number / dataset.fps).astype(np.float32),
@@ -283,7 +293,9 @@ def _columns(dataset: Dataset, index: int) -> dict[str, NDArray[Any]]:
         "episode_index": np.full(episode.count, index, dtype=np.int64),
         "index": first + number,
         "task_index": np.full(episode.count, dataset.tasks.index(episode.task), dtype=np.int64),
+        INTERVENTION: np.zeros(episode.count, dtype=bool) if taken_over is None else taken_over,
     }
+    return {name: columns[name] for name in (ACTION, STATE, *dataset.flat_columns)}
 
 
 def _write_data(root: Path, dataset: Dataset, columns: Sequence[Mapping[str, NDArray[Any]]]) -> None:
@@ -295,7 +307,7 @@ def _write_data(root: Path, dataset: Dataset, columns: Sequence[Mapping[str, NDA
     types = {
         ACTION: vector,
         STATE: vector,
-        **{name: getattr(pa, dtype)() for name, dtype in INDEX_COLUMNS.items()},
+        **{name: getattr(pa, "bool_" if dtype == "bool" else dtype)() for name, dtype in dataset.flat_columns.items()},
     }
     schema = pa.schema(list(types.items()))
     path = root / DATA_PATH.format(chunk_index=0, file_index=0)
@@ -359,6 +371,7 @@ def _described(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
 _PANDAS_COLUMNS = [_described("task_index", "int64", "int64"), _described("task", "unicode", "object")]
 
 
-def _write_json(path: Path, contents: Mapping[str, Any]) -> None:
+def write_json(path: Path, contents: Mapping[str, Any]) -> None:
+    """Write a file of metadata."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(contents, indent=4, ensure_ascii=False), encoding="utf-8")

@@ -15,6 +15,8 @@ from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.arm.topics import CALIBRATED_RANGE
+from server.chunks.action_chunks import STATE as POLICY_TOPIC
+from server.chunks.action_chunks import Phase
 from server.datasets.episodes import EPISODE_TOPIC
 from server.errors import RecordingError
 from server.recording.files import RecordedMessage
@@ -51,17 +53,29 @@ class JointSample(NamedTuple):
 
 @dataclass
 class Samples:
-    """Samples of a recording: images and marks by time of recording [s since the epoch], limits and ranges [rad, m]."""
+    """Samples of a recording: images, marks and phases of a policy by time [s since the epoch], limits [rad, m]."""
 
     path: Path
     joints: dict[str, list[JointSample]] = field(default_factory=dict)
     types: dict[str, str] = field(default_factory=dict)
     images: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     marks: list[tuple[float, str]] = field(default_factory=list)
+    phases: list[tuple[float, str]] = field(default_factory=list)
     robot: str = ""
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     calibrated: dict[str, tuple[float, float]] = field(default_factory=dict)
     unreadable: int = 0
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Range of each joint, calibrated or else its limits [rad, m]."""
+        return self.limits | self.calibrated
+
+    @property
+    def zeros_rad(self) -> dict[str, float]:
+        """Position from which lerobot counts each joint's degrees: the middle of its calibrated range, else 0."""
+        joints = {name for samples in self.joints.values() for name in samples[0].names}
+        return {name: sum(self.calibrated.get(name, (0.0, 0.0))) / 2.0 for name in joints}
 
 
 def read_samples(path: Path, registry: Registry) -> Samples:
@@ -106,7 +120,10 @@ def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int
     if topic == EPISODE_TOPIC and "data" in values:
         samples.marks.append((log_s, str(values["data"])))
         return 1
-    if type_name == ARM_STATE and topic.endswith(ARM_STATE_TOPIC):
+    if type_name == ARM_STATE and topic.endswith(POLICY_TOPIC):
+        phases = [each["value"] for each in values["values"] if each["key"] == "phase"]
+        samples.phases += [(log_s, phase) for phase in phases]
+    elif type_name == ARM_STATE and topic.endswith(ARM_STATE_TOPIC):
         if topic == ARM_STATE_TOPIC:
             samples.robot = values["hardware_id"]
         for each in values["values"]:
@@ -147,6 +164,16 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
     if np.max(np.abs(late - offset_s)) > MAX_CLOCK_ERROR_S:
         return logged
     return stamped + offset_s
+
+
+def interventions(samples: Samples, at_s: Times) -> NDArray[np.bool_] | None:
+    """Return True for each time [s since the epoch] at which a person had taken over; None without a policy."""
+    if all(phase == Phase.IDLE for _, phase in samples.phases):
+        return None
+    began_s = [-np.inf, *(log_s for log_s, _ in samples.phases)]
+    taken_over = np.array([False, *(phase == Phase.TAKEN_OVER for _, phase in samples.phases)])
+    result: NDArray[np.bool_] = taken_over[np.searchsorted(began_s, at_s, side="right") - 1]
+    return result
 
 
 def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:

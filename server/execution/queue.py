@@ -56,6 +56,7 @@ class GoalQueue:
         self._idle = asyncio.Event()
         self._idle.set()
         self._ids = map(str, itertools.count(1))
+        self._giving_way: list[tuple[Joints, Callable[[str], None]]] = []
         self._started = False
 
     def start(self) -> None:
@@ -89,6 +90,16 @@ class GoalQueue:
         ends_s = {goal: math.inf if goal.remaining_s is None else goal.remaining_s for goal in self._moving(joints)}
         last = max(ends_s, key=lambda goal: ends_s[goal], default=None)
         return None if last is None else RunningGoal(last.title, last.remaining_s, len(self._waiting))
+
+    def give_way(self, joints: Joints, end: Callable[[str], None]) -> None:
+        """Have ``end`` called with the name of a person's stick or leader that takes over any of some joints."""
+        self._giving_way.append((joints, end))
+
+    def take_over(self, joints: Joints, hand: str) -> None:
+        """End the goals of programs that give way to a person."""
+        for moved, end in self._giving_way:
+            if not moved.isdisjoint(joints):
+                end(hand)
 
     @property
     def active_count(self) -> int:

@@ -176,10 +176,18 @@ class PolicyChunks(Feature):
     name = "chunks"
 
     def __init__(self, context: ServerContext) -> None:
-        goals = context.goals
+        goals, access = context.goals, context.access
         trajectories = TrajectoryContext(context.planning, goals.queue, goals.time_limits)
         self._of_arms = [
-            ActionChunks(each.graph, each.served.arm, each.joints, trajectories, each.gripper) for each in context.arms
+            ActionChunks(
+                each.graph,
+                each.served.arm,
+                each.joints,
+                trajectories,
+                each.gripper,
+                access.leases_of_arms.get(each.name, access.lease),
+            )
+            for each in context.arms
         ]
 
     async def stop(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import logging
 import os
 import time
@@ -228,5 +227,4 @@ def _servo_node(arm: ArmContext) -> ServoNode:
     whole = arm.served.arm
     steered = whole.part(planning_group(arm.planning.robot, "", arm.parameters).joints)
     joints = frozenset(name for name in arm.joints if whole.part((name,)) is steered)
-    busy = functools.partial(arm.goals.queue.busy, joints)
-    return ServoNode(arm.graph, arm.parameters, steered, arm.planning, busy)
+    return ServoNode(arm.graph, arm.parameters, steered, arm.planning, arm.goals.queue, joints)

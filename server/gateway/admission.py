@@ -15,7 +15,7 @@ import socket
 import struct
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property, lru_cache
@@ -302,11 +302,15 @@ def own_names(hostname: str | None = None) -> Sequence[str]:
 
 
 class AllowedOrigins:
-    """Origins whose pages may connect: this machine's, the server's own, and ``allowed`` patterns."""
+    """Origins whose pages may connect: this machine's, the server's own, and ``allowed`` patterns.
 
-    def __init__(self, allowed: Iterable[str] = ()) -> None:
+    The pages of other servers of a classroom have its host and one of the classroom's ports.
+    """
+
+    def __init__(self, allowed: Iterable[str] = (), classroom_ports: Collection[int] = ()) -> None:
         # As people copy it out of a browser, an origin ends in a slash.
         self._allowed = tuple(text for each in allowed for text in (each.lower(), each.lower().removesuffix("/")))
+        self._classroom_ports = classroom_ports
 
     def has(self, origin: str, host: Authority, *, encrypted: bool) -> bool:
         """Return True for an origin whose pages may connect."""
@@ -320,9 +324,10 @@ class AllowedOrigins:
         return theirs.is_loopback or self._is_own(scheme, theirs, host, "https" if encrypted else "http")
 
     def _is_own(self, scheme: str, theirs: Authority, host: Authority, own_scheme: str) -> bool:
-        port = _PORTS[own_scheme]
-        same_port = (theirs.port or port) == (host.port or port)
-        return scheme == own_scheme and theirs.host == host.host and same_port
+        usual_port = _PORTS[own_scheme]
+        port = theirs.port or usual_port
+        own_port = port == (host.port or usual_port) or port in self._classroom_ports
+        return scheme == own_scheme and theirs.host == host.host and own_port
 
 
 class HandshakeRequest(NamedTuple):
@@ -344,13 +349,14 @@ class AdmissionPolicy:
         settings: AccessSettings | None = None,
         clock: Callable[[], float] = time.monotonic,
         one_time_tokens: OneTimeTokens | None = None,
+        classroom_ports: Collection[int] = (),
     ) -> None:
         settings = settings or AccessSettings()
         self._one_time_tokens = one_time_tokens or OneTimeTokens(clock)
         self.auth_throttle = AuthThrottle(clock)
         self._tokens = tokens or Tokens({}, ANYONE)
         self._hosts = AllowedHosts(settings.allowed_hosts, own_names())
-        self._origins = AllowedOrigins(settings.allowed_origins)
+        self._origins = AllowedOrigins(settings.allowed_origins, classroom_ports)
         self._counts: Counter[str] = Counter()
         self._log = LogLimiter()
 

@@ -195,7 +195,8 @@ class Connection:
     def _check_reading(self, taken_bytes: int, since_s: float) -> None:
         """Drop what waits for too long, if the client stands still; disconnect it if it does not read its replies."""
         self._watch = None
-        # What was encoded for long is not late: the client had no chance to read it.
+        # A starved loop may look here before it hears that a message has been encoded.
+        # The client could not read that one yet.
         self._flush()
         session, now_s = self._client.session, time.monotonic()
         if self._transport.taken_bytes > taken_bytes:

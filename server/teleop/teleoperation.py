@@ -200,8 +200,9 @@ class Teleoperation(Feature):
 
     async def _begin(self, request: Message, follower: Follower) -> dict[str, Any]:
         self._check_not_stopped(follower)
-        await self._until_unused(follower)
         name = request["leader"]
+        self._queue.take_over(follower.joints, f"the leader {name[:80]}")
+        await self._until_unused(follower)
         if not name.startswith("/") and name not in self._leaders:
             known = ", ".join(sorted(self._leaders)) or "none"
             raise ServiceError(

@@ -5,8 +5,7 @@ import pytest
 from harness.server import RunningServer
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def server() -> Iterator[RunningServer]:
-    """Server of all scenarios; a start takes four seconds of processor time."""
     with RunningServer() as running:
         yield running

@@ -85,8 +85,9 @@ def test_streamable_http_is_for_this_machine(address: str) -> None:
     assert "--http must be HOST:PORT with a host of this machine" in done.stderr
 
 
-def test_an_agent_moves_the_arm_over_streamable_http(simulated_server: RunningServer) -> None:
-    got = end(begin(simulated_server, "http"))
+def test_an_agent_moves_the_arm_over_streamable_http() -> None:
+    with RunningServer(settings=FAST) as server:
+        got = end(begin(server, "http"))
     assert sentence(got["moved"]).startswith("Done.")
     assert got["foreign"] == 403
 

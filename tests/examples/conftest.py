@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
-from harness.server import CLIENT_ENVIRONMENT, ROOT, RunningServer
+from harness.server import CLIENT_ENVIRONMENT, FAST, ROOT, RunningServer
 
 EXAMPLES = ROOT / "examples"
 EXAMPLE_TIMEOUT_S = 60
@@ -14,9 +15,11 @@ EXAMPLE_TIMEOUT_S = 60
 RunExample = Callable[..., subprocess.CompletedProcess[str]]
 
 
-@pytest.fixture(scope="session")
-def server(simulated_server: RunningServer) -> RunningServer:
-    return simulated_server
+@pytest.fixture(scope="package")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    states: Path = tmp_path_factory.mktemp("data") / "states.json"
+    with RunningServer(settings={**FAST, "ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(states)}) as running:
+        yield running
 
 
 @pytest.fixture

@@ -44,10 +44,16 @@ def opened(root: str) -> None:
     print(json.dumps({**figures, "image": list(image.shape)}))
 
 
-def robot(url: str, name: str = "") -> None:
+def robot(url: str, name: str = "", dataset: str = "", convert: str = "") -> None:
     """Carry out each line of the input, and print its result."""
-    arm = Armbridge(ArmbridgeConfig(url=url, id="scenario", arm=name))
-    arm.connect()
+    folder = Path(dataset) if dataset else None
+    arm = Armbridge(ArmbridgeConfig(url=url, id="scenario", arm=name, dataset=folder, convert=bool(convert)))
+    try:
+        arm.connect()
+    except ValueError as error:
+        sys.stdin.readline()
+        print(json.dumps({"error": f"{type(error).__name__}: {error}"}), flush=True)
+        return
     target = arm.get_observation()
     for line in sys.stdin:
         word, *rest = line.split()

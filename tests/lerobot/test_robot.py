@@ -10,14 +10,14 @@ import os
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from threading import Event, Thread
 
 import pytest
 
 from armbridge_client import Arm, connect
-from armbridge_client.messages import ActionChunkAnswer, Header, JointState, Time
+from armbridge_client.messages import ActionChunkAnswer, Header, JointState, KinematicSolverInfo, Time
 from harness.server import FAST, FAST_ARMS, ROOT, RunningServer, free_port
 from harness.waiting import running, wait_until
 
@@ -27,6 +27,8 @@ COMMAND_TIMEOUT_S = 900
 LEADER = "/leader/joint_states"
 ANSWERS = "/arm/chunks/answer"
 EPISODES, EPISODE_S, FPS = 2, 5, 15
+# lerobot asks a hub about each dataset unless its environment forbids it.
+OFFLINE = {**os.environ, "HF_HUB_OFFLINE": "1"}
 
 pytestmark = pytest.mark.skipif(
     not (BIN / "lerobot-record").exists(), reason="lerobot is not installed: make test-lerobot does it"
@@ -86,8 +88,7 @@ def lerobot(command: str, *options: str) -> str:
         text=True,
         timeout=COMMAND_TIMEOUT_S,
         check=False,
-        # lerobot asks a hub about each dataset unless it is told not to.
-        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+        env=OFFLINE,
     )
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     return done.stdout + done.stderr
@@ -137,7 +138,7 @@ def test_a_dataset_of_two_episodes_holds_what_the_arm_did_in_lerobots_units(data
         text=True,
         timeout=COMMAND_TIMEOUT_S,
         check=True,
-        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+        env=OFFLINE,
     )
     figures = json.loads(done.stdout.splitlines()[-1])
     # The leader swings by 0.3 rad; the gripper is in percent of its range.
@@ -206,44 +207,64 @@ def test_a_policy_trained_for_a_few_steps_is_rolled_out(server: RunningServer, p
     assert any("teleoperation of arm: following" in line for line in server.lines)
 
 
-def test_lerobots_policy_server_drives_the_arm(server: RunningServer, arm: Arm, policy: Path, tmp_path: Path) -> None:
+@contextmanager
+def policy_server(port: int, folder: Path) -> Iterator[None]:
+    """Serve policies by lerobot's PolicyServer."""
+    command = [BIN / "python", "-m", "lerobot.async_inference.policy_server", f"--port={port}", f"--fps={FPS}"]
+    with running(command, env=OFFLINE, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL):
+        yield
+
+
+@pytest.mark.parametrize("served", [True, False])
+def test_a_policy_of_lerobot_drives_the_arm(
+    server: RunningServer, arm: Arm, policy: Path, tmp_path: Path, served: bool
+) -> None:
     arm.release_control()
     port = free_port()
-    serving = [BIN / "python", "-m", "lerobot.async_inference.policy_server", f"--port={port}", f"--fps={FPS}"]
-    options = [
-        f"--server_address=127.0.0.1:{port}",
-        *robot(server.port),
-        "--task=swing",
-        "--policy_type=act",
-        f"--pretrained_name_or_path={policy}",
-        "--actions_per_chunk=20",
-        f"--fps={FPS}",
-    ]
-    offline = {**os.environ, "HF_HUB_OFFLINE": "1"}
+    remote = f"--server_address=127.0.0.1:{port}", "--policy_type=act", f"--pretrained_name_or_path={policy}"
+    source = remote if served else (f"--policy={policy}",)
+    options = [*robot(server.port), "--task=swing", *source, "--actions_per_chunk=20", f"--fps={FPS}"]
     lines = tmp_path / "policy.log"
     with (
         camera(server.port),
-        running(serving, env=offline, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL),
+        policy_server(port, tmp_path) if served else nullcontext(),
         lines.open("w") as out,
         running(
-            [BIN / "armbridge-policy", *options], env=offline, cwd=tmp_path, stdout=out, stderr=subprocess.STDOUT
+            [BIN / "armbridge-policy", *options], env=OFFLINE, cwd=tmp_path, stdout=out, stderr=subprocess.STDOUT
         ) as client,
     ):
-        followed = list(
-            itertools.islice(
-                (
-                    each
-                    for each in arm.messages(ANSWERS, ActionChunkAnswer, length=100, timeout_s=240)
-                    if each.error_code.val == 1
-                ),
-                5,
-            )
-        )
+        answers = arm.messages(ANSWERS, ActionChunkAnswer, length=100, timeout_s=240)
+        followed = list(itertools.islice((each for each in answers if each.error_code.val == 1), 5))
         assert len({each.id for each in followed}) == 5
         # A stop by anybody ends the policy, with the reason.
         arm.stop()
         assert client.wait(timeout=120) != 0
     assert "the arm was stopped" in lines.read_text()
+
+
+@pytest.mark.parametrize(
+    ("option", "sentence"),
+    [
+        ("--policy={missing}", "policy: {missing} cannot be loaded"),
+        ("--fps=15", "robot.cameras: must be ['front'], as of the policy, not []"),
+    ],
+)
+def test_a_policy_that_does_not_fit_the_robot_is_refused(
+    server: RunningServer, policy: Path, tmp_path: Path, option: str, sentence: str
+) -> None:
+    missing = tmp_path / "nothing"
+    command = [BIN / "armbridge-policy", *robot(server.port, with_camera=False), f"--policy={policy}"]
+    done = subprocess.run(
+        [*command, option.format(missing=missing)],
+        capture_output=True,
+        text=True,
+        timeout=COMMAND_TIMEOUT_S,
+        check=False,
+        env=OFFLINE,
+        cwd=tmp_path,
+    )
+    assert done.returncode != 0
+    assert sentence.format(missing=missing) in done.stderr.splitlines()[-1]
 
 
 @contextmanager
@@ -300,3 +321,39 @@ def test_units_are_there_and_back_the_same(server: RunningServer) -> None:
     with scenario(server.port) as process:
         for use_degrees in ("true", "false"):
             assert ask(process, f"units {use_degrees}")["error_rad"] == pytest.approx(0.0, abs=1e-12)
+
+
+def exported_arm(folder: Path, arm: Arm, zero_rad: float, units: str = "lerobot") -> Path:
+    """A dataset's description of its arm, whose first joint has another zero than this arm's."""
+    limits = next(arm.messages("/arm/joint_limits", KinematicSolverInfo)).limits
+    ranges = {each.joint_name: (each.min_position, each.max_position) for each in limits}
+    joints = {name: {"zero_rad": 0.0, "range_rad": ends} for name, ends in ranges.items()}
+    joints["shoulder_pan"]["zero_rad"] = zero_rad
+    (folder / "meta").mkdir()
+    (folder / "meta/armbridge.json").write_text(json.dumps({"units": units, "joints": joints}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("zero_rad", "units", "sentence"),
+    [
+        (
+            0.5,
+            "lerobot",
+            "range of shoulder_pan differ by 28.6 degrees from this arm's (limit 1); convert=true",
+        ),
+        (0.0, "rad", "is in rad: export it with --units lerobot"),
+    ],
+)
+def test_a_dataset_of_an_arm_with_another_zero_is_refused_with_the_degrees(
+    server: RunningServer, arm: Arm, tmp_path: Path, zero_rad: float, units: str, sentence: str
+) -> None:
+    with scenario(server.port, "", str(exported_arm(tmp_path, arm, zero_rad, units))) as process:
+        assert sentence in str(ask(process, "observe")["error"])
+
+
+def test_a_dataset_of_an_arm_with_another_zero_is_converted(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
+    dataset = str(exported_arm(tmp_path, arm, 0.1))
+    with scenario(server.port) as plain, scenario(server.port, "", dataset, "convert") as other:
+        here, there = (float(ask(each, "observe")["shoulder_pan.pos"]) for each in (plain, other))
+        assert here - there == pytest.approx(math.degrees(0.1), abs=0.5)

@@ -25,6 +25,16 @@ class mjtGeom:
 class mjtEq:
     mjEQ_JOINT: int
 
+class mjtOrientation:
+    mjORIENTATION_XYAXES: int
+
+class MjsOrientation:
+    type: int
+    xyaxes: list[float]
+
+class MjsCamera:
+    alt: MjsOrientation
+
 class mjtObj:
     mjOBJ_JOINT: int
     mjOBJ_BODY: int
@@ -63,10 +73,19 @@ class MjsBody:
     explicitinertial: bool
     geoms: list[MjsGeom]
     def add_geom(self, **values: object) -> MjsGeom: ...
+    def add_camera(self, **values: object) -> MjsCamera: ...
     def add_body(self, **values: object) -> MjsBody: ...
     def add_freejoint(self, **values: object) -> MjsJoint: ...
 
+class MjsHeadlight:
+    ambient: list[float]
+    diffuse: list[float]
+
+class MjsVisual:
+    headlight: MjsHeadlight
+
 class MjSpec:
+    visual: MjsVisual
     option: MjsOption
     bodies: list[MjsBody]
     joints: list[MjsJoint]
@@ -93,6 +112,9 @@ class MjModel:
     body_mass: _Vector
     body_jntadr: NDArray[np.int32]
     geom_bodyid: NDArray[np.int32]
+    ncam: int
+    cam_bodyid: NDArray[np.int32]
+    geom_rgba: NDArray[np.float32]
     jnt_range: _Vector
     jnt_limited: NDArray[np.bool_]
     jnt_actfrcrange: _Vector
@@ -118,3 +140,9 @@ def mj_forward(m: MjModel, d: MjData) -> None: ...
 def mj_resetData(m: MjModel, d: MjData) -> None: ...
 def mj_mulM(m: MjModel, d: MjData, res: _Vector, vec: _Vector) -> None: ...
 def set_mju_user_warning(handler: Callable[[str], None] | None) -> None: ...
+
+class Renderer:
+    def __init__(self, model: MjModel, height: int = ..., width: int = ...) -> None: ...
+    def update_scene(self, data: MjData, camera: int | str = ...) -> None: ...
+    def render(self) -> NDArray[np.uint8]: ...
+    def close(self) -> None: ...

@@ -21,6 +21,9 @@ class ServerOptions:
         arm: name of one of several arms; empty for the only arm.
         joints: the arm's joints in the order of the dataset; a name that contains "gripper" is one in percent.
         use_degrees: degrees from the middle of the calibrated range, as lerobot's own default; else -100 to 100 of it.
+        dataset: folder of an ``armbridge export`` whose actions, or a policy trained on it, move the arm; an arm with
+            another zero or range is refused.
+        convert: take the dataset's zeros and ranges for this arm's, so that the same values are the same positions.
     """
 
     url: str = "ws://127.0.0.1:9090"
@@ -28,6 +31,8 @@ class ServerOptions:
     arm: str = ""
     joints: list[str] = field(default_factory=lambda: list(SO101_JOINTS))
     use_degrees: bool = True
+    dataset: Path | None = None
+    convert: bool = False
 
     def token(self) -> str | None:
         """Read the token."""

@@ -13,7 +13,7 @@ from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, connect
 from armbridge_client.messages import DiagnosticStatus, JointState, KinematicSolverInfo
 from armbridge_client.wire import Message
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
-from lerobot_robot_armbridge.units import Units, units_of
+from lerobot_robot_armbridge.units import Units, difference, units_of, units_of_dataset
 
 M = TypeVar("M", bound=Message)
 
@@ -102,7 +102,7 @@ class ArmLink:
     """An arm of the server with its newest states, in lerobot's units.
 
     Raises:
-        ValueError: the arm has other joints than the options name.
+        ValueError: the arm has other joints than the options name, or another zero than their dataset's arm.
     """
 
     def __init__(self, options: ServerOptions, joints_topic: str = "") -> None:
@@ -118,25 +118,40 @@ class ArmLink:
             self._check_joints()
             state = Watch(self.arm, f"{self.prefix}/arm/state", DiagnosticStatus).latched()
             values = {each.key: each.value for each in state.values}
-            self.units: Units = units_of(self.limits_rad, values, use_degrees=options.use_degrees)
+            self.units = self._checked_units(units_of(self.limits_rad, values, use_degrees=options.use_degrees))
             self._joint_states = Watch(self.arm, joints_topic or f"{self.prefix}/joint_states", JointState)
         except BaseException:
             self.arm.close()
             raise
+
+    def _checked_units(self, present: Units) -> Units:
+        """Return this arm's units, or the units of the dataset's arm for values that are converted."""
+        options = self.options
+        if options.dataset is None:
+            return present
+        recorded = units_of_dataset(options.dataset, self.server_names, use_degrees=options.use_degrees)
+        if not options.convert and (different := difference(recorded, present)):
+            raise ValueError(f"dataset: {options.dataset}: {different}; convert=true shifts the values")
+        return recorded if options.convert else present
 
     def _check_joints(self) -> None:
         missing = [name for name in self.server_names.values() if name not in self.limits_rad]
         if missing:
             raise ValueError(f"joints: the server's arm has no {missing}; it has {sorted(self.limits_rad)}")
 
-    def positions(self) -> dict[str, float]:
-        """Return the newest position of each joint, in lerobot's units by lerobot's names.
+    def state(self) -> tuple[float, dict[str, float]]:
+        """Return the stamp of the newest joint states [s since the epoch], and positions by the server's joints [rad].
 
         Raises:
-            TimeoutError: the newest is older than 1 s.
+            TimeoutError: they came longer ago than 1 s.
         """
         message = self._joint_states.newest()
-        return self.in_units(dict(zip(message.name, message.position, strict=True)))
+        stamp = message.header.stamp
+        return stamp.sec + 1e-9 * stamp.nanosec, dict(zip(message.name, message.position, strict=True))
+
+    def positions(self) -> dict[str, float]:
+        """Return the newest position of each joint, in lerobot's units by lerobot's names; raises as :meth:`state`."""
+        return self.in_units(self.state()[1])
 
     def in_units(self, position_rad: Mapping[str, float]) -> dict[str, float]:
         """Return positions [rad, by the server's names] in lerobot's units by lerobot's names."""

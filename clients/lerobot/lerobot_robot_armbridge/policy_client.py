@@ -1,23 +1,26 @@
-"""lerobot's RobotClient, whose chunks of actions the arm's server follows whole: ``armbridge-policy``.
+"""Runner of a learned policy, whose chunks of actions the arm's server follows whole: ``armbridge-policy``.
 
-The policy runs in lerobot's PolicyServer, on this machine or another one. Its protocol carries pickled objects: connect
-only to a policy server that you trust.
+The policy runs in this process, in lerobot's PolicyServer or in openpi's server. lerobot's protocol carries pickled
+objects: connect only to a policy server that you trust.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
+import time
+from dataclasses import dataclass, field
 
 import draccus
-from lerobot.async_inference.configs import RobotClientConfig
-from lerobot.async_inference.helpers import TimedAction
-from lerobot.async_inference.robot_client import RobotClient
+from lerobot.robots import RobotConfig, make_robot_from_config
 from lerobot.utils.import_utils import register_third_party_plugins
 
-from armbridge_client import ArmError, RequestRefused
+from armbridge_client import ArmError, ControlledByOther, NotPermitted, RequestRefused
+from armbridge_client.arm import Chunks
+from armbridge_client.messages import DiagnosticStatus
 from lerobot_robot_armbridge.armbridge import Armbridge
-from lerobot_robot_armbridge.link import ArmLink
+from lerobot_robot_armbridge.link import Watch
+from lerobot_robot_armbridge.openpi import OpenPiOptions, OpenPiPolicy
+from lerobot_robot_armbridge.policies import LocalPolicy, Observation, Policy, PolicyError, ServedPolicy
 
 log = logging.getLogger(__name__)
 
@@ -33,107 +36,208 @@ BLENDS = {
 NEAR_RAD = 0.2
 START_SPEED = 0.3
 
+# The server follows no more points of a chunk.
+MAX_ACTIONS = 500
 
-class ChunkClient(RobotClient):
-    """RobotClient that sends chunks, and counts the steps of actions instead of sending them one by one."""
+# Phases in which the server refuses chunks, until the policy is resumed; they are looked at in this period [s].
+HELD = ("paused", "taken_over")
+POLL_S = 0.05
+# A client that has control keeps it for seconds at least [s].
+CONTROL_POLL_S = 1.0
 
-    def __init__(self, config: RobotClientConfig) -> None:
-        super().__init__(config)
-        if not isinstance(self.robot, Armbridge):
-            self.robot.disconnect()
-            raise TypeError(f"robot.type: must be armbridge, not {config.robot.type}")
-        self._link: ArmLink = self.robot.link
-        self._blend, self._weight = BLENDS[config.aggregate_fn_name]
-        self._chunks = self._link.arm.chunks().__enter__()
-        self._started = False
-        self.failure = ""
 
-    def stop(self) -> None:
-        """Disconnect; the arm brakes to the last target and holds."""
-        self._chunks.__exit__(None, None, None)
-        super().stop()
+@dataclass
+class PolicyClientConfig:
+    """Options of ``armbridge-policy``, which has the names of lerobot's RobotClient for its options.
 
-    def control_loop_action(self, verbose: bool = False) -> dict[str, float]:  # noqa: ARG002 - lerobot's signature
-        """Count a step: the server follows the targets by their times."""
-        with self.action_queue_lock:
-            self.action_queue_size.append(self.action_queue.qsize())
-            action: TimedAction = self.action_queue.get_nowait()
-        with self.latest_action_lock:
-            self.latest_action = action.get_timestep()
-        return self._action_tensor_to_action_dict(action.get_action())
+    Attributes:
+        policy: folder or hub name of a policy of lerobot that runs in this process.
+        pretrained_name_or_path: as lerobot's PolicyServer at ``server_address`` finds a policy of ``policy_type``.
+        openpi: openpi's server.
+        policy_device: device of the policy, here or in the PolicyServer.
+        actions_per_chunk: number of actions of each chunk that are followed, at most 500.
+        fps: rate of the policy's actions [Hz].
+        chunk_size_threshold: share of a chunk that is left when the policy looks again, 0 to 1.
+        aggregate_fn_name: blend of a chunk with the one before it.
+    """
 
-    def _aggregate_action_queues(self, incoming_actions: list[TimedAction], aggregate_fn: object = None) -> None:  # noqa: ARG002 - lerobot's signature
-        # The server blends the chunks; of lerobot's queue the numbers of the steps are needed.
-        super()._aggregate_action_queues(incoming_actions, None)
-        try:
-            self._follow(incoming_actions)
-        except RequestRefused as error:
-            log.warning("a chunk is not followed: %s", error)
-            if "the arm was stopped" in str(error):
-                self._end(str(error))
-        except (ArmError, ValueError) as error:
-            self._end(str(error))
+    robot: RobotConfig
+    task: str = ""
+    policy: str = ""
+    openpi: OpenPiOptions = field(default_factory=OpenPiOptions)
+    pretrained_name_or_path: str = ""
+    policy_type: str = ""
+    server_address: str = "localhost:8080"
+    policy_device: str = "cpu"
+    actions_per_chunk: int = 50
+    fps: float = 30.0
+    chunk_size_threshold: float = 0.5
+    aggregate_fn_name: str = "weighted_average"
 
-    def _follow(self, actions: list[TimedAction]) -> None:
-        first_s = actions[0].get_timestamp()
-        rows_rad = [self._link.in_rad(self._action_tensor_to_action_dict(each.get_action())) for each in actions]
-        if not self._started:
-            self._go_to(rows_rad[0])
-            # The chunk was made before: the policy looks again.
-            with self.action_queue_lock:
-                self.action_queue.queue.clear()
-            self._started = True
+    def check(self) -> None:
+        """Raise ValueError with the option that is out of its limits."""
+        sources = {
+            "policy": self.policy,
+            "openpi.url": self.openpi.url,
+            "pretrained_name_or_path": self.pretrained_name_or_path,
+        }
+        if len(given := [name for name, value in sources.items() if value]) != 1:
+            raise ValueError(f"one of {', '.join(sources)} must be given, not {' and '.join(given) or 'none'}")
+        if not 1 <= self.actions_per_chunk <= MAX_ACTIONS:
+            raise ValueError(f"actions_per_chunk must be 1 to {MAX_ACTIONS}, not {self.actions_per_chunk}")
+        if not 0.0 < self.fps <= MAX_ACTIONS:
+            raise ValueError(f"fps must be above 0 to {MAX_ACTIONS}, not {self.fps:g}")
+        if not 0.0 <= self.chunk_size_threshold <= 1.0:
+            raise ValueError(f"chunk_size_threshold must be 0 to 1, not {self.chunk_size_threshold:g}")
+        if self.aggregate_fn_name not in BLENDS:
+            raise ValueError(f"aggregate_fn_name must be one of {', '.join(BLENDS)}, not {self.aggregate_fn_name!r}")
+
+
+def policy_of(config: PolicyClientConfig, robot: Armbridge) -> Policy:
+    """Return the policy that the options name; raises PolicyError."""
+    if config.policy:
+        return LocalPolicy(config.policy, config.policy_device, robot)
+    if config.openpi.url:
+        return OpenPiPolicy(config.openpi, robot.link.server_names)
+    return ServedPolicy(
+        config.server_address,
+        config.policy_type,
+        config.pretrained_name_or_path,
+        config.policy_device,
+        robot,
+        config.actions_per_chunk,
+    )
+
+
+class PolicyRunner:
+    """Loop from observations to chunks that the arm's server follows.
+
+    While the policy computes, the arm follows the chunk before; without a next one it brakes to the last target.
+    """
+
+    def __init__(self, config: PolicyClientConfig, robot: Armbridge, policy: Policy, chunks: Chunks) -> None:
+        self._config, self._policy, self._chunks = config, policy, chunks
+        self._robot, self._link = robot, robot.link
+        self._state = Watch(robot.link.arm, f"{robot.link.prefix}/arm/chunks/state", DiagnosticStatus)
+        self._near = False
+
+    def run(self) -> None:
+        """Run until an error: PolicyError, ArmError, or TimeoutError of a camera or the joint states."""
+        while True:
+            self._wait_while_held()
+            try:
+                self._follow_next_chunk()
+            except ControlledByOther as error:
+                log.info("the policy waits: %s", error)
+                self._near = False
+                time.sleep(CONTROL_POLL_S)
+
+    def _follow_next_chunk(self) -> None:
+        config, looked_s = self._config, time.monotonic()
+        observation = self._observe()
+        targets_rad = self._targets_rad(observation)
+        if not self._near:
+            self._near = True
+            if self._go_to(targets_rad[0]):
+                # The chunk was made before the motion: the policy looks again.
+                return
+        self._send(observation.stamp_s, targets_rad)
+        followed_s = (1.0 - config.chunk_size_threshold) * len(targets_rad) / config.fps
+        time.sleep(max(looked_s + followed_s - time.monotonic(), 0.0))
+
+    @property
+    def _held(self) -> str:
+        """Sentence of a pause or take-over; empty while chunks are followed."""
+        state = self._state.latched()
+        phase = next((each.value for each in state.values if each.key == "phase"), "")
+        return state.message if phase in HELD else ""
+
+    def _wait_while_held(self) -> None:
+        if not self._held:
             return
-        names = list(rows_rad[0])
-        answer = self._chunks.send(
-            names,
-            [each.get_timestamp() - first_s for each in actions],
-            [[row[name] for name in names] for row in rows_rad],
-            observed_at_s=first_s,
-            blend=self._blend,
-            weight=self._weight,
-        )
+        log.info("the policy waits: %s", self._held)
+        while self._held:
+            time.sleep(POLL_S)
+        log.info("the policy goes on")
+        self._policy.reset()
+        self._near = False
+
+    def _observe(self) -> Observation:
+        stamp_s, positions_rad = self._link.state()
+        images = {name: camera.read_latest() for name, camera in self._robot.cameras.items()}
+        return Observation(stamp_s, self._link.in_units(positions_rad), positions_rad, images, self._config.task)
+
+    def _targets_rad(self, observation: Observation) -> list[dict[str, float]]:
+        actions = self._policy.actions(observation)[: self._config.actions_per_chunk]
+        names = self._link.server_names
+        if self._policy.radians:
+            return [dict(zip(names.values(), row, strict=True)) for row in actions.tolist()]
+        return [
+            self._link.in_rad({f"{joint}.pos": value for joint, value in zip(names, row, strict=True)})
+            for row in actions.tolist()
+        ]
+
+    def _send(self, stamp_s: float, targets_rad: list[dict[str, float]]) -> None:
+        names = list(targets_rad[0])
+        blend, weight = BLENDS[self._config.aggregate_fn_name]
+        try:
+            answer = self._chunks.send(
+                names,
+                [index / self._config.fps for index in range(len(targets_rad))],
+                [[row[name] for name in names] for row in targets_rad],
+                observed_at_s=stamp_s,
+                blend=blend,
+                weight=weight,
+            )
+        except (ControlledByOther, NotPermitted):
+            raise
+        except RequestRefused as error:
+            if "the arm was stopped" in str(error):
+                raise
+            log.warning("a chunk is not followed: %s", error)
+            self._near = False
+            return
         if answer.refused_from >= 0:
             log.warning("a chunk is followed in part: %s", answer.message)
 
-    def _go_to(self, target_rad: dict[str, float]) -> None:
-        """Go to the first target by a planned motion, unless the arm is near it."""
-        present_rad = self._link.in_rad(self._link.positions())
-        far = {
-            name: target
-            for name, target in target_rad.items()
-            if "gripper" not in name and abs(target - present_rad[name]) > NEAR_RAD
-        }
+    def _go_to(self, target_rad: dict[str, float]) -> bool:
+        """Go to a target by a planned motion; return False for an arm that is near it."""
+        present_rad = self._link.state()[1]
+        arm_rad = {name: target for name, target in target_rad.items() if "gripper" not in name}
+        far = [name for name, target in arm_rad.items() if abs(target - present_rad[name]) > NEAR_RAD]
         if far:
-            arm_rad = {name: target for name, target in target_rad.items() if "gripper" not in name}
-            log.info("the arm goes to the first target, %s", ", ".join(sorted(far)))
+            log.info("the arm goes to the first target, %s", ", ".join(far))
             self._link.arm.move_joints(arm_rad, speed=START_SPEED)
-
-    def _end(self, failure: str) -> None:
-        log.error("the policy ends: %s", failure)
-        self.failure = failure
-        self.shutdown_event.set()
+        return bool(far)
 
 
-def run(config: RobotClientConfig) -> None:
-    """Run a policy of a PolicyServer on the arm, until Ctrl-C, a stop or an error."""
-    client = ChunkClient(config)
+def run(config: PolicyClientConfig) -> None:
+    """Run a policy on the arm, until Ctrl-C, a stop or an error."""
+    config.check()
+    robot = make_robot_from_config(config.robot)
+    if not isinstance(robot, Armbridge):
+        raise TypeError(f"robot.type: must be armbridge, not {config.robot.type}")
     try:
-        if not client.start():
-            raise SystemExit(f"no policy server answers at {config.server_address}")
-        receiver = threading.Thread(target=client.receive_actions, daemon=True)
-        receiver.start()
-        client.control_loop(task=config.task)
+        robot.connect()
+        policy = policy_of(config, robot)
+        try:
+            with robot.link.arm.chunks() as chunks:
+                PolicyRunner(config, robot, policy, chunks).run()
+        finally:
+            policy.close()
     except KeyboardInterrupt:
         log.info("ended by Ctrl-C")
     finally:
-        client.stop()
-    if client.failure:
-        raise SystemExit(client.failure)
+        if robot.is_connected:
+            robot.disconnect()
 
 
 def main() -> None:
     """Start from the command line."""
-    logging.basicConfig(level=logging.INFO)
+    # lerobot has set a level of its own.
+    logging.basicConfig(level=logging.INFO, force=True)
     register_third_party_plugins()
-    run(draccus.parse(RobotClientConfig))
+    try:
+        run(draccus.parse(PolicyClientConfig))
+    except (PolicyError, ArmError, TimeoutError, TypeError, ValueError) as error:
+        raise SystemExit(f"the policy ends: {error}") from error

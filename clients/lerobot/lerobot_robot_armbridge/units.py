@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 # Start of the keys of the calibrated ranges on /arm/state.
 CALIBRATED_RANGE = "calibrated_range_rad."
@@ -40,6 +42,46 @@ class Units:
         if self.use_degrees:
             return math.radians(value) + self.middle_rad[joint]
         return lower + (value + 100.0) / 200.0 * (upper - lower)
+
+
+# Calibrations of one arm by hand differ by less [degrees].
+SAME_WITHIN_DEG = 1.0
+
+
+def difference(recorded: Units, present: Units) -> str:
+    """Describe the joint whose zero or range differs most from the recorded arm's; empty where none differs."""
+    worst, joint = 0.0, ""
+    for name, zero_rad in recorded.middle_rad.items():
+        here_rad, there_rad = [*present.range_rad[name]], [*recorded.range_rad[name]]
+        # A gripper's percent count from its range alone.
+        if "gripper" not in name:
+            here_rad.append(present.middle_rad[name])
+            there_rad.append(zero_rad)
+        away = max(math.degrees(abs(here - there)) for here, there in zip(here_rad, there_rad, strict=True))
+        if away > worst:
+            worst, joint = away, name
+    if worst <= SAME_WITHIN_DEG:
+        return ""
+    return f"zero or range of {joint} differ by {worst:.1f} degrees from this arm's (limit {SAME_WITHIN_DEG:g})"
+
+
+def units_of_dataset(folder: Path, server_names: Mapping[str, str], *, use_degrees: bool) -> Units:
+    """Return the units of the arm that recorded a dataset, by this server's names of its joints.
+
+    Raises:
+        ValueError: the dataset does not name its arm, or is in other units.
+    """
+    path = folder / "meta" / "armbridge.json"
+    try:
+        arm = json.loads(path.read_text())
+        joints = {server: arm["joints"][server] for server in server_names.values()}
+        ranges = {name: (float(each["range_rad"][0]), float(each["range_rad"][1])) for name, each in joints.items()}
+        zeros = {name: float(each["zero_rad"]) for name, each in joints.items()}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"dataset: {path} names no zero and range of the joints {[*server_names]}: {error}") from error
+    if arm["units"] != "lerobot" or not use_degrees:
+        raise ValueError(f"dataset: {folder} is in {arm['units']}: export it with --units lerobot, and use degrees")
+    return Units(ranges, zeros, use_degrees)
 
 
 def units_of(

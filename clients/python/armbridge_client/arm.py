@@ -141,6 +141,9 @@ class Chunks(ContextFace[AsyncChunks]):
     """Chunks of joint targets of a learned policy, for the length of a ``with``; as :class:`AsyncChunks`."""
 
     send = blocking(AsyncChunks.send)
+    pause = blocking(AsyncChunks.pause)
+    resume = blocking(AsyncChunks.resume)
+    stop = blocking(AsyncChunks.stop)
 
 
 class Plan(Face[AsyncPlan]):

@@ -194,6 +194,21 @@ class AsyncChunks:
             raise refusal(answer.message)
         return answer
 
+    async def pause(self) -> str:
+        """Have the arm brake, and refuse chunks until :meth:`resume`; meanwhile any client may take control."""
+        return await self._carry_out("pause")
+
+    async def resume(self) -> str:
+        """Have the arm follow the policy again, and give up this client's control."""
+        return await self._carry_out("resume")
+
+    async def stop(self) -> str:
+        """Have the arm brake, and end the policy: its chunks are refused until none came for 5 s."""
+        return await self._carry_out("stop")
+
+    async def _carry_out(self, service: str) -> str:
+        return (await self._connection.carry_out(f"{self._topic}/{service}", TriggerRequest())).message
+
 
 class AsyncTeleop:
     """Following of a leader arm, or of a topic of joint states.

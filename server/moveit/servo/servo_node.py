@@ -19,6 +19,8 @@ from robot.description.model import RobotModel
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
+from server.execution.motions import Joints
+from server.execution.queue import GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING
@@ -128,21 +130,17 @@ class StatusPublisher:
 
 
 class CommandGate:
-    """Gate for commands: it lets commands of the client in control pass, of the selected type, while the arm is free.
+    """Gate for commands: it lets commands of the client in control pass, of the selected type.
 
     Args:
         timeout_s: after a silence of this time a stick counts as released [s].
-        busy: returns the reason if the arm cannot be steered now, else an empty text.
         arm: the arm, whose stops release a held stick.
     """
 
-    def __init__(
-        self, present: Callable[[object], bool], timeout_s: float, busy: Callable[[], str], arm: AnyArm
-    ) -> None:
+    def __init__(self, present: Callable[[object], bool], timeout_s: float, arm: AnyArm) -> None:
         self._present = present
         self.owner: object = None  # the client in control, until it leaves or sends no more commands
         self._timeout_s = timeout_s
-        self._busy = busy
         self._arm = arm
         # Stop epoch of the last command.
         self._heard_epoch = 0
@@ -213,7 +211,7 @@ class CommandGate:
         if self._interrupted:
             then = f", then publish {TIMEOUT_TOPIC} again," if client in self._presses else ""
             return f"{self._interrupted}; let go for {self._timeout_s:g} s{then} to steer again"
-        return self._busy()
+        return ""
 
 
 def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
@@ -224,7 +222,7 @@ def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
 
 
 class ServoNode:
-    """MoveIt Servo's node; ``busy`` returns the reason if the arm cannot be steered now, else an empty text."""
+    """MoveIt Servo's node; goals that move any of the ``busy_joints`` have precedence, except a policy's."""
 
     def __init__(
         self,
@@ -232,24 +230,18 @@ class ServoNode:
         parameters: MoveItParameters,
         arm: AnyArm,
         planning: PlanningContext,
-        busy: Callable[[], str],
+        queue: GoalQueue,
+        busy_joints: Joints,
     ) -> None:
         servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
-
-        def unavailable() -> str:
-            try:
-                check_ready(arm)
-            except RefusedError as error:
-                return str(error)
-            return busy()
-
+        self._arm, self._queue, self._busy_joints = arm, queue, busy_joints
         self._graph = graph
         self._joints = setup.joints
         self._parameters = servo
         self._resolve = planning.frames.resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
-        self._gate = CommandGate(self._present, setup.timeout_s, unavailable, arm)
+        self._gate = CommandGate(self._present, setup.timeout_s, arm)
         listener = ServoListener(self._status.publish, self._gate.interrupt)
         self._session = ServoSession(arm, setup, planning, listener)
         # Rejected last for another client's control: it repeats its commands many times a second.
@@ -288,7 +280,13 @@ class ServoNode:
         elif rejection:
             raise invalid(rejection)
         else:
-            self._session.set_command(self._read(kind, published.msg), self._gate.timeout_s(client))
+            check_ready(self._arm)
+            command = self._read(kind, published.msg)
+            if not command.zero:
+                self._queue.take_over(self._busy_joints, f"steering by {client}")
+            if busy := self._queue.busy(self._busy_joints):
+                raise invalid(busy)
+            self._session.set_command(command, self._gate.timeout_s(client))
 
     def _take_press(self, published: PublishedMessage) -> None:
         present = self._graph.publishers(TIMEOUT_TOPIC)

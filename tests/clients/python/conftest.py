@@ -1,16 +1,19 @@
 """A server whose simulated arm moves as fast as its limits allow, and the client of the Python package."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from armbridge_client import Arm, connect
-from harness.server import RunningServer
+from harness.server import FAST, RunningServer
 
 
-@pytest.fixture(scope="session")
-def server(simulated_server: RunningServer) -> RunningServer:
-    return simulated_server
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    states: Path = tmp_path_factory.mktemp("data") / "states.json"
+    with RunningServer(settings={**FAST, "ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(states)}) as running:
+        yield running
 
 
 @pytest.fixture

@@ -249,7 +249,7 @@ def test_chunks_of_a_policy_are_followed_and_refused_with_the_servers_sentence(a
     onward = [[value + 0.2 * time_s for value in here] for time_s in times_s]
     with arm.chunks() as chunks:
         answer = chunks.send(JOINTS, times_s, onward)
-        assert answer.refused_from == -1
+        assert answer.refused_from == -1, answer.error_code.message
         with pytest.raises(RequestRefused, match="the first target takes joint shoulder_pan to"):
             chunks.send(JOINTS, times_s, [[value + 0.6 for value in row] for row in onward])
         # The refusal of one chunk is no refusal of the next.

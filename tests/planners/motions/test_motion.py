@@ -215,7 +215,7 @@ def test_a_moving_start_with_jerk_limits_is_left_without_a_step(task_between, ra
     assert np.abs(np.diff(accelerations, axis=0)).max() <= 0.001 * 60.0 * 1.001
 
 
-def test_two_searches_go_on_in_turns_and_give_way_to_others_after_many(task_between, monkeypatch):
+def test_a_search_goes_on_until_it_is_given_up_for_another_after_many_checks(task_between, monkeypatch):
     turns = []
 
     class Vain:
@@ -224,15 +224,16 @@ def test_two_searches_go_on_in_turns_and_give_way_to_others_after_many(task_betw
 
         def run(self, _should_stop):
             turns.append(self.seed)
+            task.space.checks += 1000
 
     monkeypatch.setattr(motion, "TreeSearch", Vain)
-    monkeypatch.setattr(motion, "TURNS_A_SEARCH", 3)
+    monkeypatch.setattr(motion, "CHECKS_A_SEARCH", 3000)
     start, goal = BLOCKED_LINES[0]
     # Before any other search than RRT-Connect no via points are tried.
     task = task_between(start, goal, planner_id="RRT")
     failure = find_motion(task, Budget(lambda: float(len(turns)), 12.0, never))
     assert failure.code is MoveItErrorCode.TIMED_OUT
-    assert turns == [0, 1, 0, 1, 0, 1, 6, 7, 6, 7, 6, 7]
+    assert turns == [0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9, 9]
 
 
 def test_a_search_ends_when_its_time_is_up_or_nobody_waits_for_it(task_between):

@@ -14,7 +14,20 @@ import pytest
 from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
 from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
-from server.chunks.action_chunks import ANSWER, ANSWER_TYPE, MAX_JUMP_RAD, NAME, PAUSE_S, TYPE
+from server.chunks.action_chunks import (
+    ANSWER,
+    ANSWER_TYPE,
+    MAX_JUMP_RAD,
+    NAME,
+    PAUSE,
+    PAUSE_S,
+    RESUME,
+    STATE,
+    STATE_TYPE,
+    STOP,
+    TYPE,
+    Phase,
+)
 from server.chunks.gripper import SETTLES_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
@@ -63,10 +76,38 @@ class Policy(RecordedStage):
         self.answers: list[dict[str, Any]] = []
         take = Subscriber(lambda each: self.answers.append(dict(each.msg)))
         self.stage.graph.subscribe(Node("listener"), ANSWER, ANSWER_TYPE, take)
+        self.states: list[dict[str, Any]] = []
+        take_state = Subscriber(lambda each: self.states.append(dict(each.msg)))
+        self.stage.graph.subscribe(Node("watcher"), STATE, STATE_TYPE, take_state)
+        self.hand = Node("hand", remote=True)
 
     def publish(self, message: dict[str, Any], sender: Node | None = None) -> None:
         """Publish a chunk, as in a frame that arrives now."""
         self.publish_now(NAME, TYPE, message, sender)
+
+    @property
+    def phase(self) -> str:
+        """Phase of the policy, by the topic."""
+        phase: str = self.states[-1]["values"][0]["value"]
+        return phase
+
+    @property
+    def here_rad(self) -> float:
+        """Goal of the first joint [rad]."""
+        return float(self.goals_rad[-1][COLUMNS[0]]) if self.goals_rad else 0.0
+
+    async def stream(self, duration_s: float) -> None:
+        """Send chunks from where the arm is, every 0.2 s."""
+        for _ in range(round(duration_s / 0.2)):
+            self.publish(chunk(ramp(24, self.here_rad + 0.3, self.here_rad)))
+            await asyncio.sleep(0.2)
+
+    async def jog(self, velocity: float, duration_s: float) -> None:
+        """Steer the first joint by the hand's stick, and let go."""
+        for each in [velocity] * round(duration_s / 0.02) + [0.0]:
+            command = {"joint_names": ["shoulder_pan"], "velocities": [each], "displacements": [], "duration": 0.0}
+            self.publish_now("/servo_node/delta_joint_cmds", "control_msgs/JointJog", command, self.hand)
+            await asyncio.sleep(0.02)
 
     @property
     def codes(self) -> list[int]:
@@ -395,3 +436,108 @@ async def test_no_chunk_of_any_kind_takes_the_arm_into_contact_or_beyond_its_lim
         assert isinstance(state, StateAnswer)
         touching = [each.message for each in state.problems if "wall" in each.message]
         assert touching == []
+
+
+@pytest.mark.parametrize("after_s", np.arange(0.0, 0.45, 0.031).tolist())
+async def test_a_stick_takes_over_at_any_moment_and_gives_back_without_a_jump(policy: Policy, after_s: float) -> None:
+    streaming = asyncio.create_task(policy.stream(3.0))
+    await asyncio.sleep(0.5 + after_s)
+    begins_rad = policy.here_rad
+    await policy.jog(-1.0, 1.0)
+    assert policy.phase == Phase.TAKEN_OVER
+    # The stick has the arm, although the policy goes on to send.
+    assert policy.here_rad < begins_rad - 0.1
+    await asyncio.sleep(0.5)
+    stands = policy.goals_rad[-1]
+    await streaming
+    assert (policy.goals_rad[-1] == stands).all()
+    assert "steering by hand has taken over: the policy goes on after /arm/chunks/resume" in policy.refusals[-1]
+    policy.stage.call(RESUME)
+    await policy.stream(0.6)
+    assert policy.phase == Phase.FOLLOWING
+    assert policy.here_rad > stands[COLUMNS[0]] + 0.05
+    policy.assert_within_limits()
+
+
+async def test_a_leader_takes_over_and_gives_back(policy: Policy) -> None:
+    async def lead() -> None:
+        for number in range(250):
+            at_s = 0.02 * number
+            sample = {
+                "header": {"stamp": seconds(5.0 + at_s)},
+                "name": ["shoulder_pan"],
+                "position": [-0.2 - 0.1 * at_s],
+            }
+            policy.publish_now("/glove", "sensor_msgs/JointState", sample, policy.hand)
+            await asyncio.sleep(0.02)
+
+    streaming = asyncio.create_task(policy.stream(4.0))
+    leading = asyncio.create_task(lead())
+    await asyncio.sleep(0.5)
+    policy.stage.call("/teleop/start", leader="/glove")
+    await asyncio.sleep(3.0)
+    assert policy.phase == Phase.TAKEN_OVER
+    assert policy.here_rad == pytest.approx(-0.2 - 0.1 * 3.5, abs=0.05)
+    policy.stage.call("/teleop/stop")
+    await streaming
+    policy.stage.call(RESUME)
+    begins_rad = policy.here_rad
+    await policy.stream(0.6)
+    assert policy.here_rad > begins_rad + 0.05
+    policy.assert_within_limits()
+    leading.cancel()
+
+
+@pytest.mark.parametrize("after_s", np.arange(0.0, 0.25, 0.023).tolist())
+@pytest.mark.parametrize("service", [PAUSE, STOP])
+async def test_a_pause_or_a_stop_of_the_policy_brakes_softly_at_any_moment(
+    policy: Policy, service: str, after_s: float
+) -> None:
+    streaming = asyncio.create_task(policy.stream(2.0))
+    await asyncio.sleep(0.5 + after_s)
+    policy.stage.call(service)
+    await asyncio.sleep(0.7)
+    stands = policy.goals_rad[-1]
+    await streaming
+    assert (policy.goals_rad[-1] == stands).all()
+    assert policy.phase == (Phase.PAUSED if service == PAUSE else Phase.IDLE)
+    policy.stage.call(RESUME)
+    await policy.stream(0.6)
+    moves_again = policy.here_rad > stands[COLUMNS[0]] + 0.05
+    # A stop has ended the policy, until it is silent for a while.
+    assert moves_again == (service == PAUSE)
+    assert service == PAUSE or "the arm was stopped: publish nothing" in policy.refusals[-1]
+    policy.assert_within_limits()
+
+
+@pytest.mark.parametrize(("streams_s", "velocity"), [(0.0, 0.5), (0.6, 0.0)])
+async def test_a_stick_without_a_policy_and_a_stick_at_rest_take_nothing_over(
+    policy: Policy, streams_s: float, velocity: float
+) -> None:
+    await policy.stream(streams_s)
+    await policy.jog(velocity, 0.3)
+    await asyncio.sleep(0.5)
+    policy.publish(chunk(ramp(24, policy.here_rad + 0.3, policy.here_rad)))
+    await asyncio.sleep(0.4)
+    assert policy.phase == Phase.FOLLOWING
+
+
+async def test_a_chunk_of_an_observation_from_before_the_resumption_is_refused(policy: Policy) -> None:
+    observed_s = now_s()
+    policy.stage.call(PAUSE)
+    await asyncio.sleep(0.3)
+    policy.stage.call(RESUME)
+    policy.publish(chunk(ramp(60), stamp_s=observed_s))
+    assert "is from before the policy was resumed" in policy.refusals[-1]
+    policy.publish(chunk(ramp(60), stamp_s=now_s()))
+    await asyncio.sleep(0.3)
+    assert policy.phase == Phase.FOLLOWING
+
+
+async def test_a_stick_in_the_pause_between_two_chunks_takes_over_too(policy: Policy) -> None:
+    policy.publish(chunk(ramp(10, 0.1)))
+    await asyncio.sleep(1.5)
+    await policy.jog(-0.5, 0.3)
+    assert policy.phase == Phase.TAKEN_OVER
+    policy.publish(chunk(ramp(24, policy.here_rad + 0.3, policy.here_rad)))
+    assert "has taken over" in policy.refusals[-1]

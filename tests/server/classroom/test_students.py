@@ -65,7 +65,6 @@ def test_what_a_server_keeps_is_in_the_students_folder(tmp_path: Path) -> None:
     assert [file.parent for file in kept if file is not None] == [tmp_path / "student01"] * 3
     assert settings.server.port == 9100
     assert settings.server.classroom == {"student01": 9100, "student02": 9101}
-    assert settings.access.allowed_origins == ("*:9100", "*:9101")
 
 
 def test_a_token_of_the_same_name_in_the_settings_is_refused(tmp_path: Path) -> None:

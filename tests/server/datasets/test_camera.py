@@ -16,6 +16,8 @@ from server.datasets.camera import CameraError, NewestImage, OpenCvSource, Pixel
 class Scripted:
     """A camera of which the test takes the images."""
 
+    stamp_ns: int | None = None
+
     def __init__(self, *, paced: bool = True, count: int = 1_000_000) -> None:
         self.paced = paced
         self.finite = True

@@ -10,6 +10,7 @@ import pytest
 from server.cli import main
 from server.datasets import export as export_module
 from server.datasets.export import Exported, ExportError, ExportOptions, camera_keys, export
+from server.recording.files import RecordedMessage
 from tests.server.datasets.conftest import JOINTS, Record, image, in_order, mark, stamp, state, states
 from tests.server.recordings import REGISTRY, entry, record
 
@@ -259,6 +260,31 @@ def test_units_of_lerobot_use_the_grippers_calibrated_range_or_its_limits(record
         assert column(tmp_path / name, "observation.state")[-1] == pytest.approx([np.degrees(0.09), percent])
 
 
+def calibrated(**ranges: str) -> RecordedMessage:
+    """A state of the arm with its calibrated ranges."""
+    values = [{"key": f"calibrated_range_rad.{name}", "value": value} for name, value in ranges.items()]
+    status = {"level": 0, "name": "arm", "message": "", "hardware_id": "so101", "values": values}
+    return entry("/arm/state", "diagnostic_msgs/DiagnosticStatus", status)
+
+
+def test_an_export_has_the_arm_its_ranges_and_the_zero_of_its_degrees(recorded: Record, tmp_path: Path) -> None:
+    first = recorded([calibrated(shoulder_pan="-1.0 1.4", gripper="0.0 1.0"), *states(1.0)])
+    exported(tmp_path / "data", first, units="lerobot")
+    # lerobot counts from the middle of the calibrated range.
+    assert column(tmp_path / "data", "observation.state")[-1] == pytest.approx([np.degrees(0.09 - 0.2), 50.0])
+    arm = json.loads((tmp_path / "data/meta/armbridge.json").read_text())
+    assert (arm["robot"], arm["units"], len(arm["calibration"])) == ("so101", "lerobot", 12)
+    assert arm["joints"]["shoulder_pan"] == {
+        "zero_rad": pytest.approx(0.2),
+        "range_rad": [-1.0, 1.4],
+        "limits_rad": None,
+    }
+    other = recorded([calibrated(shoulder_pan="-1.0 1.2", gripper="0.0 1.0"), *states(1.0)])
+    with pytest.raises(ExportError, match="was recorded with another calibration or limits than the first recording"):
+        exported(tmp_path / "both", first, other, units="lerobot")
+    assert exported(tmp_path / "rad", first, other, units="rad").episodes == 2
+
+
 def test_an_episode_with_a_gap_is_left_out_and_said(recorded: Record, tmp_path: Path) -> None:
     marks = [mark("start", 0.0), mark("stop", 1.0), mark("start", 1.2), mark("stop", 3.0)]
     recording = recorded([*states(1.5), *states(3.0, 2.3), *marks])
@@ -339,3 +365,24 @@ def test_the_command_reports_its_work(recorded: Record, tmp_path: Path, capsys: 
     assert "the stop at 1.5 s has no start" in told.err
     assert main(arguments) == 1
     assert "exists already" in capsys.readouterr().err
+
+
+def phase(phase: str, at_s: float) -> RecordedMessage:
+    """A state of the policy, as the server publishes it."""
+    values = [{"key": "phase", "value": phase}, {"key": "client", "value": "policy"}]
+    status = {"level": 0, "name": "policy", "message": "", "hardware_id": "", "values": values}
+    return entry("/arm/chunks/state", "diagnostic_msgs/DiagnosticStatus", status, at_s)
+
+
+def test_frames_in_which_a_person_has_taken_over_from_the_policy_are_marked(tmp_path: Path, recorded: Record) -> None:
+    phases = [phase("idle", 0.0), phase("following", 0.5), phase("taken_over", 1.05), phase("idle", 2.05)]
+    recordings = recorded([*states(3.0), *phases]), recorded([*states(1.0), phase("idle", 0.0)])
+    exported(tmp_path / "data", *recordings, video=False)
+    taken_over = column(tmp_path / "data", "intervention")
+    assert np.flatnonzero(taken_over).tolist() == list(range(11, 21))
+    assert info(tmp_path / "data")["features"]["intervention"] == {"dtype": "bool", "shape": [1], "names": None}
+
+
+def test_a_dataset_of_no_policy_has_no_column_of_interventions(tmp_path: Path, recorded: Record) -> None:
+    exported(tmp_path / "data", recorded([*states(1.0), phase("idle", 0.0)]), video=False)
+    assert "intervention" not in info(tmp_path / "data")["features"]

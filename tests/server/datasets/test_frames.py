@@ -87,8 +87,11 @@ def test_an_episode_of_one_frame_is_left_out_and_one_beside_a_gap_is_not() -> No
     assert frames_of(Episode(2.0, 3.0, ""), HOLED, 10).count == 10
 
 
-def test_units_of_lerobot_are_degrees_and_percent_of_the_grippers_range() -> None:
+def test_units_of_lerobot_are_degrees_from_the_zero_and_percent_of_the_grippers_range() -> None:
     positions = np.array([[np.pi / 2, 0.5, 0.5]])
     joints = ("shoulder_pan", "gripper", "left_gripper")
-    limits = {"gripper": (0.0, 2.0), "left_gripper": (-0.5, 1.5)}
-    assert in_lerobot_units(positions, joints, limits)[0] == pytest.approx([90.0, 25.0, 50.0])
+    ranges = {"gripper": (0.0, 2.0), "left_gripper": (-0.5, 1.5)}
+    for zero_rad, degrees in ((0.0, 90.0), (np.pi / 4, 45.0)):
+        zeros_rad = {"shoulder_pan": zero_rad, "gripper": 1.0}
+        found = in_lerobot_units(positions, joints, ranges, zeros_rad)[0]
+        assert found == pytest.approx([degrees, 25.0, 50.0])

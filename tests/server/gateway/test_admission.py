@@ -12,6 +12,7 @@ from server.gateway.admission import (
     AdmissionPolicy,
     AllowedHosts,
     AllowedOrigins,
+    Authority,
     HandshakeRequest,
     check_exposure,
     host_addresses,
@@ -66,6 +67,20 @@ def test_a_foreign_page_is_refused_with_the_setting_to_change(caplog: pytest.Log
     assert status == HTTPStatus.FORBIDDEN
     assert 'set access.allowed_origins = ["http://evil.com"]' in text
     assert caplog.text.count("http://evil.com' may not connect") == 1
+
+
+@pytest.mark.parametrize(
+    ("origin", "may_connect"),
+    [
+        ("http://10.0.0.2:9101", True),
+        ("http://10.0.0.2:9102", False),
+        ("https://10.0.0.2:9101", False),
+        ("http://evil.com:9101", False),
+    ],
+)
+def test_pages_of_a_classrooms_other_servers_may_connect(origin: str, may_connect: bool) -> None:
+    host = Authority("10.0.0.2", 9100)
+    assert AllowedOrigins(classroom_ports=[9100, 9101]).has(origin, host, encrypted=False) == may_connect
 
 
 FOREIGN = "Origin", "http://evil.com"

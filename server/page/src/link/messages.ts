@@ -49,15 +49,9 @@ export interface MotionResult {
 }
 
 /** armbridge_msgs/CommissioningState. */
-export interface CommissioningMessage {
-  procedure: string;
-  step: string;
-  instruction: string;
-  answers: string[];
+export interface CommissioningMessage extends Omit<Commissioning, "progress" | "joints"> {
   progress: number | null;
   joints: (Omit<SweptJoint, "droop_rad"> & { droop_rad: number | null })[];
-  findings: string[];
-  result: string;
 }
 
 /** armbridge_msgs/srv/GetServoHistory, the response. */

@@ -2,16 +2,16 @@ import { expect, test, vi } from "vitest";
 import { emptyState } from "../state/state";
 import { selectGoal, selectTarget, Store, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
-import { checkReachability, LatestRequestQueue } from "./reachability";
+import { checkReachability, latestOnly } from "./reachability";
 
 test("one question at a time, and of those that wait only the newest", async () => {
   const asked: number[] = [];
   const answers: (() => void)[] = [];
-  const queue = new LatestRequestQueue<number>((request) => {
+  const put = latestOnly<number>((request) => {
     asked.push(request);
     return new Promise((resolve) => answers.push(resolve));
   });
-  for (const request of [1, 2, 3, 4]) queue.put(request);
+  for (const request of [1, 2, 3, 4]) put(request);
   expect(asked).toEqual([1]);
   answers[0]?.();
   await Promise.resolve();

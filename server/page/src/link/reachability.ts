@@ -3,29 +3,23 @@ import type { PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import { checkGoalsRequest, valuesByJoint, type GoalCheck } from "./messages";
 
-/** Queue of one: one request is sent at a time, and after it only the newest of those made meanwhile. */
-export class LatestRequestQueue<Request> {
-  private busy = false;
-  private next: { request: Request } | null = null;
-
-  /** @param send - sends a request and handles its answer; must not reject. */
-  constructor(private readonly send: (request: Request) => Promise<void>) {}
-
-  /** Send a request, now or after the answer to the present one. */
-  put(request: Request): void {
-    this.next = { request };
-    if (!this.busy) void this.run();
-  }
-
-  private async run(): Promise<void> {
-    this.busy = true;
-    while (this.next) {
-      const { request } = this.next;
-      this.next = null;
-      await this.send(request);
+/** Return a function that sends one request at a time, and after it only the newest of the requests made meanwhile. */
+export function latestOnly<Request>(send: (request: Request) => Promise<void>): (request: Request) => void {
+  let busy = false;
+  let next: { request: Request } | null = null;
+  const run = async (): Promise<void> => {
+    busy = true;
+    while (next) {
+      const { request } = next;
+      next = null;
+      await send(request);
     }
-    this.busy = false;
-  }
+    busy = false;
+  };
+  return (request) => {
+    next = { request };
+    if (!busy) void run();
+  };
 }
 
 /** Time for an answer of /check_goals [s], which takes 5 ms: a server that needs longer is gone. */
@@ -38,7 +32,7 @@ type CheckedPose = { position_m: Point; orientation: Orientation | null };
 
 /** Check with the server that the arm can reach each new target; skip targets that are replaced meanwhile. */
 export function checkReachability(connection: Connection, store: PageStore): void {
-  const checks = new LatestRequestQueue<CheckedPose>(async ({ position_m, orientation }) => {
+  const check = latestOnly<CheckedPose>(async ({ position_m, orientation }) => {
     if (!connection.isConnected) return;
     try {
       const request = checkGoalsRequest([position_m], orientation);
@@ -50,13 +44,13 @@ export function checkReachability(connection: Connection, store: PageStore): voi
   });
   store.subscribe(
     (state) => state.target.position_m,
-    (position_m, { target: { orientation } }) => position_m && checks.put({ position_m, orientation }),
+    (position_m, { target: { orientation } }) => position_m && check({ position_m, orientation }),
   );
   // A target set while the server was away has no answer, and a restarted server may answer differently.
   store.subscribe(
     (state) => state.link.connected,
     (connected, { selection, target: { position_m, orientation } }) => {
-      if (connected && selection.kind === "target" && position_m) checks.put({ position_m, orientation });
+      if (connected && selection.kind === "target" && position_m) check({ position_m, orientation });
     },
   );
 }

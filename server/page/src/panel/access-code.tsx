@@ -1,12 +1,23 @@
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { fetchPhoneAccess, type PhoneAccess } from "../link/phone";
 import { modulePath, phoneAddress, phoneUrls } from "../logic/phone-address";
 import { t } from "../texts/texts";
 import { Button, Gate, Line, Select, usePage } from "./ui";
 
 /** Light modules around a code, without which cameras do not find it (ISO/IEC 18004, section 5.3.8). */
 const QUIET_ZONE = 4;
+
+/** Address of the page for another device, as the server tells it. */
+interface PhoneAccess {
+  success: boolean;
+  message: string;
+  /** Lets one connection in; empty where no token is needed, or none was issued. */
+  token: string;
+  expires_in_s: number;
+  /** True for addresses of https. */
+  encrypted: boolean;
+  urls: string[];
+}
 
 /** Button that shows a code with which one device opens the page in a role. */
 export function AccessCode({ name, role, text }: { name: "phone" | "share"; role: string; text: string }): JSX.Element {
@@ -16,7 +27,7 @@ export function AccessCode({ name, role, text }: { name: "phone" | "share"; role
   const show = async (): Promise<void> => {
     setShown(null);
     try {
-      const access = await fetchPhoneAccess(connection, role);
+      const access = await connection.call<PhoneAccess>("/armbridge/issue_one_time_token", { role });
       const urls = phoneUrls(location.href, access.urls);
       setNote(noteOf(access, urls));
       if (access.success && urls.length > 0) setShown({ urls, access });

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -14,6 +14,8 @@ from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
+from server.execution.motions import Joints
+from server.execution.queue import GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.services import Response
@@ -50,12 +52,24 @@ TYPES = {
 }
 
 
+class OneGoal:
+    """Queue with a goal in the arm's way, or none."""
+
+    goal = ""
+
+    def busy(self, _joints: Joints) -> str:
+        return self.goal
+
+    def take_over(self, _joints: Joints, hand: str) -> None:
+        """Do nothing."""
+
+
 class Rig:
     """A servo node between two clients and an arm."""
 
     def __init__(self) -> None:
         self.graph, self.arm = Graph(REGISTRY), FakeArm()
-        self.busy = ""
+        self.queue = OneGoal()
         self.asked: list[ServoQuestion] = []
         self.heard: list[dict[str, Any]] = []
         self.one, self.other = Node("one", remote=True), Node("other", remote=True)
@@ -65,7 +79,8 @@ class Rig:
             MoveItParameters(servo={"incoming_command_timeout": 5.0}),
             self.arm.as_arm,
             planning_of(self.arm, pool=self),
-            lambda: self.busy,
+            cast("GoalQueue", self.queue),
+            frozenset(ROBOT.groups["arm"].joints),
         )
         self.node._session._clock = asyncio.get_running_loop().time
         subscriber = Subscriber(lambda published: self.heard.append(dict(published.msg)))
@@ -128,7 +143,7 @@ async def test_when_the_first_client_leaves_the_second_may_steer(rig: Rig) -> No
     ("busy", "speed", "said"), [("", 2.0, "twist.linear.x"), ("goal 3 is worked on", 0.5, "goal 3 is worked on")]
 )
 async def test_a_command_not_followed_is_published_on_the_status(rig: Rig, busy: str, speed: float, said: str) -> None:
-    rig.busy = busy
+    rig.queue.goal = busy
     await rig.say(TWIST_TOPIC, {"twist": {"linear": {"x": speed}}})
     assert rig.heard[-1]["code"] == ServoStatus.INVALID
     assert said in rig.heard[-1]["message"]
@@ -200,12 +215,11 @@ TWIST, JOG = CommandType.TWIST, CommandType.JOINT_JOG
 
 
 class GateRig:
-    """A gate, and why the arm is busy."""
+    """A gate of an arm."""
 
     def __init__(self) -> None:
-        self.busy = ""
         self.arm = FakeArm()
-        self.gate = CommandGate(lambda _client: True, TIMEOUT_S, lambda: self.busy, self.arm.as_arm)
+        self.gate = CommandGate(lambda _client: True, TIMEOUT_S, self.arm.as_arm)
 
     def said(self, at_s: float, client: Node = ONE, kind: CommandType = TWIST) -> str:
         return self.gate.rejection(client, kind, at_s)

@@ -104,7 +104,7 @@ class ArmSettings(SettingsSection):
     package_path: list[Path] = Field(default_factory=list)
     """folders with the packages of package://, searched ahead of ROS_PACKAGE_PATH."""
     simulation: Literal["light", "physics"] = "light"
-    """simulation of an arm without serial: physics has mass and contact by MuJoCo (docs/physics.md)."""
+    """simulation of an arm without serial: physics has mass and contact by MuJoCo (docs/simulation.md)."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.messages import ArmState, Mode
-from robot.trajectory import Trajectory, rest_to_rest
+from robot.trajectory import MotionLimits, Trajectory, bridge, rest_to_rest
 from tests.helpers.motions import smooth_move
 
 
@@ -64,6 +64,17 @@ def test_between_the_corners_the_speed_is_the_slope_of_the_way() -> None:
     for time_s in np.linspace(0.001, motion.duration_s - 0.001, 200):
         slope = (motion.sample(time_s + 1e-5)[0] - motion.sample(time_s - 1e-5)[0]) / 2e-5
         assert slope == pytest.approx(motion.sample(time_s)[1], abs=1e-3)
+
+
+@pytest.mark.parametrize("speed", [1e-17, 1e-15, 1e-12, 1e-9, 1e-6])
+def test_joints_that_rest_but_for_rounding_have_a_bridge(speed: float) -> None:
+    rng, joints = np.random.default_rng(7), tuple("abcdef")
+    limits = MotionLimits(np.full(6, 2.0), np.full(6, 6.0), np.full(6, 300.0))
+    for _ in range(200):
+        position = rng.uniform(-1.0, 1.0, 6)
+        start = position, speed * rng.normal(size=6), np.zeros(6)
+        end = bridge(joints, start, (position, np.zeros(6)), limits, 0.0).positions_rad[-1]
+        assert end == pytest.approx(position, abs=1e-9)
 
 
 def test_no_way_is_a_motion_without_duration() -> None:

@@ -11,8 +11,8 @@ from ruckig import Trajectory as Profile
 
 Vector = NDArray[np.float64]
 
-# Bridges take a tick at least: of 20,000 drawn ones without that, ruckig found none for 161, nearly all of joints that
-# rest but for a velocity of rounding, such as 1e-15 rad/s.
+# Bridges take a tick at least: without that ruckig found no profile for 161 of 20,000 drawn ones. Nearly all had joints
+# at rest with a velocity by rounding, such as 1e-15 rad/s.
 LEAST_BRIDGE_S = 0.01
 
 LEAST_LIMIT = 1e-8  # limits below it are taken as it: ruckig finds no profile for some of them

@@ -298,7 +298,7 @@ class ActionChunks:
         graph.advertise(node, STATE, STATE_TYPE, latch=True)
         self._show(Phase.IDLE, "no chunk is followed")
         self._queue.give_way(joints - self._fingers, self._take_over)
-        graph.offer(node, PAUSE, "std_srvs/Trigger", self._pause, rule=STOPPING)
+        graph.offer(node, PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
         graph.offer_calls(node, RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
         graph.offer(node, STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
 

@@ -53,7 +53,6 @@ log = logging.getLogger("armbridge.arm")
 
 Answer = TypeVar("Answer", MotionEnded, CommandDone)
 
-FAULTS = (Outcome.FAULT, Outcome.TRACKING_LOST, Outcome.BUS_LOST)  # ends of motions that come with a latched fault
 NO_MOTION = 0  # motions are numbered from 1 on
 
 # Orders sent before the process is configured are queued; configuring takes a fraction of a second.
@@ -407,13 +406,9 @@ class Arm(ArmClock):
             if message.motion_id in self._streams:
                 self._streams[message.motion_id].commanded = message
         elif isinstance(message, MotionEnded | CommandDone):
-            # Held back until the next state: when a future reports a fault or an enabled arm, the state must show it.
-            faulty = isinstance(message, MotionEnded) and message.outcome in FAULTS
-            if (
-                message.done
-                if isinstance(message, CommandDone)
-                else faulty and self.state.mode is not Mode.DISCONNECTED
-            ):
+            # Held back until the next state, which must show it: that the arm holds again, a fault, an enabled arm.
+            connected = self.state.mode is not Mode.DISCONNECTED
+            if message.done if isinstance(message, CommandDone) else connected:
                 self._held.append(message)
             else:
                 self._answer(message)

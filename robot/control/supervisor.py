@@ -403,6 +403,9 @@ class Supervisor:
     def _report(self, ended: list[MotionEnded]) -> None:
         for each in ended:
             self._send(each, False)
+        if ended:
+            # The server reports the end with the state that shows it.
+            self._state_due = 0
 
     def _check_fault(self) -> None:
         fault = self.fault

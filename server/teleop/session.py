@@ -152,7 +152,8 @@ class FollowingSession:
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Begin with the ramp."""
+        """Begin with the ramp; the state shows it at once, before the client is answered that it begins."""
+        self._step()
         self._task = asyncio.create_task(self._run(), name="teleoperation")
 
     def take_sample(self) -> None:
@@ -182,18 +183,20 @@ class FollowingSession:
 
     async def _run(self) -> None:
         try:
+            due_s = self._clock() + self._period_s
             while not self.following.ended:
-                due_s = self._clock() + self._period_s
-                self._came.clear()
-                self._tick()
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(max(due_s - self._clock(), 0.0)):
                         await self._came.wait()
+                due_s = self._clock() + self._period_s
+                if not self.following.ended:
+                    self._step()
         except Exception:  # a bug must not leave the arm steered by a following that has ended
             log.exception("teleoperation failed")
             self.end("teleoperation failed inside the server")
 
-    def _tick(self) -> None:
+    def _step(self) -> None:
+        self._came.clear()
         now_s = self._clock()
         obstacle = self._obstacle(now_s)
         if self._interrupted and not obstacle and self.following.phase is Phase.FOLLOWING:

@@ -225,18 +225,18 @@ class Teleoperation(Feature):
                 mirror=request["mirror"],
                 pairs=(request["leader_joints"], request["follower_joints"]),
             )
+            following.session = FollowingSession(
+                follower,
+                joints,
+                leader.samples,
+                self._context,
+                functools.partial(self._show, follower, following),
+                functools.partial(self._show_targets, following),
+            )
+            following.session.start()
         except BaseException:
             self._forget(follower, following)
             raise
-        following.session = FollowingSession(
-            follower,
-            joints,
-            leader.samples,
-            self._context,
-            functools.partial(self._show, follower, following),
-            functools.partial(self._show_targets, following),
-        )
-        following.session.start()
         followed = ", ".join(f"{link.follower} follows {link.leader}" for link in joints.links)
         log.info("%s follows %s", follower.name, name)
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}

@@ -176,6 +176,11 @@ class ArmContract:
         numbers = [ended.motion_id for ended in place.arm.ended[before:]]
         assert len(numbers) == len(set(numbers)) == 2
 
+    async def test_the_state_at_the_end_of_a_motion_holds(self, place: Place) -> None:
+        for way_rad in (REACH_RAD, -REACH_RAD, REACH_RAD, -REACH_RAD):
+            await place.answer(place.arm.execute(place.move(way_rad)))
+            assert place.arm.state.mode is Mode.HOLDING
+
     async def test_states_follow_each_other_and_report_the_motion(self, place: Place) -> None:
         before = len(place.arm.states)
         await place.answer(place.arm.execute(place.move(REACH_RAD)))
@@ -196,7 +201,7 @@ class ArmContract:
         await place.until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
         place.arm.stop()
         assert (await place.answer(motion)).outcome is Outcome.STOPPED
-        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
+        assert place.arm.state.mode is Mode.HOLDING
         assert 0.2 * REACH_RAD < place.held() - start < 0.9 * REACH_RAD
         await place.answer(place.arm.execute(place.move(start - place.held())))
 

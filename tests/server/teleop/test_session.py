@@ -96,6 +96,13 @@ async def begin(rig: Rig) -> None:
     await rig.until(lambda: len(rig.arm.setpoints) == 1)
 
 
+async def test_the_state_shows_the_following_before_its_start_is_answered(rig: Rig) -> None:
+    rig.read(0.1)
+    rig.session.start()
+    assert rig.told[-1].phase is Phase.RAMPING
+    await rig.session.close()
+
+
 async def test_a_sample_of_a_leader_of_this_server_is_followed_when_it_comes(rig: Rig) -> None:
     await begin(rig)
     rig.clock.advance(0.01)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -11,10 +12,11 @@ from typing import Any
 
 import numpy as np
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from planners.scene import Pose
 from robot.description import robot_folder
+from robot.description.model import RobotModel
 from robot.physics.bodies import MAX_BODIES, Body
 from robot.physics.camera import Camera
 from server.datasets.camera import CameraError, Pixels
@@ -35,14 +37,13 @@ COMPONENTS = 2 | 4 | 16 | 512
 class RenderedSource:
     """Source of rendered images of a server's arm, each with the time of the state that it shows.
 
-    A robot's name or folder, and the token of a client that may look, or None; raises CameraError for a server that
-    does not answer.
+    The token belongs to a client that may look; None without one. Raises CameraError on a machine that cannot render.
     """
 
     paced = False
     finite = False
 
-    def __init__(self, url: str, token: str | None, robot: str, camera: Camera) -> None:
+    def __init__(self, url: str, token: str | None, robot: RobotModel, camera: Camera) -> None:
         # MuJoCo reads it when it is imported, which is here for a command that need not have it.
         os.environ.setdefault("MUJOCO_GL", "egl")
         try:
@@ -52,9 +53,10 @@ class RenderedSource:
             raise CameraError(f"{wanted} ({error})") from error
         self.camera = camera
         self.stamp_ns: int | None = None
-        self._renderer = ArmRenderer(robot_folder.resolve(robot).model, camera)
+        self._renderer = ArmRenderer(robot, camera)
         self._url, self._token = url, token
-        self._connection: Any = None
+        self._open = contextlib.ExitStack()
+        self._connection: ClientConnection | None = None
 
     def read(self) -> Pixels | None:
         """Return the next image; wait for a server that does not answer, or not to this client."""
@@ -62,18 +64,22 @@ class RenderedSource:
             try:
                 return self._rendered(self._scene())
             except (OSError, TimeoutError, WebSocketException, KeyError, TypeError):
-                self._connection = None
+                self._disconnect()
                 time.sleep(RETRY_S)
 
     def close(self) -> None:
         """Leave the server."""
         self._renderer.close()
-        if self._connection is not None:
-            self._connection.close()
+        self._disconnect()
+
+    def _disconnect(self) -> None:
+        self._connection = None
+        self._open.close()
 
     def _scene(self) -> dict[str, Any]:
         if self._connection is None:
-            self._connection = connect(self._url, max_size=MAX_ANSWER_BYTES, open_timeout=ANSWER_TIMEOUT_S)
+            opened = connect(self._url, max_size=MAX_ANSWER_BYTES, open_timeout=ANSWER_TIMEOUT_S)
+            self._connection = self._open.enter_context(opened)
             if self._token is not None:
                 self._connection.send(json.dumps({"op": "auth", "token": self._token}))
         request = {"components": {"components": COMPONENTS}}
@@ -110,6 +116,6 @@ def open_rendered(
     """Open a rendered camera at the first three numbers of a view that looks at the others, in a link's frame."""
     x, y, z, *target = view_m
     width = width or DEFAULT_WIDTH
-    link = link or robot_folder.resolve(robot).model.root_link
-    camera = Camera(link, (x, y, z), (target[0], target[1], target[2]), width, width * 3 // 4)
-    return RenderedSource(url, token, robot, camera)
+    model = robot_folder.resolve(robot).model
+    camera = Camera(link or model.root_link, (x, y, z), (target[0], target[1], target[2]), width, width * 3 // 4)
+    return RenderedSource(url, token, model, camera)

@@ -7,6 +7,7 @@ The protocol is openpi's (Physical-Intelligence/openpi: ``docs/remote_inference.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,7 @@ class OpenPiPolicy:
     def __init__(self, options: OpenPiOptions, server_names: dict[str, str]) -> None:
         self.radians = options.radians
         self._options, self._names = options, server_names
+        self._open = contextlib.ExitStack()
         self._state_keys = options.state_keys or {"observation/state": list(server_names)}
         for key, joints in self._state_keys.items():
             if unknown := sorted(set(joints) - set(server_names)):
@@ -68,7 +70,7 @@ class OpenPiPolicy:
         key_file = options.api_key_file
         headers = {} if key_file is None else {"Authorization": f"Api-Key {key_file.read_text().strip()}"}
         try:
-            self._connection = connect(
+            opened = connect(
                 options.url,
                 compression=None,
                 max_size=MAX_MESSAGE_BYTES,
@@ -77,6 +79,7 @@ class OpenPiPolicy:
                 # The server computes in its event loop, so that it answers no ping meanwhile.
                 ping_interval=None,
             )
+            self._connection = self._open.enter_context(opened)
         except (OSError, ValueError, WebSocketException) as error:
             raise PolicyError(f"openpi.url: no policy server answers at {options.url}: {error}") from error
         self.metadata = self._receive()
@@ -109,7 +112,7 @@ class OpenPiPolicy:
 
     def close(self) -> None:
         """Close the connection."""
-        self._connection.close()
+        self._open.close()
 
     def _value(self, observation: Observation, joint: str) -> float:
         if self.radians:

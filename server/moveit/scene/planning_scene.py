@@ -110,7 +110,8 @@ class SceneDraft:
         # The contents to start from, which stay as they are; an object that is only repeated stays the same one.
         self.before = contents
         self.links = links  # transforms of the links, which do not move meanwhile
-        self.root = links.robot.root_link  # the planning frame. The other attributes are as in :class:`SceneContents`
+        self.root = links.robot.root_link  # the planning frame
+        # The next attributes are as in :class:`SceneContents`.
         self.allowed_collisions = contents.allowed_collisions
         self.name = contents.name
         self.objects: dict[str, CollisionObject] = dict(contents.objects)

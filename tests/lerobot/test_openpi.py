@@ -4,6 +4,7 @@ import json
 import math
 import socket
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
@@ -15,6 +16,7 @@ from armbridge_client import Arm
 from armbridge_client.messages import ActionChunkAnswer
 from harness.server import RunningServer, free_port
 from harness.waiting import running, wait_until
+from server.chunks.action_chunks import PAUSE_S
 from tests.lerobot.test_robot import ANSWERS, BIN, OFFLINE, arm, camera, pytestmark, robot, server
 
 __all__ = ["arm", "pytestmark", "server"]
@@ -85,6 +87,7 @@ def test_chunks_of_an_openpi_server_move_the_arm_and_its_observations_are_as_ask
         assert len(list(islice(followed(arm), 6))) == 6
         arm.stop()
         assert client.wait(timeout=120) != 0
+        ended_s = time.monotonic()
         first, last = stub.observations[0], stub.observations[-1]
     assert sorted(first) == ["observation/image", "observation/state", "prompt"]
     assert first["prompt"] == "pick"
@@ -92,6 +95,8 @@ def test_chunks_of_an_openpi_server_move_the_arm_and_its_observations_are_as_ask
     assert first["observation/state"][0] == pytest.approx(begins_rad, abs=0.02)
     # Each chunk goes on from where the arm was observed.
     assert last["observation/state"][0] > begins_rad + 0.05
+    # The next test's chunks are refused until the policy that was stopped has been silent.
+    wait_until(lambda: time.monotonic() - ended_s > PAUSE_S, 2.0 * PAUSE_S)
 
 
 def test_the_state_is_split_into_keys_in_the_robots_units(server: RunningServer, arm: Arm, tmp_path: Path) -> None:

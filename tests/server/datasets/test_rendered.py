@@ -37,6 +37,8 @@ def test_a_refused_camera_leaves_the_server_before_it_tries_again(monkeypatch: p
         if tries == 3:
             raise KeyboardInterrupt
 
+    # The source sets it where it is missing, which other tests of this process would see.
+    monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setattr(renderer, "ArmRenderer", NoRenderer)
     monkeypatch.setattr(rendered.time, "sleep", wait)
     with serve(refuse, "127.0.0.1", 0) as server:

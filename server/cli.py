@@ -52,7 +52,6 @@ COMMANDS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
     parser = _parser()
     options, others = parser.parse_known_args(arguments)
     if others:

@@ -52,7 +52,6 @@ HEADINGS = (
 
 
 def add_scan_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "scan",
@@ -121,7 +120,6 @@ LINE_WIDTH = 100
 
 
 def add_doctor_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "doctor",
@@ -170,7 +168,6 @@ def _measure(bus: Bus, ids: tuple[int, ...], cycles: int, terminal: Terminal) ->
 
 
 def as_json(findings: list[Finding]) -> str:
-    """Return findings as a JSON list."""
     return json.dumps(
         [
             {"check": finding.check, "verdict": finding.verdict.value, "says": finding.says, "remedy": finding.remedy}
@@ -192,7 +189,6 @@ def _as_text(findings: list[Finding]) -> str:
 
 
 def add_relax_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "relax",

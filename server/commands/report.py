@@ -31,7 +31,6 @@ CYCLES = 100
 
 
 def add_report_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "report",
@@ -80,7 +79,6 @@ def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
-    """Collect the report."""
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.authentication import Tokens
     from server.monitoring.report import Redactor, Report, RunningServer, add_faults, add_machine, add_settings

@@ -7,7 +7,6 @@ from server.commands.terminal import ExitCode, Terminal
 
 
 def add_verify_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "verify",

@@ -136,7 +136,6 @@ class Client:
         self.inbox.receive_frame(frame)
 
     def leave(self) -> None:
-        """Take the client out of the graph."""
         self.inbox.close()
         # The calls and goals that end now would each be answered.
         self._context.left = True
@@ -164,12 +163,10 @@ class Client:
         return self.auth.check_first_operation(items)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
-        """Read a frame by itself."""
         publication = self.topics.read_strictly(frame)
         return publication if publication is not None and self.session.reads_by_itself(frame) else None
 
     def publish_strictly(self, publication: StrictPublication) -> bool:
-        """Publish a message, or return False."""
         try:
             return self.topics.publish_strictly(publication)
         except (ProtocolError, GraphError) as error:
@@ -179,7 +176,6 @@ class Client:
         return True
 
     def is_urgent(self, operation: Operation) -> bool:
-        """Return True for an operation that stops the arm or cancels a goal."""
         return is_stop(operation, self._graph) or is_cancel(operation, self._graph)
 
     def is_repeated(self, operation: Operation) -> bool:
@@ -205,7 +201,6 @@ class Client:
     def carry_out(
         self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
     ) -> None:
-        """Carry an operation out, or tell of a refusal."""
         if isinstance(item, Refusal):
             self._refuse(item)
         else:

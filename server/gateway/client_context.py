@@ -104,7 +104,6 @@ class ClientStatus:
         self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
 
     def refuse(self, refusal: Refusal) -> None:
-        """Report an operation that is not carried out."""
         self._refuse(refusal, unasked=refusal.op is None)
 
     def _refuse(self, refusal: Refusal, *, unasked: bool) -> None:
@@ -127,7 +126,6 @@ class ClientStatus:
         self._context.wake()
 
     def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: Mark = None) -> None:
-        """Report an operation that has ended with an error."""
         # An OperationError names the operation itself.
         text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
         if isinstance(error, NothingToDoError):
@@ -171,12 +169,10 @@ class ClientStatus:
             self.tell("warning", operation, f"field compression: {unknown}; messages come as with none")
 
     def set_level(self, operation: SetLevel) -> None:
-        """Set the least level of the status messages."""
         self._unasked_errors_left = 0
         self._session.status_level = operation.level
 
     def log_status(self, operation: Status) -> None:
-        """Log a status message of the client."""
         self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
 
     def _log(self, level: int, line: str) -> None:

@@ -80,7 +80,6 @@ class ClientServices(_Offers):
         self._planning_calls = 0
 
     def advertise(self, operation: AdvertiseService) -> None:
-        """Offer a service."""
         self._client.detect_dialect(operation.type, "srv")
 
         def start(call: Call) -> None:
@@ -94,7 +93,6 @@ class ClientServices(_Offers):
         )
 
     def unadvertise(self, operation: UnadvertiseService) -> None:
-        """Withdraw a service."""
         self._withdraw(operation, operation.service)
 
     def _request(self, spelled_service: str, call: Call) -> None:
@@ -106,7 +104,6 @@ class ClientServices(_Offers):
             call.fail(f"Service {call.service}: its provider does not read its calls quickly enough")
 
     def respond(self, operation: ServiceResponse, message: ReceivedMessage) -> None:
-        """Answer a call that the client got."""
         call = self._requested.get(operation.id)
         if call is None:
             raise OperationError(operation.op, "id", "no call of this id waits for a response")
@@ -123,7 +120,6 @@ class ClientServices(_Offers):
             call.fail(f"Service {call.service} gave a response that cannot be read: {problem}")
 
     def reject(self, operation: CallService, problem: str) -> None:
-        """Answer a call that the client may not make."""
         _, id_ = _name_and_id(operation)
         self.reject_call(operation.service, id_, problem)
 
@@ -212,7 +208,6 @@ class ClientActions(_Offers):
         self._sent: dict[Goal, tuple[str, Mark]] = {}
 
     def advertise(self, operation: AdvertiseAction) -> None:
-        """Offer an action."""
         self._client.detect_dialect(operation.type, "action")
 
         def start(goal: Goal) -> None:
@@ -222,7 +217,6 @@ class ClientActions(_Offers):
         self._advertise(operation, operation.action, lambda name: actions.offer(node, name, operation.type, start))
 
     def unadvertise(self, operation: UnadvertiseAction) -> None:
-        """Withdraw an action."""
         self._withdraw(operation, operation.action)
 
     def _request(self, offer: AdvertiseAction, goal: Goal) -> None:
@@ -243,11 +237,9 @@ class ClientActions(_Offers):
         goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": offer.action}))
 
     def report_feedback(self, operation: ActionFeedback, message: ReceivedMessage) -> None:
-        """Pass feedback on a goal of the client on to its sender."""
         self._goal(operation).feedback(self._client.from_client(message))
 
     def finish(self, operation: ActionResult, message: ReceivedMessage) -> None:
-        """End a goal of the client with its result."""
         goal = self._goal(operation)
         if operation.result:
             status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
@@ -269,7 +261,6 @@ class ClientActions(_Offers):
             goal.fail(f"Action {goal.action} gave a result that cannot be read: {problem}")
 
     def send_goal(self, operation: SendActionGoal, message: ReceivedMessage) -> None:
-        """Send a goal."""
         self._client.detect_dialect(operation.action_type, "action")
         name = qualify(operation.action)
         type_name = self._actions.names.type_of(name)
@@ -311,7 +302,6 @@ class ClientActions(_Offers):
         self._values_in_flight -= values
 
     def reject(self, operation: SendActionGoal, problem: str) -> None:
-        """Answer a goal that the client may not send."""
         self.reject_goal(operation.action, operation.id, problem)
 
     def reject_goal(self, action: str, id_: Mark, problem: str) -> None:

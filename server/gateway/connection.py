@@ -94,16 +94,13 @@ class Connection:
 
     @property
     def node(self) -> Node:
-        """Node of the client in the graph."""
         return self._client.node
 
     @property
     def queued_bytes(self) -> int:
-        """Bytes that wait for the client to read them."""
         return self._client.session.send_queue.size_bytes
 
     def counts(self) -> TrafficCounts:
-        """Return the traffic of the client until now."""
         transport, client = self._transport, self._client
         return TrafficCounts(
             received_messages=client.received_messages,
@@ -115,7 +112,6 @@ class Connection:
         )
 
     async def run(self) -> None:
-        """Serve the client until it leaves."""
         log.info("%s connected", self._client.node, extra=self._fields)
         waiting = None
         if self._client.node.identity is None:
@@ -275,11 +271,9 @@ class Traffic:
 
     @property
     def clients(self) -> int:
-        """Number of clients that are connected."""
         return len(self._open)
 
     def add(self, connection: Connection) -> None:
-        """Add a connection."""
         self.connections += 1
         self._open.add(connection)
 

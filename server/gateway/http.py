@@ -233,7 +233,6 @@ def compressible(name: str) -> bool:
 
 
 def page_is_built(directory: Path) -> bool:
-    """Return True for a directory with the built page."""
     return (directory / INDEX).is_file()
 
 
@@ -252,7 +251,6 @@ class HttpResponse:
 
     @classmethod
     def of_text(cls, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
-        """Return an answer with one sentence of text."""
         # A file name may have bytes that are no UTF-8.
         body = f"{text}\n".encode(errors="backslashreplace")
         return cls.of_data(status, body, "text/plain; charset=utf-8", headers)
@@ -266,7 +264,6 @@ class HttpResponse:
 
     @classmethod
     def of_json(cls, status: HTTPStatus, value: object) -> HttpResponse:
-        """Return an answer with a value as JSON."""
         return cls.of_data(status, json.dumps(value).encode() + b"\n", BODY_TYPE)
 
     @classmethod
@@ -278,7 +275,6 @@ class HttpResponse:
     def of_file(
         cls, file: StoredFile, media_type: str, keeping: str, headers: Mapping[str, str] | None = None
     ) -> HttpResponse:
-        """Return an answer with a file."""
         about = {"Content-Type": media_type, "Cache-Control": keeping, "ETag": file.etag, "Vary": "Accept-Encoding"}
         if file.gzipped:
             about["Content-Encoding"] = "gzip"
@@ -325,7 +321,6 @@ def names(headers: Headers, header: str, token: str) -> bool:
 
 
 def accepts_gzip(headers: Headers) -> bool:
-    """Return True for a client that takes a compressed body."""
     for line in headers.get_all("Accept-Encoding"):
         for item in line.lower().split(","):
             coding, _, weight = item.partition(";")

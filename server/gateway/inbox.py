@@ -87,11 +87,9 @@ class Inbox:
 
     @property
     def empty(self) -> bool:
-        """True when nothing waits."""
         return not self._waiting and not self._in_progress and not self._stops
 
     def close(self) -> None:
-        """Carry nothing out any more."""
         self._closed = True
         self._waiting.clear()
         self._stops.clear()

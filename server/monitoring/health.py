@@ -64,13 +64,11 @@ class Health:
     warnings: tuple[str, ...] = ()
 
     def response(self, *, good: bool) -> HttpResponse:
-        """Return the HTTP response with the health as JSON."""
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
         return HttpResponse.of_json(status, dataclasses.asdict(self))
 
 
 def check_health(sources: Sources) -> Health:
-    """Return the health of the server at this moment."""
     dead = tuple(_reasons_not_live(sources.arm)) if sources.started and not sources.stopping else ()
     reasons = dead or tuple(_reasons_not_ready(sources))
     return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))

@@ -45,7 +45,6 @@ class RemoteService:
         self._declaration = network.declare(lambda session: [session.liveliness().declare_token(self._token)])
 
     def close(self) -> None:
-        """Leave the service."""
         self._declaration.undeclare()
 
     def call(

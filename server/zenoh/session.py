@@ -62,7 +62,6 @@ class SessionThread:
         self._thread = threading.Thread(target=self._run, name="zenoh", daemon=True)
 
     def start(self) -> None:
-        """Begin to open the session."""
         self._thread.start()
 
     def submit(self, job: Job) -> bool:

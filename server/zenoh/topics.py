@@ -52,7 +52,6 @@ class OutgoingTopic:
             self._queue(published)
 
     def close(self) -> None:
-        """Stop publishing the topic."""
         self._network.graph.unsubscribe(self._network.node, self._name)
         self._declaration.undeclare()
 
@@ -103,7 +102,6 @@ class OutgoingTopics:
 
     @property
     def dropped(self) -> int:
-        """Messages dropped because the network was too slow."""
         return self._dropped_by_closed + sum(topic.dropped for topic in self._topics.values())
 
     def refresh(self, foreign: frozenset[str]) -> None:
@@ -180,7 +178,6 @@ class IncomingTopic:
         self._declaration = network.declare(self._declare)
 
     def close(self) -> None:
-        """Unsubscribe from the topic."""
         self._network.graph.unadvertise(self._network.node, self.name)
         self._declaration.undeclare()
 
@@ -246,7 +243,6 @@ class IncomingTopics:
 
     @property
     def dropped(self) -> int:
-        """Messages dropped because this server was too slow."""
         return self._received.dropped + self._dropped_waiting
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:

@@ -31,7 +31,7 @@ from protocol.session import Packed, Refusal
 from server.access.authorization import Authorizer, is_cancel, is_stop
 from server.errors import GraphError
 from server.gateway.client_context import ClientContext
-from server.gateway.client_requests import ClientActions, ClientServices
+from server.gateway.client_requests import ClientActions, ClientServices, name_and_id
 from server.gateway.client_topics import ClientTopics, StrictPublication
 from server.gateway.inbox import Inbox
 from server.graph.message_types import PostponedError, ReceivedMessage
@@ -154,13 +154,14 @@ class Client:
         """False while nothing but the op ``auth`` is read of the client."""
         return self.node.identity is not None
 
-    def admit_frame(self, frame: str | bytes) -> bool:
-        """Check a frame before it is read; return False when it is not to be read."""
-        return self.identified or self.auth.check_first_frame(frame)
-
-    def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
-        """Check the operations of an unidentified client's frame; return False when they are refused."""
-        return self.auth.check_first_operation(items)
+    def read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
+        """Read a frame; until a client has an identity, nothing but an ``auth`` of the least size is read."""
+        if self.identified:
+            return self.session.receive_frame(frame, self._context.clock(), light=light)
+        if not self.auth.check_first_frame(frame):
+            return ()
+        items = self.session.receive_frame(frame, self._context.clock(), light=light)
+        return items if self.auth.check_first_operation(items) else ()
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
         publication = self.topics.read_strictly(frame)
@@ -215,9 +216,9 @@ class Client:
             case Publish():
                 self.topics.reject(operation, reason)
             case CallService():
-                self.services.reject(operation, reason)
+                self.services.reject_call(operation.service, name_and_id(operation)[1], reason)
             case SendActionGoal():
-                self.actions.reject(operation, reason)
+                self.actions.reject_goal(operation.action, operation.id, reason)
             case _:
                 pass
 

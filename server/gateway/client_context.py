@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from protocol import dialect
 from protocol.codecs import cbor
@@ -69,21 +69,17 @@ _LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging
 _ROSAPI = "rosapi/"
 
 
-class _Done(NamedTuple):
-    field: str
-    words: str
-
-
-# Operations without an answer in rosbridge; publish has no acknowledgement, for it would come with every message.
-_DONE: Mapping[type[Operation], _Done] = {
-    Advertise: _Done("topic", "advertised"),
-    Unadvertise: _Done("topic", "no longer advertised under this id"),
-    Subscribe: _Done("topic", "subscribed"),
-    Unsubscribe: _Done("topic", "no longer subscribed under this id"),
-    AdvertiseService: _Done("service", "offered"),
-    UnadvertiseService: _Done("service", "withdrawn"),
-    AdvertiseAction: _Done("action", "offered"),
-    UnadvertiseAction: _Done("action", "withdrawn"),
+# Field with the name, and words of success, of operations without an answer in rosbridge; publish has no
+# acknowledgement, for it would come with every message.
+_DONE: Mapping[type[Operation], tuple[str, str]] = {
+    Advertise: ("topic", "advertised"),
+    Unadvertise: ("topic", "no longer advertised under this id"),
+    Subscribe: ("topic", "subscribed"),
+    Unsubscribe: ("topic", "no longer subscribed under this id"),
+    AdvertiseService: ("service", "offered"),
+    UnadvertiseService: ("service", "withdrawn"),
+    AdvertiseAction: ("action", "offered"),
+    UnadvertiseAction: ("action", "withdrawn"),
 }
 
 
@@ -161,7 +157,8 @@ class ClientStatus:
         done = _DONE.get(type(operation))
         if done is None:
             return
-        self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
+        field, words = done
+        self.tell("info", operation, f"{field} {getattr(operation, field)}: {words}")
         if isinstance(operation, Advertise | Subscribe) and operation.qos:
             self.tell("warning", operation, "field qos: has no effect")
         if isinstance(operation, Subscribe) and operation.compression != operation.encoding:

@@ -119,10 +119,6 @@ class ClientServices(_Offers):
         if call is not None:
             call.fail(f"Service {call.service} gave a response that cannot be read: {problem}")
 
-    def reject(self, operation: CallService, problem: str) -> None:
-        _, id_ = _name_and_id(operation)
-        self.reject_call(operation.service, id_, problem)
-
     def reject_call(self, service: str, id_: Mark, problem: str) -> None:
         """Answer a call that is not made; ``service`` is as the client spells it."""
         fields = {"op": "service_response", "service": service, "values": problem, "result": False}
@@ -130,7 +126,7 @@ class ClientServices(_Offers):
 
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
         """Call a service, or raise PostponedError while its request is completed in the background."""
-        name, id_ = _name_and_id(operation)
+        name, id_ = name_and_id(operation)
         self._client.detect_dialect(operation.type, "srv")
         type_name, plans = self._services.names.type_of(name), self._services.rules.get(name, WORKING).plans
 
@@ -174,7 +170,7 @@ class ClientServices(_Offers):
 
     def call_unanswered(self, operation: CallService) -> None:
         """Call a service whose response the client has already."""
-        name, _ = _name_and_id(operation)
+        name, _ = name_and_id(operation)
         self._services.call(self._node, name, operation.args, lambda _response: None, operation.timeout)
 
     def _problem(self, *, plans: bool) -> str | None:
@@ -190,7 +186,8 @@ class ClientServices(_Offers):
         return None
 
 
-def _name_and_id(operation: CallService) -> tuple[str, Mark]:
+def name_and_id(operation: CallService) -> tuple[str, Mark]:
+    """Return the qualified name of a called service, and the id of the call."""
     # `/svc#7` is how rosbridge's first clients gave the id.
     service, _, id_in_name = operation.service.partition("#")
     return qualify(service), operation.id if operation.id is not None else id_in_name or None
@@ -295,14 +292,12 @@ class ClientActions(_Offers):
             goal.sender_id = operation.id
             self._sent[goal] = name, operation.id
             self._values_in_flight += message.values
-            goal.when_ended(lambda _result: self._forget(goal, message.values))
 
-    def _forget(self, goal: Goal, values: int) -> None:
-        del self._sent[goal]
-        self._values_in_flight -= values
+            def forget(_result: Result) -> None:
+                del self._sent[goal]
+                self._values_in_flight -= message.values
 
-    def reject(self, operation: SendActionGoal, problem: str) -> None:
-        self.reject_goal(operation.action, operation.id, problem)
+            goal.when_ended(forget)
 
     def reject_goal(self, action: str, id_: Mark, problem: str) -> None:
         """Answer a goal that is not sent; ``action`` is as the client spells it."""

@@ -277,17 +277,17 @@ class Listener:
 
     @property
     def url(self) -> str:
-        return f"{'ws' if self._tls is None else 'wss'}://{self._authority}"
+        return f"{'ws' if self._tls is None else 'wss'}://{self._place(self._port)}"
 
     @property
     def tcp_url(self) -> str | None:
         """Address of the port of raw TCP, for people; None for no such port."""
         scheme = "tcp" if self._tls is None else "tls"
-        return None if self.tcp_port is None else f"{scheme}://{self._shown_host}:{self.tcp_port}"
+        return None if self.tcp_port is None else f"{scheme}://{self._place(self.tcp_port)}"
 
     @property
     def page_url(self) -> str:
-        return f"{'http' if self._tls is None else 'https'}://{self._authority}/"
+        return f"{'http' if self._tls is None else 'https'}://{self._place(self._port)}/"
 
     @property
     def page_urls_elsewhere(self) -> Sequence[str]:
@@ -300,13 +300,8 @@ class Listener:
         addresses = [each for each in dict.fromkeys(found) if not is_loopback(each)]
         return [f"{scheme}://{f'[{each}]' if ':' in each else each}:{self._port}/" for each in addresses]
 
-    @property
-    def _authority(self) -> str:
-        return f"{self._shown_host}:{self._port}"
-
-    @property
-    def _shown_host(self) -> str:
-        return f"[{self._host}]" if ":" in self._host else self._host
+    def _place(self, port: int) -> str:
+        return f"[{self._host}]:{port}" if ":" in self._host else f"{self._host}:{port}"
 
     def refused_connections(self) -> Mapping[str, int]:
         """Return the numbers of refused connections and requests by reason: ``limit``, and the admission's reasons."""

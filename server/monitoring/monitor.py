@@ -12,6 +12,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from http import HTTPStatus
 from importlib import metadata
 from pathlib import Path
@@ -306,7 +307,7 @@ def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
     threads = GaugeMetricFamily("armbridge_process_threads", "Threads.", labels=("process",))
     families: dict[str, Metric] = {}
     for name, pid in processes.items():
-        for found in _collect_process(pid):
+        for found in ProcessCollector(namespace="armbridge", pid=partial(int, pid), registry=None).collect():
             if found.name in PROCESS_METRICS:
                 family = families.setdefault(found.name, Metric(found.name, found.documentation, found.type))
                 family.samples += [sample._replace(labels={"process": name}) for sample in found.samples]
@@ -314,10 +315,6 @@ def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
         with contextlib.suppress(OSError):
             threads.add_metric((name,), sum(1 for _ in Path(f"/proc/{pid}/task").iterdir()))
     yield from (*families.values(), threads)
-
-
-def _collect_process(pid: int) -> Iterable[Metric]:
-    return ProcessCollector(namespace="armbridge", pid=lambda: pid, registry=None).collect()
 
 
 # Often enough to notice anything that blocks the loop, seldom enough to cost nothing.

@@ -44,7 +44,6 @@ class PublishingClient(ABC):
 
     @property
     def ended(self) -> bool:
-        """True when there is nothing more to publish."""
         return False
 
     @abstractmethod
@@ -74,14 +73,12 @@ class PublishingClient(ABC):
                 delay_s = min(2.0 * delay_s, LAST_DELAY_S)
 
     async def announce(self, connection: ClientConnection) -> None:
-        """Show the token, and advertise the topic."""
         if self._target.token is not None:
             await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
         operation = {"op": "advertise", "topic": self._target.topic, "type": self._type_name}
         await connection.send(json.dumps(operation))
 
     async def send(self, connection: ClientConnection, message: dict[str, Any]) -> None:
-        """Publish one message."""
         await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
 
     async def _listen(self, frames: Any) -> None:

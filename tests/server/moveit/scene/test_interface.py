@@ -362,7 +362,7 @@ CHANGES = [
     PUT_DOWN,
     {"world": {"collision_objects": [box("b", at=pose(0.1))]}},
     {"robot_state": {"attached_collision_objects": [held("b", "wrist_link", **box("b", at=pose(0.2)))]}},
-    *({field: value} for field, value in SETTINGS.items() if field != "object_colors"),
+    *({field: value} for field, value in SETTINGS.items()),
 ]
 
 
@@ -377,6 +377,7 @@ def after(changes):
 
 @example([ADD], [MOVE])
 @example([ADD], [TAKE])
+@example([], [SETTINGS])
 @example([TAKE], [PUT_DOWN])
 @example([TAKE], [PUT_DOWN, REMOVE_ALL])
 @examples(30)
@@ -390,6 +391,9 @@ def test_a_diff_turns_one_scene_into_another(first, then):
         assert {name: each.message for name, each in ours.items()} == {name: e.message for name, e in theirs.items()}
     assert (follower.contents.padding_m, follower.contents.scale) == (leader.contents.padding_m, leader.contents.scale)
     assert follower.contents.allowed_collisions == leader.contents.allowed_collisions
+    # A difference removes no colours and frames.
+    for part in ("colors", "fixed_frames"):
+        assert getattr(leader.contents, part).items() <= getattr(follower.contents, part).items()
 
 
 @pytest.mark.parametrize(("one", "other"), [(SceneState(ROBOT), FULL), (FULL, SceneState(ROBOT))])

@@ -58,11 +58,9 @@ class Tracked:
 
     @property
     def key(self) -> str:
-        """Its id, which no other goal of the action has."""
         return str(self.goal_id["id"])
 
     def message(self) -> dict[str, Any]:
-        """Its actionlib_msgs/GoalStatus."""
         return {"goal_id": self.goal_id, "status": int(self.status), "text": self.text}
 
 
@@ -76,7 +74,6 @@ class TrackedGoals:
 
     @property
     def full(self) -> bool:
-        """True when no more goals can be accepted."""
         return sum(goal.ended_s is None for goal in self._goals.values()) >= MAX_GOALS
 
     def add(self, goal_id: GoalId, now: Stamp) -> Tracked | None:
@@ -90,7 +87,6 @@ class TrackedGoals:
         return goal
 
     def on_its_way(self, key: str) -> Tracked | None:
-        """A goal that has not ended."""
         goal = self._goals.get(key)
         return None if goal is None or goal.ended_s is not None else goal
 

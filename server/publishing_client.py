@@ -84,13 +84,13 @@ class PublishingClient(ABC):
     async def _listen(self, frames: Any) -> None:
         async for frame in frames:
             with contextlib.suppress(ValueError):
-                complaint = _complaint(json.loads(frame))
+                complaint = complaint_of(json.loads(frame))
                 if complaint and complaint not in self._complaints and len(self._complaints) < MAX_COMPLAINTS:
                     self._complaints.add(complaint)
                     self._tell(f"{self._target.url}: {complaint}")
 
 
-def _complaint(answer: Any) -> str:
+def complaint_of(answer: Any) -> str:
     """Return the sentence of a status message with an error or a warning; empty for anything else."""
     if not isinstance(answer, dict) or answer.get("op") != "status" or answer.get("level") not in ("error", "warning"):
         return ""

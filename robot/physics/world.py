@@ -9,6 +9,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from robot.description.camera import Camera
 from robot.description.model import RobotModel
 from robot.emulator.plant import MAX_STEP_S
 from robot.errors import DescriptionError, PortLost
@@ -18,13 +19,12 @@ from robot.physics.arm_model import (
     FLOOR,
     LINKS,
     TIMESTEP_S,
-    add_camera,
+    add_cameras,
     arm_model,
     compiled,
     gripper_links,
 )
 from robot.physics.bodies import Body, BodyShape, BodyState, BodyStates, Point, Quaternion, SetBodies
-from robot.physics.camera import Camera
 from robot.trajectory import Vector
 
 BODY_DENSITY_KG_M3 = 500.0  # dry wood
@@ -53,13 +53,17 @@ class World:
     """
 
     def __init__(
-        self, robot: RobotModel, joint_names: Sequence[str], position_rad: Vector, camera: Camera | None = None
+        self,
+        robot: RobotModel,
+        joint_names: Sequence[str],
+        position_rad: Vector,
+        cameras: Mapping[str, Camera] | None = None,
     ) -> None:
         # MuJoCo writes a log file into the working directory otherwise.
         mujoco.set_mju_user_warning(lambda text: log.debug("MuJoCo: %s", text))
         self._spec = arm_model(robot)
-        if camera is not None:
-            add_camera(self._spec, camera)
+        if cameras:
+            add_cameras(self._spec, cameras)
         self._fingers = gripper_links(robot)
         self.model = compiled(self._spec)
         self.data = mujoco.MjData(self.model)

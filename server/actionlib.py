@@ -49,7 +49,7 @@ STATUS_OF_END = {GoalStatus.SUCCEEDED: Status.SUCCEEDED, GoalStatus.CANCELED: St
 
 @dataclass(eq=False)
 class Tracked:
-    """Goal as actionlib tells of it; ``sent`` is the goal of the action, until it has ended."""
+    """A goal of actionlib; ``sent`` is the goal of the action, until it has ended."""
 
     goal_id: GoalId
     status: Status = Status.PENDING

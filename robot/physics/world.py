@@ -147,15 +147,17 @@ class World:
         """Have the bodies of a command in the world; bodies that overlap others, or cannot be simulated, are logged."""
         before, wanted = self._bodies, {body.name: body for body in command.bodies}
         states = {state.name: state for state in self._states()}
-        placed = {name for name, body in wanted.items() if command.reset or before.get(name) != body}
-        if {name: _kind(body) for name, body in before.items()} != {name: _kind(body) for name, body in wanted.items()}:
+        put = {name: (body.position_m, body.orientation) for name, body in wanted.items() if before.get(name) != body}
+        put |= command.placed
+        placed = set(put)
+        kinds = [{name: _kind(body) for name, body in bodies.items()} for bodies in (before, wanted)]
+        if kinds[0] != kinds[1]:
             wanted = self._rebuild(wanted)
+            put = {name: (state.position_m, state.orientation) for name, state in states.items()} | put
         self._bodies, self._version, self._reported = wanted, command.version, {}
-        for name, body in wanted.items():
-            if body.movable and name not in placed and name in states:
-                self._put(name, states[name].position_m, states[name].orientation)
-            elif body.movable:
-                self._put(name, body.position_m, body.orientation)
+        for name, pose in put.items():
+            if name in wanted and wanted[name].movable:
+                self._put(name, *pose)
         mujoco.mj_forward(self.model, self.data)
         for name, other, depth_m in self._overlaps(placed & wanted.keys()):
             log.warning("physics: %r overlaps %r by %.0f mm; they push each other apart", name, other, 1e3 * depth_m)

@@ -45,7 +45,6 @@ class PlanningSettings(SettingsSection):
 
     @property
     def memory_limit_bytes(self) -> int:
-        """``memory_limit_mb`` as processes take it."""
         return self.memory_limit_mb * 1_000_000
 
 
@@ -279,7 +278,6 @@ class DiagnosticsSettings(SettingsSection):
     """their folder; None for armbridge/faults/ in the user's data directory."""
 
     def directory(self, data: Path) -> Path:
-        """Return the directory of the files about faults."""
         return self.fault_directory or data / "faults"
 
 

@@ -15,7 +15,6 @@ GREATEST_GAP_S = 60.0
 
 
 def add_export_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "export",

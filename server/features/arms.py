@@ -15,7 +15,7 @@ from server.access.control_lease import ControlServices
 from server.arm.arms import ArmFiles, read_now
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
-from server.arm.services import ArmPace, ArmServices
+from server.arm.services import offer_arm_services, offer_pace
 from server.arm.topics import TOPIC as JOINT_STATES
 from server.arm.topics import ArmStateTopics, JointStates
 from server.arm.verifying import FirstMotions, VerificationProcedure
@@ -49,8 +49,8 @@ class ArmControl(Feature):
         }
         self._control = []
         for each in context.arms:
-            ArmServices(each.graph, each.served.arm, each.stop)
-            ArmPace(each.graph, each.served.arm)
+            offer_arm_services(each.graph, each.served.arm, each.stop)
+            offer_pace(each.graph, each.served.arm)
             lease = context.access.leases_of_arms.get(each.name, context.access.lease)
             self._control.append(ControlServices(each.graph, lease))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 from types import SimpleNamespace
@@ -11,12 +12,13 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from robot.messages import ArmState, Mode
+from robot.messages import ArmState, Mode, PauseSimulation
 from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
 from server.config import Settings
 from server.errors import ConfigurationError
-from server.features.physics import DROPPED_AFTER_S, RELEASED_AFTER_S, Physics, physics_of
+from server.features.physics import DROPPED_AFTER_S, MAX_STEPS, RELEASED_AFTER_S, Physics, physics_of
 from server.graph.node import Node
+from server.graph.permissions import Role, Rule
 from server.graph.topics import Graph
 from tests.helpers.moveit import ROBOT, box, current_state, diff, held, pose, scene_state
 
@@ -26,13 +28,17 @@ STAMP_S = 1000.0
 
 
 class PhysicalArm:
-    """An arm that keeps the bodies that it is sent."""
+    """An arm that keeps the bodies that it is sent, and the pauses."""
 
     def __init__(self) -> None:
         self.sent: list[SetBodies] = []
+        self.pauses: list[PauseSimulation] = []
 
-    def set_bodies(self, bodies: SetBodies) -> None:
-        self.sent.append(bodies)
+    def simulate(self, command: SetBodies | PauseSimulation) -> None:
+        if isinstance(command, SetBodies):
+            self.sent.append(command)
+        else:
+            self.pauses.append(command)
 
     @property
     def bodies(self) -> dict[str, Any]:
@@ -61,8 +67,25 @@ class Stage:
         self.graph.services.call(Node("client"), service, request, answers.append)
         return answers[0].values["success"], answers[0].values["message"]
 
+    async def answer(self, service: str, *states: int | None, **request: Any) -> tuple[bool, str]:
+        """Call a service that waits for the arm, which reports these numbers of single ticks meanwhile."""
+        answers: list[Any] = []
+        self.graph.services.call(Node("client"), service, request, answers.append)
+        for ticks in states:
+            await asyncio.sleep(0)
+            assert not answers
+            self.report(after_s=0.0, ticks=ticks)
+        while not answers:
+            await asyncio.sleep(0)
+        return answers[0].values["success"], answers[0].values["message"]
+
     def report(
-        self, *bodies: BodyState, after_s: float = 0.2, gripper_rad: float = 0.0, version: int | None = None
+        self,
+        *bodies: BodyState,
+        after_s: float = 0.2,
+        gripper_rad: float = 0.0,
+        version: int | None = None,
+        ticks: int | None = None,
     ) -> None:
         self.clock_s += after_s
         moved = BodyStates(self.arm.sent[-1].version if version is None else version, bodies) if bodies else None
@@ -73,6 +96,7 @@ class Stage:
             goal_rad=np.array([0.0, gripper_rad]),
             clock_s=self.clock_s,
             bodies=moved,
+            stepped_ticks=ticks,
         )
         self.physics.on_state("", state)
 
@@ -183,7 +207,88 @@ async def test_a_reset_puts_every_movable_object_back(stage: Stage) -> None:
     assert stage.call("/simulation/reset") == (True, "1 objects are where they were put")
     assert stage.position("cube") == (0.2, 0.1, 0.025)
     assert "cube" not in stage.scene.contents.attached
-    assert stage.arm.sent[-1].reset
+    assert stage.arm.sent[-1].placed == {"cube": ((0.2, 0.1, 0.025), LEVEL)}
+
+
+async def test_a_movable_object_is_put_somewhere_and_a_reset_puts_it_back(stage: Stage) -> None:
+    grip(stage)
+    at = {"pose": pose(0.1, 0.2, 0.3)}
+    assert stage.call("/simulation/set_pose", id="cube", **at) == (True, "cube is put there")
+    assert stage.position("cube") == (0.1, 0.2, 0.3)
+    assert "cube" not in stage.scene.contents.attached
+    assert stage.arm.sent[-1].placed == {"cube": ((0.1, 0.2, 0.3), LEVEL)}
+    stage.call("/simulation/reset")
+    assert stage.position("cube") == (0.2, 0.1, 0.025)
+
+
+FAR = "pose has a position that is not finite or beyond 100 m: (1000.0, 0.0, 0.0)"
+UNPLACED = {
+    "unknown": ("ball", pose(), "the physics has no object 'ball'"),
+    "fixed": (
+        "wall",
+        pose(),
+        "'wall' stays where it is: move it in the planning scene, or make it movable first",
+    ),
+    "not finite": ("cube", pose(math.nan), "pose.position.x must be a finite number, not nan"),
+    "far": ("cube", pose(1000.0), FAR),
+}
+
+
+@pytest.mark.parametrize(("name", "at", "sentence"), UNPLACED.values(), ids=UNPLACED.keys())
+async def test_an_object_that_cannot_be_put_somewhere_is_refused(
+    name: str, at: dict[str, Any], sentence: str, stage: Stage
+) -> None:
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    sent = len(stage.arm.sent)
+    assert stage.call("/simulation/set_pose", id=name, pose=at) == (False, sentence)
+    assert len(stage.arm.sent) == sent
+
+
+async def test_a_pause_and_its_steps_are_answered_when_the_arm_has_done_them(stage: Stage) -> None:
+    assert await stage.answer("/simulation/pause", None, 0, data=True) == (
+        True,
+        "the time of the simulation stands still",
+    )
+    assert await stage.answer("/simulation/step", 0, 2, 3, steps=3) == (True, "3 of 3 steps are done")
+    assert await stage.answer("/simulation/step", 4, None, steps=3) == (False, "0 of 3 steps are done")
+    assert await stage.answer("/simulation/pause", data=False) == (True, "the time of the simulation passes")
+    assert [(each.paused, each.ticks) for each in stage.arm.pauses] == [(True, 0), (True, 3), (True, 3), (False, 0)]
+
+
+async def test_every_service_needs_the_role_operate(stage: Stage) -> None:
+    rules = stage.graph.services.rules
+    assert {name for name, rule in rules.items() if rule == Rule(Role.OPERATE)} == {
+        f"/simulation/{name}" for name in ("set_body", "set_pose", "reset", "pause", "step")
+    }
+
+
+async def test_steps_need_a_pause_and_come_one_call_after_the_other(stage: Stage) -> None:
+    passes = "the time of the simulation passes: call /simulation/pause with true first"
+    assert await stage.answer("/simulation/step", steps=1) == (False, passes)
+    stage.report(ticks=0)
+    for steps in (0, MAX_STEPS + 1):
+        assert await stage.answer("/simulation/step", steps=steps) == (
+            False,
+            f"steps must be 1 to 1000, not {steps}",
+        )
+    stage.graph.services.call(Node("first"), "/simulation/step", {"steps": 2}, lambda _answer: None)
+    await asyncio.sleep(0)
+    assert await stage.answer("/simulation/step", steps=1) == (False, "other steps are in progress")
+
+
+async def test_an_arm_that_does_not_answer_ends_the_wait(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.features.physics.ANSWER_TIMEOUT_S", 0.0)
+    assert await stage.answer("/simulation/pause", data=True) == (
+        False,
+        "the arm process did not answer within 0 s",
+    )
+
+
+async def test_the_scene_follows_each_step(stage: Stage) -> None:
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    stage.report(moved(0.08), ticks=0)
+    stage.report(moved(0.09), after_s=0.01, ticks=1)
+    assert stage.position("cube") == (0.2, 0.1, 0.09)
 
 
 REFUSED = {

@@ -21,9 +21,9 @@ from server.moveit.goals.goal_checks import (
     MAX_GOALS,
     NOT_CHECKED,
     SERVICE,
-    GoalChecks,
     answers_in_time,
     goal_check,
+    offer_goal_checks,
 )
 from server.moveit.messages import composed, pose_of
 from tests.helpers.fake_arm import FakeArm
@@ -47,7 +47,7 @@ class Desk:
         self.arm = FakeArm()
         planning = planning_of(self.arm, ROBOT, pool=DirectPool())
         self.scene = planning.scene_state
-        GoalChecks(self.graph, TRANSLATOR, planning)
+        offer_goal_checks(self.graph, TRANSLATOR, planning)
 
     async def check(self, **request: Any) -> Response:
 

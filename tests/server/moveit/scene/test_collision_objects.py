@@ -20,7 +20,6 @@ from server.moveit.scene.collision_objects import (
     MAX_SUBFRAMES,
     PRISM,
     SPHERE,
-    AttachedCollisionObject,
     prism_mesh,
     read_collision_object,
     read_mesh,
@@ -68,16 +67,6 @@ def test_a_repeated_message_equals_its_object_whatever_its_stamp():
     header = {"stamp": {"sec": 9, "nanosec": 9}, "frame_id": "base_link"}
     assert thing.equals_message({**RICH, "header": header})
     assert not thing.equals_message({**RICH, "pose": pose(1.0)})
-
-
-def test_two_attached_objects_are_equal_unless_a_field_differs():
-    thing, posture = read_collision_object(RICH, "gripper_link", "it"), {}
-    held = AttachedCollisionObject(thing, ("wrist_link",), posture, 0.25)
-    assert held.equals(
-        AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
-    )
-    others = [((), posture, 0.25), (("wrist_link",), {"points": []}, 0.25), (("wrist_link",), posture, 0.5)]
-    assert not any(held.equals(AttachedCollisionObject(thing, *other)) for other in others)
 
 
 BAD = {

@@ -14,7 +14,14 @@ from server.errors import RefusedError
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.scene import geometry_files as geometry_files_module
-from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within, read_geometry, write_geometry
+from server.moveit.scene.geometry_files import (
+    LOAD,
+    SAVE,
+    file_within,
+    offer_geometry_files,
+    read_geometry,
+    write_geometry,
+)
 from tests.helpers.moveit import BENT, box, current_state, diff, message, pose, rejection, scene_state
 
 
@@ -24,7 +31,7 @@ class Files:
     def __init__(self, directory):
         self.state = scene_state(box("cup"), box("pen"))
         self.graph = Graph(Registry.load())
-        GeometryFiles(self.graph, Node("scene"), self.state, current_state(), directory)
+        offer_geometry_files(self.graph, Node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):
         answered = asyncio.get_running_loop().create_future()

@@ -311,6 +311,8 @@ def test_attach_of_an_equal_object_keeps_the_present_one(touch_links):
     again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, None))
     apply_attached_object(again, told, "it")
     assert again.attached["tool"] is before.attached["tool"]
+    apply_attached_object(again, {**told, "weight": 0.5}, "it")
+    assert again.attached["tool"].weight == 0.5
 
 
 def test_append_adds_shapes_and_touch_links():

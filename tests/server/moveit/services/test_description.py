@@ -33,9 +33,9 @@ from server.moveit.services.description import (
     STATIC_TRANSFORMS_TOPIC,
     TRANSFORMS_TOPIC,
     URDF_TOPIC,
-    RobotDescription,
     TransformRepublisher,
     TransformsTopics,
+    offer_description,
 )
 from server.robot_files import RobotFiles, package_name, with_package_urls
 from tests.helpers.gateway import InProcess
@@ -50,7 +50,7 @@ CLIENT = Node("client")
 def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
     graph = Graph(REGISTRY)
     parameters: dict[str, str] = {}
-    RobotDescription(graph, ROBOT, parameters.__setitem__)
+    offer_description(graph, ROBOT, parameters.__setitem__)
     (kept,) = graph.subscribe(CLIENT, topic, "std_msgs/String", Subscriber(lambda _: None))
     assert ET.fromstring(kept.msg["data"]).tag == "robot"
     name = topic.removeprefix("/")
@@ -60,7 +60,7 @@ def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
 
 async def test_a_mesh_is_served_by_its_name_in_the_description(files: Path) -> None:
     graph = Graph(REGISTRY)
-    RobotDescription(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None)
+    offer_description(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None)
     answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
     graph.services.call(CLIENT, FILE_SERVICE, {"name": f"package://{PACKAGE}/assets/base.stl"}, answered.set_result)
     assert base64.b64decode((await answered).values["value"]) == b"solid"

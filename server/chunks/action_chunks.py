@@ -413,7 +413,7 @@ class ActionChunks:
 
     def _take_progress(self, followed: _Followed, progress: Progress) -> None:
         motion = followed.motion
-        # A motion that is sent to the arm again has its answer; one that was cut gets another.
+        # A motion that is sent to the arm again has its answer already; a motion that was cut gets another.
         if progress.state is not GoalState.EXECUTING or motion.until_s == followed.begun_until_s:
             return
         followed.begun_until_s = motion.until_s

@@ -174,7 +174,7 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
 
 
 def _state_topic(samples: Samples, options: ExportOptions) -> str:
-    """Return the topic of the states: the option's, the server's own, or the only one that a program published."""
+    """Return the topic of the states: the option's, the server's own, or the only topic of states."""
     found = sorted(name for name, kind in samples.types.items() if kind == JOINT_STATE and name != LEADER_TOPIC)
     wanted = options.state_topic or (found[0] if len(found) == 1 else STATE_TOPIC)
     if wanted not in found:

@@ -14,7 +14,6 @@ from rosbags.typesys import Stores, get_typestore
 from server.cli import main
 from server.datasets import export as export_module
 from server.datasets.export import Exported, ExportError, ExportOptions, camera_keys, export
-from server.errors import RecordingError
 from server.recording.files import RecordedMessage
 from tests.server.datasets.conftest import JOINTS, Record, image, in_order, mark, stamp, state, states
 from tests.server.recordings import REGISTRY, entry, record
@@ -443,31 +442,6 @@ def test_one_of_several_topics_of_states_is_named(recorded: Record, tmp_path: Pa
     with pytest.raises(ExportError, match=sentence):
         exported(tmp_path / "data", recording)
     assert exported(tmp_path / "data", recording, state_topic="/right/joint_states").frames == 10
-
-
-BAD_BAGS = {
-    "no description": ({}, "run: has no metadata.yaml; ros2 bag reindex writes it"),
-    "no bag": ({"metadata.yaml": "- 1"}, "run: metadata.yaml does not describe the files of a bag"),
-    "no YAML": ({"metadata.yaml": "{"}, "run: metadata.yaml does not describe the files of a bag"),
-    "compressed": ({"metadata.yaml": "{compression_mode: FILE, relative_file_paths: []}"}, "run: is compressed"),
-    "a file outside": ({"metadata.yaml": "{relative_file_paths: [../../a.db3]}"}, "run/a.db3: cannot be read: No such"),
-    "no database": (
-        {"metadata.yaml": "{relative_file_paths: [a.db3]}", "a.db3": "text of no database, at length"},
-        "run/a.db3: is no SQLite file of rosbag2: file is not a database",
-    ),
-}
-
-
-@pytest.mark.parametrize(("files", "sentence"), BAD_BAGS.values(), ids=BAD_BAGS.keys())
-def test_a_bag_that_cannot_be_read_is_refused_with_a_sentence(
-    files: dict[str, str], sentence: str, tmp_path: Path
-) -> None:
-    (tmp_path / "run").mkdir()
-    for name, text in files.items():
-        described = text.startswith("{") and len(text) > 1
-        (tmp_path / "run" / name).write_text(f"rosbag2_bagfile_information: {text}" if described else text)
-    with pytest.raises(RecordingError, match=sentence):
-        exported(tmp_path / "data", tmp_path / "run")
 
 
 def test_a_raw_image_that_is_cut_off_is_refused_with_its_size(recorded: Record, tmp_path: Path) -> None:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
 
+from robot.description.camera import Camera
 from robot.description.meshes import with_mesh_paths
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from robot.physics.camera import Camera, RenderingError
 
 TIMESTEP_S = 0.002
 
@@ -22,8 +23,6 @@ LINK_DENSITY_KG_M3 = 600.0
 # Inertia of the rotor behind the gear: 0.028 kg m^2 in MuJoCo Menagerie's model of the SO-101 (system identification of
 # its STS3215). Links alone are too light for stable contacts at this time step.
 ARMATURE_KG_M2 = 0.028
-
-CAMERA = "camera"  # name of the camera in a model
 
 MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
 
@@ -57,14 +56,18 @@ def arm_model(robot: RobotModel) -> mujoco.MjSpec:
     return spec
 
 
-def add_camera(spec: mujoco.MjSpec, camera: Camera) -> None:
-    """Add a camera to a link of a model, and light; raises RenderingError for a link that is not there."""
-    body, axes = spec.body(camera.link), camera.axes
-    if body is None:
-        raise RenderingError(f"there is no link {camera.link!r} for the camera")
-    added = body.add_camera(name=CAMERA, pos=camera.position_m, fovy=camera.field_of_view_deg)
-    added.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
-    added.alt.xyaxes = [*axes[:, 0].tolist(), *axes[:, 1].tolist()]
+def add_cameras(spec: mujoco.MjSpec, cameras: Mapping[str, Camera]) -> None:
+    """Add cameras to links of a model, and light; the model is for images alone, without contacts."""
+    for name, camera in cameras.items():
+        body = spec.body(camera.frame)
+        if body is None:
+            raise DescriptionError(f"camera {name!r}", f"is on the link {camera.frame!r}, which the arm does not have")
+        added = body.add_camera(name=name, pos=camera.view[:3], fovy=camera.field_of_view_deg)
+        added.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+        added.alt.xyaxes = camera.axes[:, :2].T.ravel().tolist()
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    spec.visual.global_.offwidth = max(camera.width for camera in cameras.values())
+    spec.visual.global_.offheight = max(camera.height for camera in cameras.values())
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.5] * 3, [0.7] * 3
 
 

@@ -8,6 +8,7 @@ The newest command wins, and a stall on the way is a grip. ros2_control's two gr
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import math
 import time
@@ -343,20 +344,13 @@ class GripperActions:
 
     def __init__(self, graph: LocalGraph, gripper: Gripper) -> None:
         self._gripper = gripper
-        simple = GripperCommandMessages(gripper.joints)
-        self._actions: dict[str, ActionMessages] = {
-            graph.resolve(GRIPPER_ACTION): simple,
-            graph.resolve(FETCH_ACTION): simple,
-            graph.resolve(PARALLEL_ACTION): ParallelGripperCommandMessages(gripper.joints),
-        }
-        node = Node("gripper")
-        for name in ACTIONS:
-            graph.offer_action(
-                node, name, self._actions[graph.resolve(name)].type_name, self._start, ListLimits(), rule=GOAL
-            )
+        node, simple = Node("gripper"), GripperCommandMessages(gripper.joints)
+        kinds: tuple[ActionMessages, ...] = simple, simple, ParallelGripperCommandMessages(gripper.joints)
+        for name, messages in zip(ACTIONS, kinds, strict=True):
+            start = functools.partial(self._start, messages)
+            graph.offer_action(node, name, messages.type_name, start, ListLimits(), rule=GOAL)
 
-    def _start(self, goal: Goal) -> None:
-        messages = self._actions[goal.action]
+    def _start(self, messages: ActionMessages, goal: Goal) -> None:
         try:
             command = messages.command(goal.request["command"])
         except RefusedError as error:

@@ -98,25 +98,22 @@ class Confirmation:
     async def wait(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
         """Wait for the decision on a plan; return None to go on, else the goal's answer."""
         async with self._turn:
-            return await self._decided(goal, planned)
-
-    async def _decided(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
-        self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()
-        self._publish_request(goal, planned.summary, planned.duration_s)
-        # Last: a client that learns of the waiting plan may decide on it at once.
-        waits = f"{goal.request.client} asks for your approval" if _is_proposed(goal) else "waits to be confirmed"
-        goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
-        try:
-            async with asyncio.timeout(self._timeout_s):
-                go = await self._decision
-        except TimeoutError:
-            topic = APPROVE_TOPIC if _is_proposed(goal) else CONFIRM_TOPIC
-            message = f"planned, but not confirmed on {topic} within {self._timeout_s:g} s"
-            return Answer(MoveItErrorCode.TIMED_OUT, message)
-        finally:
-            self._waiting = self._decision = None
-            self._publish_request(None, "", 0.0)
-        return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
+            self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()
+            self._publish_request(goal, planned.summary, planned.duration_s)
+            # Last: a client that learns of the waiting plan may decide on it at once.
+            waits = f"{goal.request.client} asks for your approval" if _is_proposed(goal) else "waits to be confirmed"
+            goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
+            try:
+                async with asyncio.timeout(self._timeout_s):
+                    go = await self._decision
+            except TimeoutError:
+                topic = APPROVE_TOPIC if _is_proposed(goal) else CONFIRM_TOPIC
+                message = f"planned, but not confirmed on {topic} within {self._timeout_s:g} s"
+                return Answer(MoveItErrorCode.TIMED_OUT, message)
+            finally:
+                self._waiting = self._decision = None
+                self._publish_request(None, "", 0.0)
+            return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
 
     def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
         waiting = self._waiting
@@ -202,7 +199,9 @@ def final_status(goal: Goal, answer: Answer, robot: RobotModel) -> Message:
     succeeded = answer.code is MoveItErrorCode.SUCCESS
     details = {"code": str(int(answer.code)), **details_as_json(answer)}
     if instead is not None:
-        details["suggested_goal"] = json.dumps(instead.as_data())
+        # As in rosbridge's operations advertise and publish.
+        suggested = {"topic": instead.topic, "type": instead.type_name, "msg": instead.msg}
+        details["suggested_goal"] = json.dumps(suggested)
     done = Progress(GoalState.DONE, message, 1.0 if succeeded else 0.0)
     return _status(goal, done, LEVEL_OK if succeeded else LEVEL_ERROR, details)
 

@@ -20,10 +20,10 @@ from server.moveit.actions.move_group import (
     MAX_ATTEMPTS,
     MOVE_ACTIONS,
     SEQUENCE_ACTION,
-    ExecuteTrajectory,
-    PlanningActions,
     PlanningGoal,
     move_group_result,
+    offer_execute_trajectory,
+    offer_planning_actions,
     plan_only,
     planned_motion,
     read_planning_goal,
@@ -38,7 +38,7 @@ from tests.helpers.moveit import ROBOT, ActionDesk, ServiceRig, assert_refused, 
 @pytest.fixture
 async def planning_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    PlanningActions(made.graph, made.context, made.queue)
+    offer_planning_actions(made.graph, made.context, made.queue)
     yield made
     await made.close()
 
@@ -249,7 +249,7 @@ def test_a_negative_number_of_attempts_is_rejected_by_name(field: str) -> None:
 @pytest.fixture
 async def execution_desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
-    ExecuteTrajectory(made.graph, TrajectoryContext(made.context, made.queue, TimeLimits()))
+    offer_execute_trajectory(made.graph, TrajectoryContext(made.context, made.queue, TimeLimits()))
     yield made
     await made.close()
 

@@ -19,7 +19,7 @@ from tests.helpers.moveit import REGISTRY, ROBOT, SEVEN, TIP, ServiceRig, ball, 
 
 def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
     for name, offer in SERVICES.items():
-        assert rig.graph.services.names.type_of(name) == offer.type_name
+        assert rig.graph.services.names.type_of(name) == f"moveit_msgs/srv/{offer.type_name}"
 
 
 async def test_an_empty_request_is_answered_also_for_an_arm_that_is_not_read(rig: ServiceRig) -> None:
@@ -33,7 +33,7 @@ async def test_an_empty_request_is_answered_also_for_an_arm_that_is_not_read(rig
 async def test_nonsense_is_answered_too(rig: ServiceRig) -> None:
     for name, offer in SERVICES.items():
         for seed in range(10):
-            _, values = await rig.outcome(name, **made_up(REGISTRY, f"{offer.type_name}_Request", seed))
+            _, values = await rig.outcome(name, **made_up(REGISTRY, f"moveit_msgs/srv/{offer.type_name}_Request", seed))
             assert "inside the server" not in str(values), (name, seed)
 
 

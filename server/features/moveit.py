@@ -71,7 +71,8 @@ class PlanningScene(Feature):
         scene, robot = planning.scene_state, planning.robot
         self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
-        if settings.scene.keep:
+        # A world of the physics begins as its file has it.
+        if settings.scene.keep and settings.arm.world is None:
             path = settings.scene.file or kept_scene_path(settings, robot)
             self._saved = SavedScene(path, scene, graph.message_types)
         # Beside the file of the present scene, in a folder of their own.

@@ -188,6 +188,7 @@ class Stage:
         self.problems: list[PlanningProblem] = []
         self.scenes: list[int] = []
         self.rechecked: list[RecheckQuestion] = []
+        self.recheck_s = 0.0
         self.meeting: PlanningFailure | None = None
         self.meetings: list[ConcurrencyQuestion] = []
         self.meetings_answer = asyncio.Event()
@@ -211,6 +212,7 @@ class Stage:
     async def ask(self, request: Any, scene: Scene) -> Any:
         if isinstance(request, RecheckQuestion):
             self.rechecked.append(request)
+            self.clock.advance(self.recheck_s)
             return RecheckAnswer(self.contact)
         if isinstance(request, ConcurrencyQuestion):
             self.meetings.append(request)
@@ -454,6 +456,53 @@ async def test_a_given_trajectory_replaces_the_motion_unless_it_begins_at_rest(s
     assert (stage.arm.stops == []) is spliced
     assert len(stage.arm.continued) == int(spliced)
     assert len(stage.rechecked) == 1
+
+
+class Given:
+    """A trajectory that continues where it is asked to; it knows when it was to begin, of each attempt."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage, self.begins_s = stage, list[float]()
+
+    def __call__(self, positions_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
+        self.begins_s.append(at_s)
+        held_rad = positions_rad if point is None else point.positions_rad
+        return smooth_move({name: (held_rad[name], held_rad[name] + 0.1) for name in ARM}, 1.0)
+
+
+async def test_a_given_trajectory_changes_the_goals_within_15_ms_of_its_answer(stage: Stage) -> None:
+    stage.recheck_s = 0.008
+    await under_way(stage)
+    for _ in range(2):
+        trajectory, stage.news = Given(stage), []
+        await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM)))
+        await until(lambda: any(each.state is GoalState.EXECUTING for each in stage.news))
+        answered_s = stage.clock()
+        stage.arm.show(0.2)
+        stage.goal.cancel("preempted by a test", replaced=True)
+        await stage.answer()
+    # The arm's next tick is up to 10 ms later.
+    assert 0.0 <= trajectory.begins_s[-1] - answered_s <= 0.005
+    assert stage.arm.stops == []
+    assert len(stage.arm.continued) == 2
+
+
+@pytest.mark.parametrize("refusals", [1, 2])
+async def test_a_given_trajectory_that_the_arm_got_too_late_is_sent_again_once(stage: Stage, refusals: int) -> None:
+    stage.recheck_s = 0.008
+    await under_way(stage)
+    trajectory = Given(stage)
+
+    def late(positions_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
+        stage.arm.refusing = len(trajectory.begins_s) < refusals
+        return trajectory(positions_rad, at_s, point)
+
+    await stage.begin(ExternalTrajectory(late, frozenset(ARM)))
+    await until(lambda: len(stage.arm.played) == 3 + (refusals == 2))
+    stage.arm.end()
+    assert (await stage.answer()).code is MoveItErrorCode.SUCCESS
+    assert (stage.arm.stops == []) is (refusals == 1)
+    assert len(trajectory.begins_s) == refusals + 1
 
 
 OTHERWISE: dict[str, Callable[[Stage], object]] = {

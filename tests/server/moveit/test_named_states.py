@@ -11,9 +11,6 @@ import pytest
 
 from protocol.registry import Registry
 from robot import files
-from robot.arm import Arm
-from robot.hardware.config import EmulatedConfig
-from robot.messages import ArmConfig, ArmState, Mode
 from server.errors import ServiceError
 from server.execution.monitors import CurrentState
 from server.graph.services import Response
@@ -29,14 +26,10 @@ from server.moveit.named_states import (
     default_path,
     offer_named_states,
 )
-from tests.helpers.arm_rig import reading
+from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.graph import called, listen
-from tests.helpers.robots import nominal_calibration, so101
 
-ROBOT = so101()
 BENT = {"elbow_flex": 0.4}
-
-JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 
 
 @pytest.fixture
@@ -198,7 +191,7 @@ def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytes
     ("environment", "directory"), [({"XDG_DATA_HOME": "/data"}, "/data"), ({"HOME": "/me"}, "/me/.local/share")]
 )
 def test_states_are_kept_in_the_users_data_directory(environment: dict[str, str], directory: str) -> None:
-    assert default_path("named_states", so101(), environment) == Path(directory, "armbridge", "named_states_so101.json")
+    assert default_path("named_states", ROBOT, environment) == Path(directory, "armbridge", "named_states_so101.json")
 
 
 class Office:
@@ -207,13 +200,9 @@ class Office:
     def __init__(self, states: NamedStates) -> None:
         self.graph = Graph(Registry.load())
         self.states = states
-        self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(nominal_calibration())), lambda _state: None)
+        self.arm = FakeArm(None)
         offer_named_states(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
         self.heard = listen(self.graph, NAMED_STATES_TOPIC)
-
-    def be_at(self, position_rad: float) -> None:
-        measured = reading([position_rad] * len(JOINTS))
-        self.arm.state = ArmState(0.0, Mode.RELAXED, JOINTS, position_rad=measured.position_rad)
 
     async def call(self, service: str, **request: Any) -> Response:
         return await called(self.graph, service, **request)
@@ -225,7 +214,7 @@ async def office(states: NamedStates) -> Office:
 
 
 async def test_the_present_positions_are_saved_and_published(office: Office) -> None:
-    office.be_at(0.25)
+    office.arm.put(**dict.fromkeys(JOINTS, 0.25))
     assert (await office.call("/save_robot_state", name="mine")).values == {"success": True}
     assert office.states.find("mine") == ("mine", dict.fromkeys(JOINTS, 0.25))
     told = json.loads(office.heard[-1]["data"])
@@ -252,7 +241,7 @@ async def test_a_state_with_more_names_than_positions_is_refused(office: Office)
 
 
 async def test_states_are_listed_by_pattern_renamed_and_deleted(office: Office) -> None:
-    office.be_at(0.1)
+    office.arm.put()
     await office.call("/save_robot_state", name="mine")
     assert (await office.call("/list_robot_states")).values["states"] == ["extended", "home", "mine", "ready", "rest"]
     assert (await office.call("/rename_robot_state", old_name="mine", new_name="rest two")).ok

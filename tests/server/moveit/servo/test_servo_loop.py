@@ -42,16 +42,6 @@ UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0
 SPEEDS = ServoParameters(command_in_type="speed_units")
 STEERED_JOINTS = ("shoulder_pan", "elbow_flex")
 
-# Turned a quarter about z: its x is the root link's y.
-QUARTER = Pose((0.1, 0.0, 0.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
-
-
-def resolve(frame_id: str, _positions: object) -> Pose:
-    frames = {"": Pose(), "tool": QUARTER}
-    if frame_id not in frames:
-        raise refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, f"no frame {frame_id!r}")
-    return frames[frame_id]
-
 
 def message(type_name: str, values: dict[str, Any]) -> Any:
     return complete(REGISTRY, type_name, values, Stamp(0, 0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -80,6 +81,11 @@ class Physics(Feature):
         graph.services.offer(node, SET_BODY, SET_BODY_TYPE, self._set_body, rule=WORKING)
         graph.services.offer(node, RESET, "std_srvs/srv/Trigger", self._reset, rule=WORKING)
         self._scene.on_change(self._follow_scene)
+
+    @property
+    def body_states(self) -> Mapping[str, BodyState]:
+        """Latest states of the movable bodies, by object."""
+        return self._states
 
     async def start(self) -> None:
         """Send the objects of the run before."""

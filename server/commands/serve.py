@@ -136,9 +136,9 @@ def _classroom(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     settings, _ = read_settings(options)
     configure_logs(settings)
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.classroom.classroom import ClassroomOptions, run_classroom
+    from server.classroom.classroom import run_classroom
 
-    run_classroom(settings, ClassroomOptions(options.students, options.planners, options.data))
+    run_classroom(settings, options.students, options.planners, options.data)
     return ExitCode.DONE
 
 

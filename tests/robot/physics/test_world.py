@@ -73,8 +73,9 @@ def test_other_bodies_leave_arm_and_bodies_where_they_are(arm: Driven) -> None:
     world.set_bodies(SetBodies(3, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False))))
     assert state_of(world, "cube").position_m == pytest.approx((0.2, 0.3, 0.1))
     arm.tick(100)
-    world.set_bodies(SetBodies(4, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False)), reset=True))
-    assert state_of(world, "cube").position_m == pytest.approx((0.2, 0.3, 0.1))
+    placed = {"cube": ((0.25, 0.3, 0.1), LEVEL), "wall": ((0.2, 0.2, 0.2), LEVEL), "gone": ((0.0, 0.0, 0.0), LEVEL)}
+    world.set_bodies(SetBodies(4, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False)), placed))
+    assert state_of(world, "cube").position_m == pytest.approx((0.25, 0.3, 0.1))
     world.set_bodies(SetBodies(5, ()))
     assert world.moved_bodies(every=True) is None
     assert arm.tick().position_rad == pytest.approx(before, abs=0.002)

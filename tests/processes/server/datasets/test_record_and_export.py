@@ -87,4 +87,4 @@ async def test_a_taught_motion_that_two_cameras_of_the_physics_see_becomes_a_dat
         video = output / f"videos/{name}/chunk-000/file-000.mp4"
         with av.open(str(video)) as opened:
             first, *others = [frame.to_ndarray(format="rgb24").astype(int) for frame in opened.decode(video=0)]
-        assert max(abs(first - each).mean() for each in others) > 1.0, f"{name} shows no motion"
+        assert max(abs(first - each).max() for each in others) > 50, f"{name} shows no motion"

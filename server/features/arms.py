@@ -26,7 +26,7 @@ from server.lifecycle import Feature
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.named_states import data_directory, default_path
 from server.moveit.servo.servo_node import servo_setup
-from server.teaching.replay import ReplayAction
+from server.teaching.replay import offer_replay
 from server.teaching.services import Teaching
 from server.teaching.taught_motion import MotionFiles
 from server.teleop.session import Follower, FollowingContext
@@ -166,7 +166,7 @@ def teaching_of(context: ServerContext) -> Teaching:
     planning, robot = context.planning, context.planning.robot
     # In a folder beside the named states.
     motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
-    ReplayAction(context.graph, robot, motions, context.goals.queue, planning.problems)
+    offer_replay(context.graph, robot, motions, context.goals.queue, planning.problems)
     return Teaching(context.graph, robot, motions, planning.pool, planning.scene_state, planning.current)
 
 

@@ -62,13 +62,6 @@ def test_an_object_without_a_pose_gets_that_of_its_single_shape():
     assert thing.shapes[0][1] == Pose()
 
 
-def test_a_repeated_message_equals_its_object_whatever_its_stamp():
-    thing = read_collision_object(RICH, "base_link", "it")
-    header = {"stamp": {"sec": 9, "nanosec": 9}, "frame_id": "base_link"}
-    assert thing.equals_message({**RICH, "header": header})
-    assert not thing.equals_message({**RICH, "pose": pose(1.0)})
-
-
 BAD = {
     "no shape": ({"primitives": []}, "has no shape"),
     "a pose of NaN": ({"pose": pose(math.nan)}, "it.pose.position.x must be a finite number, not nan"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import math
 
@@ -22,6 +21,7 @@ from server.moveit.scene.geometry_files import (
     read_geometry,
     write_geometry,
 )
+from tests.helpers.graph import called
 from tests.helpers.moveit import BENT, box, current_state, diff, message, pose, rejection, scene_state
 
 
@@ -34,10 +34,7 @@ class Files:
         offer_geometry_files(self.graph, Node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):
-        answered = asyncio.get_running_loop().create_future()
-        self.graph.services.call(Node("client"), service, {"file_path_and_name": name}, answered.set_result)
-        async with asyncio.timeout(30.0):
-            return (await answered).values["success"]
+        return (await called(self.graph, service, file_path_and_name=name)).values["success"]
 
     def empty(self):
         self.state.apply(self.state.world(message("PlanningSceneWorld")), BENT)

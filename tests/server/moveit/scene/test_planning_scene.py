@@ -203,6 +203,8 @@ def test_add_of_an_equal_object_keeps_the_present_one():
         before, {**TURNED_CUP, "header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "base_link"}}, "it"
     )
     assert before.objects["cup"] is known
+    apply_collision_object(before, {**TURNED_CUP, "pose": pose(0.4)}, "it")
+    assert before.objects["cup"].pose == Pose((0.4, 0.0, 0.0))
 
 
 def test_append_adds_shapes_where_the_message_has_them():

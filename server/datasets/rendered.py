@@ -41,9 +41,14 @@ class PublishedCamera:
         return self.topic.removesuffix("/compressed").rpartition("/")[0]
 
     @property
+    def info_topic(self) -> str:
+        """Name of the topic of its sensor_msgs/CameraInfo."""
+        return f"{self.namespace}/camera_info"
+
+    @property
     def topics(self) -> dict[str, str]:
         """Types of its topics by name: images, their sensor_msgs/CameraInfo, and depth images if it has them."""
-        topics = {self.topic: IMAGE_TYPE, f"{self.namespace}/camera_info": INFO_TYPE}
+        topics = {self.topic: IMAGE_TYPE, self.info_topic: INFO_TYPE}
         return topics | ({f"{self.namespace}/depth/image": DEPTH_TYPE} if self.camera.depth else {})
 
     @property
@@ -72,7 +77,7 @@ class LoadCameras:
 
 @dataclass(frozen=True)
 class Render:
-    """Order to render cameras, by the topics of their images; :class:`Rendered` answers it."""
+    """Order to make the messages of some topics; :class:`Rendered` answers it."""
 
     topics: Sequence[str]
     scene: SeenScene
@@ -107,11 +112,18 @@ class RenderedCameras:
         self._renderer = ArmRenderer(robot, {topic: each.camera for topic, each in self._cameras.items()})
 
     def messages(self, scene: SeenScene, topics: Collection[str]) -> list[tuple[str, Message]]:
-        """Return the messages of cameras, by the topics of their images, each with its topic and the scene's stamp."""
+        """Return the messages of some topics, each with its topic and the scene's stamp."""
         self._renderer.place(scene.positions_rad)
         bodies = tuple(self._in_root(*each) for each in scene.bodies[:MAX_BODIES])
         self._renderer.set_bodies(bodies, scene.colors)
-        return [message for topic in topics for message in self._of_camera(self._cameras[topic], scene.stamp_ns)]
+        sec, nanosec = divmod(scene.stamp_ns, NS_PER_S)
+        messages: list[tuple[str, Message]] = []
+        for camera in self._cameras.values():
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": camera.optical_frame}
+            for topic, type_name in camera.topics.items():
+                if topic in topics:
+                    messages.append((topic, {"header": header, **self._contents(camera, type_name)}))
+        return messages
 
     def close(self) -> None:
         """Give the OpenGL contexts back."""
@@ -125,17 +137,13 @@ class RenderedCameras:
         # MuJoCo has planes in bodies that stay where they are alone.
         return replace(body, movable=all(shape.kind != "plane" for shape in body.shapes))
 
-    def _of_camera(self, published: PublishedCamera, stamp_ns: int) -> list[tuple[str, Message]]:
-        sec, nanosec = divmod(stamp_ns, NS_PER_S)
-        header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": published.optical_frame}
+    def _contents(self, published: PublishedCamera, type_name: str) -> Message:
+        if type_name == INFO_TYPE:
+            return camera_info(published.camera)
+        if type_name == DEPTH_TYPE:
+            return _depth_image(self._renderer.depth_m(published.topic))
         jpeg = to_jpeg(self._renderer.image(published.topic), None, published.quality)
-        messages: list[Message] = [
-            {"header": header, "format": "jpeg", "data": _base64(jpeg)},
-            {"header": header, **camera_info(published.camera)},
-        ]
-        if published.camera.depth:
-            messages.append({"header": header, **_depth_image(self._renderer.depth_m(published.topic))})
-        return list(zip(published.topics, messages, strict=True))
+        return {"format": "jpeg", "data": _base64(jpeg)}
 
 
 def _base64(octets: bytes) -> str:

@@ -82,7 +82,7 @@ class RenderingClient:
             # The server has taken an image when it answers the next call: a slow network gets fewer.
             before, (state, scene) = state, self._seen(connection, state)
             if state is not None and state is not before:
-                for topic, message in self._cameras.messages(_read_scene(state, scene), [self._camera.topic]):
+                for topic, message in self._cameras.messages(_read_scene(state, scene), self._camera.topics):
                     connection.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
                 self.published += 1
             due_s = max(due_s + period_s, time.monotonic())

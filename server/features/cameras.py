@@ -118,8 +118,13 @@ class Cameras(Feature):
                 log.warning("the process of the cameras has been silent for %g s and is ended", SILENT_S)
                 self._restart = asyncio.create_task(self._start_again(self._child), name="restart cameras")
             return
-        if due := [each.topic for each in self._cameras if self._is_watched(each) and self._is_due(each, state)]:
-            self._send(self._child, Render(due, self._seen(state, state.position_rad.tolist())))
+        due = [each for each in self._cameras if self._is_watched(each) and self._is_due(each, state)]
+        topics = [
+            topic for each in due for topic in each.topics if topic == each.info_topic or self._graph.subscribers(topic)
+        ]
+        # The info goes along: whoever records the images needs it.
+        if topics:
+            self._send(self._child, Render(topics, self._seen(state, state.position_rad.tolist())))
 
     def _is_watched(self, camera: PublishedCamera) -> bool:
         return any(map(self._graph.subscribers, camera.topics))

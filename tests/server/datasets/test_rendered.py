@@ -40,7 +40,7 @@ def red_of(image: dict[str, Any]) -> NDArray[np.int64]:
 
 @needs_egl
 def test_image_info_and_depth_have_the_stamp_of_the_scene_and_the_optical_frame() -> None:
-    messages = dict(RenderedCameras(so101(), [CAMERA]).messages(scene(box()), [CAMERA.topic]))
+    messages = dict(RenderedCameras(so101(), [CAMERA]).messages(scene(box()), CAMERA.topics))
     assert (
         set(messages) == {"/front/image/compressed", "/front/camera_info", "/front/depth/image"} == set(CAMERA.topics)
     )

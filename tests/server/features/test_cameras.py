@@ -27,7 +27,7 @@ from tests.helpers.moveit import ROBOT, box, diff, held, pose, scene_state
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 VIEW = (0.6, 0.0, 0.4, 0.0, 0.0, 0.0)
-FRONT = PublishedCamera(Camera(frame="base_link", view=VIEW), "/front/image/compressed")
+FRONT = PublishedCamera(Camera(frame="base_link", view=VIEW, depth=True), "/front/image/compressed")
 WRIST = PublishedCamera(Camera(frame="gripper_link", view=VIEW, rate_hz=5.0), "/wrist/image/compressed")
 PUBLISHED = "sensor_msgs/CompressedImage"
 IMAGE = {"format": "jpeg", "data": "AA=="}
@@ -106,14 +106,14 @@ async def test_images_are_rendered_at_their_rates_while_someone_subscribes_one_o
     for tick in range(50):
         stage.state(0.02 * tick)
         stage.state(0.02 * tick)
-        child.answer(Rendered([(topic, IMAGE) for topic in stage.orders[-1].topics]))
-    assert [each.topics for each in stage.orders] == [[FRONT.topic]] * 15
+        child.answer(Rendered([(FRONT.topic, IMAGE)]))
+    assert [each.topics for each in stage.orders] == [[FRONT.topic, FRONT.info_topic]] * 15
     assert stage.cameras.observes_states
     stage.subscribe("/wrist/camera_info", "sensor_msgs/CameraInfo")
     stage.graph.unsubscribe(client, FRONT.topic)
     stage.state(1.0)
     stage.state(2.0)
-    assert [each.topics for each in stage.orders[15:]] == [[WRIST.topic]], "an order before the last was answered"
+    assert [each.topics for each in stage.orders[15:]] == [[WRIST.info_topic]], "an order before the last was answered"
 
 
 async def test_an_arm_whose_clock_starts_again_is_seen_at_once(stage: Stage) -> None:

@@ -119,10 +119,9 @@ class Cameras(Feature):
                 self._restart = asyncio.create_task(self._start_again(self._child), name="restart cameras")
             return
         due = [each for each in self._cameras if self._is_watched(each) and self._is_due(each, state)]
-        topics = [
-            topic for each in due for topic in each.topics if topic == each.info_topic or self._graph.subscribers(topic)
-        ]
-        # The info goes along: whoever records the images needs it.
+        # The info goes along, since users of a recording need it.
+        wanted = {each.info_topic for each in due}
+        topics = [topic for each in due for topic in each.topics if topic in wanted or self._graph.subscribers(topic)]
         if topics:
             self._send(self._child, Render(topics, self._seen(state, state.position_rad.tolist())))
 

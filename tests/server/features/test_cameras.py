@@ -17,7 +17,6 @@ from robot.description.camera import Camera
 from robot.messages import ArmState, Mode
 from robot.physics.bodies import BodyState
 from server.datasets.rendered import CannotRender, LoadCameras, PublishedCamera, Render, Rendered
-from server.datasets.rendering_process import serve
 from server.features import cameras
 from server.features.cameras import MAX_FAILURES, SILENT_S, Cameras, cameras_of
 from server.graph.node import Node
@@ -218,27 +217,3 @@ async def test_a_stop_during_a_restart_starts_no_process(stage: Stage) -> None:
 def test_an_arm_without_physics_or_cameras_has_none() -> None:
     context = SimpleNamespace(single_arms=[], graph=Graph(Registry.load()))
     assert cameras_of(cast(Any, context), []) == []
-
-
-class FakeChannel:
-    """The process's end of its channel."""
-
-    def __init__(self, first: object) -> None:
-        self.sent: list[Any] = []
-        self.closed = True
-        self.receive_first = lambda: first
-
-    def send(self, message: object) -> None:
-        self.sent.append(message)
-
-
-def test_the_process_reports_why_it_cannot_render() -> None:
-    nowhere = PublishedCamera(Camera(frame="hand", view=VIEW), FRONT.topic)
-    channel = FakeChannel(LoadCameras(ROBOT, [nowhere]))
-    serve(cast(Any, channel))
-    assert [each.reason for each in channel.sent] == [
-        "camera '/front/image/compressed' is on the link 'hand', which the arm does not have"
-    ]
-    gone = FakeChannel(None)
-    serve(cast(Any, gone))
-    assert gone.sent == []

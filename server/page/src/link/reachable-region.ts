@@ -32,17 +32,12 @@ export class RegionScan {
     private readonly connection: Connection,
     private readonly store: PageStore,
   ) {
-    const causes: ((state: State) => unknown)[] = [
-      (state) => state.region.shown,
-      (state) => state.region.slice,
-      (state) => state.robot,
-      (state) => state.group,
-      (state) => state.objects,
-      (state) => state.link.connected,
-    ];
-    // Before the scan begins anew.
-    for (const cause of causes.slice(1, 4)) store.subscribe(cause, () => this.free.clear());
-    for (const cause of causes) store.subscribe(cause, () => this.begin());
+    // Before the scan begins again.
+    for (const part of ["robot", "group"] as const) store.subscribe((state) => state[part], () => this.free.clear());
+    store.subscribe((state) => state.region.slice, () => this.free.clear());
+    for (const part of ["robot", "group", "objects"] as const) store.subscribe((state) => state[part], () => this.begin());
+    const cause = ({ region, link }: State): string => JSON.stringify([region.shown, region.slice, link.connected]);
+    store.subscribe(cause, () => this.begin());
   }
 
   private begin(): void {

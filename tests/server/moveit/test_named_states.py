@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import asyncio
 import json
 import math
 import os
@@ -17,27 +16,26 @@ from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, ArmState, Mode
 from server.errors import ServiceError
 from server.execution.monitors import CurrentState
-from server.graph.node import Node
 from server.graph.services import Response
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.moveit import named_states
 from server.moveit.named_states import (
     MAX_NAME_LENGTH,
     NAMED_STATES_TOPIC,
     NamedStates,
     NamedStatesFile,
-    NamedStatesServices,
     Positions,
     States,
     default_path,
+    offer_named_states,
 )
 from tests.helpers.arm_rig import reading
+from tests.helpers.graph import called, listen
 from tests.helpers.robots import nominal_calibration, so101
 
 ROBOT = so101()
 BENT = {"elbow_flex": 0.4}
 
-CLIENT = Node("client")
 JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 
 
@@ -210,20 +208,15 @@ class Office:
         self.graph = Graph(Registry.load())
         self.states = states
         self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(nominal_calibration())), lambda _state: None)
-        NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
-        self.told: list[dict[str, Any]] = []
-        subscriber = Subscriber(lambda published: self.told.append(json.loads(published.msg["data"])))
-        for published in self.graph.subscribe(CLIENT, NAMED_STATES_TOPIC, None, subscriber):
-            subscriber.deliver(published)
+        offer_named_states(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
+        self.heard = listen(self.graph, NAMED_STATES_TOPIC)
 
     def be_at(self, position_rad: float) -> None:
         measured = reading([position_rad] * len(JOINTS))
         self.arm.state = ArmState(0.0, Mode.RELAXED, JOINTS, position_rad=measured.position_rad)
 
     async def call(self, service: str, **request: Any) -> Response:
-        answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
-        self.graph.services.call(CLIENT, service, request, answered.set_result)
-        return await answered
+        return await called(self.graph, service, **request)
 
 
 @pytest.fixture
@@ -235,8 +228,9 @@ async def test_the_present_positions_are_saved_and_published(office: Office) -> 
     office.be_at(0.25)
     assert (await office.call("/save_robot_state", name="mine")).values == {"success": True}
     assert office.states.find("mine") == ("mine", dict.fromkeys(JOINTS, 0.25))
-    assert office.told[-1]["mine"] == {"saved": True, "joints": dict.fromkeys(JOINTS, 0.25)}
-    assert not office.told[-1]["home"]["saved"]
+    told = json.loads(office.heard[-1]["data"])
+    assert told["mine"] == {"saved": True, "joints": dict.fromkeys(JOINTS, 0.25)}
+    assert not told["home"]["saved"]
 
 
 async def test_unknown_positions_cannot_be_saved(office: Office) -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +11,6 @@ from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, P
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
-from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
 from server.moveit.goals import goal_checks
@@ -21,16 +19,16 @@ from server.moveit.goals.goal_checks import (
     MAX_GOALS,
     NOT_CHECKED,
     SERVICE,
-    GoalChecks,
     answers_in_time,
     goal_check,
+    offer_goal_checks,
 )
 from server.moveit.messages import composed, pose_of
 from tests.helpers.fake_arm import FakeArm
+from tests.helpers.graph import called
 from tests.helpers.moveit import TRANSLATOR, DirectPool, planning_of
 from tests.helpers.robots import so101
 
-CLIENT = Node("client")
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
 
 ROBOT = so101()
@@ -47,13 +45,10 @@ class Desk:
         self.arm = FakeArm()
         planning = planning_of(self.arm, ROBOT, pool=DirectPool())
         self.scene = planning.scene_state
-        GoalChecks(self.graph, TRANSLATOR, planning)
+        offer_goal_checks(self.graph, TRANSLATOR, planning)
 
     async def check(self, **request: Any) -> Response:
-
-        answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
-        self.graph.services.call(CLIENT, SERVICE, request, answered.set_result)
-        return await answered
+        return await called(self.graph, SERVICE, **request)
 
 
 @pytest.fixture

@@ -203,6 +203,8 @@ def test_add_of_an_equal_object_keeps_the_present_one():
         before, {**TURNED_CUP, "header": {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "base_link"}}, "it"
     )
     assert before.objects["cup"] is known
+    apply_collision_object(before, {**TURNED_CUP, "pose": pose(0.4)}, "it")
+    assert before.objects["cup"].pose == Pose((0.4, 0.0, 0.0))
 
 
 def test_append_adds_shapes_where_the_message_has_them():
@@ -311,6 +313,8 @@ def test_attach_of_an_equal_object_keeps_the_present_one(touch_links):
     again = SceneDraft(before, LinkTransforms(ROBOT, FORWARD, None))
     apply_attached_object(again, told, "it")
     assert again.attached["tool"] is before.attached["tool"]
+    apply_attached_object(again, {**told, "weight": 0.5}, "it")
+    assert again.attached["tool"].weight == 0.5
 
 
 def test_append_adds_shapes_and_touch_links():

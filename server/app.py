@@ -248,10 +248,13 @@ class App:
 
 
 def _what_arm_runs(served: ServedArm) -> str:
-    arm, serial, description = served.arm, served.settings.serial, served.description
-    bus = f"on {serial}" if serial is not None else "simulated"
-    if description.calibration is None:
-        bus += " (ideal)"
+    arm, settings, description = served.arm, served.settings, served.description
+    bus = f"on {settings.serial}" if settings.serial is not None else "simulated"
+    world = [] if settings.world is None else [f"world {settings.world}"]
+    ideal = ["ideal"] if description.calibration is None else []
+    kinds = [*ideal, *(["physics", *world] if settings.simulation == "physics" else [])]
+    if kinds:
+        bus += f" ({', '.join(kinds)})"
     if arm.state.mode is Mode.DISCONNECTED:
         bus += f", NOT CONNECTED ({arm.state.reason})"
     elif arm.state.mode is not Mode.HOLDING:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 
 import mujoco
@@ -159,7 +159,7 @@ class World:
             if name in wanted and wanted[name].movable:
                 self._put(name, *pose)
         mujoco.mj_forward(self.model, self.data)
-        for name, other, depth_m in self._overlaps(placed & wanted.keys()):
+        for name, other, depth_m in self.overlaps(placed & wanted.keys()):
             log.warning("physics: %r overlaps %r by %.0f mm; they push each other apart", name, other, 1e3 * depth_m)
 
     def moved_bodies(self, *, every: bool) -> BodyStates | None:
@@ -205,10 +205,22 @@ class World:
     def _contacts(self) -> list[tuple[str, str, float]]:
         """Return the names of the bodies in each contact, and its depth [m]."""
         bodies = self.model.geom_bodyid[np.reshape(self.data.contact.geom, (-1, 2))].tolist()
-        names = [(self.model.body(first).name, self.model.body(second).name) for first, second in bodies]
-        return [(*pair, -depth) for pair, depth in zip(names, self.data.contact.dist.tolist(), strict=True)]
+        # The world's own body has the floor alone.
+        names = [[self.model.body(at).name if at else "floor" for at in pair] for pair in bodies]
+        return [(pair[0], pair[1], -depth) for pair, depth in zip(names, self.data.contact.dist.tolist(), strict=True)]
 
-    def _overlaps(self, placed: set[str]) -> list[tuple[str, str, float]]:
+    @property
+    def bodies(self) -> Set[str]:
+        """Names of the bodies in the world: those that cannot be simulated are left out."""
+        return self._bodies.keys()
+
+    def move(self, name: str, position_m: Point, orientation: Quaternion) -> None:
+        """Put a movable body somewhere at once, at rest."""
+        self._put(name, position_m, orientation)
+        mujoco.mj_forward(self.model, self.data)
+
+    def overlaps(self, placed: Set[str]) -> list[tuple[str, str, float]]:
+        """Return each pair with one of these bodies that overlaps by more than :data:`OVERLAP_M`, and the depth [m]."""
         deepest: dict[frozenset[str], float] = {}
         for first, second, depth_m in self._contacts():
             if depth_m > OVERLAP_M and {_outside(first), _outside(second)} & placed:

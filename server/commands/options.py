@@ -185,6 +185,7 @@ _FURTHER_OPTIONS = (
     ("--log-level", "server.log_level", "LEVEL"),
     ("--serial", "arm.serial", "PORT"),
     ("--simulation", "arm.simulation", "KIND"),
+    ("--world", "arm.world", "NAME_OR_FILE"),
     ("--robot", "arm.robot", "NAME_OR_FOLDER"),
     ("--calibration", "arm.calibration", "NAME_OR_PATH"),
     ("--urdf", "arm.urdf", "FILE"),

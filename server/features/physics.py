@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from planners.scene import Plane, Pose
+from protocol.errors import MessageError
 from robot.arm import Arm
+from robot.errors import RobotError
 from robot.messages import ArmState, PauseSimulation
 from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
 from server.errors import ConfigurationError, RefusedError
@@ -24,8 +26,9 @@ from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import CollisionObject, read_bounded_pose
 from server.moveit.scene.physical_bodies import body_of
-from server.moveit.scene.planning_scene import SceneDraft
+from server.moveit.scene.planning_scene import SceneContents, SceneDraft
 from server.moveit.scene.scene_state import SceneChange
+from server.moveit.scene.worlds import body_refusal, read_world
 
 # Ticks of one call of /simulation/step: ten seconds.
 MAX_STEPS = 1000
@@ -42,9 +45,6 @@ DROPPED_AFTER_S, RELEASED_AFTER_S = 0.5, 5.0
 # Poses nearer than the reports of the arm process are the same.
 SAME_M, SAME_QUATERNION = 2e-4, 1e-3
 
-MAX_MASS_KG = 100.0
-MAX_FRICTION = 10.0
-
 log = logging.getLogger("armbridge.physics")
 
 
@@ -54,6 +54,8 @@ def physics_of(context: ServerContext) -> list[Feature]:
     if physical:
         raise ConfigurationError(f"arms.{physical[0]}.simulation: physics has one arm, without the section arms")
     arm = context.whole.served.arm
+    if context.settings.arm.world is not None and context.settings.arm.simulation != "physics":
+        raise ConfigurationError("arm.world: only an arm with physics has a world: set arm.simulation to physics")
     if context.settings.arm.simulation != "physics" or not isinstance(arm, Arm):
         return []
     return [Physics(context, arm)]
@@ -83,6 +85,11 @@ class Physics(Feature):
         self._state: ArmState | None = None
         self._stated = asyncio.Event()
         self._stepping = False
+        # Contents of the world that was loaded, and its movable objects; None without one.
+        self._world: tuple[SceneContents, dict[str, tuple[float, float]]] | None = None
+        settings = context.settings.arm
+        if settings.world is not None:
+            self._open_world(settings.world, settings.world_seed, context)
         node, services = Node("simulation"), context.graph.services
         for name, type_name, serve in (
             ("set_body", "armbridge_msgs/srv/SetBody", self._set_body),
@@ -179,30 +186,65 @@ class Physics(Feature):
         return replace(body_of(each), movable=each.name in self._movable, mass_kg=mass_kg, friction=friction)
 
     def _set_body(self, request: dict[str, Any]) -> Message:
-        name, mass_kg, friction = request["id"], request["mass"], request["friction"]
+        name = request["id"]
         each = self._scene.contents.objects.get(name)
         refusal = ""
         if each is None:
             refusal = f"there is no object {name!r} in the planning scene"
         elif name not in self._bodies:
             refusal = f"physics has {MAX_BODIES} objects at most, and {name!r} is left out"
-        elif not 0.0 <= mass_kg <= MAX_MASS_KG:
-            refusal = f"mass must be 0 to {MAX_MASS_KG:g} kg, 0 for a mass by its volume, not {mass_kg:g}"
-        elif not 0.0 <= friction <= MAX_FRICTION:
-            refusal = f"friction must be 0 to {MAX_FRICTION:g}, 0 for {DEFAULT_FRICTION:g}, not {friction:g}"
-        elif request["movable"] and any(isinstance(shape, Plane) for shape, _ in each.shapes):
-            refusal = f"{name!r} has a plane, and cannot be movable"
+        else:
+            refusal = self._note_movable(request, each)
         if each is None or refusal:
             return {"success": False, "message": refusal}
-        self._movable.pop(name, None)
-        if request["movable"]:
-            self._movable[name] = mass_kg, friction or DEFAULT_FRICTION
         self._send({**self._bodies, name: self._body_of(each)})
         return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
 
+    def _note_movable(self, request: Message, each: CollisionObject) -> str:
+        """Note mass and friction of an object; return the reason why it cannot be a body with them, or an empty one."""
+        if refusal := body_refusal(request):
+            return refusal
+        self._movable.pop(each.name, None)
+        if request["movable"]:
+            if any(isinstance(shape, Plane) for shape, _ in each.shapes):
+                return f"{each.name!r} has a plane, and cannot be movable"
+            self._movable[each.name] = request["mass"], request["friction"] or DEFAULT_FRICTION
+        return ""
+
+    def _open_world(self, name: str, seed: int, context: ServerContext) -> None:
+        """Begin with the world of a file, its movable objects at places drawn with a seed."""
+        from robot.physics.placing import placed  # MuJoCo takes 200 ms
+
+        try:
+            scene, requests = read_world(name, context.graph.message_types)
+            self._scene.apply_diff(scene, None)
+            objects = self._scene.contents.objects
+            refusals = (self._note_movable(request, objects[request["id"]]) for request in requests)
+            refusal = next(filter(None, refusals), "")
+            if len(objects) > MAX_BODIES:
+                refusal = f"it has {len(objects)} objects, more than {MAX_BODIES}"
+            wanted = tuple(map(self._body_of, objects.values()))
+            bodies = () if refusal else placed(context.whole.robot, wanted, seed)
+        except (OSError, ValueError, MessageError, RefusedError, RobotError) as error:
+            raise ConfigurationError(f"arm.world: {name}: {error}") from error
+        if refusal:
+            raise ConfigurationError(f"arm.world: {name}: {refusal}")
+        self._apply({each.name: replace(objects[each.name], pose=_pose(each)) for each in bodies}, ())
+        self._world = self._scene.contents, dict(self._movable)
+
+    def _reload_world(self, world: SceneContents, movable: Mapping[str, tuple[float, float]]) -> None:
+        def change(draft: SceneDraft) -> None:
+            draft.objects, draft.attached, draft.colors = dict(world.objects), {}, dict(world.colors)
+
+        self._known, self._movable = {}, dict(movable)
+        self._scene.apply(SceneChange(change, 0), self._current.positions_rad())
+        self._follow_scene()
+
     def _reset(self, _request: dict[str, Any]) -> Message:
+        if self._world is not None:
+            self._reload_world(*self._world)
         movable = [body for body in self._bodies.values() if body.movable]
-        self._place({body.name: Pose(body.position_m, body.orientation) for body in movable})
+        self._place({body.name: _pose(body) for body in movable})
         return {"success": True, "message": f"{len(movable)} objects are where they were put"}
 
     def _set_pose(self, request: dict[str, Any]) -> Message:
@@ -268,6 +310,10 @@ class Physics(Feature):
         except TimeoutError:
             return False
         return True
+
+
+def _pose(body: Body) -> Pose:
+    return Pose(body.position_m, body.orientation)
 
 
 def _ticks(state: ArmState | None) -> int:

@@ -7,12 +7,13 @@ import pytest
 from harness.clients import ArmClient, FrameClient, arm_client, frame_client, goal_is
 from harness.server import RunningServer
 
+COLORS = [f"cube_{color}" for color in ("red", "green", "blue", "yellow")]
 CUBE = {"id": "cube", "primitives": [{"type": 1, "dimensions": [0.03, 0.03, 0.03]}], "pose": {"position": {"x": 0.3}}}
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[RunningServer]:
-    with RunningServer("--port 0 --simulation physics") as running:
+    with RunningServer("--port 0 --simulation physics --world cubes") as running:
         yield running
 
 
@@ -85,8 +86,13 @@ async def test_an_object_is_put_falls_step_by_step_and_comes_back(caller: ArmCli
     await caller.call("/simulation/pause", data=True)
     high = {"position": {"x": 0.3, "z": 0.5}, "orientation": {"w": 1.0}}
     assert (await caller.call("/simulation/set_pose", id="cube", pose=high))["success"]
-    assert await heights(caller) == {"cube": 0.5}
+    assert (await heights(caller))["cube"] == 0.5
     await caller.call("/simulation/step", steps=20)
-    assert await heights(caller) == {"cube": pytest.approx(0.5 - 0.5 * 9.81 * 0.2**2, abs=0.01)}
+    assert (await heights(caller))["cube"] == pytest.approx(0.5 - 0.5 * 9.81 * 0.2**2, abs=0.01)
     await caller.call("/simulation/reset")
-    assert await heights(caller) == {"cube": 0.0}
+    assert await heights(caller) == dict.fromkeys(COLORS, 0.016)
+
+
+def test_the_ready_line_names_the_physics_and_the_world(server: RunningServer) -> None:
+    (ready,) = [line for line in server.lines if "armbridge is ready" in line]
+    assert "so101 arm simulated (physics, world cubes) (process " in ready

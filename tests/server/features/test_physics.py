@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -48,13 +50,14 @@ class PhysicalArm:
 class Stage:
     """Scene, arm and feature, and the states that the arm sends."""
 
-    def __init__(self) -> None:
+    def __init__(self, **arm: Any) -> None:
         self.arm = PhysicalArm()
         self.scene = scene_state()
         self.graph = Graph(Registry.load())
         planning = SimpleNamespace(scene_state=self.scene, current=current_state())
         whole = SimpleNamespace(robot=ROBOT)
-        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph)
+        settings = Settings.model_validate({"arm": {"simulation": "physics", **arm}})
+        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph, settings=settings)
         self.physics = Physics(cast(Any, context), cast(Any, self.arm))
         self.clock_s = STAMP_S
 
@@ -328,6 +331,58 @@ async def test_more_objects_than_physics_has_are_left_out_with_a_sentence(
         False,
         "physics has 100 objects at most, and 'box 99' is left out",
     )
+
+
+async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
+    stage = Stage(world="cubes", world_seed=4)
+    await stage.physics.start()
+    assert {name: body.movable for name, body in stage.arm.bodies.items()} == {
+        f"cube_{color}": True for color in ("red", "green", "blue", "yellow")
+    }
+    before, poses = stage.arm.bodies, {name: each.pose for name, each in stage.scene.contents.objects.items()}
+    assert stage.position("cube_red") != (0.2, -0.1, 0.016)
+    stage.apply(box("wall", at=pose(0.4, 0.0, 0.1)), {"id": "cube_blue", "operation": 1})
+    stage.call("/simulation/set_body", id="cube_red")
+    attached = [held("cube_green", touch_links=FINGERS)]
+    stage.apply(robot_state={"is_diff": True, "attached_collision_objects": attached})
+    assert stage.call("/simulation/reset") == (True, "4 objects are where they were put")
+    assert stage.arm.bodies == before
+    assert {name: each.pose for name, each in stage.scene.contents.objects.items()} == poses
+    assert stage.arm.sent[-1].placed.keys() == before.keys()
+    assert stage.scene.contents.attached == {}
+
+
+WRONG_WORLDS = {
+    "overlap": (
+        [box("left", at=pose(0.3, 0.3, 0.05)), box("right", at=pose(0.3, 0.32, 0.05))],
+        r"arm\.world: .*: 'left' overlaps 'right' by 30 mm, more than 2 mm",
+    ),
+    "not finite": ([box("left", at=pose(math.nan))], "the object 'left': .*pose.position.x must be a finite number"),
+    "too many": ([box(str(at)) for at in range(MAX_BODIES + 1)], "it has 101 objects, more than 100"),
+    "plane": (
+        [{"id": "left", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]}],
+        "'left' has a plane, and cannot be movable",
+    ),
+}
+
+
+@pytest.mark.parametrize(("objects", "sentence"), WRONG_WORLDS.values(), ids=WRONG_WORLDS.keys())
+async def test_a_world_that_cannot_be_simulated_is_refused(
+    objects: list[dict[str, Any]], sentence: str, tmp_path: Path
+) -> None:
+    names = [each["id"] for each in objects]
+    bodies = [{"id": name, "movable": True} for name in names]
+    path = tmp_path / "world.json"
+    path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))
+    with pytest.raises(ConfigurationError, match=sentence):
+        Stage(world=str(path))
+
+
+async def test_an_arm_without_physics_has_no_world() -> None:
+    settings = Settings.model_validate({"arm": {"world": "cubes"}})
+    whole = SimpleNamespace(served=SimpleNamespace(arm=None))
+    with pytest.raises(ConfigurationError, match=r"arm\.world: only an arm with physics has a world"):
+        physics_of(cast(Any, SimpleNamespace(settings=settings, whole=whole)))
 
 
 async def test_several_arms_have_no_physics() -> None:

@@ -27,13 +27,13 @@ from server.moveit.actions.gripper import (
     PARALLEL_ACTION,
     SQUEEZE_PERIOD_S,
     Gripper,
-    GripperActions,
     GripperCommand,
     GripperCommandMessages,
     GripperLimits,
     GripperReading,
     ParallelGripperCommandMessages,
     fingers_together,
+    offer_gripper,
 )
 from tests.helpers.fake_arm import StubbornArm, settle
 from tests.helpers.moveit import REGISTRY
@@ -180,7 +180,7 @@ class Grippers:
         joints, clock = [so101().joints["gripper"]], asyncio.get_running_loop().time
         limits = limits or TimeLimits()
         self.gripper = Gripper(self.arm.as_arm, joints, GripperLimits(1.0, 1.0, 0.5, limits), clock=clock)
-        self.actions = GripperActions(LocalGraph(self.graph), self.gripper)
+        offer_gripper(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
 
     async def send(self, **command: Any) -> Goal:

@@ -38,6 +38,7 @@ $(VENV)/.installed-dev: requirements-dev.lock clients/python/pyproject.toml $(VE
 	$(PIP) install --quiet --no-deps --editable clients/python
 	touch $@
 
+# With physics (docs/simulation.md): pip install '.[physics]', then make run ARGS="--simulation physics --world cubes".
 run: install page-if-npm
 	exec $(BIN)/armbridge serve $(ARGS)
 

@@ -91,7 +91,7 @@ class EpisodeServices:
     """Offers the services, which publish their marks on ``/dataset/episode``; clients may publish there as well.
 
     While an episode is recorded, it subscribes to states, commands and cameras, which nobody else may have asked for,
-    and reports on ``/dataset/state`` and in the log what is wrong with their timing.
+    and reports problems of their timing on ``/dataset/state`` and in the log.
     """
 
     def __init__(self, graph: Graph, recording: Callable[[], bool], clock: Callable[[], float] | None = None) -> None:

@@ -13,6 +13,7 @@ from server.datasets.episodes import (
     DISCARD,
     EPISODE_TOPIC,
     EPISODE_TYPE,
+    IMAGES,
     MAX_GAP_S,
     START,
     STOP,
@@ -21,7 +22,6 @@ from server.datasets.episodes import (
     checked_task,
     parse_mark,
 )
-from server.datasets.samples import IMAGES
 from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
 from server.graph.node import Node
 from server.graph.permissions import WORKING

@@ -1,5 +1,4 @@
 import asyncio
-import time
 from typing import Any
 
 import pytest
@@ -28,7 +27,7 @@ class Marked:
     def __init__(self) -> None:
         self.now_s = 100.0
         self.recording = True
-        self.graph = Graph(REGISTRY)
+        self.graph = Graph(REGISTRY, wall_clock=lambda: self.now_s)
         self.texts: list[str] = []
         self.services = EpisodeServices(self.graph, lambda: self.recording, lambda: self.now_s)
         self.states: list[dict[str, Any]] = []
@@ -118,7 +117,7 @@ async def test_a_camera_that_is_late_or_uneven_is_reported_while_the_episode_is_
     marked.services.look()
     for wait_s in intervals_s:
         marked.now_s += wait_s
-        stamp = Stamp.from_seconds(time.time() - delay_s).as_message()
+        stamp = Stamp.from_seconds(marked.now_s - delay_s).as_message()
         marked.graph.publish(camera, CAMERA, {"header": {"stamp": stamp, "frame_id": ""}})
     marked.now_s += 0.0 if intervals_s else 0.6
     for _ in range(2):

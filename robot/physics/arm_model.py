@@ -26,10 +26,6 @@ ARMATURE_KG_M2 = 0.028
 
 MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
 
-# Bits of contype and conaffinity: the floor carries objects, and does not touch links, which the planners do not keep
-# above it either.
-LINKS, FLOOR = 1, 2
-
 # Grip needs friction across the finger, also about its normal: condim 4 has both.
 CONTACT_DIMENSIONS = 4
 
@@ -101,7 +97,6 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
                 mesh = spec.add_mesh(name=f"{body.name} {index}", uservert=vertices.ravel().tolist())
                 body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)
         for geom in body.geoms:
-            geom.contype = geom.conaffinity = LINKS
             geom.condim = CONTACT_DIMENSIONS
             if not body.explicitinertial:
                 geom.density = LINK_DENSITY_KG_M3
@@ -120,9 +115,8 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
             equality = spec.add_equality(name1=follower.name, name2=follower.mimic.joint)
             equality.type, equality.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
             equality.data[:2] = follower.mimic.offset, follower.mimic.multiplier
-    spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1], contype=FLOOR, conaffinity=FLOOR
-    )
+    # It does not touch the arm's base: MuJoCo lets no two bodies touch that are fixed in the world.
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1])
 
 
 def gripper_links(robot: RobotModel) -> frozenset[str]:

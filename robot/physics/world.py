@@ -16,8 +16,6 @@ from robot.errors import DescriptionError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.physics.arm_model import (
     CONTACT_DIMENSIONS,
-    FLOOR,
-    LINKS,
     TIMESTEP_S,
     add_cameras,
     arm_model,
@@ -270,7 +268,6 @@ class World:
         element = self._spec.worldbody.add_body(name=_in_model(body.name), pos=body.position_m, quat=[w, x, y, z])
         if body.movable:
             element.add_freejoint(name=_in_model(body.name))
-        bits = LINKS | FLOOR if body.movable else LINKS
         for index, shape in enumerate(body.shapes):
             x, y, z, w = shape.orientation
             geom = element.add_geom(
@@ -278,8 +275,6 @@ class World:
                 size=_size(shape),
                 pos=shape.position_m,
                 quat=[w, x, y, z],
-                contype=bits,
-                conaffinity=bits,
                 condim=CONTACT_DIMENSIONS,
                 density=BODY_DENSITY_KG_M3,
                 priority=1,  # MuJoCo takes the greater friction of two shapes of equal priority

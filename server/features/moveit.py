@@ -18,7 +18,7 @@ from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
 from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
-from server.moveit.actions.gripper import GripperActions
+from server.moveit.actions.gripper import offer_gripper
 from server.moveit.actions.joint_trajectory_controller import (
     JointTrajectoryController,
     TrajectoryContext,
@@ -32,7 +32,7 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.goals.goal_checks import offer_goal_checks
 from server.moveit.goals.goal_history import GoalHistory
-from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics
+from server.moveit.goals.goal_topics import GoalStatusTopics, offer_goal_topics
 from server.moveit.named_states import default_path, offer_named_states
 from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
@@ -141,7 +141,7 @@ class _GoalsOfArm:
         graph, goals, planning = arm.graph, arm.goals, arm.planning
         self._arm = arm
         self._status = GoalStatusTopics(graph, arm.node, planning.robot)
-        GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
+        offer_goal_topics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
         GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
@@ -154,7 +154,7 @@ class _GoalsOfArm:
                 )
             )
         if arm.gripper is not None:
-            GripperActions(graph, arm.gripper)
+            offer_gripper(graph, arm.gripper)
         names = [name for each in self._controllers for name in each.actions]
         self.actions = tuple(map(graph.resolve, (*names, *(() if arm.gripper is None else GRIPPER_ACTIONS))))
         goals.listeners.append(self)

@@ -271,7 +271,7 @@ class ActionDesk(ServiceRig, GoalRunner):
         if goal.request.motion is None:
             self.refused.append(answer.message)
 
-    async def send(self, action: str, **goal: Any) -> Goal | None:
+    async def send(self, action: str, **goal: Any) -> Goal:
         """Send a goal, and let everything that it sets going come to rest."""
         type_name = self.graph.actions.names.type_of(action)
         assert type_name is not None
@@ -279,6 +279,7 @@ class ActionDesk(ServiceRig, GoalRunner):
             self.client, action, type_name, goal, self.results.append, self.feedback.append
         )
         await settle()
+        assert sent is not None
         return sent
 
     async def close(self) -> None:

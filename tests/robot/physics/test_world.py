@@ -95,6 +95,21 @@ def test_an_arm_pushes_a_movable_body_and_is_stopped_by_a_fixed_one() -> None:
     assert turned[False] < 0.4
 
 
+def test_the_floor_stops_a_link_and_carries_it_and_the_base_stands_in_it() -> None:
+    arm = driven(physics=True, start_rad={})
+    world = world_of(arm)
+    assert world.overlaps({"base_link", "floor"}) == []
+    arm.move(SHOULDER_LIFT, 0.9, 90)
+    stopped = arm.tick(30)
+    assert stopped.position_rad[SHOULDER_LIFT] < 0.75
+    assert abs(stopped.load[SHOULDER_LIFT]) > 0.3
+    ((first, second, depth_m),) = world.overlaps({"floor"}) or (("floor", "", 0.0),)
+    assert first == "floor", second
+    assert depth_m < 0.004
+    arm.move(SHOULDER_LIFT, 0.0, 90)
+    assert arm.tick(50).position_rad[SHOULDER_LIFT] == pytest.approx(0.0, abs=0.06)
+
+
 def test_fingers_that_close_on_a_body_hold_it_lift_it_and_drop_it() -> None:
     arm = driven(physics=True, start_rad=AROUND)
     world = world_of(arm)

@@ -39,6 +39,7 @@ from robot.messages import (
     Order,
     Outcome,
     ParkingPlan,
+    PauseSimulation,
     Setpoint,
     Shutdown,
     Stop,
@@ -189,10 +190,11 @@ class Arm(ArmClock):
         if self._bodies is not None:
             self._process.send(self._bodies)
 
-    def set_bodies(self, bodies: SetBodies) -> None:
-        """Set the bodies around an arm with physics; a restarted process gets them too."""
-        self._bodies = bodies
-        self._process.send(bodies)
+    def simulate(self, command: SetBodies | PauseSimulation) -> None:
+        """Command the world of an arm with physics; a restarted process has the same bodies, and is not paused."""
+        if isinstance(command, SetBodies):
+            self._bodies = command
+        self._process.send(command)
 
     async def until_started(self, timeout_s: float) -> None:
         """Wait while :meth:`start` is in progress, for ``timeout_s`` at most; return at once when it is not."""

@@ -237,6 +237,14 @@ class Command:
 
 
 @dataclass(frozen=True)
+class PauseSimulation:
+    """Command to let the time of a simulated arm stand still after some single ticks, or pass again."""
+
+    paused: bool
+    ticks: int = 0
+
+
+@dataclass(frozen=True)
 class Shutdown:
     """Command to brake, bring the arm to its end state and end the process."""
 
@@ -334,6 +342,8 @@ class ArmState(Frequent):
     clock_s: float = 0.0  # time of the control loop, which on a simulated arm passes no faster than the loop runs [s]
     torque_enabled: bool = False  # True while torque is on
     bodies: BodyStates | None = None  # bodies around an arm with physics that have moved; None for none
+    # Single ticks since the time of an arm with physics stands still; None while it passes.
+    stepped_ticks: int | None = None
 
 
 @dataclass

@@ -47,87 +47,19 @@ class Status(IntEnum):
 STATUS_OF_END = {GoalStatus.SUCCEEDED: Status.SUCCEEDED, GoalStatus.CANCELED: Status.PREEMPTED}
 
 
-@dataclass
+@dataclass(eq=False)
 class Tracked:
-    """A goal."""
+    """A goal of actionlib; ``sent`` is the goal of the action, until it has ended."""
 
     goal_id: GoalId
     status: Status = Status.PENDING
     text: str = ""
     ended_s: float | None = None
-
-    @property
-    def key(self) -> str:
-        """Its id, which no other goal of the action has."""
-        return str(self.goal_id["id"])
+    sent: Goal | None = None
 
     def message(self) -> dict[str, Any]:
-        """Its actionlib_msgs/GoalStatus."""
+        """Return the actionlib_msgs/GoalStatus."""
         return {"goal_id": self.goal_id, "status": int(self.status), "text": self.text}
-
-
-class TrackedGoals:
-    """All goals of one action that have not been forgotten."""
-
-    def __init__(self, action: str) -> None:
-        self._action = action
-        self._goals: dict[str, Tracked] = {}
-        self._count = 0
-
-    @property
-    def full(self) -> bool:
-        """True when no more goals can be accepted."""
-        return sum(goal.ended_s is None for goal in self._goals.values()) >= MAX_GOALS
-
-    def add(self, goal_id: GoalId, now: Stamp) -> Tracked | None:
-        """Take a goal on, with an id and a stamp if its client gave none; None when its id is known already."""
-        stamp = _stamp(goal_id) if _stamp(goal_id) != ZERO else now
-        self._count += 1
-        name = goal_id["id"] or f"{self._action}-{self._count}-{stamp.sec}.{stamp.nanosec:09d}"
-        if name in self._goals:
-            return None
-        goal = self._goals[name] = Tracked({"stamp": stamp.as_message(), "id": name})
-        return goal
-
-    def on_its_way(self, key: str) -> Tracked | None:
-        """A goal that has not ended."""
-        goal = self._goals.get(key)
-        return None if goal is None or goal.ended_s is not None else goal
-
-    def update(self, key: str, status: Status, text: str = "", ended_s: float | None = None) -> Tracked | None:
-        """Note the status of a goal, and the monotonic time of its end [s]; return it, None when it is not active."""
-        goal = self.on_its_way(key)
-        if goal is not None:
-            goal.status, goal.text, goal.ended_s = status, text or goal.text, ended_s
-        return goal
-
-    def to_cancel(self, goal_id: GoalId) -> list[str]:
-        """Return the goals that a message on the topic ``cancel`` selects.
-
-        All of them when it has neither id nor stamp; else the goal of its id, and all goals no younger than its stamp.
-        """
-        stamp, name = _stamp(goal_id), goal_id["id"]
-        everything = not name and stamp == ZERO
-        return [
-            key
-            for key, goal in self._goals.items()
-            if goal.ended_s is None and (everything or key == name or ZERO < _stamp(goal.goal_id) <= stamp)
-        ]
-
-    def forget(self, now_s: float) -> None:
-        """Drop what ended long before a monotonic time [s]."""
-        self._goals = {
-            key: goal
-            for key, goal in self._goals.items()
-            if goal.ended_s is None or now_s - goal.ended_s < ENDED_KEPT_S
-        }
-        for key in list(self._goals)[: -2 * MAX_GOALS]:
-            if self._goals[key].ended_s is not None:
-                del self._goals[key]
-
-    def messages(self) -> list[dict[str, Any]]:
-        """The actionlib_msgs/GoalStatus of each, the oldest first."""
-        return [goal.message() for goal in self._goals.values()]
 
 
 def _stamp(goal_id: GoalId) -> Stamp:
@@ -180,8 +112,9 @@ class BridgedAction:
         self._type_name = type_name
         self._clock = clock
         self._node = Node(f"actionlib of {name}")
-        self._tracked = TrackedGoals(name)
-        self._goals: dict[str, Goal] = {}
+        # Goals that have not been forgotten, by id, the oldest first.
+        self._goals: dict[str, Tracked] = {}
+        self._count = 0
         # ROS 1's results and feedback lack fields that ROS 2 added.
         self._fields = {part: self._fields_of(part) for part in ("Result", "Feedback")}
         for part in ("Result", "Feedback"):
@@ -194,76 +127,99 @@ class BridgedAction:
 
     def publish_status(self) -> None:
         """Tell how all goals are, if anybody listens."""
-        self._tracked.forget(self._clock())
+        self._forget()
         topic = f"{self._name}/status"
         if self._graph.subscribers(topic):
-            self._graph.publish(self._node, topic, {"status_list": self._tracked.messages()})
+            self._graph.publish(self._node, topic, {"status_list": self._messages()})
+
+    def _forget(self) -> None:
+        """Drop what ended long ago, and of very many goals the oldest that have ended."""
+        now_s = self._clock()
+        self._goals = {
+            key: goal
+            for key, goal in self._goals.items()
+            if goal.ended_s is None or now_s - goal.ended_s < ENDED_KEPT_S
+        }
+        for key in list(self._goals)[: -2 * MAX_GOALS]:
+            if self._goals[key].ended_s is not None:
+                del self._goals[key]
+
+    def _messages(self) -> list[dict[str, Any]]:
+        return [goal.message() for goal in self._goals.values()]
 
     def _take_goal(self, published: PublishedMessage) -> None:
-        message, full = published.msg, self._tracked.full
-        tracked = self._tracked.add(message["goal_id"], self._graph.message_types.now())
-        if tracked is None:
+        message = published.msg
+        full = sum(goal.ended_s is None for goal in self._goals.values()) >= MAX_GOALS
+        goal = self._tracked(message["goal_id"])
+        if goal is None:
             log.warning("%s: a goal of the id %r is known already", self._name, message["goal_id"]["id"])
             return
         if full:
-            self._end(tracked.key, Status.REJECTED, f"too many goals of {self._name} are on their way", {})
+            self._end(goal, Status.REJECTED, f"too many goals of {self._name} are on their way", {})
             return
-        self._tracked.update(tracked.key, Status.ACTIVE)
+        goal.status = Status.ACTIVE
         sender = published.publisher if isinstance(published.publisher, Node) else self._node
-        self._send(tracked.key, sender, message["goal"])
+        self._send(goal, sender, message["goal"])
         self.publish_status()
+
+    def _tracked(self, goal_id: GoalId) -> Tracked | None:
+        """Track a goal, with an id and a stamp if its client gave none; None when its id is known already."""
+        stamp = _stamp(goal_id) if _stamp(goal_id) != ZERO else self._graph.message_types.now()
+        self._count += 1
+        key = goal_id["id"] or f"{self._name}-{self._count}-{stamp.sec}.{stamp.nanosec:09d}"
+        if key in self._goals:
+            return None
+        goal = self._goals[key] = Tracked({"stamp": stamp.as_message(), "id": key})
+        return goal
 
     def _reject_unauthorized(self, message: Mapping[str, Any], sender: Node, reason: str) -> None:
         """Reject a goal that its sender may not send; nobody else waits for it, and it takes no place."""
         if message:
             status = {"goal_id": message["goal_id"], "status": int(Status.REJECTED), "text": reason}
-            self._graph.tell(sender, f"{self._name}/status", {"status_list": [*self._tracked.messages(), status]})
+            self._graph.tell(sender, f"{self._name}/status", {"status_list": [*self._messages(), status]})
             self._graph.tell(sender, f"{self._name}/result", {"status": status})
 
-    def _send(self, key: str, sender: Node, message: Mapping[str, Any]) -> None:
+    def _send(self, goal: Tracked, sender: Node, message: Mapping[str, Any]) -> None:
         at_once: list[Result] = []
-        goal = self._graph.actions.send_goal(
+        sent = self._graph.actions.send_goal(
             sender,
             self._name,
             self._type_name,
             message,
             at_once.append,
-            lambda feedback: self._on_feedback(key, feedback),
+            lambda feedback: None if goal.ended_s is not None else self._publish("Feedback", goal, feedback),
         )
-        if goal is None or goal.ended:
-            self._on_result(key, at_once[0])
+        if sent is None or sent.ended:
+            self._on_result(goal, at_once[0])
             return
-        self._goals[key] = goal
+        goal.sent = sent
         # Not by the sender's callback: when the sender leaves, others may still be listening.
-        goal.when_ended(lambda result: self._on_result(key, result))
+        sent.when_ended(lambda result: self._on_result(goal, result))
 
     def _take_cancel(self, published: PublishedMessage) -> None:
-        for key in self._tracked.to_cancel(published.msg):
-            goal = self._goals.get(key)
-            if goal is not None:
-                self._tracked.update(key, Status.PREEMPTING)
-                goal.cancel()
+        """Cancel all goals for a message without id and stamp; else the goal of its id, and those up to its stamp."""
+        stamp, name = _stamp(published.msg), published.msg["id"]
+        everything = not name and stamp == ZERO
+        for key, goal in list(self._goals.items()):
+            selected = everything or key == name or ZERO < _stamp(goal.goal_id) <= stamp
+            if selected and goal.sent is not None:
+                goal.status = Status.PREEMPTING
+                goal.sent.cancel()
         self.publish_status()
 
-    def _on_result(self, key: str, result: Result) -> None:
-        self._goals.pop(key, None)
+    def _on_result(self, goal: Tracked, result: Result) -> None:
+        goal.sent = None
         if result.ok:
             status = STATUS_OF_END.get(GoalStatus(result.status), Status.ABORTED)
-            self._end(key, status, _sentence(result.values), result.values)
+            self._end(goal, status, _sentence(result.values), result.values)
         else:
             taken_on = result.status != GoalStatus.UNKNOWN
-            self._end(key, Status.ABORTED if taken_on else Status.REJECTED, str(result.values), {})
+            self._end(goal, Status.ABORTED if taken_on else Status.REJECTED, str(result.values), {})
 
-    def _end(self, key: str, status: Status, text: str, values: Mapping[str, Any]) -> None:
-        goal = self._tracked.update(key, status, text, self._clock())
-        if goal is not None:
-            self._publish("Result", goal, values)
-            self.publish_status()
-
-    def _on_feedback(self, key: str, values: Mapping[str, Any]) -> None:
-        goal = self._tracked.on_its_way(key)
-        if goal is not None:
-            self._publish("Feedback", goal, values)
+    def _end(self, goal: Tracked, status: Status, text: str, values: Mapping[str, Any]) -> None:
+        goal.status, goal.text, goal.ended_s = status, text, self._clock()
+        self._publish("Result", goal, values)
+        self.publish_status()
 
     def _publish(self, part: str, goal: Tracked, values: Mapping[str, Any]) -> None:
         known = {name: values[name] for name in self._fields[part] if name in values}

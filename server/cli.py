@@ -10,7 +10,7 @@ import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
-from server.commands.arm import add_doctor_parser, add_relax_parser, add_scan_parser
+from server.commands.arm import add_doctor_parser, add_relax_parser, add_scan_parser, add_verify_parser
 from server.commands.calibrate import add_calibrate_parser
 from server.commands.certificate import add_certificate_parser
 from server.commands.config import add_config_parser, add_systemd_unit_parser
@@ -23,7 +23,6 @@ from server.commands.robot import add_robot_parser
 from server.commands.serve import add_classroom_parser, add_emulate_parser, add_replay_parser, add_serve_parser
 from server.commands.setup import add_setup_parser
 from server.commands.terminal import EXIT_CODES, ExitCode
-from server.commands.verify import add_verify_parser
 from server.config_keys import unknown
 from server.installation import version_line
 
@@ -52,7 +51,6 @@ COMMANDS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit code."""
     parser = _parser()
     options, others = parser.parse_known_args(arguments)
     if others:

@@ -45,7 +45,6 @@ class PlanningSettings(SettingsSection):
 
     @property
     def memory_limit_bytes(self) -> int:
-        """``memory_limit_mb`` as processes take it."""
         return self.memory_limit_mb * 1_000_000
 
 
@@ -105,6 +104,10 @@ class ArmSettings(SettingsSection):
     """folders with the packages of package://, searched ahead of ROS_PACKAGE_PATH."""
     simulation: Literal["light", "physics"] = "light"
     """simulation of an arm without serial: physics has mass and contact by MuJoCo (docs/simulation.md)."""
+    world: str | None = None
+    """world of the physics: cubes, table, peg or a file (docs/simulation.md)."""
+    world_seed: int = Field(default=0, ge=0)
+    """seed that moves the world's movable objects; 0 for none."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
@@ -279,7 +282,6 @@ class DiagnosticsSettings(SettingsSection):
     """their folder; None for armbridge/faults/ in the user's data directory."""
 
     def directory(self, data: Path) -> Path:
-        """Return the directory of the files about faults."""
         return self.fault_directory or data / "faults"
 
 

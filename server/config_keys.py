@@ -51,12 +51,10 @@ class Setting:
 
     @property
     def section(self) -> str:
-        """The key without its last part."""
         return self.key.rpartition(".")[0]
 
     @property
     def name(self) -> str:
-        """The last part of the key."""
         return _name(self.key)
 
     @property
@@ -175,7 +173,6 @@ _HEAD = "# Every setting of armbridge at its default. Keep the lines that you ch
 
 
 def template(model: type[BaseModel]) -> str:
-    """Return the text of a file in TOML with every setting of a model."""
     lines = [_HEAD]
     for section, settings in groupby(every_setting(model), key=lambda setting: setting.section):
         inside = list(settings)
@@ -186,7 +183,6 @@ def template(model: type[BaseModel]) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML writes it."""
     if isinstance(value, Mapping):
         inner = ", ".join(f"{json.dumps(str(key))} = {toml_value(each)}" for key, each in value.items())
         return f"{{ {inner} }}" if inner else "{}"

@@ -5,5 +5,4 @@ LEVEL_OK, LEVEL_WARN, LEVEL_ERROR = 0, 1, 2
 
 
 def key_values(values: dict[str, str]) -> list[dict[str, str]]:
-    """Return pairs as diagnostic_msgs/KeyValue messages."""
     return [{"key": key, "value": value} for key, value in values.items()]

@@ -47,12 +47,10 @@ class RefusedError(ServerError):
 
 
 def refused(code: MoveItErrorCode, message: str, **details: Any) -> RefusedError:
-    """Make the error that rejects a request."""
     return RefusedError(PlanningFailure(code, message, details))
 
 
 def invalid(message: str, **details: Any) -> RefusedError:
-    """Make the error that rejects a goal or a constraint."""
     return refused(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, **details)
 
 

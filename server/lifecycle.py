@@ -161,7 +161,6 @@ def toggle_debug() -> None:
 
 
 async def first_of(*events: asyncio.Event) -> None:
-    """Wait until one of some events is set."""
     waiting = [asyncio.create_task(_until(event)) for event in events]
     await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
     for each in waiting:

@@ -91,7 +91,6 @@ class NamedFiles:
         return await self._in_thread(name, done, lambda: self._known(path, read))
 
     async def delete(self, name: str) -> None:
-        """Delete a file."""
         await self.read(name, Path.unlink, "deleted")
 
     async def rename(self, name: str, new_name: str) -> None:

@@ -44,7 +44,6 @@ class PublishingClient(ABC):
 
     @property
     def ended(self) -> bool:
-        """True when there is nothing more to publish."""
         return False
 
     @abstractmethod
@@ -74,26 +73,24 @@ class PublishingClient(ABC):
                 delay_s = min(2.0 * delay_s, LAST_DELAY_S)
 
     async def announce(self, connection: ClientConnection) -> None:
-        """Show the token, and advertise the topic."""
         if self._target.token is not None:
             await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
         operation = {"op": "advertise", "topic": self._target.topic, "type": self._type_name}
         await connection.send(json.dumps(operation))
 
     async def send(self, connection: ClientConnection, message: dict[str, Any]) -> None:
-        """Publish one message."""
         await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
 
     async def _listen(self, frames: Any) -> None:
         async for frame in frames:
             with contextlib.suppress(ValueError):
-                complaint = _complaint(json.loads(frame))
+                complaint = complaint_of(json.loads(frame))
                 if complaint and complaint not in self._complaints and len(self._complaints) < MAX_COMPLAINTS:
                     self._complaints.add(complaint)
                     self._tell(f"{self._target.url}: {complaint}")
 
 
-def _complaint(answer: Any) -> str:
+def complaint_of(answer: Any) -> str:
     """Return the sentence of a status message with an error or a warning; empty for anything else."""
     if not isinstance(answer, dict) or answer.get("op") != "status" or answer.get("level") not in ("error", "warning"):
         return ""

@@ -43,7 +43,6 @@ class RobotFiles:
         )
 
     def read(self, name: str) -> bytes:
-        """Read a file; argument and errors as for :meth:`find`."""
         path = self.find(name)
         try:
             return path.read_bytes()

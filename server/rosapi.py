@@ -67,7 +67,6 @@ class Request(NamedTuple):
     dialect: Dialect
 
     def name(self, field: str) -> str:
-        """Return the fully qualified name in a field of the request."""
         return qualify(self.values[field])
 
 
@@ -327,7 +326,6 @@ def _type_answer(names: TypedNames, field: str) -> Handler:
 
 
 def node_name(node: Node) -> str:
-    """Return a node's name as ROS spells names."""
     return _ros_name(node.name)
 
 

@@ -8,5 +8,4 @@ CallLater = Callable[[float, Callable[[], None]], asyncio.TimerHandle]
 
 
 def call_later(delay_s: float, action: Callable[[], None]) -> asyncio.TimerHandle:
-    """Call a function after a delay, on the running event loop."""
     return asyncio.get_running_loop().call_later(delay_s, action)

@@ -22,6 +22,9 @@ settings.register_profile("same", max_examples=25, deadline=None, derandomize=Tr
 settings.register_profile("explore", max_examples=EXAMPLES_OF_EXPLORING, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE") or "same")
 
+# MuJoCo reads it when any test imports it first.
+os.environ.setdefault("MUJOCO_GL", "egl")
+
 
 # What servers in the tests' own processes keep, and those that a test starts by itself, goes nowhere near the user's.
 _DATA = tempfile.TemporaryDirectory(prefix="armbridge")

@@ -599,6 +599,18 @@ export interface SetBodyResponse {
   message: string;
 }
 
+/** armbridge_msgs/srv/SetBodyPose_Request */
+export interface SetBodyPoseRequest {
+  id: string;
+  pose: Pose;
+}
+
+/** armbridge_msgs/srv/SetBodyPose_Response */
+export interface SetBodyPoseResponse {
+  success: boolean;
+  message: string;
+}
+
 /** armbridge_msgs/srv/SetSpeedLimit_Request */
 export interface SetSpeedLimitRequest {
   speed_limit: number;
@@ -633,6 +645,17 @@ export interface StartTeleopRequest {
 
 /** armbridge_msgs/srv/StartTeleop_Response */
 export interface StartTeleopResponse {
+  success: boolean;
+  message: string;
+}
+
+/** armbridge_msgs/srv/StepSimulation_Request */
+export interface StepSimulationRequest {
+  steps: number;
+}
+
+/** armbridge_msgs/srv/StepSimulation_Response */
+export interface StepSimulationResponse {
   success: boolean;
   message: string;
 }
@@ -1059,9 +1082,11 @@ export interface Services {
   "armbridge_msgs/srv/RenameMotion": { request: RenameMotionRequest; response: RenameMotionResponse };
   "armbridge_msgs/srv/SaveScene": { request: SaveSceneRequest; response: SaveSceneResponse };
   "armbridge_msgs/srv/SetBody": { request: SetBodyRequest; response: SetBodyResponse };
+  "armbridge_msgs/srv/SetBodyPose": { request: SetBodyPoseRequest; response: SetBodyPoseResponse };
   "armbridge_msgs/srv/SetSpeedLimit": { request: SetSpeedLimitRequest; response: SetSpeedLimitResponse };
   "armbridge_msgs/srv/StartEpisode": { request: StartEpisodeRequest; response: StartEpisodeResponse };
   "armbridge_msgs/srv/StartTeleop": { request: StartTeleopRequest; response: StartTeleopResponse };
+  "armbridge_msgs/srv/StepSimulation": { request: StepSimulationRequest; response: StepSimulationResponse };
   "armbridge_msgs/srv/TrimMotion": { request: TrimMotionRequest; response: TrimMotionResponse };
   "moveit_msgs/srv/ApplyPlanningScene": { request: ApplyPlanningSceneRequest; response: ApplyPlanningSceneResponse };
   "moveit_msgs/srv/DeleteRobotStateFromWarehouse": { request: DeleteRobotStateFromWarehouseRequest; response: DeleteRobotStateFromWarehouseResponse };

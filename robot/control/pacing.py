@@ -66,9 +66,14 @@ def percentiles(values_s: Iterable[float]) -> tuple[float, float, float]:
 class LoopClock:
     """Clock of the control loop, the machine's monotonic one; call it for the time [s]."""
 
+    stepped_ticks: int | None = None  # single ticks since a simulated arm's time stands still; None while it passes
+
     def __call__(self) -> float:
         """Return the time [s]."""
         return time.monotonic()
+
+    def pause(self, *, paused: bool, ticks: int = 0) -> None:
+        """Do nothing: the time of a real arm passes."""
 
     def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
         """Mark the start of a tick [s]; a simulated arm's time passes by ``at_most_s``, more after skipped ticks."""
@@ -84,6 +89,7 @@ class SimulationClock(LoopClock):
 
     def __init__(self, machine_s: float) -> None:
         self._now_s = self._tick_s = machine_s
+        self._ticks_left = 0  # single ticks to come while the time stands still
         # Reports and /diagnostics come once a second each: of a report that /diagnostics misses, the next has the half.
         self._passed_s: deque[tuple[float, float]] = deque(maxlen=2 * TICKS_KEPT)
 
@@ -91,11 +97,20 @@ class SimulationClock(LoopClock):
         """Return the time [s]."""
         return self._now_s
 
+    def pause(self, *, paused: bool, ticks: int = 0) -> None:
+        """Let the time stand still after ``ticks`` single ones, or pass again."""
+        self.stepped_ticks, self._ticks_left = (self.stepped_ticks or 0) if paused else None, ticks
+
     def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
-        """Advance by the time since the last tick, up to a bound."""
+        """Advance by the time since the last tick, up to a bound; by a single tick, or nothing, while it is paused."""
         elapsed_s = max(machine_s - self._tick_s, 0.0)
-        passed_s = min(elapsed_s, at_most_s)
         self._tick_s = machine_s
+        if self.stepped_ticks is not None:
+            if self._ticks_left:
+                self._ticks_left, self.stepped_ticks = self._ticks_left - 1, self.stepped_ticks + 1
+                self._now_s += PERIOD_S
+            return
+        passed_s = min(elapsed_s, at_most_s)
         self._now_s += passed_s
         self._passed_s.append((passed_s, elapsed_s))
 

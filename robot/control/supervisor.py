@@ -36,6 +36,7 @@ from robot.messages import (
     MotionEnded,
     Order,
     Outcome,
+    PauseSimulation,
     Setpoint,
     Shutdown,
     Stop,
@@ -161,6 +162,8 @@ class Supervisor:
         self._interrupt(reason)
         self.arm = self._orders = None
         self._reason = reason
+        # The servos are checked again, which takes time.
+        self._clock.pause(paused=False)
         lost_s, fault, names = self._clock(), self._fault, self._joint_names
         self._send(ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s), True)
 
@@ -193,6 +196,8 @@ class Supervisor:
         elif isinstance(message, SetBodies):
             self._bodies = message
             self._set_bodies()
+        elif isinstance(message, PauseSimulation):
+            self._clock.pause(paused=message.paused, ticks=message.ticks)
 
     @property
     def spare_ticks(self) -> int:
@@ -209,7 +214,9 @@ class Supervisor:
         arm, now_s = self.arm, self._clock()
         if arm is None:
             return
-        self._end_ticks += ticks if self._end is not None else 0
+        if self._end is not None:
+            self._end_ticks += ticks
+            self._clock.pause(paused=False)
         ended = arm.tick()
         self._parking.take(ended)
         self._report(ended)
@@ -231,7 +238,8 @@ class Supervisor:
             self._state_due = max(self._state_due + self._ticks_per_state, 1)
             if (world := arm.hardware.world) is not None:
                 # A state may be dropped on its way: once a second all bodies are in it.
-                state = replace(state, bodies=world.moved_bodies(every=self._health_due <= 0))
+                bodies = world.moved_bodies(every=self._health_due <= 0)
+                state = replace(state, bodies=bodies, stepped_ticks=self._clock.stepped_ticks)
             self._send(state, True)
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS
@@ -243,7 +251,8 @@ class Supervisor:
         task, now_s = self._task, self._clock()
         if task is None:
             return float("inf")
-        if now_s < task.ready_s:
+        # An emergency stop does not wait for a time that stands still.
+        if now_s < task.ready_s and not (task.urgent and self._clock.stepped_ticks is not None):
             return task.ready_s - now_s
         try:
             task.ready_s = now_s + next(task.steps)

@@ -75,7 +75,7 @@ class Plant:
     def __post_init__(self) -> None:
         self._profile_ticks = self.position_ticks
         self._profile_velocity_ticks_s = 0.0
-        self._walls_ticks = (self.lower_stop_ticks, self.upper_stop_ticks)
+        self.walls_ticks = (self.lower_stop_ticks, self.upper_stop_ticks)  # mechanical ends, or an obstacle before one
         self.at_rest = False  # True if it did not move in the latest step, and will not until something changes
         self._rested_under: tuple[object, ...] = ()
 
@@ -88,11 +88,11 @@ class Plant:
         """Put an obstacle at a tick, above or below the present position; None removes it."""
         lower, upper = self.lower_stop_ticks, self.upper_stop_ticks
         if obstacle_ticks is None:
-            self._walls_ticks = (lower, upper)
+            self.walls_ticks = (lower, upper)
         elif obstacle_ticks >= self.position_ticks:
-            self._walls_ticks = (lower, min(upper, obstacle_ticks))
+            self.walls_ticks = (lower, min(upper, obstacle_ticks))
         else:
-            self._walls_ticks = (max(lower, obstacle_ticks), upper)
+            self.walls_ticks = (max(lower, obstacle_ticks), upper)
 
     def step(self, duration_s: float, drive: Drive) -> None:
         """Advance by ``duration_s`` [s]."""
@@ -103,7 +103,7 @@ class Plant:
             self.gravity_permille,
             self.push_permille,
             self.hand_ticks,
-            self._walls_ticks,
+            self.walls_ticks,
         )
         if self.at_rest and under == self._rested_under:
             return
@@ -139,7 +139,7 @@ class Plant:
         if self.hand_ticks is not None:
             velocity = max(-HAND_TICKS_S, min(HAND_TICKS_S, (self.hand_ticks - self.position_ticks) / dt_s))
         wanted = self.position_ticks + velocity * dt_s
-        lower, upper = self._walls_ticks
+        lower, upper = self.walls_ticks
         reached = max(lower, min(upper, wanted))
         self.velocity_ticks_s = velocity if reached == wanted else 0.0
         self.position_ticks = reached
@@ -165,11 +165,6 @@ class DrivenPlant(Plant):
     """Joint that a physical world moves (:mod:`robot.physics`), by the drive that the servo set last."""
 
     drive: Drive = RELAXED
-
-    @property
-    def walls_ticks(self) -> tuple[float, float]:
-        """Mechanical ends, or an obstacle before one."""
-        return self._walls_ticks
 
     def step(self, duration_s: float, drive: Drive) -> None:  # noqa: ARG002 - the world's time passes for all joints
         """Keep the drive for the world's next steps."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
 
+from robot.description.camera import Camera
 from robot.description.meshes import with_mesh_paths
 from robot.description.model import RobotModel
 from robot.errors import DescriptionError
-from robot.physics.camera import Camera, RenderingError
 
 TIMESTEP_S = 0.002
 
@@ -23,13 +24,7 @@ LINK_DENSITY_KG_M3 = 600.0
 # its STS3215). Links alone are too light for stable contacts at this time step.
 ARMATURE_KG_M2 = 0.028
 
-CAMERA = "camera"  # name of the camera in a model
-
 MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
-
-# Bits of contype and conaffinity: the floor carries objects, and does not touch links, which the planners do not keep
-# above it either.
-LINKS, FLOOR = 1, 2
 
 # Grip needs friction across the finger, also about its normal: condim 4 has both.
 CONTACT_DIMENSIONS = 4
@@ -57,14 +52,18 @@ def arm_model(robot: RobotModel) -> mujoco.MjSpec:
     return spec
 
 
-def add_camera(spec: mujoco.MjSpec, camera: Camera) -> None:
-    """Add a camera to a link of a model, and light; raises RenderingError for a link that is not there."""
-    body, axes = spec.body(camera.link), camera.axes
-    if body is None:
-        raise RenderingError(f"there is no link {camera.link!r} for the camera")
-    added = body.add_camera(name=CAMERA, pos=camera.position_m, fovy=camera.field_of_view_deg)
-    added.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
-    added.alt.xyaxes = [*axes[:, 0].tolist(), *axes[:, 1].tolist()]
+def add_cameras(spec: mujoco.MjSpec, cameras: Mapping[str, Camera]) -> None:
+    """Add cameras to links of a model, and light; the model is for images alone, without contacts."""
+    for name, camera in cameras.items():
+        body = spec.body(camera.frame)
+        if body is None:
+            raise DescriptionError(f"camera {name!r}", f"is on the link {camera.frame!r}, which the arm does not have")
+        added = body.add_camera(name=name, pos=camera.view[:3], fovy=camera.field_of_view_deg)
+        added.alt.type = mujoco.mjtOrientation.mjORIENTATION_XYAXES
+        added.alt.xyaxes = camera.axes[:, :2].T.ravel().tolist()
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    spec.visual.global_.offwidth = max(camera.width for camera in cameras.values())
+    spec.visual.global_.offheight = max(camera.height for camera in cameras.values())
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.5] * 3, [0.7] * 3
 
 
@@ -98,7 +97,6 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
                 mesh = spec.add_mesh(name=f"{body.name} {index}", uservert=vertices.ravel().tolist())
                 body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)
         for geom in body.geoms:
-            geom.contype = geom.conaffinity = LINKS
             geom.condim = CONTACT_DIMENSIONS
             if not body.explicitinertial:
                 geom.density = LINK_DENSITY_KG_M3
@@ -117,9 +115,8 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
             equality = spec.add_equality(name1=follower.name, name2=follower.mimic.joint)
             equality.type, equality.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
             equality.data[:2] = follower.mimic.offset, follower.mimic.multiplier
-    spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1], contype=FLOOR, conaffinity=FLOOR
-    )
+    # It does not touch the arm's base: MuJoCo lets no two bodies touch that are fixed in the world.
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1])
 
 
 def gripper_links(robot: RobotModel) -> frozenset[str]:

@@ -5,7 +5,8 @@ Positions are in the frame of the arm's root link [m], orientations unit quatern
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 Point: TypeAlias = tuple[float, float, float]
@@ -49,7 +50,8 @@ class SetBodies:
 
     version: int
     bodies: tuple[Body, ...]
-    reset: bool = False  # True to put every body back where it was put
+    # Positions and orientations of movable bodies to be put somewhere for once, by name.
+    placed: Mapping[str, tuple[Point, Quaternion]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

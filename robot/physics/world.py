@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
+from robot.description.camera import Camera
 from robot.description.model import RobotModel
 from robot.emulator.plant import MAX_STEP_S
 from robot.errors import DescriptionError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.physics.arm_model import (
     CONTACT_DIMENSIONS,
-    FLOOR,
-    LINKS,
     TIMESTEP_S,
-    add_camera,
+    add_cameras,
     arm_model,
     compiled,
     gripper_links,
 )
 from robot.physics.bodies import Body, BodyShape, BodyState, BodyStates, Point, Quaternion, SetBodies
-from robot.physics.camera import Camera
 from robot.trajectory import Vector
 
 BODY_DENSITY_KG_M3 = 500.0  # dry wood
@@ -53,13 +51,17 @@ class World:
     """
 
     def __init__(
-        self, robot: RobotModel, joint_names: Sequence[str], position_rad: Vector, camera: Camera | None = None
+        self,
+        robot: RobotModel,
+        joint_names: Sequence[str],
+        position_rad: Vector,
+        cameras: Mapping[str, Camera] | None = None,
     ) -> None:
         # MuJoCo writes a log file into the working directory otherwise.
         mujoco.set_mju_user_warning(lambda text: log.debug("MuJoCo: %s", text))
         self._spec = arm_model(robot)
-        if camera is not None:
-            add_camera(self._spec, camera)
+        if cameras:
+            add_cameras(self._spec, cameras)
         self._fingers = gripper_links(robot)
         self.model = compiled(self._spec)
         self.data = mujoco.MjData(self.model)
@@ -143,17 +145,19 @@ class World:
         """Have the bodies of a command in the world; bodies that overlap others, or cannot be simulated, are logged."""
         before, wanted = self._bodies, {body.name: body for body in command.bodies}
         states = {state.name: state for state in self._states()}
-        placed = {name for name, body in wanted.items() if command.reset or before.get(name) != body}
-        if {name: _kind(body) for name, body in before.items()} != {name: _kind(body) for name, body in wanted.items()}:
+        put = {name: (body.position_m, body.orientation) for name, body in wanted.items() if before.get(name) != body}
+        put |= command.placed
+        placed = set(put)
+        kinds = [{name: _kind(body) for name, body in bodies.items()} for bodies in (before, wanted)]
+        if kinds[0] != kinds[1]:
             wanted = self._rebuild(wanted)
+            put = {name: (state.position_m, state.orientation) for name, state in states.items()} | put
         self._bodies, self._version, self._reported = wanted, command.version, {}
-        for name, body in wanted.items():
-            if body.movable and name not in placed and name in states:
-                self._put(name, states[name].position_m, states[name].orientation)
-            elif body.movable:
-                self._put(name, body.position_m, body.orientation)
+        for name, pose in put.items():
+            if name in wanted and wanted[name].movable:
+                self._put(name, *pose)
         mujoco.mj_forward(self.model, self.data)
-        for name, other, depth_m in self._overlaps(placed & wanted.keys()):
+        for name, other, depth_m in self.overlaps(placed & wanted.keys()):
             log.warning("physics: %r overlaps %r by %.0f mm; they push each other apart", name, other, 1e3 * depth_m)
 
     def moved_bodies(self, *, every: bool) -> BodyStates | None:
@@ -199,10 +203,22 @@ class World:
     def _contacts(self) -> list[tuple[str, str, float]]:
         """Return the names of the bodies in each contact, and its depth [m]."""
         bodies = self.model.geom_bodyid[np.reshape(self.data.contact.geom, (-1, 2))].tolist()
-        names = [(self.model.body(first).name, self.model.body(second).name) for first, second in bodies]
-        return [(*pair, -depth) for pair, depth in zip(names, self.data.contact.dist.tolist(), strict=True)]
+        # The world's own body has the floor alone.
+        names = [[self.model.body(at).name if at else "floor" for at in pair] for pair in bodies]
+        return [(pair[0], pair[1], -depth) for pair, depth in zip(names, self.data.contact.dist.tolist(), strict=True)]
 
-    def _overlaps(self, placed: set[str]) -> list[tuple[str, str, float]]:
+    @property
+    def bodies(self) -> Set[str]:
+        """Names of the bodies in the world: those that cannot be simulated are left out."""
+        return self._bodies.keys()
+
+    def move(self, name: str, position_m: Point, orientation: Quaternion) -> None:
+        """Put a movable body somewhere at once, at rest."""
+        self._put(name, position_m, orientation)
+        mujoco.mj_forward(self.model, self.data)
+
+    def overlaps(self, placed: Set[str]) -> list[tuple[str, str, float]]:
+        """Return each pair with one of these bodies that overlaps by more than :data:`OVERLAP_M`, and the depth [m]."""
         deepest: dict[frozenset[str], float] = {}
         for first, second, depth_m in self._contacts():
             if depth_m > OVERLAP_M and {_outside(first), _outside(second)} & placed:
@@ -252,7 +268,6 @@ class World:
         element = self._spec.worldbody.add_body(name=_in_model(body.name), pos=body.position_m, quat=[w, x, y, z])
         if body.movable:
             element.add_freejoint(name=_in_model(body.name))
-        bits = LINKS | FLOOR if body.movable else LINKS
         for index, shape in enumerate(body.shapes):
             x, y, z, w = shape.orientation
             geom = element.add_geom(
@@ -260,8 +275,6 @@ class World:
                 size=_size(shape),
                 pos=shape.position_m,
                 quat=[w, x, y, z],
-                contype=bits,
-                conaffinity=bits,
                 condim=CONTACT_DIMENSIONS,
                 density=BODY_DENSITY_KG_M3,
                 priority=1,  # MuJoCo takes the greater friction of two shapes of equal priority

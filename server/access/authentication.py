@@ -52,7 +52,7 @@ class Tokens:
 
     def __init__(self, tokens: dict[str, Identity], anonymous: Identity | None) -> None:
         # By digest: all have one length, so that a comparison shows nothing about a token's length.
-        self._tokens = [(_digest(token), token, identity) for token, identity in tokens.items()]
+        self._tokens = [(digest_of(token), token, identity) for token, identity in tokens.items()]
         self.any = bool(tokens)
         self.anonymous = anonymous
 
@@ -72,7 +72,7 @@ class Tokens:
 
     def identify(self, presented: str) -> Identity | None:
         """Return the owner of a token, None for a wrong one; takes equally long for every text."""
-        wanted, owner = _digest(presented), None
+        wanted, owner = digest_of(presented), None
         for digest, _, identity in self._tokens:
             if hmac.compare_digest(digest, wanted):
                 owner = identity
@@ -159,7 +159,8 @@ class AuthThrottle:
         return wrong, until_s
 
 
-def _digest(token: str) -> bytes:
+def digest_of(token: str) -> bytes:
+    """Return the form in which tokens are kept and compared (SHA-256)."""
     return sha256(token.encode(errors="surrogatepass")).digest()
 
 

@@ -165,7 +165,6 @@ class Authorizer:
                 return None
 
     def authenticate(self, identity: Identity) -> None:
-        """Give the client the identity that it has shown."""
         self._node.identity = identity
         self._settled.clear()
         self._access.note_driver(self._node)

@@ -148,7 +148,8 @@ def _checked(name: str) -> str:
 
 def _make_authority(now: datetime) -> _Pair:
     key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"armbridge authority of {_host_label()}")])
+    host = os.uname().nodename.partition(".")[0][:40] or "this machine"
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"armbridge authority of {host}")])
     usage = _key_usage(signs_certificates=True)
     built = (
         _builder(name, name, key, now, AUTHORITY_VALID_DAYS)
@@ -156,10 +157,6 @@ def _make_authority(now: datetime) -> _Pair:
         .add_extension(usage, critical=True)
     )
     return _Pair(built.sign(key, SHA256()), key)
-
-
-def _host_label() -> str:
-    return os.uname().nodename.partition(".")[0][:40] or "this machine"
 
 
 def _make_certificate(authority: _Pair, names: Sequence[str], now: datetime) -> _Pair:

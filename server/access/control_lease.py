@@ -211,7 +211,6 @@ class ControlServices:
         self._timer = call_later(BEAT_S, self._beat)
 
     def close(self) -> None:
-        """Stop the timer."""
         self._timer.cancel()
 
     def _beat(self) -> None:

@@ -6,10 +6,9 @@ import secrets
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Any
 
-from server.access.authentication import Tokens
+from server.access.authentication import Tokens, digest_of
 from server.errors import ServiceError
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, Identity, Role
@@ -65,7 +64,7 @@ class OneTimeTokens:
         self._count += 1
         token = secrets.token_urlsafe(TOKEN_BYTES)
         identity = Identity(f"one-time-{self._count}", wanted)
-        self._issued.append(_Issued(_digest(token), identity, self._clock() + VALID_FOR_S))
+        self._issued.append(_Issued(digest_of(token), identity, self._clock() + VALID_FOR_S))
         return token
 
     def use(self, presented: str) -> Identity | None:
@@ -88,7 +87,7 @@ class OneTimeTokens:
     def _find(self, presented: str) -> _Issued | None:
         """Return what was issued as this token; every one is compared, in constant time."""
         self._forget()
-        wanted, found = _digest(presented), None
+        wanted, found = digest_of(presented), None
         for each in self._issued:
             if hmac.compare_digest(each.digest, wanted):
                 found = each
@@ -126,7 +125,3 @@ def offer_one_time_tokens(
         lambda call: answer(call, lambda _request: issue(call)),
         rule=CONFIGURING,
     )
-
-
-def _digest(token: str) -> bytes:
-    return sha256(token.encode(errors="surrogatepass")).digest()

@@ -33,7 +33,6 @@ class RateLimiter:
 
 
 def parse_address(text: str) -> IPv4Address | IPv6Address | None:
-    """Return an IP address, None for any other text."""
     try:
         return ip_address(text)
     except ValueError:

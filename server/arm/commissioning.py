@@ -170,11 +170,6 @@ class Commissioning:
         self._offer(CANCEL, "std_srvs/Trigger", self._cancel, CONFIGURING)
         self._show()
 
-    @property
-    def procedure(self) -> str:
-        """Name of the procedure in progress; empty for none."""
-        return "" if self._dialogue is None else self._dialogue.procedure
-
     def take_state(self, state: ArmState) -> None:
         """Pass the arm's latest state on to the procedure in progress."""
         if self._procedure is None or self._dialogue is None:

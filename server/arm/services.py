@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm, moves
 from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Order, PlaybackDirection
 from server.arrival import arrival_epoch
@@ -29,53 +31,51 @@ STOP_TIMEOUT_S = 2.0
 Response = dict[str, Any]
 
 
-class ArmServices:
-    """Offers the services that switch and stop the arm, and listens to ``/emergency_stop``.
+def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str], None]) -> None:
+    """Offer the services that switch and stop the arm, and listen to ``/emergency_stop``.
 
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
     """
+    node = Node("arm services")
 
-    def __init__(self, graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str], None]) -> None:
-        self._graph = graph
-        self._arm = arm
-        self._end_goals = end_goals
-        self._node = Node("arm services")
-        self._offer(ENABLE, SWITCHING, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
-        self._offer(RELAX, SWITCHING, self._relax)
-        self._offer(STOP, STOPPING, self._stop)
-        self._offer(EMERGENCY_STOP, STOPPING, lambda: self._emergency_stop(EMERGENCY_STOP))
-        self._offer(RESET_FAULT, SWITCHING, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
-        # A message to this topic means that the arm must stop, valid or not.
-        stopper = Subscriber(self._on_emergency_stop, self._on_emergency_stop, rule=STOPPING)
-        graph.subscribe(self._node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
-
-    def _emergency_stop(self, name: str) -> asyncio.Future[CommandDone]:
-        answered = self._arm.order(Order.EMERGENCY_STOP)
-        log.warning("emergency stop by %s", self._graph.resolve(name))
-        self._end_goals(f"emergency stop by {self._graph.resolve(name)}")
+    def emergency_stop(name: str) -> asyncio.Future[CommandDone]:
+        answered = arm.order(Order.EMERGENCY_STOP)
+        log.warning("emergency stop by %s", graph.resolve(name))
+        end_goals(f"emergency stop by {graph.resolve(name)}")
         return answered
 
-    def _on_emergency_stop(self, _message: object) -> None:
-        _log_end(self._emergency_stop(EMERGENCY_STOP_TOPIC))
+    def relax() -> Awaitable[CommandDone]:
+        end_goals(f"relaxed by {graph.resolve(RELAX)}")
+        return arm.order(Order.RELAX)
 
-    def _relax(self) -> Awaitable[CommandDone]:
-        self._end_goals(f"relaxed by {self._graph.resolve(RELAX)}")
-        return self._arm.order(Order.RELAX)
+    def stop() -> Awaitable[CommandDone]:
+        end_goals(f"stopped by {graph.resolve(STOP)}")
+        return _standstill(arm)
 
-    def _stop(self) -> Awaitable[CommandDone]:
-        self._end_goals(f"stopped by {self._graph.resolve(STOP)}")
-        return self._standstill()
-
-    async def _standstill(self) -> CommandDone:
-        done = await self._arm.rest(STOP_TIMEOUT_S)
-        text = "the arm does not move" if done else f"the arm still moves after {STOP_TIMEOUT_S:g} s"
-        return CommandDone(0, done=done, message=text)
-
-    def _offer(self, name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
+    def offer(name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
         def serve(_request: Response) -> Awaitable[Response]:
             return trigger_response(act())
 
-        self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
+        graph.offer(node, name, "std_srvs/Trigger", serve, rule=rule)
+
+    offer(ENABLE, SWITCHING, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
+    offer(RELAX, SWITCHING, relax)
+    offer(STOP, STOPPING, stop)
+    offer(EMERGENCY_STOP, STOPPING, lambda: emergency_stop(EMERGENCY_STOP))
+    offer(RESET_FAULT, SWITCHING, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
+
+    def on_emergency_stop(_message: object) -> None:
+        _log_end(emergency_stop(EMERGENCY_STOP_TOPIC))
+
+    # A message to this topic means that the arm must stop, valid or not.
+    stopper = Subscriber(on_emergency_stop, on_emergency_stop, rule=STOPPING)
+    graph.subscribe(node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
+
+
+async def _standstill(arm: AnyArm) -> CommandDone:
+    done = await arm.rest(STOP_TIMEOUT_S)
+    text = "the arm does not move" if done else f"the arm still moves after {STOP_TIMEOUT_S:g} s"
+    return CommandDone(0, done=done, message=text)
 
 
 async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
@@ -109,54 +109,48 @@ _SENTENCES = {
 }
 
 
-class ArmPace:
-    """Sets the pace of motions: speed, pause and the way back, and the speed limit.
+def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
+    """Offer the pace of motions: speed, pause and the way back, and the speed limit.
 
     The speed factor is the driver's: a share of the planned speed of every motion, also of a slow one. The speed limit
     is the operator's: a share of the joints' velocity limits, which slows down only faster motions, of every client and
     of the gripper. Guards and limits of the arm hold at every pace.
     """
+    node = Node("arm pace")
 
-    def __init__(self, graph: LocalGraph, arm: AnyArm) -> None:
-        self._graph = graph
-        self._node = Node("arm pace")
-        subscriber = Subscriber(
-            lambda published: _set_speed(arm, published.msg["data"]),
-            lambda error: log.warning("%s: %s", SPEED_FACTOR_TOPIC, error),
-            rule=SWITCHING,
-        )
-        graph.subscribe(self._node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", subscriber)
-        # A pause slows the arm down to rest, which harms nobody.
-        self._offer(arm, PAUSE, PlaybackDirection.PAUSED, WORKING)
-        self._offer(arm, RESUME, PlaybackDirection.FORWARD, SWITCHING)
-        self._offer(arm, STEP_BACK, PlaybackDirection.BACK, SWITCHING)
-        # It moves nothing: an operator may lower it while another client drives.
-        set_limit = SPEED_LIMIT, SPEED_LIMIT_TYPE, lambda request: self._set_limit(arm, request["speed_limit"])
-        graph.offer(self._node, *set_limit, rule=WORKING)
+    def set_speed(published: PublishedMessage) -> None:
+        factor = published.msg["data"]
+        if 0.0 <= factor <= 1.0:
+            arm.change_pace(ChangePace(speed_factor=factor))
+        else:
+            log.warning("%s: data must be 0 to 1, a share of the planned speed, not %s", SPEED_FACTOR_TOPIC, factor)
 
-    def _set_limit(self, arm: AnyArm, limit: float) -> Response:
+    def set_limit(request: Response) -> Response:
+        limit = request["speed_limit"]
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
             message = (
                 f"speed_limit must be {MIN_SPEED_LIMIT:g} to 1, a share of the joints' velocity limits, not {limit:g};"
-                f" {self._graph.resolve(PAUSE)} and {self._graph.resolve(STOP)} bring the arm to rest"
+                f" {graph.resolve(PAUSE)} and {graph.resolve(STOP)} bring the arm to rest"
             )
             return {"success": False, "message": message}
-        log.info("%s: speed limit %g, before %g", self._graph.resolve(SPEED_LIMIT), limit, arm.state.pace.speed_limit)
+        log.info("%s: speed limit %g, before %g", graph.resolve(SPEED_LIMIT), limit, arm.state.pace.speed_limit)
         arm.change_pace(ChangePace(speed_limit=limit))
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
-    def _offer(self, arm: AnyArm, name: str, direction: PlaybackDirection, rule: Rule) -> None:
-        def serve(_request: dict[str, Any]) -> dict[str, Any]:
+    def offer(name: str, direction: PlaybackDirection, rule: Rule) -> None:
+        def serve(_request: Response) -> Response:
             if not moves(arm):
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
             arm.change_pace(ChangePace(direction=direction))
-            return {"success": True, "message": _SENTENCES[direction].format(prefix=self._graph.resolve(""))}
+            return {"success": True, "message": _SENTENCES[direction].format(prefix=graph.resolve(""))}
 
-        self._graph.offer(self._node, name, "std_srvs/Trigger", serve, rule=rule)
+        graph.offer(node, name, "std_srvs/Trigger", serve, rule=rule)
 
-
-def _set_speed(arm: AnyArm, factor: float) -> None:
-    if 0.0 <= factor <= 1.0:
-        arm.change_pace(ChangePace(speed_factor=factor))
-    else:
-        log.warning("%s: data must be 0 to 1, a share of the planned speed, not %s", SPEED_FACTOR_TOPIC, factor)
+    rejected = functools.partial(log.warning, "%s: %s", SPEED_FACTOR_TOPIC)
+    graph.subscribe(node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", Subscriber(set_speed, rejected, rule=SWITCHING))
+    # A pause slows the arm down to rest, which harms nobody.
+    offer(PAUSE, PlaybackDirection.PAUSED, WORKING)
+    offer(RESUME, PlaybackDirection.FORWARD, SWITCHING)
+    offer(STEP_BACK, PlaybackDirection.BACK, SWITCHING)
+    # It moves nothing: an operator may lower it while another client drives.
+    graph.offer(node, SPEED_LIMIT, SPEED_LIMIT_TYPE, set_limit, rule=WORKING)

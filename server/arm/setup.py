@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from robot.calibration import Calibration, find_calibration
 from robot.description import model, robot_folder
+from robot.description.camera import Camera
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
-from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig, ServoKind
 from robot.hardware.feetech.profiles import ServoProfile, profile_of
 from robot.messages import ArmConfig, GuardLimits
 from server.config import ArmSettings, EmulatorSettings, Settings
@@ -40,6 +41,7 @@ class Description:
     hardware: HardwareTable
     calibration: Calibration | None
     calibration_file: Path | None = None
+    cameras: Mapping[str, Camera] = field(default_factory=dict)
 
     @classmethod
     def read(cls, settings: ArmSettings) -> Description:
@@ -69,13 +71,15 @@ class Description:
         hardware = found.hardware
         if hardware.kind == "ideal":
             _refuse_servo_settings(settings, found.title)
-            return cls(found.title, found.model, hardware, None)
+            return cls(found.title, found.model, hardware, None, cameras=found.cameras)
         named, file = settings.calibration, None
         if named is not None and str(named) != NOMINAL:
             file = find_calibration(str(named), hardware.calibrations, os.environ)
         read = Calibration.nominal(hardware.servos) if file is None else Calibration.load(file, hardware.servos)
         calibration = replace(read, measured=named is not None).with_zero_offsets(settings.zero_offset_rad)
-        return cls(found.title, within_calibration(found.model, calibration), hardware, calibration, file)
+        return cls(
+            found.title, within_calibration(found.model, calibration), hardware, calibration, file, found.cameras
+        )
 
 
 def arm_config(settings: Settings, description: Description) -> ArmConfig:
@@ -110,23 +114,25 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
         no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
         _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)
         return IdealConfig(settings.arm.ideal_lag_s, driven=settings.arm.start_enabled, physics=physics)
-    dynamixel = description.hardware.kind == "dynamixel"
+    kind: ServoKind = "dynamixel" if description.hardware.kind == "dynamixel" else "feetech"
+    profile = None if kind == "dynamixel" else _profile(description)
     if settings.arm.serial is not None:
-        if dynamixel:
-            return SerialConfig(description.calibration, settings.arm.serial, "dynamixel", description.hardware.baud)
-        return SerialConfig(description.calibration, settings.arm.serial, profile=_profile(description))
-    if dynamixel:
-        return _emulated_dynamixels(settings, description.calibration)
+        baud = description.hardware.baud
+        return SerialConfig(description.calibration, settings.arm.serial, kind, baud, profile=profile)
+    if kind == "dynamixel":
+        nothing = "emulated Dynamixel servos have nothing that"
+        _refuse_options(emulator, ("write_log", "control", "population"), nothing)
     if emulator.write_log is not None:
         _check_place("emulator.write_log", emulator.write_log)
     if emulator.control is not None:
         _check_socket(emulator.control)
     return EmulatedConfig(
         description.calibration,
+        kind=kind,
         drop=emulator.drop,
         corrupt=emulator.corrupt,
         seed=emulator.seed,
-        profile=_profile(description),
+        profile=profile,
         population=emulator.population,
         write_log=emulator.write_log,
         control=emulator.control,
@@ -141,20 +147,6 @@ def _profile(description: Description) -> ServoProfile | None:
         return profile_of(description.hardware.profile)
     except RobotError as error:
         raise ConfigurationError(str(error)) from error
-
-
-def _emulated_dynamixels(settings: Settings, calibration: Calibration) -> EmulatedConfig:
-    emulator = settings.emulator
-    _refuse_options(emulator, ("write_log", "control", "population"), "emulated Dynamixel servos have nothing that")
-    return EmulatedConfig(
-        calibration,
-        kind="dynamixel",
-        drop=emulator.drop,
-        corrupt=emulator.corrupt,
-        seed=emulator.seed,
-        driven=settings.arm.start_enabled,
-        physics=settings.arm.simulation == "physics",
-    )
 
 
 def _refuse_servo_settings(settings: ArmSettings, title: str) -> None:
@@ -199,11 +191,8 @@ def _check_socket(path: Path) -> None:
 
 def check_parameters(parameters: MoveItParameters, robot: RobotModel) -> None:
     """Raise ConfigurationError for a group, link or frame that the robot does not have."""
-    group, link, frame = (
-        parameters.group_name,
-        parameters.end_effector_link,
-        parameters.planning_frame.lstrip("/"),
-    )
+    group, link = parameters.group_name, parameters.end_effector_link
+    frame = parameters.planning_frame.lstrip("/")
     if group and group not in robot.groups:
         raise ConfigurationError(
             f"moveit.group_name: there is no group {group!r}; the SRDF has {', '.join(robot.groups)}"

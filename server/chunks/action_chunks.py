@@ -255,14 +255,14 @@ class Phase(StrEnum):
 
 @dataclass
 class _Followed:
-    """Chunk that is followed, or waits for its turn; ``goal`` is the action's, ``begun`` the number of its motions."""
+    """Chunk that is followed, or waits for its turn; ``goal`` is the action's, ``begun_until_s`` the answered end."""
 
     publisher: object
     motion: ChunkMotion
     epoch: int
     goal: Goal | None
     number: str = ""
-    begun: int = 0
+    begun_until_s: float = math.nan
     over: bool = False
 
 
@@ -413,9 +413,10 @@ class ActionChunks:
 
     def _take_progress(self, followed: _Followed, progress: Progress) -> None:
         motion = followed.motion
-        if progress.state is not GoalState.EXECUTING or motion.made <= followed.begun:
+        # A motion that is sent to the arm again has its answer already; a motion that was cut gets another.
+        if progress.state is not GoalState.EXECUTING or motion.until_s == followed.begun_until_s:
             return
-        followed.begun = motion.made
+        followed.begun_until_s = motion.until_s
         if self._gripper is not None and self._gripper.joint in motion.chunk.targets.joint_names:
             fingers = motion.chunk.targets.of_joints((self._gripper.joint,)).until(motion.until_s)
             # A stop that came after the chunk keeps its gripper still, too.

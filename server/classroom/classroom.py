@@ -15,7 +15,6 @@ import ssl
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import uvloop
@@ -42,56 +41,46 @@ QUESTIONS = 2
 READY_TIMEOUT_S = 0.3
 
 
-@dataclass(frozen=True)
-class ClassroomOptions:
-    """Size and place of a classroom."""
+def run_classroom(settings: Settings, count: int, planners: int, folder: Path) -> None:
+    """Run a classroom of ``count`` students until a signal.
 
-    students: int
-    planners: int
-    folder: Path
-
-
-def run_classroom(settings: Settings, options: ClassroomOptions) -> None:
-    """Run a classroom until a signal; raises ConfigurationError for settings, StartError for a port or the folder."""
+    Raises ConfigurationError for settings, StartError for a port or the folder.
+    """
     _check_settings(settings)
     description = Description.read(settings.arm)
     check_parameters(settings.moveit, description.robot)
-    host, file = settings.server.host, options.folder / LIST_FILE
-    students = places(options.students, settings.server.port, options.folder, host)
+    host, file = settings.server.host, folder / LIST_FILE
+    students = places(count, settings.server.port, folder, host)
     teacher_token = read_tokens(file).get(TEACHER) or new_token()
     ports = {student.name: student.port for student in students}
     all_settings = [student.settings(settings, teacher_token, ports) for student in students]
     _check_ports(host, students)
-    _make_folders(options.folder, students)
+    _make_folders(folder, students)
     write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)
     with tempfile.TemporaryDirectory(prefix="armbridge") as private:
         inherited = Inherited(description, Path(private) / "planners")
-        planner_host = _host_member(settings, options, inherited)
+
+        def serve_planners() -> None:
+            memory_bytes = settings.planning.memory_limit_bytes
+            uvloop.run(
+                _serve(PlannerHost(description.robot, inherited.planners, count, planners, QUESTIONS, memory_bytes))
+            )
+
+        planner_host = Member("the planners", serve_planners, folder / "planners.log")
         servers = [_server_member(student, own, inherited) for student, own in zip(students, all_settings, strict=True)]
         supervise([planner_host, *servers], _Readiness(students, host, file, tls=bool(settings.server.tls_certificate)))
     log.info("stopped")
 
 
-def _host_member(settings: Settings, options: ClassroomOptions, inherited: Inherited) -> Member:
-    async def serve_planners() -> None:
-        ending, _ = stop_signals()
-        host = PlannerHost(
-            inherited.description.robot,
-            inherited.planners,
-            options.students,
-            options.planners,
-            QUESTIONS,
-            settings.planning.memory_limit_bytes,
-        )
-        serving = asyncio.create_task(host.run())
-        ended = asyncio.create_task(ending.wait())
-        await asyncio.wait([serving, ended], return_when=asyncio.FIRST_COMPLETED)
-        serving.cancel()
-        await asyncio.wait([serving])
-        if not serving.cancelled():
-            serving.result()
-
-    return Member("the planners", lambda: uvloop.run(serve_planners()), options.folder / "planners.log")
+async def _serve(host: PlannerHost) -> None:
+    ending, _ = stop_signals()
+    serving = asyncio.create_task(host.run())
+    ended = asyncio.create_task(ending.wait())
+    await asyncio.wait([serving, ended], return_when=asyncio.FIRST_COMPLETED)
+    serving.cancel()
+    await asyncio.wait([serving])
+    if not serving.cancelled():
+        serving.result()
 
 
 def _server_member(student: Student, settings: Settings, inherited: Inherited) -> Member:

@@ -47,7 +47,6 @@ class Member:
 
     @property
     def pid(self) -> int | None:
-        """Process id; None while it does not run."""
         return None if self._process is None else self._process.pid
 
     def start_if_due(self, now_s: float) -> None:
@@ -75,7 +74,6 @@ class Member:
         log.warning("%s has ended (%s) and is started again in %.1f s", self.name, ending, delay_s)
 
     def ended(self) -> bool:
-        """Return True when the process does not run."""
         return self._process is None or self._process.poll() is not None
 
     def signal(self, number: signal.Signals) -> None:

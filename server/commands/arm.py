@@ -1,4 +1,4 @@
-"""Commands on a real arm: ``armbridge scan``, ``doctor`` and ``relax``."""
+"""Commands on a real arm: ``armbridge scan``, ``doctor``, ``relax`` and ``verify``."""
 
 import argparse
 import contextlib
@@ -31,15 +31,18 @@ from robot.hardware.servos.family import Limit, ServoFamily, full_torque
 from robot.hardware.servos.torque import LOWER_S, relax, write_limits
 from robot.messages import GuardLimits
 from server.commands.options import (
+    DEFAULT_URL,
     FEETECH_ONLY,
     Subparsers,
     add_calibration,
     add_command,
     add_robot,
     add_serial,
+    add_token_file,
     open_bus,
     read_calibration,
     read_hardware,
+    read_token,
 )
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
@@ -52,7 +55,6 @@ HEADINGS = (
 
 
 def add_scan_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "scan",
@@ -121,7 +123,6 @@ LINE_WIDTH = 100
 
 
 def add_doctor_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "doctor",
@@ -170,7 +171,6 @@ def _measure(bus: Bus, ids: tuple[int, ...], cycles: int, terminal: Terminal) ->
 
 
 def as_json(findings: list[Finding]) -> str:
-    """Return findings as a JSON list."""
     return json.dumps(
         [
             {"check": finding.check, "verdict": finding.verdict.value, "says": finding.says, "remedy": finding.remedy}
@@ -192,7 +192,6 @@ def _as_text(findings: list[Finding]) -> str:
 
 
 def add_relax_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "relax",
@@ -254,3 +253,24 @@ def _look(
         except NoReply:
             silent.append(servo_id)
     return present, full, silent
+
+
+def add_verify_parser(subparsers: Subparsers) -> None:
+    parser = add_command(
+        subparsers,
+        "verify",
+        _verify,
+        "have a running server compare the arm with its model, pose by pose, with you",
+        "Ask the server to move the arm slowly to three poses, compare each with the model (on the "
+        "server's page), and measure how far each joint stands from its goal. Nothing moves before you say so.",
+    )
+    parser.add_argument("--url", default=DEFAULT_URL, help=f"of the server ({DEFAULT_URL})")
+    parser.add_argument("--arm", default="", metavar="NAME", help="one of several arms of the server, as in left")
+    add_token_file(parser, "access.admin_tokens")
+
+
+def _verify(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    # Imported when it is needed: --help answers without the server's libraries.
+    from server.commands.verification_client import verify
+
+    return verify(options.url, read_token(options), terminal, options.arm)

@@ -36,7 +36,6 @@ SWEEP_PERIOD_S = 0.02
 
 
 def add_calibrate_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "calibrate",

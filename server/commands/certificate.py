@@ -41,7 +41,6 @@ TOKEN_BYTES = 16
 
 
 def add_certificate_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "certificate",

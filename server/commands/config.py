@@ -15,7 +15,6 @@ from server.config_keys import Setting, every_setting, template, toml_value
 
 
 def add_config_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "config",
@@ -76,7 +75,6 @@ _UNIT = Path(__file__).with_name("armbridge.service")
 
 
 def add_systemd_unit_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "systemd-unit",
@@ -96,13 +94,11 @@ def _systemd_unit(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def server_command(python: Path) -> list[str]:
-    """Return the command line of this installation's server."""
     script = python.parent / "armbridge"
     return [str(script)] if script.is_file() else [str(python), "-P", "-m", "server.cli"]
 
 
 def unit(command: list[str], config: Path | None, user: str | None, group: str) -> str:
-    """The unit's text."""
     words = [*command, "serve", *([] if config is None else ["--config", str(config.absolute())])]
     return _UNIT.read_text().format(
         command=" ".join(_quoted(word) for word in words),

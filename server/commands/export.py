@@ -15,18 +15,17 @@ GREATEST_GAP_S = 60.0
 
 
 def add_export_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "export",
         _export,
         "write recordings as a dataset for learning (LeRobotDataset v3.0)",
-        "Write recordings of serve --record as a dataset for learning (docs/recording.md): the states of the"
+        "Write recordings of serve --record or ROS 2 as a dataset for learning (docs/recording.md): the states of the"
         " arm, the actions that were asked for, and what cameras saw, at a fixed rate. Episodes are those marked on"
         " /dataset/episode; a recording without marks is one episode. Omissions count as problems. Needs"
         " armbridge[datasets].",
     )
-    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING.mcap", help="the recordings")
+    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="MCAP files, or bags of ROS 2")
     parser.add_argument("--format", choices=("lerobot",), default="lerobot", help="LeRobotDataset v3.0 (lerobot)")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to make")
     parser.add_argument(
@@ -41,6 +40,11 @@ def add_export_parser(subparsers: Subparsers) -> None:
         "--action-topic",
         metavar="TOPIC",
         help="topic of the actions (the leader's, else a controller's state, else the next state is the action)",
+    )
+    parser.add_argument(
+        "--state-topic",
+        metavar="TOPIC",
+        help="topic of the joints' states (/joint_states, or the only one with sensor_msgs/JointState)",
     )
     parser.add_argument(
         "--units",
@@ -69,6 +73,7 @@ def _export(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         options.fps,
         options.task,
         options.action_topic,
+        options.state_topic,
         options.units,
         video=not options.no_video,
         max_gap_s=options.max_gap,

@@ -70,7 +70,6 @@ def number(kind: type[int] | type[float], least: float, greatest: float) -> Call
 
 
 def add_connect(parser: argparse.ArgumentParser) -> None:
-    """Describe ``--connect``."""
     parser.add_argument(
         "--connect", type=websocket_url, default=DEFAULT_URL, metavar="URL", help=f"of the server ({DEFAULT_URL})"
     )
@@ -96,17 +95,14 @@ def read_token(options: argparse.Namespace) -> str | None:
 
 
 def add_serial(parser: argparse.ArgumentParser) -> None:
-    """Describe ``--serial``."""
     parser.add_argument("--serial", metavar="PORT", default=AUTO, help=f"{SERIAL_HELP} ({AUTO})")
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:
-    """Describe ``--calibration``."""
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
 
 
 def add_interfaces(parser: argparse.ArgumentParser) -> None:
-    """Describe ``--interfaces``."""
     parser.add_argument(
         "--interfaces",
         type=Path,
@@ -117,7 +113,6 @@ def add_interfaces(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROBOT) -> None:
-    """Describe ``--robot``."""
     names = ", ".join(robot_folder.built_in_names())
     parser.add_argument(
         "--robot",
@@ -128,7 +123,6 @@ def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROB
 
 
 def websocket_url(text: str) -> str:
-    """Read an option's URL of a server."""
     if not text.startswith(("ws://", "wss://")):
         raise argparse.ArgumentTypeError(f"must begin with ws:// or wss://, not {text!r}")
     return text
@@ -146,7 +140,6 @@ def read_hardware(options: argparse.Namespace, kinds: Collection[str] = ("feetec
 
 
 def open_bus(options: argparse.Namespace) -> Bus:
-    """Open the bus that the options name."""
     return Bus.open(resolve_port(options.serial))
 
 
@@ -156,7 +149,6 @@ def read_calibration(options: argparse.Namespace) -> Calibration | None:
 
 
 def load_calibration(name: str, hardware: HardwareTable) -> Calibration:
-    """Read the calibration of this name or path."""
     try:
         return Calibration.load(find_calibration(name, hardware.calibrations, os.environ), hardware.servos)
     except CalibrationError as error:
@@ -193,6 +185,7 @@ _FURTHER_OPTIONS = (
     ("--log-level", "server.log_level", "LEVEL"),
     ("--serial", "arm.serial", "PORT"),
     ("--simulation", "arm.simulation", "KIND"),
+    ("--world", "arm.world", "NAME_OR_FILE"),
     ("--robot", "arm.robot", "NAME_OR_FOLDER"),
     ("--calibration", "arm.calibration", "NAME_OR_PATH"),
     ("--urdf", "arm.urdf", "FILE"),
@@ -204,7 +197,6 @@ _FURTHER_OPTIONS = (
 
 
 def add_server_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the options of a command that serves clients."""
     _add_options_of_settings(parser, _SERVER_OPTIONS)
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="settings in TOML; options given here override them"
@@ -212,7 +204,6 @@ def add_server_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_setting_options(parser: argparse.ArgumentParser) -> None:
-    """Describe the options of a command that needs the settings."""
     add_server_options(parser)
     _add_options_of_settings(parser, _FURTHER_OPTIONS)
     parser.add_argument(
@@ -245,7 +236,6 @@ def read_settings(options: argparse.Namespace) -> tuple[Settings, dict[str, str]
 
 
 def configure_logs(settings: Settings) -> None:
-    """Configure the log of a server."""
     logs.configure(settings.server.log_level.upper(), settings.server.log_format)
     # A line for every handshake and request that is no WebSocket; the gateway logs what matters of a client.
     logging.getLogger("websockets").setLevel(logging.WARNING)

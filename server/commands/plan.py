@@ -16,7 +16,6 @@ _PROBLEM_SETTINGS = ("allowed_time_s", "optimization_time_s", "seed")
 
 
 def add_plan_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     plan = add_command(
         subparsers,
         "plan",

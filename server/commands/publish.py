@@ -2,7 +2,9 @@
 
 import argparse
 import asyncio
+import contextlib
 import math
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +72,7 @@ def add_camera_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--link", default="", metavar="LINK", help="of rendered images: link that carries the camera (the base)"
     )
+    parser.add_argument("--depth", action="store_true", help="of rendered images: publish sensor_msgs/Image with depth")
     add_robot(parser)
     add_connect(parser)
     parser.add_argument("--topic", default=CAMERA_TOPIC, help=f"of the images ({CAMERA_TOPIC})")
@@ -94,26 +97,44 @@ def add_camera_parser(subparsers: Subparsers) -> None:
 
 def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.datasets.camera import CameraOptions, ImageSource, open_source, publish_camera
+    from server.datasets.camera import CameraOptions, open_source, publish_camera
     from server.publishing_client import PublishedTopic
 
-    token = read_token(options)
-    target = PublishedTopic(options.connect, options.topic, token)
-    chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
     if options.device == RENDERED:
-        # Imported when it is needed: not everyone has MuJoCo.
-        from server.datasets.rendered import open_rendered
-
-        rendered = open_rendered(options.connect, token, options.robot, options.link, options.view, options.width)
-        source: ImageSource = rendered
-    else:
-        source = open_source(options.device, options.width)
+        return _render(options, terminal)
+    target = PublishedTopic(options.connect, options.topic, read_token(options))
+    chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
+    source = open_source(options.device, options.width)
     count, by_signal = asyncio.run(publish_camera(target, chosen, source, terminal.say))
     terminal.tell(f"{count} images published on {options.topic}")
     if by_signal or source.finite:
         return ExitCode.DONE
     terminal.say(f"armbridge: the camera {options.device} gives no more images; is it plugged in?")
     return ExitCode.FAILED
+
+
+def _render(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
+    # Imported when it is needed: --help answers without the server's libraries.
+    from server.datasets.camera import even
+    from server.datasets.rendering_client import RenderingClient, open_camera
+
+    robot, published = open_camera(
+        options.robot,
+        options.topic,
+        options.quality,
+        frame=options.link,
+        view=options.view,
+        rate_hz=options.fps,
+        depth=options.depth,
+        **({} if options.width is None else {"width": options.width, "height": even(options.width * 3 // 4)}),
+    )
+    client = RenderingClient(options.connect, read_token(options), robot, published, terminal.say)
+    # SIGTERM ends it as Ctrl+C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        client.run()
+    terminal.tell(f"{client.published} images published on {options.topic}")
+    return ExitCode.DONE
 
 
 LEADER_TOPIC = "/leader/joint_states"

@@ -23,7 +23,6 @@ from server.config import PREFIX, Settings
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from server.graph.permissions import Identity
     from server.monitoring.report import Report
 
 # Measured cycles of the bus: one second.
@@ -31,7 +30,6 @@ CYCLES = 100
 
 
 def add_report_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "report",
@@ -48,13 +46,8 @@ def add_report_parser(subparsers: Subparsers) -> None:
     add_setting_options(parser)
 
 
-def _output(options: argparse.Namespace) -> Path:
-    path: Path | None = options.output
-    return Path(f"armbridge-report-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip") if path is None else path
-
-
 def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    path = _output(options)
+    path: Path = options.output or Path(f"armbridge-report-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.zip")
     # Imported when it is needed: --help answers without the server's libraries.
     from server.monitoring.report import CONTENTS
 
@@ -80,7 +73,6 @@ def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
-    """Collect the report."""
     # Imported when it is needed: --help answers without the server's libraries.
     from server.access.authentication import Tokens
     from server.monitoring.report import Redactor, Report, RunningServer, add_faults, add_machine, add_settings
@@ -109,7 +101,8 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
     terminal.say("looking for a running server ...")
     runs = False
     with report.part("server"):
-        server = RunningServer(settings, _strongest(tokens))
+        strongest = max(tokens, key=lambda token: tokens[token].role, default=None)
+        server = RunningServer(settings, strongest)
         if runs := server.runs:
             faults |= server.add_to(report)
         else:
@@ -131,10 +124,6 @@ def _secrets(settings: Settings) -> Iterator[str]:
     for name, value in os.environ.items():
         if name.upper().startswith(PREFIX) and "TOKEN" in name.upper():
             yield value
-
-
-def _strongest(tokens: dict[str, Identity]) -> str | None:
-    return max(tokens, key=lambda token: tokens[token].role, default=None)
 
 
 def _add_arm(report: Report, settings: Settings) -> None:

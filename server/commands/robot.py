@@ -12,7 +12,6 @@ from server.commands.terminal import ExitCode, Terminal, table
 
 
 def add_robot_parser(subparsers: Subparsers) -> None:
-    """Describe the commands."""
     parser = subparsers.add_parser(
         "robot",
         help="make or check the folder of an arm, and list the built-in ones",

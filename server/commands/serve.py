@@ -22,7 +22,6 @@ from server.errors import StartError
 
 
 def add_serve_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     serve = add_command(
         subparsers,
         "serve",
@@ -57,7 +56,6 @@ MAX_DELAY_S = 3600.0
 
 
 def add_replay_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "replay",
@@ -106,7 +104,6 @@ LEAST_PLANNERS = 2
 
 
 def add_classroom_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "classroom",
@@ -139,9 +136,9 @@ def _classroom(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     settings, _ = read_settings(options)
     configure_logs(settings)
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.classroom.classroom import ClassroomOptions, run_classroom
+    from server.classroom.classroom import run_classroom
 
-    run_classroom(settings, ClassroomOptions(options.students, options.planners, options.data))
+    run_classroom(settings, options.students, options.planners, options.data)
     return ExitCode.DONE
 
 
@@ -156,7 +153,6 @@ It starts with the first byte from a host. Commands that are carried out are sho
 
 
 def add_emulate_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "emulate",

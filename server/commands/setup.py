@@ -42,7 +42,6 @@ from server.moveit.named_states import default_path
 
 
 def add_setup_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "setup",

@@ -45,7 +45,6 @@ class VerificationClient:
         self._told: set[str] = set()
 
     def run(self, token: str | None) -> ExitCode:
-        """Begin a verification, and ask the person what the server asks."""
         if token is not None:
             self._send({"op": "auth", "token": token})
         self._call(BEGIN, {"procedure": "verify", "name": ""})

@@ -55,7 +55,6 @@ class ImageSource(Protocol):
 
     paced: bool
     finite: bool
-    stamp_ns: int | None  # time that the latest image shows [ns since the epoch]; None for the time of its arrival
 
     def read(self) -> Pixels | None:
         """Return the next image, shape (height, width, 3); None after the last one."""
@@ -70,7 +69,6 @@ class TestPattern:
     __test__ = False
     paced = False
     finite = False
-    stamp_ns: int | None = None
 
     def __init__(self, width: int | None = None) -> None:
         self._width = width or TEST_WIDTH
@@ -95,8 +93,6 @@ class TestPattern:
 
 class OpenCvSource:
     """Camera or video file that OpenCV reads, or CameraError."""
-
-    stamp_ns: int | None = None
 
     def __init__(self, device: str, width: int | None) -> None:
         try:
@@ -195,7 +191,7 @@ class NewestImage:
         due_s = self._clock()
         try:
             while not self._ending.is_set() and (pixels := self._source.read()) is not None:
-                self._newest = Captured(self._source.stamp_ns or self._wall_clock_ns(), pixels)
+                self._newest = Captured(self._wall_clock_ns(), pixels)
                 self.captured += 1
                 self._arrived()
                 if not self._source.paced:

@@ -12,29 +12,29 @@ from typing import Any, Literal
 
 import numpy as np
 
+from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.datasets import lerobot
-from server.datasets.episodes import MAX_GAP_S, Episode, checked_task, episodes_of
+from server.datasets.episodes import IMAGES, MAX_GAP_S, Episode, checked_task, episodes_of
 from server.datasets.frames import Frames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
-from server.datasets.lerobot import ImageStatistics, VideoError, VideoWriter, decode
+from server.datasets.lerobot import ImageStatistics, VideoError, VideoWriter, pixels_of
 from server.datasets.samples import (
     CONTROLLER_STATE,
-    IMAGE,
+    JOINT_STATE,
     LEADER_TOPIC,
     STATE_TOPIC,
     JointSample,
     Samples,
     Times,
-    image_data,
     interventions,
     merged,
-    messages,
     read_samples,
     series,
     times_s,
 )
 from server.errors import ServerError
+from server.recording.bags import messages
 
 # The end of an image topic's name says how it is sent, not which camera it is.
 _TRANSPORT = frozenset({"image", "image_raw", "image_color", "image_rect", "compressed", "color", "rgb"})
@@ -61,6 +61,7 @@ class ExportOptions:
     fps: int = 30
     task: str | None = None
     action_topic: str | None = None
+    state_topic: str | None = None
     units: Literal["rad", "lerobot"] = "rad"
     video: bool = True
     max_gap_s: float = MAX_GAP_S
@@ -93,9 +94,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     sources: list[_Source] = []
     for path in options.recordings:
         samples = read_samples(path, registry)
-        if not samples.joints.get(STATE_TOPIC):
-            raise ExportError(f"{path}: has no messages of sensor_msgs/JointState on {STATE_TOPIC}")
-        joints = joints or samples.joints[STATE_TOPIC][0].names
+        joints = joints or samples.joints[_state_topic(samples, options)][0].names
         source = _source(samples, joints, options, problems)
         if sources and source.cameras != sources[0].cameras:
             wanted, found = (", ".join(each.cameras.values()) or "none" for each in (sources[0], source))
@@ -134,10 +133,10 @@ def _check(options: ExportOptions) -> None:
 
 
 def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
-    path = samples.path
-    states_s, states = series(samples.joints[STATE_TOPIC], joints)
+    path, state_topic = samples.path, _state_topic(samples, options)
+    states_s, states = series(samples.joints[state_topic], joints)
     if not states_s.size:
-        raise ExportError(f"{path}: {STATE_TOPIC} must have the joints {', '.join(joints)}")
+        raise ExportError(f"{path}: {state_topic} must have the joints {', '.join(joints)}")
     cameras = camera_keys(samples.images) if options.video else {}
     if cameras and find_spec("av") is None:
         raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
@@ -151,6 +150,8 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
     next_state = Tracks(states_s - zero_s, states, None, None, image_times_s, NEXT_STATE)
     marks = [(at_s - zero_s, text) for at_s, text in samples.marks]
     episodes, notes = episodes_of(marks, 0.0, float(states_s[-1]) - zero_s)
+    if options.video:
+        notes += [f"{topic} is left out: its images are {name}" for topic, name in samples.left_out.items()]
     problems += [f"{path}: {note}" for note in notes]
     if samples.unreadable:
         problems.append(f"{path}: {samples.unreadable} messages do not fit their types and are left out")
@@ -169,6 +170,16 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
             source.episodes.append(_in_units(frames, joints, samples, options))
             source.actions.append(tracks.action_name)
     return source
+
+
+def _state_topic(samples: Samples, options: ExportOptions) -> str:
+    """Return the topic of the states: the option's, the server's own, or the only topic of states."""
+    found = sorted(name for name, kind in samples.types.items() if kind == JOINT_STATE and name != LEADER_TOPIC)
+    wanted = options.state_topic or (found[0] if len(found) == 1 else STATE_TOPIC)
+    if wanted not in found:
+        known = f": --state-topic must be one of {', '.join(found)}" if found else ""
+        raise ExportError(f"{samples.path}: has no messages of sensor_msgs/JointState on {wanted}{known}")
+    return wanted
 
 
 def _tracks_of(episode: Episode, commanded: Sequence[Tracks], next_state: Tracks, options: ExportOptions) -> Tracks:
@@ -267,7 +278,8 @@ def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:
 def camera_keys(topics: Iterable[str]) -> dict[str, str]:
     """Return the key of each camera's video -> its topic: ``/wrist/image_raw/compressed`` is the camera ``wrist``."""
     keys: dict[str, str] = {}
-    for topic in sorted(topics):
+    # image_transport publishes the same pictures raw and compressed.
+    for topic in sorted(set(topics) - {each.removesuffix("/compressed") for each in topics if "/compressed" in each}):
         whole = [part for part in topic.split("/") if part]
         parts = [part for part in whole if part not in _TRANSPORT]
         key = lerobot.CAMERA_PREFIX + ("_".join(parts) or "camera")
@@ -308,10 +320,10 @@ def _add_images(
         each += [ImageStatistics() for _ in source.episodes]
     seen = dict.fromkeys(keys, 0)
     for message in messages(source.samples.path):
-        if message.type_name != IMAGE or message.topic not in keys:
+        if message.type_name not in IMAGES or message.topic not in keys:
             continue
         try:
-            data = image_data(message, registry)
+            values = cdr.deserialize(registry, message.type_name, message.octets)
         except ProtocolError:
             # It was not counted when the recording was read either.
             continue
@@ -320,7 +332,7 @@ def _add_images(
         if not (uses := shown[key].get(index)):
             continue
         try:
-            image = decode(data)
+            image = pixels_of(values)
             for number, times in uses:
                 writers[key].add(image, times)
                 statistics[key][first[key] + number].add(image, times)

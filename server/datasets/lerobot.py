@@ -17,10 +17,12 @@ from types import TracebackType
 from typing import Any, TypeAlias
 
 import numpy as np
+import pybase64
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from server.datasets.frames import Frames
+from server.datasets.samples import COLOURS
 
 CODEC, PIXEL_FORMAT = "h264", "yuv420p"
 
@@ -35,8 +37,19 @@ class VideoError(Exception):
     """Images that make no video; the text is one sentence."""
 
 
-def decode(data: bytes) -> NDArray[np.uint8]:
-    """Return a compressed image as its pixels, shape (height, width, 3), or raise VideoError."""
+def pixels_of(message: Mapping[str, Any]) -> NDArray[np.uint8]:
+    """Return an image of sensor_msgs, raw or compressed, with shape (height, width, 3), or raise VideoError."""
+    # uint8[] is base64 text in the server's messages, as in rosbridge's JSON.
+    data = pybase64.b64decode(message["data"])
+    if "encoding" in message:
+        channels, order = COLOURS[message["encoding"]]
+        height, width, step = (message[name] for name in ("height", "width", "step"))
+        if not 0 < min(height, width) <= max(height, width) <= MAX_SIDE_PIXELS:
+            raise VideoError(f"an image must have 1 to {MAX_SIDE_PIXELS} pixels a side, not {width}x{height}")
+        if step < width * channels or len(data) < height * step:
+            raise VideoError(f"an image of {width}x{height} pixels has {len(data)} bytes, and {step} a row")
+        lines = np.frombuffer(data, dtype=np.uint8, count=height * step).reshape(height, step)
+        return lines[:, : width * channels].reshape(height, width, channels)[:, :, list(order)]
     try:
         with Image.open(io.BytesIO(data)) as image:
             if max(image.size) > MAX_SIDE_PIXELS:

@@ -1,49 +1,106 @@
-"""Rendered camera: images of a server's simulated arm and of the objects of its planning scene."""
+"""Rendered cameras: messages with images of a simulated arm and the objects of its planning scene."""
 
 from __future__ import annotations
 
-import contextlib
-import json
+import base64
 import os
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from websockets.exceptions import WebSocketException
-from websockets.sync.client import ClientConnection, connect
 
 from planners.scene import Pose
-from robot.description import robot_folder
+from robot.description.camera import Camera
 from robot.description.model import RobotModel
 from robot.physics.bodies import MAX_BODIES, Body
-from robot.physics.camera import Camera
-from server.datasets.camera import CameraError, Pixels
-from server.moveit.scene.collision_objects import read_collision_object
+from server.datasets.camera import IMAGE_TYPE, CameraError, to_jpeg
+from server.moveit.messages import Message
 from server.moveit.scene.frames import in_root
-from server.moveit.scene.physical_bodies import body_of
 
-DEFAULT_WIDTH = 320
+DEPTH_TYPE, INFO_TYPE = "sensor_msgs/Image", "sensor_msgs/CameraInfo"
 
-ANSWER_TIMEOUT_S = 10.0
-RETRY_S = 1.0
-MAX_ANSWER_BYTES = 64 << 20  # a scene of meshes
+DEFAULT_QUALITY = 80  # of JPEG
 
-# moveit_msgs/PlanningSceneComponents: state, attached objects, geometry and colours.
-COMPONENTS = 2 | 4 | 16 | 512
+MM_PER_M = 1000.0
+MAX_DEPTH_MM = 65_535  # largest value of an image with 16 bits
+
+NS_PER_S = 1_000_000_000
 
 
-class RenderedSource:
-    """Source of rendered images of a server's arm, each with the time of the state that it shows.
+@dataclass(frozen=True)
+class PublishedCamera:
+    """Camera, the topic of its JPEG images, such as ``/wrist/image/compressed``, and their quality from 1 to 95."""
 
-    The token belongs to a client that may look; None without one. Raises CameraError on a machine that cannot render.
-    """
+    camera: Camera
+    topic: str
+    quality: int = DEFAULT_QUALITY
 
-    paced = False
-    finite = False
+    @property
+    def namespace(self) -> str:
+        """Namespace of its topics, such as ``/wrist``."""
+        return self.topic.removesuffix("/compressed").rpartition("/")[0]
 
-    def __init__(self, url: str, token: str | None, robot: RobotModel, camera: Camera) -> None:
+    @property
+    def info_topic(self) -> str:
+        """Name of the topic of its sensor_msgs/CameraInfo."""
+        return f"{self.namespace}/camera_info"
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Types of its topics by name: images, their sensor_msgs/CameraInfo, and depth images if it has them."""
+        topics = {self.topic: IMAGE_TYPE, self.info_topic: INFO_TYPE}
+        return topics | ({f"{self.namespace}/depth/image": DEPTH_TYPE} if self.camera.depth else {})
+
+    @property
+    def optical_frame(self) -> str:
+        """Name of its frame with z along the view, x right and y down in the image (REP 103)."""
+        return f"{self.namespace.strip('/').replace('/', '_') or 'camera'}_optical_frame"
+
+
+@dataclass(frozen=True)
+class SeenScene:
+    """Arm and objects at one time; an object is at its pose in a link, and in the root link for an empty name."""
+
+    stamp_ns: int  # [ns since the epoch]
+    positions_rad: Mapping[str, float]
+    bodies: Sequence[tuple[Body, str]]
+    colors: Mapping[str, Sequence[float]]  # red, green, blue, alpha by object
+
+
+@dataclass(frozen=True)
+class LoadCameras:
+    """First message to the process, which answers :class:`Rendered` without messages, or :class:`CannotRender`."""
+
+    robot: RobotModel
+    cameras: Sequence[PublishedCamera]
+
+
+@dataclass(frozen=True)
+class Render:
+    """Order to make the messages of some topics; :class:`Rendered` answers it."""
+
+    topics: Sequence[str]
+    scene: SeenScene
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """Messages by topic; the process is ready for the next order."""
+
+    messages: Sequence[tuple[str, Message]] = ()
+
+
+@dataclass(frozen=True)
+class CannotRender:
+    """Reason for which this machine can never render these cameras, as a sentence; the process ends."""
+
+    reason: str
+
+
+class RenderedCameras:
+    """Cameras that see a scene; raises CameraError, or another RobotError, where they cannot be rendered."""
+
+    def __init__(self, robot: RobotModel, cameras: Sequence[PublishedCamera]) -> None:
         # MuJoCo reads it when it is imported, which is here for a command that need not have it.
         os.environ.setdefault("MUJOCO_GL", "egl")
         try:
@@ -51,71 +108,72 @@ class RenderedSource:
         except (ImportError, AttributeError) as error:
             wanted = "rendering needs MuJoCo, pip install 'armbridge[physics]', and OpenGL off screen"
             raise CameraError(f"{wanted} ({error})") from error
-        self.camera = camera
-        self.stamp_ns: int | None = None
-        self._renderer = ArmRenderer(robot, camera)
-        self._url, self._token = url, token
-        self._open = contextlib.ExitStack()
-        self._connection: ClientConnection | None = None
+        self._cameras = {each.topic: each for each in cameras}
+        self._renderer = ArmRenderer(robot, {topic: each.camera for topic, each in self._cameras.items()})
 
-    def read(self) -> Pixels | None:
-        """Return the next image; wait for a server that does not answer, or not to this client."""
-        while True:
-            try:
-                return self._rendered(self._scene())
-            except (OSError, TimeoutError, WebSocketException, KeyError, TypeError):
-                self._disconnect()
-                time.sleep(RETRY_S)
+    def messages(self, scene: SeenScene, topics: Collection[str]) -> list[tuple[str, Message]]:
+        """Return the messages of some topics, each with its topic and the scene's stamp."""
+        self._renderer.place(scene.positions_rad)
+        bodies = tuple(self._in_root(*each) for each in scene.bodies[:MAX_BODIES])
+        self._renderer.set_bodies(bodies, scene.colors)
+        sec, nanosec = divmod(scene.stamp_ns, NS_PER_S)
+        messages: list[tuple[str, Message]] = []
+        for camera in self._cameras.values():
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": camera.optical_frame}
+            for topic, type_name in camera.topics.items():
+                if topic in topics:
+                    messages.append((topic, {"header": header, **self._contents(camera, type_name)}))
+        return messages
 
     def close(self) -> None:
-        """Leave the server."""
+        """Give the OpenGL contexts back."""
         self._renderer.close()
-        self._disconnect()
 
-    def _disconnect(self) -> None:
-        self._connection = None
-        self._open.close()
-
-    def _scene(self) -> dict[str, Any]:
-        if self._connection is None:
-            opened = connect(self._url, max_size=MAX_ANSWER_BYTES, open_timeout=ANSWER_TIMEOUT_S)
-            self._connection = self._open.enter_context(opened)
-            if self._token is not None:
-                self._connection.send(json.dumps({"op": "auth", "token": self._token}))
-        request = {"components": {"components": COMPONENTS}}
-        call = {"op": "call_service", "service": "/get_planning_scene", "args": request, "id": "camera"}
-        self._connection.send(json.dumps(call))
-        while (answer := json.loads(self._connection.recv(ANSWER_TIMEOUT_S))).get("id") != "camera":
-            continue
-        scene: dict[str, Any] = answer["values"]["scene"]
-        return scene
-
-    def _rendered(self, scene: Mapping[str, Any]) -> Pixels:
-        state = scene["robot_state"]["joint_state"]
-        at = dict(zip(state["name"], state["position"], strict=True))
-        self._renderer.place(np.array([at.get(name, 0.0) for name in self._renderer.joint_names]))
-        stamp = state["header"]["stamp"]
-        self.stamp_ns = stamp["sec"] * 1_000_000_000 + stamp["nanosec"]
-        bodies = [self._body(each, "") for each in scene["world"]["collision_objects"]]
-        held = scene["robot_state"]["attached_collision_objects"]
-        bodies += [self._body(each["object"], each["link_name"]) for each in held]
-        colors = {each["id"]: [each["color"][part] for part in "rgba"] for each in scene["object_colors"]}
-        return self._renderer.render(tuple(bodies[:MAX_BODIES]), colors)
-
-    def _body(self, message: Mapping[str, Any], link: str) -> Body:
+    def _in_root(self, body: Body, link: str) -> Body:
         """Return an object at its pose; as a movable one it can be placed without compiling the world again."""
-        each = read_collision_object(message, link, "object")
         if link:
-            each = replace(each, pose=in_root(Pose(*self._renderer.link_pose(link)), each.pose))
-        return replace(body_of(each), movable=True)
+            pose = in_root(Pose(*self._renderer.link_pose(link)), Pose(body.position_m, body.orientation))
+            body = replace(body, position_m=pose.position_m, orientation=pose.orientation)
+        # MuJoCo has planes in bodies that stay where they are alone.
+        return replace(body, movable=all(shape.kind != "plane" for shape in body.shapes))
+
+    def _contents(self, published: PublishedCamera, type_name: str) -> Message:
+        if type_name == INFO_TYPE:
+            return camera_info(published.camera)
+        if type_name == DEPTH_TYPE:
+            return _depth_image(self._renderer.depth_m(published.topic))
+        jpeg = to_jpeg(self._renderer.image(published.topic), None, published.quality)
+        return {"format": "jpeg", "data": _base64(jpeg)}
 
 
-def open_rendered(
-    url: str, token: str | None, robot: str, link: str, view_m: Sequence[float], width: int | None
-) -> RenderedSource:
-    """Open a rendered camera at the first three numbers of a view that looks at the others, in a link's frame."""
-    x, y, z, *target = view_m
-    width = width or DEFAULT_WIDTH
-    model = robot_folder.resolve(robot).model
-    camera = Camera(link or model.root_link, (x, y, z), (target[0], target[1], target[2]), width, width * 3 // 4)
-    return RenderedSource(url, token, model, camera)
+def _base64(octets: bytes) -> str:
+    """Return octets as messages inside the server have them, and on the wire in JSON."""
+    return base64.b64encode(octets).decode()
+
+
+def camera_info(camera: Camera) -> Message:
+    """Return the calibration of a camera without distortion as fields of a sensor_msgs/CameraInfo."""
+    matrix = camera.intrinsic_matrix
+    return {
+        "height": camera.height,
+        "width": camera.width,
+        "distortion_model": "plumb_bob",
+        "d": [0.0] * 5,
+        "k": matrix.ravel().tolist(),
+        "r": np.eye(3).ravel().tolist(),
+        "p": np.column_stack((matrix, np.zeros(3))).ravel().tolist(),
+    }
+
+
+def _depth_image(depth_m: np.ndarray) -> Message:
+    """Return fields of a sensor_msgs/Image of encoding 16UC1 in mm, 0 for no distance (REP 118)."""
+    depth_mm = np.rint(np.where(np.isfinite(depth_m), MM_PER_M * depth_m, 0.0))
+    pixels = np.where(depth_mm <= MAX_DEPTH_MM, depth_mm, 0.0).astype("<u2")
+    height, width = pixels.shape
+    size = {"height": height, "width": width, "step": pixels.itemsize * width}
+    return {**size, "encoding": "16UC1", "is_bigendian": 0, "data": _base64(pixels.tobytes())}
+
+
+def color_of(message: Message) -> tuple[float, ...]:
+    """Return red, green, blue and alpha of a std_msgs/ColorRGBA."""
+    return tuple(message[part] for part in "rgba")

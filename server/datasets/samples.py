@@ -2,13 +2,12 @@
 
 import contextlib
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-import pybase64
 from numpy.typing import NDArray
 
 from protocol.codecs import cdr
@@ -17,10 +16,10 @@ from protocol.registry import Registry
 from server.arm.topics import CALIBRATED_RANGE
 from server.chunks.action_chunks import STATE as POLICY_TOPIC
 from server.chunks.action_chunks import Phase
-from server.datasets.episodes import EPISODE_TOPIC
+from server.datasets.episodes import EPISODE_TOPIC, IMAGES, RAW_IMAGE
 from server.errors import RecordingError
+from server.recording.bags import messages
 from server.recording.files import RecordedMessage
-from server.recording.replay import Recording
 
 Times: TypeAlias = NDArray[np.float64]
 Positions: TypeAlias = NDArray[np.float64]
@@ -33,7 +32,15 @@ LIMITS_TOPIC = "/arm/joint_limits"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 ARM_STATE = "diagnostic_msgs/msg/DiagnosticStatus"
-IMAGE = "sensor_msgs/msg/CompressedImage"
+
+# Encodings of raw images of 8 bits a channel (sensor_msgs/image_encodings.hpp): channels, and those that make RGB.
+COLOURS = {
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+    "mono8": (1, (0, 0, 0)),
+}
 
 # A day of the arm's states at 50 Hz; they are held in memory, at most 40 bytes a joint.
 MAX_SAMPLES = 4_500_000
@@ -53,7 +60,11 @@ class JointSample(NamedTuple):
 
 @dataclass
 class Samples:
-    """Samples of a recording: images, marks and phases of a policy by time [s since the epoch], limits [rad, m]."""
+    """Samples of a recording: images, marks and phases of a policy by time [s since the epoch], limits [rad, m].
+
+    Attributes:
+        left_out: topics of images that are no pictures, such as depths, with their encodings.
+    """
 
     path: Path
     joints: dict[str, list[JointSample]] = field(default_factory=dict)
@@ -64,6 +75,7 @@ class Samples:
     robot: str = ""
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     calibrated: dict[str, tuple[float, float]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
     unreadable: int = 0
 
     @property
@@ -92,21 +104,9 @@ def read_samples(path: Path, registry: Registry) -> Samples:
     return samples
 
 
-def messages(path: Path) -> Iterator[RecordedMessage]:
-    """Yield the messages of a recording in the order of the file."""
-    for chunk in Recording(path).chunks():
-        yield from chunk
-
-
-def image_data(message: RecordedMessage, registry: Registry) -> bytes:
-    """Return the compressed image of a message."""
-    # uint8[] is base64 text in the server's messages, as in rosbridge's JSON.
-    return pybase64.b64decode(cdr.deserialize(registry, message.type_name, message.octets)["data"])
-
-
 def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int:
     topic, type_name, log_s = message.topic, message.type_name, message.log_time_ns / 1e9
-    is_sample = type_name in (JOINT_STATE, CONTROLLER_STATE, IMAGE)
+    is_sample = type_name in (JOINT_STATE, CONTROLLER_STATE, *IMAGES)
     if not is_sample and type_name != ARM_STATE and topic not in (EPISODE_TOPIC, LIMITS_TOPIC):
         return 0
     values = cdr.deserialize(registry, type_name, message.octets)
@@ -114,7 +114,12 @@ def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int
         samples.types[topic] = type_name
         samples.joints.setdefault(topic, []).append(_joint_sample(values, type_name, log_s))
         return 1
-    if type_name == IMAGE:
+    if type_name in IMAGES:
+        # compressed_depth_image_transport names itself in the format of its images.
+        encoding = values["encoding"] if type_name == RAW_IMAGE else values["format"]
+        if (type_name == RAW_IMAGE and encoding not in COLOURS) or "compressedDepth" in encoding:
+            samples.left_out[topic] = encoding
+            return 0
         samples.images.setdefault(topic, []).append((log_s, _stamp_s(values)))
         return 1
     if topic == EPISODE_TOPIC and "data" in values:

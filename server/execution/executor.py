@@ -35,6 +35,7 @@ from server.execution.monitors import (
     check_ready,
 )
 from server.execution.motions import (
+    FIRST_SENDING_S,
     HORIZON_S,
     SENDING_S,
     START_TOLERANCE_RAD,
@@ -85,7 +86,7 @@ PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
 
 # A trajectory takes over from another one in motion after this multiple of the time that the last check took.
-CHECKS_AHEAD = 1.5
+CHECKS_AHEAD = 1.25
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
@@ -241,9 +242,10 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
+        sending_s = FIRST_SENDING_S
         while not goal.reason:
             asked_s, version = self._context.clock(), self._scene.scene.version
-            if (joined := self._joined(goal, request, asked_s)) is None:
+            if (joined := self._joined(goal, request, asked_s, sending_s)) is None:
                 break
             whole, point, leaves_s = joined
             planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
@@ -251,13 +253,16 @@ class GoalExecutor:
             goal.defer_replacement()
             await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
             self._check_s = self._context.clock() - asked_s
-            # Else the arm has passed the point by now, or will have: the next point is further ahead.
-            if self._context.clock() + SENDING_S <= leaves_s and not goal.reason:
-                return await self._play_spliced(goal, planned, checked, point)
+            if self._context.clock() + sending_s <= leaves_s and not goal.reason:
+                answer = await self._play_spliced(goal, planned, checked, point)
+                if answer is not None or sending_s == SENDING_S:
+                    return answer
+            # The arm has passed the point, or will have: the next point is further ahead.
+            sending_s = SENDING_S
         return None
 
     def _joined(
-        self, goal: Goal, request: ExternalTrajectory, now_s: float
+        self, goal: Goal, request: ExternalTrajectory, now_s: float, sending_s: float
     ) -> tuple[Trajectory, SplicePoint, float] | None:
         """Return a trajectory behind the lead to the splice point, the point, and its time; None without one."""
         outgoing = self._player.outgoing
@@ -265,9 +270,9 @@ class GoalExecutor:
             return None
         if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
             return None
-        horizon_s = min(SENDING_S + CHECKS_AHEAD * self._check_s, outgoing.until_s - now_s)
+        horizon_s = min(sending_s + CHECKS_AHEAD * self._check_s, outgoing.until_s - now_s)
         point = outgoing.splice_point(now_s, horizon_s)
-        if point is None or horizon_s <= SENDING_S:
+        if point is None or horizon_s <= sending_s:
             return None
         leaves_s = now_s + horizon_s
         whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))

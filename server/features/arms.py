@@ -15,7 +15,7 @@ from server.access.control_lease import ControlServices
 from server.arm.arms import ArmFiles, read_now
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
-from server.arm.services import ArmPace, ArmServices
+from server.arm.services import offer_arm_services, offer_pace
 from server.arm.topics import TOPIC as JOINT_STATES
 from server.arm.topics import ArmStateTopics, JointStates
 from server.arm.verifying import FirstMotions, VerificationProcedure
@@ -26,7 +26,7 @@ from server.lifecycle import Feature
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.named_states import data_directory, default_path
 from server.moveit.servo.servo_node import servo_setup
-from server.teaching.replay import ReplayAction
+from server.teaching.replay import offer_replay
 from server.teaching.services import Teaching
 from server.teaching.taught_motion import MotionFiles
 from server.teleop.session import Follower, FollowingContext
@@ -49,8 +49,8 @@ class ArmControl(Feature):
         }
         self._control = []
         for each in context.arms:
-            ArmServices(each.graph, each.served.arm, each.stop)
-            ArmPace(each.graph, each.served.arm)
+            offer_arm_services(each.graph, each.served.arm, each.stop)
+            offer_pace(each.graph, each.served.arm)
             lease = context.access.leases_of_arms.get(each.name, context.access.lease)
             self._control.append(ControlServices(each.graph, lease))
 
@@ -166,7 +166,7 @@ def teaching_of(context: ServerContext) -> Teaching:
     planning, robot = context.planning, context.planning.robot
     # In a folder beside the named states.
     motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
-    ReplayAction(context.graph, robot, motions, context.goals.queue, planning.problems)
+    offer_replay(context.graph, robot, motions, context.goals.queue, planning.problems)
     return Teaching(context.graph, robot, motions, planning.pool, planning.scene_state, planning.current)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import hashlib
 import json
 from collections.abc import Callable, Mapping
@@ -34,7 +35,7 @@ class Clients(Feature):
     deadline_s = 0.6
 
     def __init__(self, context: ServerContext) -> None:
-        self.routes: dict[str, Route] = {PATH: InterfaceDocument(context).answer}
+        self.routes: dict[str, Route] = {PATH: functools.partial(interface_document, context)}
         access, stops = context.access, context.settings.goals.on_disconnect == "stop"
         names = [each.name for each in context.arms if each.name]
         goals = http_goals.HttpGoals(context.graph, access, names, takes_goals_along=stops)
@@ -73,39 +74,32 @@ PATH = "armbridge/interface.json"
 FORMAT = 1
 
 
-class InterfaceDocument:
-    """Document about the server for clients; topics, services and actions are listed as they are at the moment."""
-
-    def __init__(self, context: ServerContext) -> None:
-        self._context = context
-
-    async def answer(self, _request: Request) -> HttpResponse:
-        """Return the document."""
-        context, graph, access = self._context, self._context.graph, self._context.access
-        settings = context.settings
-        # 70 ms for the hashes of all types, the first time.
-        types = await asyncio.to_thread(type_hashes, graph.message_types.registry)
-        document = {
-            "format": FORMAT,
-            "version": metadata.version("armbridge"),
-            "roles": [role.name.lower() for role in Role],
-            "settings": {
-                "ros_version": settings.server.ros_version,
-                "control": settings.access.control,
-                "on_disconnect": settings.goals.on_disconnect,
-                "confirm": context.goals.confirmation.enabled,
-                "confirm_timeout_s": settings.goals.confirm_timeout_s,
-                "max_message_bytes": settings.server.limits.max_message_bytes,
-                "max_call_s": MAX_TIMEOUT_S,
-            },
-            "arms": [_arm(arm) for arm in context.arms],
-            "topics": _names(graph.topic_names.types(), rule_of_topic, graph, access.topics, "topic"),
-            "services": _names(graph.services.names.types(), rule_of_service, graph, access.services, "service"),
-            "actions": _names(graph.actions.names.types(), rule_of_action, graph, access.services, "action"),
-            "types": types,
-            "types_sha256": hashlib.sha256("".join(map("{0[0]}{0[1]}".format, types.items())).encode()).hexdigest(),
-        }
-        return HttpResponse.of_json(HTTPStatus.OK, document)
+async def interface_document(context: ServerContext, _request: Request) -> HttpResponse:
+    """Return the document about the server for clients, with the topics, services and actions of the moment."""
+    graph, access, settings = context.graph, context.access, context.settings
+    # 70 ms for the hashes of all types, the first time.
+    types = await asyncio.to_thread(type_hashes, graph.message_types.registry)
+    document = {
+        "format": FORMAT,
+        "version": metadata.version("armbridge"),
+        "roles": [role.name.lower() for role in Role],
+        "settings": {
+            "ros_version": settings.server.ros_version,
+            "control": settings.access.control,
+            "on_disconnect": settings.goals.on_disconnect,
+            "confirm": context.goals.confirmation.enabled,
+            "confirm_timeout_s": settings.goals.confirm_timeout_s,
+            "max_message_bytes": settings.server.limits.max_message_bytes,
+            "max_call_s": MAX_TIMEOUT_S,
+        },
+        "arms": [_arm(arm) for arm in context.arms],
+        "topics": _names(graph.topic_names.types(), rule_of_topic, graph, access.topics, "topic"),
+        "services": _names(graph.services.names.types(), rule_of_service, graph, access.services, "service"),
+        "actions": _names(graph.actions.names.types(), rule_of_action, graph, access.services, "action"),
+        "types": types,
+        "types_sha256": hashlib.sha256("".join(map("{0[0]}{0[1]}".format, types.items())).encode()).hexdigest(),
+    }
+    return HttpResponse.of_json(HTTPStatus.OK, document)
 
 
 def type_hashes(registry: Registry) -> dict[str, str]:

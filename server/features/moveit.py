@@ -18,7 +18,7 @@ from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
 from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
-from server.moveit.actions.gripper import GripperActions
+from server.moveit.actions.gripper import offer_gripper
 from server.moveit.actions.joint_trajectory_controller import (
     JointTrajectoryController,
     TrajectoryContext,
@@ -27,18 +27,18 @@ from server.moveit.actions.move_group import (
     EXECUTE_ACTION,
     MOVE_ACTIONS,
     SEQUENCE_ACTION,
-    ExecuteTrajectory,
-    PlanningActions,
+    offer_execute_trajectory,
+    offer_planning_actions,
 )
-from server.moveit.goals.goal_checks import GoalChecks
+from server.moveit.goals.goal_checks import offer_goal_checks
 from server.moveit.goals.goal_history import GoalHistory
-from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics
-from server.moveit.named_states import NamedStatesServices, default_path
+from server.moveit.goals.goal_topics import GoalStatusTopics, offer_goal_topics
+from server.moveit.named_states import default_path, offer_named_states
 from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named_scenes
 from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
-from server.moveit.services.description import RobotDescription, TransformRepublisher, TransformsTopics
+from server.moveit.services.description import TransformRepublisher, TransformsTopics, offer_description
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.services.robot_groups import publish_groups
 from server.moveit.servo.servo_node import ServoNode
@@ -71,7 +71,8 @@ class PlanningScene(Feature):
         scene, robot = planning.scene_state, planning.robot
         self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
-        if settings.scene.keep:
+        # A world of the physics begins as its file has it.
+        if settings.scene.keep and settings.arm.world is None:
             path = settings.scene.file or kept_scene_path(settings, robot)
             self._saved = SavedScene(path, scene, graph.message_types)
         # Beside the file of the present scene, in a folder of their own.
@@ -97,15 +98,15 @@ class MoveGroup(Feature):
     def __init__(self, context: ServerContext) -> None:
         graph, planning, goals = context.graph, context.planning, context.goals
         robot = planning.robot
-        RobotDescription(graph, robot, context.rosapi.parameters.keep)
+        offer_description(graph, robot, context.rosapi.parameters.keep)
         several = {arm.name: arm.robot for arm in context.arms if arm.name}
         publish_groups(graph, robot, several or {"": robot}, context.whole.parameters)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
-        NamedStatesServices(graph, robot, goals.named_states, planning.current)
-        GoalChecks(graph, context.whole.translator, planning)
-        PlanningActions(graph, planning, goals.queue)
-        ExecuteTrajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
+        offer_named_states(graph, robot, goals.named_states, planning.current)
+        offer_goal_checks(graph, context.whole.translator, planning)
+        offer_planning_actions(graph, planning, goals.queue)
+        offer_execute_trajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
         offer_services(graph, planning)
         goals.listeners.append(GoalHistory(graph, planning, time.time))
 
@@ -140,7 +141,7 @@ class _GoalsOfArm:
         graph, goals, planning = arm.graph, arm.goals, arm.planning
         self._arm = arm
         self._status = GoalStatusTopics(graph, arm.node, planning.robot)
-        GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
+        offer_goal_topics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
         GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
@@ -153,7 +154,7 @@ class _GoalsOfArm:
                 )
             )
         if arm.gripper is not None:
-            GripperActions(graph, arm.gripper)
+            offer_gripper(graph, arm.gripper)
         names = [name for each in self._controllers for name in each.actions]
         self.actions = tuple(map(graph.resolve, (*names, *(() if arm.gripper is None else GRIPPER_ACTIONS))))
         goals.listeners.append(self)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -11,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from planners.scene import Plane, Pose
+from protocol.errors import MessageError
 from robot.arm import Arm
-from robot.messages import ArmState
+from robot.errors import RobotError
+from robot.messages import ArmState, PauseSimulation
 from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
 from server.errors import ConfigurationError, RefusedError
 from server.features.context import ServerContext
@@ -20,13 +24,17 @@ from server.graph.node import Node
 from server.graph.permissions import WORKING
 from server.lifecycle import Feature
 from server.moveit.messages import Message
-from server.moveit.scene.collision_objects import CollisionObject
+from server.moveit.scene.collision_objects import CollisionObject, read_bounded_pose
 from server.moveit.scene.physical_bodies import body_of
-from server.moveit.scene.planning_scene import SceneDraft
+from server.moveit.scene.planning_scene import SceneContents, SceneDraft
 from server.moveit.scene.scene_state import SceneChange
+from server.moveit.scene.worlds import body_refusal, read_world
 
-SET_BODY, SET_BODY_TYPE = "/simulation/set_body", "armbridge_msgs/srv/SetBody"
-RESET = "/simulation/reset"
+# Ticks of one call of /simulation/step: ten seconds.
+MAX_STEPS = 1000
+
+# An arm process answers within a tick; a starved machine takes many times as long for its steps.
+ANSWER_TIMEOUT_S, STEPS_TIMEOUT_S = 5.0, 60.0
 
 UPDATE_S = 0.1  # interval of changes of the scene by objects that move
 
@@ -37,9 +45,6 @@ DROPPED_AFTER_S, RELEASED_AFTER_S = 0.5, 5.0
 # Poses nearer than the reports of the arm process are the same.
 SAME_M, SAME_QUATERNION = 2e-4, 1e-3
 
-MAX_MASS_KG = 100.0
-MAX_FRICTION = 10.0
-
 log = logging.getLogger("armbridge.physics")
 
 
@@ -49,6 +54,8 @@ def physics_of(context: ServerContext) -> list[Feature]:
     if physical:
         raise ConfigurationError(f"arms.{physical[0]}.simulation: physics has one arm, without the section arms")
     arm = context.whole.served.arm
+    if context.settings.arm.world is not None and context.settings.arm.simulation != "physics":
+        raise ConfigurationError("arm.world: only an arm with physics has a world: set arm.simulation to physics")
     if context.settings.arm.simulation != "physics" or not isinstance(arm, Arm):
         return []
     return [Physics(context, arm)]
@@ -75,11 +82,29 @@ class Physics(Feature):
         self._gripper_joints = () if gripper is None else gripper.joints
         self._version = 0
         self._updated_at_s = -math.inf
-        node = Node("simulation")
-        graph = context.graph
-        graph.services.offer(node, SET_BODY, SET_BODY_TYPE, self._set_body, rule=WORKING)
-        graph.services.offer(node, RESET, "std_srvs/srv/Trigger", self._reset, rule=WORKING)
+        self._state: ArmState | None = None
+        self._stated = asyncio.Event()
+        self._stepping = False
+        # Contents of the world that was loaded, and its movable objects; None without one.
+        self._world: tuple[SceneContents, dict[str, tuple[float, float]]] | None = None
+        settings = context.settings.arm
+        if settings.world is not None:
+            self._open_world(settings.world, settings.world_seed, context)
+        node, services = Node("simulation"), context.graph.services
+        for name, type_name, serve in (
+            ("set_body", "armbridge_msgs/srv/SetBody", self._set_body),
+            ("set_pose", "armbridge_msgs/srv/SetBodyPose", self._set_pose),
+            ("reset", "std_srvs/srv/Trigger", self._reset),
+            ("pause", "std_srvs/srv/SetBool", self._pause),
+            ("step", "armbridge_msgs/srv/StepSimulation", self._step),
+        ):
+            services.offer(node, f"/simulation/{name}", type_name, serve, rule=WORKING)
         self._scene.on_change(self._follow_scene)
+
+    @property
+    def body_states(self) -> Mapping[str, BodyState]:
+        """Latest states of the movable bodies, by object."""
+        return self._states
 
     async def start(self) -> None:
         """Send the objects of the run before."""
@@ -89,6 +114,8 @@ class Physics(Feature):
         """Move objects of the scene to the poses of their bodies, and detach dropped ones."""
         if arm:
             return
+        self._state = state
+        self._stated.set()
         if state.bodies is not None and state.bodies.version == self._version:
             self._states.update({each.name: each for each in state.bodies.bodies})
         contents = self._scene.contents
@@ -97,7 +124,7 @@ class Physics(Feature):
         for name, body in self._states.items():
             if body.held or name not in contents.attached or name not in self._held_at_s:
                 self._held_at_s[name] = state.clock_s, goal_rad
-        if not 0.0 <= state.clock_s - self._updated_at_s < UPDATE_S:
+        if _ticks(state) >= 0 or not 0.0 <= state.clock_s - self._updated_at_s < UPDATE_S:
             self._updated_at_s = state.clock_s
             self._update(state.clock_s, goal_rad)
 
@@ -153,48 +180,150 @@ class Physics(Feature):
         if bodies != self._bodies:
             self._send(bodies)
 
-    def _send(self, bodies: dict[str, Body], *, reset: bool = False) -> None:
+    def _send(self, bodies: dict[str, Body], placed: Mapping[str, Pose] | None = None) -> None:
         self._bodies, self._version = bodies, self._version + 1
         self._states = {}
-        self._arm.set_bodies(SetBodies(self._version, tuple(bodies.values()), reset))
+        places = {name: (pose.position_m, pose.orientation) for name, pose in (placed or {}).items()}
+        self._arm.simulate(SetBodies(self._version, tuple(bodies.values()), places))
 
     def _body_of(self, each: CollisionObject) -> Body:
         mass_kg, friction = self._movable.get(each.name, (0.0, DEFAULT_FRICTION))
         return replace(body_of(each), movable=each.name in self._movable, mass_kg=mass_kg, friction=friction)
 
     def _set_body(self, request: dict[str, Any]) -> Message:
-        name, mass_kg, friction = request["id"], request["mass"], request["friction"]
+        name = request["id"]
         each = self._scene.contents.objects.get(name)
         refusal = ""
         if each is None:
             refusal = f"there is no object {name!r} in the planning scene"
         elif name not in self._bodies:
             refusal = f"physics has {MAX_BODIES} objects at most, and {name!r} is left out"
-        elif not 0.0 <= mass_kg <= MAX_MASS_KG:
-            refusal = f"mass must be 0 to {MAX_MASS_KG:g} kg, 0 for a mass by its volume, not {mass_kg:g}"
-        elif not 0.0 <= friction <= MAX_FRICTION:
-            refusal = f"friction must be 0 to {MAX_FRICTION:g}, 0 for {DEFAULT_FRICTION:g}, not {friction:g}"
-        elif request["movable"] and any(isinstance(shape, Plane) for shape, _ in each.shapes):
-            refusal = f"{name!r} has a plane, and cannot be movable"
+        else:
+            refusal = self._note_movable(request, each)
         if each is None or refusal:
             return {"success": False, "message": refusal}
-        self._movable.pop(name, None)
-        if request["movable"]:
-            self._movable[name] = mass_kg, friction or DEFAULT_FRICTION
         self._send({**self._bodies, name: self._body_of(each)})
         return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
 
+    def _note_movable(self, request: Message, each: CollisionObject) -> str:
+        """Note mass and friction of an object; return the reason why it cannot be a body with them, or an empty one."""
+        if refusal := body_refusal(request):
+            return refusal
+        self._movable.pop(each.name, None)
+        if request["movable"]:
+            if any(isinstance(shape, Plane) for shape, _ in each.shapes):
+                return f"{each.name!r} has a plane, and cannot be movable"
+            self._movable[each.name] = request["mass"], request["friction"] or DEFAULT_FRICTION
+        return ""
+
+    def _open_world(self, name: str, seed: int, context: ServerContext) -> None:
+        """Begin with the world of a file, its movable objects at places drawn with a seed."""
+        from robot.physics.placing import placed  # MuJoCo takes 200 ms
+
+        try:
+            scene, requests = read_world(name, context.graph.message_types)
+            self._scene.apply_diff(scene, None)
+            objects = self._scene.contents.objects
+            refusals = (self._note_movable(request, objects[request["id"]]) for request in requests)
+            refusal = next(filter(None, refusals), "")
+            if len(objects) > MAX_BODIES:
+                refusal = f"it has {len(objects)} objects, more than {MAX_BODIES}"
+            wanted = tuple(map(self._body_of, objects.values()))
+            bodies = () if refusal else placed(context.whole.robot, wanted, seed)
+        except (OSError, ValueError, MessageError, RefusedError, RobotError) as error:
+            raise ConfigurationError(f"arm.world: {name}: {error}") from error
+        if refusal:
+            raise ConfigurationError(f"arm.world: {name}: {refusal}")
+        self._apply({each.name: replace(objects[each.name], pose=_pose(each)) for each in bodies}, ())
+        self._world = self._scene.contents, dict(self._movable)
+
+    def _reload_world(self, world: SceneContents, movable: Mapping[str, tuple[float, float]]) -> None:
+        def change(draft: SceneDraft) -> None:
+            draft.objects, draft.attached, draft.colors = dict(world.objects), {}, dict(world.colors)
+
+        self._known, self._movable = {}, dict(movable)
+        self._scene.apply(SceneChange(change, 0), self._current.positions_rad())
+        self._follow_scene()
+
     def _reset(self, _request: dict[str, Any]) -> Message:
+        if self._world is not None:
+            self._reload_world(*self._world)
+        movable = [body for body in self._bodies.values() if body.movable]
+        self._place({body.name: _pose(body) for body in movable})
+        return {"success": True, "message": f"{len(movable)} objects are where they were put"}
+
+    def _set_pose(self, request: dict[str, Any]) -> Message:
+        name = request["id"]
+        if name not in self._bodies:
+            refusal = f"the physics has no object {name!r}"
+        elif not self._bodies[name].movable:
+            refusal = f"{name!r} stays where it is: move it in the planning scene, or make it movable first"
+        else:
+            try:
+                self._place({name: read_bounded_pose(request["pose"], "pose")})
+            except RefusedError as error:
+                refusal = str(error)
+            else:
+                return {"success": True, "message": f"{name} is put there"}
+        return {"success": False, "message": refusal}
+
+    def _place(self, poses: Mapping[str, Pose]) -> None:
+        """Put movable bodies at poses now, out of the fingers too."""
         contents, moved = self._scene.contents, {}
-        for name, body in self._bodies.items():
-            if body.movable:
-                held = contents.attached[name].collision_object if name in contents.attached else contents.objects[name]
-                pose = Pose(body.position_m, body.orientation)
-                moved[name] = replace(held, frame=self._scene.frame, pose=pose)
+        for name, pose in poses.items():
+            held = contents.attached[name].collision_object if name in contents.attached else contents.objects[name]
+            moved[name] = replace(held, frame=self._scene.frame, pose=pose)
         self._known.update(moved)
         self._apply(moved, tuple(name for name in moved if name in contents.attached))
-        self._send(self._bodies, reset=True)
-        return {"success": True, "message": f"{len(moved)} objects are where they were put"}
+        self._send(self._bodies, poses)
+
+    async def _pause(self, request: dict[str, Any]) -> Message:
+        paused = request["data"]
+        self._arm.simulate(PauseSimulation(paused))
+        if not await self._reaches(lambda state: (_ticks(state) >= 0) == paused, ANSWER_TIMEOUT_S):
+            return {"success": False, "message": f"the arm process did not answer within {ANSWER_TIMEOUT_S:g} s"}
+        return {"success": True, "message": f"the time of the simulation {'stands still' if paused else 'passes'}"}
+
+    async def _step(self, request: dict[str, Any]) -> Message:
+        steps, before, refusal = request["steps"], _ticks(self._state), ""
+        if not 1 <= steps <= MAX_STEPS:
+            refusal = f"steps must be 1 to {MAX_STEPS}, not {steps}"
+        elif before < 0:
+            refusal = "the time of the simulation passes: call /simulation/pause with true first"
+        elif self._stepping:
+            refusal = "other steps are in progress"
+        if refusal:
+            return {"success": False, "message": refusal}
+        self._stepping = True
+        try:
+            self._arm.simulate(PauseSimulation(paused=True, ticks=steps))
+            wanted = before + steps
+            # The end of the pause is the end of the steps.
+            await self._reaches(lambda state: _ticks(state) < 0 or _ticks(state) >= wanted, STEPS_TIMEOUT_S)
+        finally:
+            self._stepping = False
+        done = max(_ticks(self._state) - before, 0)
+        return {"success": done == steps, "message": f"{done} of {steps} steps are done"}
+
+    async def _reaches(self, reached: Callable[[ArmState], bool], timeout_s: float) -> bool:
+        """Wait for a state of the arm; return False when none comes within a time."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                while self._state is None or not reached(self._state):
+                    self._stated.clear()
+                    await self._stated.wait()
+        except TimeoutError:
+            return False
+        return True
+
+
+def _pose(body: Body) -> Pose:
+    return Pose(body.position_m, body.orientation)
+
+
+def _ticks(state: ArmState | None) -> int:
+    """Return the single ticks since the time stands still; -1 while it passes."""
+    return -1 if state is None or state.stepped_ticks is None else state.stepped_ticks
 
 
 def _differ(first: Pose, second: Pose) -> bool:

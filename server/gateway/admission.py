@@ -279,19 +279,12 @@ def matches(text: str, pattern: str) -> bool:
     return fnmatchcase(text, pattern.replace("[", "[[]"))
 
 
-class AllowedHosts:
-    """Hosts under which the server may be addressed: every IP address, ``own`` names, and ``allowed`` patterns."""
-
-    def __init__(self, allowed: Iterable[str] = (), own: Iterable[str] = ()) -> None:
-        self._allowed = tuple(each.lower() for each in allowed)
-        self._own = frozenset(("localhost", *own))
-
-    def has(self, host: Authority) -> bool:
-        """Return True for a host that is the server."""
-        if host.host in self._own or host.address is not None:
-            return True
-        names = (host.host, f"{host.host}:{host.port}")
-        return any(matches(name, pattern) for pattern in self._allowed for name in names)
+def is_server(host: Authority, own: Collection[str], allowed: Iterable[str] = ()) -> bool:
+    """Return True for a host that is the server: every IP address, localhost, ``own`` names, ``allowed`` patterns."""
+    if host.host in ("localhost", *own) or host.address is not None:
+        return True
+    names = (host.host, f"{host.host}:{host.port}")
+    return any(matches(name, pattern.lower()) for pattern in allowed for name in names)
 
 
 def own_names(hostname: str | None = None) -> Sequence[str]:
@@ -355,7 +348,8 @@ class AdmissionPolicy:
         self._one_time_tokens = one_time_tokens or OneTimeTokens(clock)
         self.auth_throttle = AuthThrottle(clock)
         self._tokens = tokens or Tokens({}, ANYONE)
-        self._hosts = AllowedHosts(settings.allowed_hosts, own_names())
+        self._own_names = own_names()
+        self._allowed_hosts = settings.allowed_hosts
         self._origins = AllowedOrigins(settings.allowed_origins, classroom_ports)
         self._counts: Counter[str] = Counter()
         self._log = LogLimiter()
@@ -385,7 +379,7 @@ class AdmissionPolicy:
         if len(named) != 1:
             return HttpResponse.of_text(HTTPStatus.BAD_REQUEST, f"a request needs one Host header, not {len(named)}")
         host = read_authority(named[0])
-        if host is not None and self._hosts.has(host):
+        if host is not None and is_server(host, self._own_names, self._allowed_hosts):
             return host
         shown = one_line(shorten(named[0]))
         return self._refuse(

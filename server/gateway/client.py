@@ -31,7 +31,7 @@ from protocol.session import Packed, Refusal
 from server.access.authorization import Authorizer, is_cancel, is_stop
 from server.errors import GraphError
 from server.gateway.client_context import ClientContext
-from server.gateway.client_requests import ClientActions, ClientServices
+from server.gateway.client_requests import ClientActions, ClientServices, name_and_id
 from server.gateway.client_topics import ClientTopics, StrictPublication
 from server.gateway.inbox import Inbox
 from server.graph.message_types import PostponedError, ReceivedMessage
@@ -136,7 +136,6 @@ class Client:
         self.inbox.receive_frame(frame)
 
     def leave(self) -> None:
-        """Take the client out of the graph."""
         self.inbox.close()
         # The calls and goals that end now would each be answered.
         self._context.left = True
@@ -155,21 +154,20 @@ class Client:
         """False while nothing but the op ``auth`` is read of the client."""
         return self.node.identity is not None
 
-    def admit_frame(self, frame: str | bytes) -> bool:
-        """Check a frame before it is read; return False when it is not to be read."""
-        return self.identified or self.auth.check_first_frame(frame)
-
-    def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
-        """Check the operations of an unidentified client's frame; return False when they are refused."""
-        return self.auth.check_first_operation(items)
+    def read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
+        """Read a frame; until a client has an identity, nothing but an ``auth`` of the least size is read."""
+        if self.identified:
+            return self.session.receive_frame(frame, self._context.clock(), light=light)
+        if not self.auth.check_first_frame(frame):
+            return ()
+        items = self.session.receive_frame(frame, self._context.clock(), light=light)
+        return items if self.auth.check_first_operation(items) else ()
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
-        """Read a frame by itself."""
         publication = self.topics.read_strictly(frame)
         return publication if publication is not None and self.session.reads_by_itself(frame) else None
 
     def publish_strictly(self, publication: StrictPublication) -> bool:
-        """Publish a message, or return False."""
         try:
             return self.topics.publish_strictly(publication)
         except (ProtocolError, GraphError) as error:
@@ -179,7 +177,6 @@ class Client:
         return True
 
     def is_urgent(self, operation: Operation) -> bool:
-        """Return True for an operation that stops the arm or cancels a goal."""
         return is_stop(operation, self._graph) or is_cancel(operation, self._graph)
 
     def is_repeated(self, operation: Operation) -> bool:
@@ -205,7 +202,6 @@ class Client:
     def carry_out(
         self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
     ) -> None:
-        """Carry an operation out, or tell of a refusal."""
         if isinstance(item, Refusal):
             self._refuse(item)
         else:
@@ -220,9 +216,9 @@ class Client:
             case Publish():
                 self.topics.reject(operation, reason)
             case CallService():
-                self.services.reject(operation, reason)
+                self.services.reject_call(operation.service, name_and_id(operation)[1], reason)
             case SendActionGoal():
-                self.actions.reject(operation, reason)
+                self.actions.reject_goal(operation.action, operation.id, reason)
             case _:
                 pass
 

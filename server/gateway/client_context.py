@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from protocol import dialect
 from protocol.codecs import cbor
@@ -69,21 +69,17 @@ _LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging
 _ROSAPI = "rosapi/"
 
 
-class _Done(NamedTuple):
-    field: str
-    words: str
-
-
-# Operations without an answer in rosbridge; publish has no acknowledgement, for it would come with every message.
-_DONE: Mapping[type[Operation], _Done] = {
-    Advertise: _Done("topic", "advertised"),
-    Unadvertise: _Done("topic", "no longer advertised under this id"),
-    Subscribe: _Done("topic", "subscribed"),
-    Unsubscribe: _Done("topic", "no longer subscribed under this id"),
-    AdvertiseService: _Done("service", "offered"),
-    UnadvertiseService: _Done("service", "withdrawn"),
-    AdvertiseAction: _Done("action", "offered"),
-    UnadvertiseAction: _Done("action", "withdrawn"),
+# Field with the name, and words of success, of operations without an answer in rosbridge; publish has no
+# acknowledgement, for it would come with every message.
+_DONE: Mapping[type[Operation], tuple[str, str]] = {
+    Advertise: ("topic", "advertised"),
+    Unadvertise: ("topic", "no longer advertised under this id"),
+    Subscribe: ("topic", "subscribed"),
+    Unsubscribe: ("topic", "no longer subscribed under this id"),
+    AdvertiseService: ("service", "offered"),
+    UnadvertiseService: ("service", "withdrawn"),
+    AdvertiseAction: ("action", "offered"),
+    UnadvertiseAction: ("action", "withdrawn"),
 }
 
 
@@ -104,7 +100,6 @@ class ClientStatus:
         self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
 
     def refuse(self, refusal: Refusal) -> None:
-        """Report an operation that is not carried out."""
         self._refuse(refusal, unasked=refusal.op is None)
 
     def _refuse(self, refusal: Refusal, *, unasked: bool) -> None:
@@ -127,7 +122,6 @@ class ClientStatus:
         self._context.wake()
 
     def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: Mark = None) -> None:
-        """Report an operation that has ended with an error."""
         # An OperationError names the operation itself.
         text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
         if isinstance(error, NothingToDoError):
@@ -163,7 +157,8 @@ class ClientStatus:
         done = _DONE.get(type(operation))
         if done is None:
             return
-        self.tell("info", operation, f"{done.field} {getattr(operation, done.field)}: {done.words}")
+        field, words = done
+        self.tell("info", operation, f"{field} {getattr(operation, field)}: {words}")
         if isinstance(operation, Advertise | Subscribe) and operation.qos:
             self.tell("warning", operation, "field qos: has no effect")
         if isinstance(operation, Subscribe) and operation.compression != operation.encoding:
@@ -171,12 +166,10 @@ class ClientStatus:
             self.tell("warning", operation, f"field compression: {unknown}; messages come as with none")
 
     def set_level(self, operation: SetLevel) -> None:
-        """Set the least level of the status messages."""
         self._unasked_errors_left = 0
         self._session.status_level = operation.level
 
     def log_status(self, operation: Status) -> None:
-        """Log a status message of the client."""
         self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
 
     def _log(self, level: int, line: str) -> None:

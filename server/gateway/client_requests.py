@@ -80,7 +80,6 @@ class ClientServices(_Offers):
         self._planning_calls = 0
 
     def advertise(self, operation: AdvertiseService) -> None:
-        """Offer a service."""
         self._client.detect_dialect(operation.type, "srv")
 
         def start(call: Call) -> None:
@@ -94,7 +93,6 @@ class ClientServices(_Offers):
         )
 
     def unadvertise(self, operation: UnadvertiseService) -> None:
-        """Withdraw a service."""
         self._withdraw(operation, operation.service)
 
     def _request(self, spelled_service: str, call: Call) -> None:
@@ -106,7 +104,6 @@ class ClientServices(_Offers):
             call.fail(f"Service {call.service}: its provider does not read its calls quickly enough")
 
     def respond(self, operation: ServiceResponse, message: ReceivedMessage) -> None:
-        """Answer a call that the client got."""
         call = self._requested.get(operation.id)
         if call is None:
             raise OperationError(operation.op, "id", "no call of this id waits for a response")
@@ -122,11 +119,6 @@ class ClientServices(_Offers):
         if call is not None:
             call.fail(f"Service {call.service} gave a response that cannot be read: {problem}")
 
-    def reject(self, operation: CallService, problem: str) -> None:
-        """Answer a call that the client may not make."""
-        _, id_ = _name_and_id(operation)
-        self.reject_call(operation.service, id_, problem)
-
     def reject_call(self, service: str, id_: Mark, problem: str) -> None:
         """Answer a call that is not made; ``service`` is as the client spells it."""
         fields = {"op": "service_response", "service": service, "values": problem, "result": False}
@@ -134,7 +126,7 @@ class ClientServices(_Offers):
 
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
         """Call a service, or raise PostponedError while its request is completed in the background."""
-        name, id_ = _name_and_id(operation)
+        name, id_ = name_and_id(operation)
         self._client.detect_dialect(operation.type, "srv")
         type_name, plans = self._services.names.type_of(name), self._services.rules.get(name, WORKING).plans
 
@@ -178,7 +170,7 @@ class ClientServices(_Offers):
 
     def call_unanswered(self, operation: CallService) -> None:
         """Call a service whose response the client has already."""
-        name, _ = _name_and_id(operation)
+        name, _ = name_and_id(operation)
         self._services.call(self._node, name, operation.args, lambda _response: None, operation.timeout)
 
     def _problem(self, *, plans: bool) -> str | None:
@@ -194,7 +186,8 @@ class ClientServices(_Offers):
         return None
 
 
-def _name_and_id(operation: CallService) -> tuple[str, Mark]:
+def name_and_id(operation: CallService) -> tuple[str, Mark]:
+    """Return the qualified name of a called service, and the id of the call."""
     # `/svc#7` is how rosbridge's first clients gave the id.
     service, _, id_in_name = operation.service.partition("#")
     return qualify(service), operation.id if operation.id is not None else id_in_name or None
@@ -212,7 +205,6 @@ class ClientActions(_Offers):
         self._sent: dict[Goal, tuple[str, Mark]] = {}
 
     def advertise(self, operation: AdvertiseAction) -> None:
-        """Offer an action."""
         self._client.detect_dialect(operation.type, "action")
 
         def start(goal: Goal) -> None:
@@ -222,7 +214,6 @@ class ClientActions(_Offers):
         self._advertise(operation, operation.action, lambda name: actions.offer(node, name, operation.type, start))
 
     def unadvertise(self, operation: UnadvertiseAction) -> None:
-        """Withdraw an action."""
         self._withdraw(operation, operation.action)
 
     def _request(self, offer: AdvertiseAction, goal: Goal) -> None:
@@ -243,11 +234,9 @@ class ClientActions(_Offers):
         goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": offer.action}))
 
     def report_feedback(self, operation: ActionFeedback, message: ReceivedMessage) -> None:
-        """Pass feedback on a goal of the client on to its sender."""
         self._goal(operation).feedback(self._client.from_client(message))
 
     def finish(self, operation: ActionResult, message: ReceivedMessage) -> None:
-        """End a goal of the client with its result."""
         goal = self._goal(operation)
         if operation.result:
             status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
@@ -269,7 +258,6 @@ class ClientActions(_Offers):
             goal.fail(f"Action {goal.action} gave a result that cannot be read: {problem}")
 
     def send_goal(self, operation: SendActionGoal, message: ReceivedMessage) -> None:
-        """Send a goal."""
         self._client.detect_dialect(operation.action_type, "action")
         name = qualify(operation.action)
         type_name = self._actions.names.type_of(name)
@@ -304,15 +292,12 @@ class ClientActions(_Offers):
             goal.sender_id = operation.id
             self._sent[goal] = name, operation.id
             self._values_in_flight += message.values
-            goal.when_ended(lambda _result: self._forget(goal, message.values))
 
-    def _forget(self, goal: Goal, values: int) -> None:
-        del self._sent[goal]
-        self._values_in_flight -= values
+            def forget(_result: Result) -> None:
+                del self._sent[goal]
+                self._values_in_flight -= message.values
 
-    def reject(self, operation: SendActionGoal, problem: str) -> None:
-        """Answer a goal that the client may not send."""
-        self.reject_goal(operation.action, operation.id, problem)
+            goal.when_ended(forget)
 
     def reject_goal(self, action: str, id_: Mark, problem: str) -> None:
         """Answer a goal that is not sent; ``action`` is as the client spells it."""

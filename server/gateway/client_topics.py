@@ -59,7 +59,6 @@ class ClientTopics:
         self.subscriber = Subscriber(self._deliver)
 
     def advertise(self, operation: Advertise) -> None:
-        """Advertise a topic."""
         topic = qualify(operation.topic)
         self._client.detect_dialect(operation.type, "msg")
         self._graph.advertise(self._node, topic, operation.type, latch=self._latches(operation))
@@ -82,7 +81,6 @@ class ClientTopics:
                 self._client.status.doubt(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
 
     def unadvertise(self, operation: Unadvertise) -> None:
-        """Withdraw an advertisement."""
         topic = qualify(operation.topic)
         # A client that publishes without having advertised is a publisher too, under no id.
         implicit = topic not in self._session.publications and self._node in self._graph.publishers(topic)
@@ -90,7 +88,6 @@ class ClientTopics:
             self._graph.unadvertise(self._node, topic)
 
     def publish(self, operation: Publish, message: ReceivedMessage) -> None:
-        """Publish a message."""
         received = self._client.from_client(message)
         topic = qualify(operation.topic)
         latch = self._latches(operation)
@@ -167,7 +164,6 @@ class ClientTopics:
             self._deliver(latched)
 
     def unsubscribe(self, operation: Unsubscribe) -> None:
-        """End a subscription."""
         if self._session.subscriptions.remove(operation.topic, operation.id):
             self._graph.unsubscribe(self._node, qualify(operation.topic))
 

@@ -78,7 +78,7 @@ class Connection:
         self._watch: asyncio.TimerHandle | None = None
         self._max_delay_s = gateway.limits.max_topic_delay_s
         query = transport.query
-        node = Node(
+        self.node = node = Node(
             display_name(transport.identity, place),
             remote=True,
             takes_goals_along=goals_end_with_client(query, unless_asked=gateway.cancels_goals),
@@ -93,17 +93,10 @@ class Connection:
         self.limit_messages()
 
     @property
-    def node(self) -> Node:
-        """Node of the client in the graph."""
-        return self._client.node
-
-    @property
     def queued_bytes(self) -> int:
-        """Bytes that wait for the client to read them."""
         return self._client.session.send_queue.size_bytes
 
     def counts(self) -> TrafficCounts:
-        """Return the traffic of the client until now."""
         transport, client = self._transport, self._client
         return TrafficCounts(
             received_messages=client.received_messages,
@@ -115,10 +108,9 @@ class Connection:
         )
 
     async def run(self) -> None:
-        """Serve the client until it leaves."""
-        log.info("%s connected", self._client.node, extra=self._fields)
+        log.info("%s connected", self.node, extra=self._fields)
         waiting = None
-        if self._client.node.identity is None:
+        if self.node.identity is None:
             waiting = asyncio.get_running_loop().call_later(AUTH_TIMEOUT_S, self._check_authenticated)
         try:
             self._transport.start_delivery(self._client)
@@ -130,16 +122,13 @@ class Connection:
             if self._watch is not None:
                 self._watch.cancel()
             self._transport.stop_delivery()
-            await self._end_writer()
+            if self._writer is not None:
+                self._writer.cancel()
+                # It may have been waiting for a socket that broke.
+                with contextlib.suppress(asyncio.CancelledError, OSError):
+                    await self._writer
             self._client.leave()
             self._client.session.send_queue.close()
-
-    async def _end_writer(self) -> None:
-        if self._writer is not None:
-            self._writer.cancel()
-            # It may have been waiting for a socket that broke.
-            with contextlib.suppress(asyncio.CancelledError, OSError):
-                await self._writer
 
     async def _finish_work(self) -> None:
         """Carry out what a client that leaves has sent before, unless it would have to read its replies first."""
@@ -153,15 +142,15 @@ class Connection:
         try:
             await self._transport.read_to_end()
         except ConnectionResetError:
-            log.info("%s left without a word", self._client.node, extra=self._fields)
+            log.info("%s left without a word", self.node, extra=self._fields)
         except ConnectionError as closed:
-            log.warning("%s: connection closed: %s", self._client.node, closed, extra=self._fields)
+            log.warning("%s: connection closed: %s", self.node, closed, extra=self._fields)
         else:
-            log.info("%s left", self._client.node, extra=self._fields)
+            log.info("%s left", self.node, extra=self._fields)
 
     @property
     def _fields(self) -> dict[str, str]:
-        return {"client": str(self._client.node)}
+        return {"client": str(self.node)}
 
     async def _write(self, wake: asyncio.Event) -> None:
         """Send the messages that the socket did not take at once, as it takes them and as they become due."""
@@ -183,7 +172,10 @@ class Connection:
             return
         self._flush()
         if session.send_queue.size_bytes:
-            self._wake_writer()
+            if self._due is None:
+                self._due = asyncio.Event()
+                self._writer = asyncio.create_task(self._write(self._due), name=f"write to {self.node}")
+            self._due.set()
             if self._watch is None:
                 self._expect_reading(time.monotonic())
 
@@ -210,18 +202,12 @@ class Connection:
 
     def _give_up(self) -> None:
         if self._closing is None:
-            log.warning("%s: does not read its replies; closing", self._client.node)
+            log.warning("%s: does not read its replies; closing", self.node)
             self.disconnect("replies are not read")
-
-    def _wake_writer(self) -> None:
-        if self._due is None:
-            self._due = asyncio.Event()
-            self._writer = asyncio.create_task(self._write(self._due), name=f"write to {self._client.node}")
-        self._due.set()
 
     def limit_messages(self) -> None:
         """Set the size of a message that the client may send, by its role."""
-        identity, limit_bytes = self._client.node.identity, self._max_message_bytes
+        identity, limit_bytes = self.node.identity, self._max_message_bytes
         if identity is None:
             limit_bytes = MAX_UNKNOWN_BYTES
         elif identity.role < Role.OPERATE:
@@ -229,15 +215,15 @@ class Connection:
         self._transport.max_message_bytes = limit_bytes
 
     def _check_authenticated(self) -> None:
-        if self._client.node.identity is None and self._closing is None:
-            log.warning("%s: authentication timed out after %g s; closing", self._client.node, AUTH_TIMEOUT_S)
+        if self.node.identity is None and self._closing is None:
+            log.warning("%s: authentication timed out after %g s; closing", self.node, AUTH_TIMEOUT_S)
             self.disconnect(f"the op auth is wanted within {AUTH_TIMEOUT_S:g} s")
 
     def disconnect(self, reason: str) -> None:
         """End the connection with a reason, after which nothing of the client is carried out."""
         self._client.inbox.close()
         if self._closing is None:
-            self._closing = asyncio.create_task(self._close(reason), name=f"close {self._client.node}")
+            self._closing = asyncio.create_task(self._close(reason), name=f"close {self.node}")
 
     async def _close(self, reason: str) -> None:
         """Close the connection with a reason, and end it even if the client reads nothing."""
@@ -275,11 +261,9 @@ class Traffic:
 
     @property
     def clients(self) -> int:
-        """Number of clients that are connected."""
         return len(self._open)
 
     def add(self, connection: Connection) -> None:
-        """Add a connection."""
         self.connections += 1
         self._open.add(connection)
 

@@ -227,13 +227,7 @@ def media_type(name: str) -> str:
     return f"{text}; charset=utf-8" if text else _BINARIES.get(suffix, UNKNOWN_TYPE)
 
 
-def compressible(name: str) -> bool:
-    """Return True for a file that gzip makes smaller, by its suffix: texts, and coordinates by the thousand."""
-    return PurePath(name).suffix.lower() not in _COMPRESSED
-
-
 def page_is_built(directory: Path) -> bool:
-    """Return True for a directory with the built page."""
     return (directory / INDEX).is_file()
 
 
@@ -252,7 +246,6 @@ class HttpResponse:
 
     @classmethod
     def of_text(cls, status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> HttpResponse:
-        """Return an answer with one sentence of text."""
         # A file name may have bytes that are no UTF-8.
         body = f"{text}\n".encode(errors="backslashreplace")
         return cls.of_data(status, body, "text/plain; charset=utf-8", headers)
@@ -266,7 +259,6 @@ class HttpResponse:
 
     @classmethod
     def of_json(cls, status: HTTPStatus, value: object) -> HttpResponse:
-        """Return an answer with a value as JSON."""
         return cls.of_data(status, json.dumps(value).encode() + b"\n", BODY_TYPE)
 
     @classmethod
@@ -278,7 +270,6 @@ class HttpResponse:
     def of_file(
         cls, file: StoredFile, media_type: str, keeping: str, headers: Mapping[str, str] | None = None
     ) -> HttpResponse:
-        """Return an answer with a file."""
         about = {"Content-Type": media_type, "Cache-Control": keeping, "ETag": file.etag, "Vary": "Accept-Encoding"}
         if file.gzipped:
             about["Content-Encoding"] = "gzip"
@@ -287,7 +278,9 @@ class HttpResponse:
     def response(self, request: Request) -> Response:
         """Return the response to a request: without a body when its sender has the content, or asks for none."""
         etag = self.headers.get("ETag")
-        unchanged = etag is not None and _has(request.headers, etag)
+        lines = request.headers.get_all("If-None-Match")
+        held = [item.strip().removeprefix("W/") for line in lines for item in line.split(",")]
+        unchanged = etag is not None and (etag in held or "*" in held)
         status = HTTPStatus.NOT_MODIFIED if unchanged else self.status
         headers = Headers({"Date": formatdate(usegmt=True), **_HEADERS_OF_ALL, **self.headers})
         if unchanged:
@@ -325,7 +318,6 @@ def names(headers: Headers, header: str, token: str) -> bool:
 
 
 def accepts_gzip(headers: Headers) -> bool:
-    """Return True for a client that takes a compressed body."""
     for line in headers.get_all("Accept-Encoding"):
         for item in line.lower().split(","):
             coding, _, weight = item.partition(";")
@@ -428,7 +420,7 @@ class HttpHandler:
             return HttpResponse.of_text(HTTPStatus.NOT_FOUND, "this is no path to a file")
         if name in self._routes:
             return await self._routes[name](request)
-        gzipped = accepts_gzip(request.headers) and compressible(name or INDEX)
+        gzipped = accepts_gzip(request.headers) and PurePath(name).suffix.lower() not in _COMPRESSED
         area, _, inner = name.partition("/")
         try:
             if area == ROBOT:
@@ -504,8 +496,3 @@ def _descriptions(robot: RobotModel) -> dict[str, bytes]:
 def _cors(area: str) -> dict[str, str]:
     """Return the headers that let pages of any origin, such as Foxglove's, read the robot's files and nothing else."""
     return {"Access-Control-Allow-Origin": "*", "Cross-Origin-Resource-Policy": "cross-origin"} if area == ROBOT else {}
-
-
-def _has(headers: Headers, etag: str) -> bool:
-    held = [item.strip().removeprefix("W/") for line in headers.get_all("If-None-Match") for item in line.split(",")]
-    return etag in held or "*" in held

@@ -68,7 +68,6 @@ class HttpGoals:
         self._takes_goals_along = takes_goals_along
 
     async def answer(self, posted: PostedRequest) -> HttpResponse:
-        """Carry out a goal and return its answer."""
         node = Node(
             display_name(posted.identity, posted.address),
             remote=True,

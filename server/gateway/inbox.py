@@ -87,11 +87,9 @@ class Inbox:
 
     @property
     def empty(self) -> bool:
-        """True when nothing waits."""
         return not self._waiting and not self._in_progress and not self._stops
 
     def close(self) -> None:
-        """Carry nothing out any more."""
         self._closed = True
         self._waiting.clear()
         self._stops.clear()
@@ -125,7 +123,7 @@ class Inbox:
         elif not self.client.identified or self._unread_frames or not _may_be_urgent(frame):
             self._add_frame(received, frame)
         else:
-            for each in _read_of(received, self._read(frame)):
+            for each in _read_of(received, self.client.read(frame)):
                 if not self._take_ahead(each):
                     self._add(each)
 
@@ -160,7 +158,7 @@ class Inbox:
         self._holds_reader = full
 
     def _begin(self, received: _Waiting, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
-        items = self._read(frame, light=light)
+        items = self.client.read(frame, light=light)
         if len(items) == 1 and not isinstance(items[0], Packed):
             # The quick way of nearly every frame.
             received.item = items[0]
@@ -233,12 +231,6 @@ class Inbox:
             self._call_later(STOP_PERIOD_S, self._work_off_stops)
         self._hold_or_release()
 
-    def _read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
-        if not self.client.admit_frame(frame):
-            return ()
-        items = self._session.receive_frame(frame, self._clock(), light=light)
-        return items if self.client.identified or self.client.admit_first(items) else ()
-
     def _take_step(self) -> None:
         first = self._waiting.popleft()
         self._count(-first.size_bytes)
@@ -246,13 +238,13 @@ class Inbox:
         # By far the most frequent first.
         if isinstance(item, StrictPublication):
             if not self.client.publish_strictly(item):
-                self._put_first(_read_of(first, self._read(item.frame)))
+                self._put_first(_read_of(first, self.client.read(item.frame)))
         elif isinstance(item, str | bytes):
             if len(item) >= LONG_FRAME_BYTES and self.client.identified:
                 self._run(lambda: self._session.receive_frame(item, self._clock()), first)
             else:
                 self._unread_frames -= 1
-                self._put_first(_read_of(first, self._read(item)))
+                self._put_first(_read_of(first, self.client.read(item)))
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)
         elif first.repeated and isinstance(item, Operation):

@@ -154,24 +154,20 @@ class ClientList:
         self._changed = False
 
     def open(self) -> None:
-        """Advertise the topics and say that nobody is there yet."""
         self._graph.advertise(self._node, COUNT_TOPIC, "std_msgs/msg/Int32", latch=True)
         self._graph.advertise(self._node, LIST_TOPIC, "rosbridge_msgs/msg/ConnectedClients", latch=True)
         self._publish()
 
     def close(self) -> None:
-        """Publish no more."""
         if self._pause is not None:
             self._pause.cancel()
 
     def add(self, client: Node, address: str) -> None:
-        """A client has connected from an address."""
         connected = Stamp.from_seconds(self._wall_clock()).as_message()
         self._clients[client] = {"ip_address": address, "connection_time": connected}
         self._change()
 
     def remove(self, client: Node) -> None:
-        """A client has left."""
         self._clients.pop(client, None)
         self._change()
 
@@ -273,29 +269,25 @@ class Listener:
 
     @property
     def port(self) -> int:
-        """The port in use."""
         return self._port
 
     @property
     def tcp_port(self) -> int | None:
-        """The port of raw TCP in use; None for none."""
         return self._tcp_sockets[0].getsockname()[1] if self._tcp_sockets else None
 
     @property
     def url(self) -> str:
-        """URL for clients of rosbridge."""
-        return f"{'ws' if self._tls is None else 'wss'}://{self._authority}"
+        return f"{'ws' if self._tls is None else 'wss'}://{self._place(self._port)}"
 
     @property
     def tcp_url(self) -> str | None:
         """Address of the port of raw TCP, for people; None for no such port."""
         scheme = "tcp" if self._tls is None else "tls"
-        return None if self.tcp_port is None else f"{scheme}://{self._shown_host}:{self.tcp_port}"
+        return None if self.tcp_port is None else f"{scheme}://{self._place(self.tcp_port)}"
 
     @property
     def page_url(self) -> str:
-        """URL of the page, for browsers."""
-        return f"{'http' if self._tls is None else 'https'}://{self._authority}/"
+        return f"{'http' if self._tls is None else 'https'}://{self._place(self._port)}/"
 
     @property
     def page_urls_elsewhere(self) -> Sequence[str]:
@@ -308,13 +300,8 @@ class Listener:
         addresses = [each for each in dict.fromkeys(found) if not is_loopback(each)]
         return [f"{scheme}://{f'[{each}]' if ':' in each else each}:{self._port}/" for each in addresses]
 
-    @property
-    def _authority(self) -> str:
-        return f"{self._shown_host}:{self._port}"
-
-    @property
-    def _shown_host(self) -> str:
-        return f"[{self._host}]" if ":" in self._host else self._host
+    def _place(self, port: int) -> str:
+        return f"[{self._host}]:{port}" if ":" in self._host else f"{self._host}:{port}"
 
     def refused_connections(self) -> Mapping[str, int]:
         """Return the numbers of refused connections and requests by reason: ``limit``, and the admission's reasons."""
@@ -336,7 +323,6 @@ class Listener:
                 keep_alive(each, self._settings.ping_interval_s, self._settings.ping_timeout_s)
 
     async def open(self) -> None:
-        """Begin to serve clients."""
         if not self._sockets:
             raise AssertionError("open before bind")
         possible = raise_file_limit(self._settings.max_clients)
@@ -369,14 +355,12 @@ class Listener:
         return TcpStream(self._settings, self._limiter, self._transports, self._serve_client, anonymous)
 
     def reload_certificate(self) -> None:
-        """Read the certificate again, for connections from now on."""
         if self._tls is None:
             log.info("TLS is not configured (server.tls_certificate); nothing to reload")
         else:
             self._tls.reload()
 
     async def close(self) -> None:
-        """Close every connection and the port."""
         self._clients.close()
         for server in self._servers:
             server.close()

@@ -160,7 +160,6 @@ class Transport(asyncio.Protocol):
             self._close_after_replies()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Release the place."""
         if self._slot is None:
             return
         self._slot.release()
@@ -193,12 +192,10 @@ class Transport(asyncio.Protocol):
             self._transport.close()
 
     def abort(self) -> None:
-        """End the connection now."""
         self.is_open = False
         self._transport.abort()
 
     def leave(self) -> None:
-        """End the connection as the server stops."""
         self._close_after_replies(linger=False)
 
     async def close(self, code: int, reason: str) -> None:
@@ -377,15 +374,12 @@ class Transport(asyncio.Protocol):
             self.abort()
 
     def pause_writing(self) -> None:
-        """Note that the socket takes no more."""
         self._writable.clear()
 
     def resume_writing(self) -> None:
-        """Note that the socket takes more."""
         self._writable.set()
 
     async def drain(self) -> None:
-        """Wait until the socket takes more."""
         await self._writable.wait()
 
 

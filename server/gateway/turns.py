@@ -54,7 +54,6 @@ class Turns:
                 self.call_soon(self._play_round)
 
     def remove(self, inbox: Inbox) -> None:
-        """Give a client no turn any more."""
         self._waiting.pop(inbox, None)
 
     def until_s(self) -> float | None:
@@ -160,5 +159,4 @@ class Scheduling:
 
     @property
     def limit_bytes(self) -> int:
-        """Bound of one client's inbox at present."""
         return MAX_WAITING_BYTES if self.waiting_bytes <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES

@@ -51,7 +51,6 @@ class ActionTopics:
         self._goals: dict[str, dict[Goal, _TrackedStatus]] = {}
 
     def open(self, node: Node, action: str, type_name: str) -> None:
-        """Advertise the topics of an action that is offered from now on."""
         self._goals[action] = {}
         feedback_type = f"{type_name}_FeedbackMessage"
         try:
@@ -64,7 +63,6 @@ class ActionTopics:
             log.warning("action %s: its topics are not published: %s", action, error)
 
     def close(self, node: Node, action: str) -> None:
-        """Withdraw the topics of an action whose goals have all ended."""
         self._goals.pop(action, None)
         self._topics.unadvertise(node, action + STATUS)
         self._topics.unadvertise(node, action + FEEDBACK)

@@ -20,7 +20,6 @@ class Index(Generic[Key, Item]):
         self._items: dict[Key, dict[Item, None]] = {}
 
     def __iter__(self) -> Iterator[Key]:
-        """Iterate over the keys that have items."""
         return iter(self._items)
 
     def add(self, key: Key, item: Item) -> None:
@@ -40,7 +39,6 @@ class Index(Generic[Key, Item]):
         return list(self._items.get(key, ()))
 
     def count(self, key: Key) -> int:
-        """Count the items of a key."""
         return len(self._items.get(key, ()))
 
 
@@ -55,7 +53,6 @@ class TypedNames:
         self._by_type: Index[str, str] = Index()
 
     def __len__(self) -> int:
-        """Count the names."""
         return len(self._types["ros2"])
 
     def add(self, name: str, type_name: str) -> None:

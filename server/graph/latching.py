@@ -81,7 +81,6 @@ class LatchedMessages:
         return None if with_it <= limit else f"{holder} {with_it} bytes latched with it, the limit is {limit}"
 
     def unlatch(self, topic: str) -> None:
-        """Give the latched message up, if there is one."""
         kept = self._latched.pop(topic, None)
         if kept is not None:
             self._discharge(kept)
@@ -131,13 +130,11 @@ class LatchedMessages:
         return [*self._histories.get(topic, ()), *(() if latched is None else (latched,)), *recent]
 
     def forget(self, topic: str) -> None:
-        """Give up all that is kept of a topic."""
         self._histories.pop(topic, None)
         self.unlatch(topic)
         self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 
     def give_up_old(self, now: float) -> None:
-        """Give up what nobody gets any more."""
         for share in (self._of_server, self._of_clients):
             while share.ending and self._latched[topic := next(iter(share.ending))].until_s < now:
                 self.unlatch(topic)

@@ -26,39 +26,31 @@ class LocalGraph:
         self.message_types: MessageTypes = graph.message_types
 
     def resolve(self, name: str) -> str:
-        """Return the fully qualified name of a name below the prefix."""
         return f"{self._prefix}{name}"
 
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False) -> None:
-        """Register a publisher."""
         self._graph.advertise(node, self.resolve(name), type_name, latch=latch)
 
     def subscribe(self, node: Node, name: str, type_name: str, subscriber: Subscriber) -> list[PublishedMessage]:
-        """Deliver a topic's messages."""
         if subscriber.rule is not None:
             subscriber = replace(subscriber, rule=self._below(subscriber.rule))
         return self._graph.subscribe(node, self.resolve(name), type_name, subscriber)
 
     def publish(self, node: Node, name: str, message: object) -> None:
-        """Publish a message."""
         self._graph.publish(node, self.resolve(name), message)
 
     def tell(self, node: Node, name: str, message: object) -> None:
-        """Deliver a message to one subscriber alone."""
         self._graph.tell(node, self.resolve(name), message)
 
     def publishers(self, name: str) -> list[Node]:
-        """Return the publishers of a topic."""
         return self._graph.publishers(self.resolve(name))
 
     def subscribers(self, name: str) -> list[Node]:
-        """Return the subscribers of a topic."""
         return self._graph.subscribers(self.resolve(name))
 
     def offer(
         self, node: Node, name: str, type_name: str, function: ServiceFunction, *limits: ListLimits, rule: Rule
     ) -> None:
-        """Offer a service."""
         self._graph.services.offer(
             node, self.resolve(name), type_name, function, LOCAL_TIMEOUT_S, *limits, rule=self._below(rule)
         )
@@ -72,7 +64,6 @@ class LocalGraph:
     def offer_action(
         self, node: Node, name: str, type_name: str, start: Callable[[Goal], None], *limits: ListLimits, rule: Rule
     ) -> None:
-        """Offer an action."""
         self._graph.actions.offer(node, self.resolve(name), type_name, start, *limits, rule=self._below(rule))
 
     def _below(self, rule: Rule) -> Rule:

@@ -29,7 +29,6 @@ class Identity:
 
     @property
     def by_token(self) -> bool:
-        """True for a client that has shown a token."""
         return bool(self.name)
 
 
@@ -88,7 +87,6 @@ class NameFilter:
         self._pattern = re.compile("|".join(translate(each) for each in (*wanted, *always))) if wanted else None
 
     def refusal(self, kind: str, name: str) -> str | None:
-        """Return the reason why a name may not be used, None when it may."""
         if self._pattern is None or self._pattern.match(name):
             return None
         return f"{kind} {name}: fits no pattern of {self._setting}; add one there to open it"

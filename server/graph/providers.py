@@ -93,7 +93,6 @@ class Providers(Generic[AnyRequest]):
         self._made: Index[Node, AnyRequest] = Index()
 
     def provider(self, name: str) -> Node | None:
-        """Return the node that provides a name; None when there is none."""
         offer = self._offers.get(name)
         return None if offer is None else offer.node
 
@@ -102,11 +101,9 @@ class Providers(Generic[AnyRequest]):
         return {self._offers[name].node for name in self.names.of_type(type_name)}
 
     def nodes(self) -> list[Node]:
-        """Return all nodes that provide something."""
         return list(self._by_node)
 
     def provided_by(self, node: Node) -> list[str]:
-        """Return the names that a node provides."""
         return [offer.name for offer in self._by_node.of(node)]
 
     def withdraw(self, node: Node, name: str) -> None:

@@ -98,7 +98,6 @@ class Topic:
 
     @property
     def used(self) -> bool:
-        """True while anyone publishes or subscribes."""
         return bool(self.publishers or self.subscribers)
 
     def keeps(self, node: Node) -> bool:
@@ -148,7 +147,6 @@ class Graph:
         self._watchers = (*self._watchers, watcher)
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Call ``watcher`` no more."""
         self._watchers = tuple(each for each in self._watchers if each != watcher)
 
     def topic_type(self, name: str) -> str | None:
@@ -171,12 +169,10 @@ class Graph:
         return found[0] if found else None
 
     def publishers(self, name: str) -> list[Node]:
-        """Return the publishers of a topic, given by its fully qualified name."""
         topic = self._topics.get(name)
         return [] if topic is None else list(topic.publishers)
 
     def subscribers(self, name: str) -> list[Node]:
-        """Return the subscribers of a topic, given by its fully qualified name."""
         topic = self._topics.get(name)
         return [] if topic is None else list(topic.subscribers)
 
@@ -185,12 +181,10 @@ class Graph:
         return {*self.publications, *self.subscriptions, *self.services.nodes(), *self.actions.nodes()}
 
     def is_latched(self, name: str) -> bool:
-        """Tell whether a topic, given by its fully qualified name, is latched."""
         topic = self._topics.get(name)
         return topic is not None and bool(topic.latching)
 
     def latched(self, name: str) -> PublishedMessage | None:
-        """Return the latched message of a topic, given by its fully qualified name."""
         return self._latched_messages.latched(name, self._clock())
 
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False, depth: int = 0) -> None:

@@ -106,7 +106,6 @@ class FaultFiles:
         self.latest: Path | None = None
 
     def take_health(self, health: ArmHealth) -> None:
-        """Keep the latest report."""
         self._health = health
 
     def take_state(self, state: ArmState) -> None:

@@ -64,21 +64,16 @@ class Health:
     warnings: tuple[str, ...] = ()
 
     def response(self, *, good: bool) -> HttpResponse:
-        """Return the HTTP response with the health as JSON."""
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
         return HttpResponse.of_json(status, dataclasses.asdict(self))
 
 
 def check_health(sources: Sources) -> Health:
-    """Return the health of the server at this moment."""
-    dead = tuple(_reasons_not_live(sources.arm)) if sources.started and not sources.stopping else ()
+    silent = sources.arm is not None and sources.arm.state_age_s > ARM_SILENT_S
+    is_dead = silent and sources.started and not sources.stopping
+    dead = (f"the arm process has been silent for more than {ARM_SILENT_S:g} s",) if is_dead else ()
     reasons = dead or tuple(_reasons_not_ready(sources))
     return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
-
-
-def _reasons_not_live(arm: AnyArm | None) -> Iterator[str]:
-    if arm is not None and arm.state_age_s > ARM_SILENT_S:
-        yield f"the arm process has been silent for more than {ARM_SILENT_S:g} s"
 
 
 def _reasons_not_ready(sources: Sources) -> Iterator[str]:

@@ -31,7 +31,6 @@ class LogRing:
         self._handler = LineHandler("server", self.take)
 
     def close(self) -> None:
-        """Keep no more lines."""
         self._handler.close()
 
     def take(self, line: LogLine) -> None:

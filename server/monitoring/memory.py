@@ -133,7 +133,6 @@ class MemoryKeeper:
         self._next_collection_s = 0.0
 
     async def run(self) -> None:
-        """Check regularly, until cancelled."""
         while True:
             await asyncio.sleep(CHECK_PERIOD_S)
             await self.check(time.monotonic())

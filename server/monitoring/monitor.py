@@ -12,6 +12,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from http import HTTPStatus
 from importlib import metadata
 from pathlib import Path
@@ -75,7 +76,6 @@ class GoalCounters(Collector):
         )
 
     def count(self, source: str, answer: Answer) -> None:
-        """Count an answered goal."""
         self._answered.labels(source, answer.code.name).inc()
         performed = answer.performed
         if performed is None:
@@ -86,7 +86,6 @@ class GoalCounters(Collector):
             self._motion_s.observe(performed.executed.duration_s)
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the metrics of goals."""
         for each in (self._answered, self._planning_s, self._motion_s):
             yield from each.collect()
 
@@ -189,7 +188,6 @@ def _by_label(
 
 
 def client_metrics(traffic: Traffic) -> Iterator[Metric]:
-    """Yield the metrics of clients."""
     counts = traffic.counts()
     queued_bytes, most_queued_bytes = traffic.queued_bytes()
     yield GaugeMetricFamily("armbridge_clients", "Clients that are connected.", traffic.clients)
@@ -214,14 +212,12 @@ def client_metrics(traffic: Traffic) -> Iterator[Metric]:
 
 
 def refusal_metrics(refused_connections: Callable[[], Mapping[str, int]]) -> Iterator[Metric]:
-    """Yield the refused connections by reason."""
     meaning = "Connections and requests that were not let in, by why."
     refused = refused_connections().items()
     yield _by_label(CounterMetricFamily, "armbridge_refused_connections", meaning, "reason", refused)
 
 
 def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
-    """Yield the metrics of the zenoh network."""
     yield CounterMetricFamily(
         "armbridge_zenoh_dropped_messages", "Messages lost because network or server were too slow.", zenoh.dropped
     )
@@ -231,13 +227,11 @@ def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
 
 
 def queue_metrics(queue: GoalQueue) -> Iterator[Metric]:
-    """Yield the metrics of goals that are not answered yet."""
     yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
     yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
 
 
 def planner_metrics(planners: Planners) -> Iterator[Metric]:
-    """Yield the metrics of planners."""
     for state, count in (("loaded", planners.loaded_count), ("idle", planners.idle_count)):
         yield GaugeMetricFamily(f"armbridge_planners_{state}", f"Planner processes that are {state}.", count)
     yield GaugeMetricFamily(
@@ -246,7 +240,6 @@ def planner_metrics(planners: Planners) -> Iterator[Metric]:
 
 
 def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
-    """Yield the metrics of the recording."""
     yield GaugeMetricFamily("armbridge_recording", "Whether messages are recorded.", int(not recorder.ended))
     yield GaugeMetricFamily("armbridge_recording_waiting_messages", "Messages that wait for the file.", recorder.queued)
     yield CounterMetricFamily(
@@ -258,7 +251,6 @@ def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
 
 
 def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
-    """Yield the metrics of the arm's state."""
     state, present = arm.state, arm.state.fault and arm.state.fault.code
     modes = ((each.value, int(state.mode is each)) for each in Mode)
     faults = ((each.value, int(present is each)) for each in FaultCode)
@@ -270,7 +262,6 @@ def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
 
 
 def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
-    """Yield the metrics of the arm's loop, its bus and its servos."""
     if health.bus is not None:
         yield from _bus_metrics(health.bus)
         yield _statistics("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
@@ -316,7 +307,7 @@ def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
     threads = GaugeMetricFamily("armbridge_process_threads", "Threads.", labels=("process",))
     families: dict[str, Metric] = {}
     for name, pid in processes.items():
-        for found in _collect_process(pid):
+        for found in ProcessCollector(namespace="armbridge", pid=partial(int, pid), registry=None).collect():
             if found.name in PROCESS_METRICS:
                 family = families.setdefault(found.name, Metric(found.name, found.documentation, found.type))
                 family.samples += [sample._replace(labels={"process": name}) for sample in found.samples]
@@ -324,10 +315,6 @@ def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
         with contextlib.suppress(OSError):
             threads.add_metric((name,), sum(1 for _ in Path(f"/proc/{pid}/task").iterdir()))
     yield from (*families.values(), threads)
-
-
-def _collect_process(pid: int) -> Iterable[Metric]:
-    return ProcessCollector(namespace="armbridge", pid=lambda: pid, registry=None).collect()
 
 
 # Often enough to notice anything that blocks the loop, seldom enough to cost nothing.
@@ -378,7 +365,6 @@ class Monitor:
             self._notifier.notify_watchdog()
 
     def notify_started(self) -> None:
-        """Take note of the end of the start, and notify systemd."""
         self._sources.started = True
         self._notifier.notify_ready("; ".join(check_health(self._sources).reasons) or "ready")
 

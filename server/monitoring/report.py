@@ -77,7 +77,6 @@ class Redactor:
         self._homes = [re.compile(rf"{re.escape(each)}(?![\w.-])") for each in sorted(homes, key=len, reverse=True)]
 
     def text(self, text: str) -> str:
-        """Return a text without secrets."""
         for secret in self._secrets:
             text = text.replace(secret, HIDDEN)
         text = _PRIVATE_KEY.sub(HIDDEN, text)
@@ -98,19 +97,15 @@ class Report:
 
     @property
     def sizes(self) -> Mapping[str, int]:
-        """Size of each member [bytes]."""
         return {name: len(content) for name, content in self._members.items()}
 
     def add(self, name: str, text: str) -> None:
-        """Add a text."""
         self._members[self._redactor.text(name)] = self._redactor.text(text).encode()
 
     def add_json(self, name: str, value: object) -> None:
-        """Add a value as JSON."""
         self.add(name, json.dumps(value, indent=2, default=str) + "\n")
 
     def add_file(self, name: str, path: Path) -> None:
-        """Add a text file."""
         with path.open("rb") as file:
             self.add(name, file.read(MAX_FILE_BYTES).decode(errors="replace"))
 
@@ -157,7 +152,6 @@ def add_settings(report: Report, settings: Settings, sources: Mapping[str, str])
 
 
 def add_machine(report: Report) -> None:
-    """Add versions, packages and serial ports of this machine."""
     with report.part("versions"):
         report.add_json("versions.json", _versions())
     with report.part("packages"):

@@ -79,7 +79,6 @@ class Diagnostics:
                 self.publish(self._state)
 
     def publish(self, state: ArmState) -> None:
-        """Publish a state with the latest report."""
         now_s, health = self._clock(), self._health
         health_age_s = 0.0 if health is None else now_s - health.monotonic_s
         message = diagnostic_array(
@@ -88,11 +87,9 @@ class Diagnostics:
         self._graph.publish(self._node, TOPIC, message)
 
     def take_state(self, state: ArmState) -> None:
-        """Keep the latest state."""
         self._state, self._state_at_s = state, self._clock()
 
     def take_health(self, health: ArmHealth) -> None:
-        """Keep the latest report."""
         self._health = health
 
 
@@ -253,7 +250,6 @@ class Rosout(logging.Handler):
         logging.getLogger(OUR_LOGGER).addHandler(self)
 
     def close(self) -> None:
-        """Publish no more records."""
         logging.getLogger(OUR_LOGGER).removeHandler(self)
         super().close()
 

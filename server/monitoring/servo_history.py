@@ -55,7 +55,6 @@ class ServoHistory:
         graph.services.offer(Node("servo history"), SERVICE, SERVICE_TYPE, self._serve, rule=LOOKING)
 
     def take_state(self, state: ArmState) -> None:
-        """Keep the events of a state."""
         before, self._state = self._state, state
         if before is None:
             return
@@ -70,7 +69,6 @@ class ServoHistory:
             self._add("", "connected")
 
     def take_health(self, health: ArmHealth) -> None:
-        """Keep the samples of a report, and its events."""
         now_s = self._clock()
         for joint in health.joints:
             samples = self._samples.setdefault(joint.joint, deque(maxlen=MAX_SAMPLES))

@@ -40,20 +40,16 @@ class SystemdNotifier:
         return cls(address, int(watchdog_us) / _US_PER_S if watched else 0.0)
 
     def notify_ready(self, status: str) -> None:
-        """Notify that the start is complete."""
         self._send("READY=1", f"STATUS={status}")
 
     def notify_status(self, status: str) -> None:
-        """Set the status line."""
         self._send(f"STATUS={status}")
 
     def notify_watchdog(self) -> None:
-        """Reset the watchdog's timer."""
         if not self._unsent:
             self._send("WATCHDOG=1")
 
     def notify_stopping(self) -> None:
-        """Notify that the stop has begun."""
         self._send("STOPPING=1", "STATUS=stopping")
 
     def flush(self) -> None:

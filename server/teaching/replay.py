@@ -7,7 +7,6 @@ taught, as fast as it was taught or slower where limits demand it, checked in th
 from __future__ import annotations
 
 import asyncio
-import functools
 import logging
 from dataclasses import dataclass, replace
 from typing import Any
@@ -39,68 +38,44 @@ TYPE = "armbridge_msgs/action/ReplayMotion"
 MAX_REPEAT = 100
 
 
-@dataclass(frozen=True)
-class Replay:
-    """Contents of a goal."""
+def offer_replay(
+    graph: Graph, robot: RobotModel, motions: MotionFiles, queue: GoalQueue, problems: ProblemBuilder
+) -> None:
+    """Offer ``/replay_motion``."""
 
-    name: str
-    speed: float
-    reverse: bool
-    repeat: int
+    async def submit(goal: Goal) -> None:
+        name, repeat = goal.request["name"], goal.request["repeat"]
+        try:
+            speed = read_speed(goal.request["speed"])
+            if repeat > MAX_REPEAT:
+                raise invalid(f"repeat: must be 0 to {MAX_REPEAT}, not {repeat}", repeat=repeat)
+            taught = await motions.load(name)
+            if goal.request["reverse"]:
+                taught = taught.reversed()
+            motion = planned(taught, speed, repeat, robot, problems)
+        except RefusedError as error:
+            reject_goal(goal, queue, error.failure, result)
+        except ServiceError as error:
+            reject_goal(goal, queue, invalid(str(error)).failure, result)
+        else:
 
-    @classmethod
-    def of(cls, message: Message) -> Replay:
-        """Read a goal message."""
-        speed, repeat = read_speed(message["speed"]), message["repeat"]
-        if repeat > MAX_REPEAT:
-            raise invalid(f"repeat: must be 0 to {MAX_REPEAT}, not {repeat}", repeat=repeat)
-        return cls(message["name"], speed, message["reverse"], repeat)
+            def explained(answer: Answer) -> dict[str, Any]:
+                """Write the result, and log where the replay was slower than asked for."""
+                made = () if answer.performed is None else answer.performed.planned
+                slowed = taught.slowed(speed, made[-1], robot) if made else ""
+                if slowed:
+                    log.info("the replay of %r took %s", name, slowed)
+                return result(answer, f"; it took {slowed}" if slowed else "")
 
+            if not goal.ended:
+                submit_goal(goal, queue, motion, feedback, explained)
 
-class ReplayAction:
-    """The action."""
-
-    def __init__(
-        self,
-        graph: Graph,
-        robot: RobotModel,
-        motions: MotionFiles,
-        queue: GoalQueue,
-        problems: ProblemBuilder,
-    ) -> None:
-        self._robot = robot
-        self._motions = motions
-        self._queue = queue
-        self._problems = problems
-        graph.actions.offer(Node("replay"), NAME, TYPE, self._start, rule=GOAL)
-
-    def _start(self, goal: Goal) -> None:
-        task = asyncio.create_task(self._submit(goal), name="a replay")
+    def start(goal: Goal) -> None:
+        task = asyncio.create_task(submit(goal), name="a replay")
         # The goal keeps the task alive, which the event loop does not.
         goal.when_ended(lambda _end: task)
 
-    async def _submit(self, goal: Goal) -> None:
-        try:
-            replay = Replay.of(goal.request)
-            taught = await self._motions.load(replay.name)
-            motion = planned(replay, taught, self._robot, self._problems)
-        except RefusedError as error:
-            reject_goal(goal, self._queue, error.failure, result)
-        except ServiceError as error:
-            reject_goal(goal, self._queue, invalid(str(error)).failure, result)
-        else:
-            if not goal.ended:
-                submit_goal(goal, self._queue, motion, feedback, functools.partial(self._result, replay, taught))
-
-    def _result(self, replay: Replay, taught: TaughtMotion, answer: Answer) -> dict[str, Any]:
-        """Write the result, and log where the replay was slower than asked for."""
-        made = () if answer.performed is None else answer.performed.planned
-        if replay.reverse:
-            taught = taught.reversed()
-        slowed = taught.slowed(replay.speed, made[-1], self._robot) if made else ""
-        if slowed:
-            log.info("the replay of %r took %s", replay.name, slowed)
-        return result(answer, f"; it took {slowed}" if slowed else "")
+    graph.actions.offer(Node("replay"), NAME, TYPE, start, rule=GOAL)
 
 
 @dataclass(frozen=True)
@@ -115,19 +90,19 @@ class TaughtStep(Step):
         return self.taught.problem(start_rad, self.speed, CHECK_TIME_S)
 
 
-def planned(replay: Replay, taught: TaughtMotion, robot: RobotModel, problems: ProblemBuilder) -> PlannedMotion:
+def planned(
+    taught: TaughtMotion, speed: float, repeat: int, robot: RobotModel, problems: ProblemBuilder
+) -> PlannedMotion:
     """Return the motion to the start of a taught motion, and its replays."""
-    if replay.reverse:
-        taught = taught.reversed()
     joints = frozenset(taught.joint_names)
     once = (
         *(
             GoalStep(problems, group, JointGoal({name: taught.start_rad[name] for name in group.joints}))
             for group in groups_of(robot, joints)
         ),
-        TaughtStep(taught, replay.speed),
+        TaughtStep(taught, speed),
     )
-    return PlannedMotion(once * (1 + replay.repeat), joints)
+    return PlannedMotion(once * (1 + repeat), joints)
 
 
 def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:

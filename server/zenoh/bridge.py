@@ -65,7 +65,6 @@ class Bridge:
 
     @property
     def dropped(self) -> int:
-        """Messages dropped because the network, or this server, was too slow."""
         return 0 if self._sharing is None else self._sharing.dropped
 
     async def run(self) -> None:
@@ -127,7 +126,6 @@ class Sharing:
 
     @property
     def dropped(self) -> int:
-        """Messages dropped because the network, or this server, was too slow."""
         return self._outgoing.dropped + self._incoming.dropped
 
     async def run(self) -> None:
@@ -150,7 +148,6 @@ class Sharing:
             log.exception("zenoh: a refresh failed")
 
     def refresh(self) -> None:
-        """Follow changes in the graph and of other machines."""
         entities = self._discovery.entities()
         self._incoming.refresh(entities)
         self._called.refresh(entities)
@@ -205,7 +202,6 @@ class Discovery:
             return self._entities
 
     def update(self, token: str, *, alive: bool) -> None:
-        """Add or remove the entity of a token."""
         entity = Entity.parse(token) if alive else None
         is_kept = entity is not None and entity.session != self._session and self._is_relevant(entity)
         with self._lock:

@@ -45,7 +45,6 @@ class RemoteService:
         self._declaration = network.declare(lambda session: [session.liveliness().declare_token(self._token)])
 
     def close(self) -> None:
-        """Leave the service."""
         self._declaration.undeclare()
 
     def call(
@@ -81,16 +80,13 @@ class RemoteService:
             for waiting in unanswered:
                 waiting(f"{self._title} has not answered")
 
-        def on_end() -> None:
-            call_in_loop(loop, end)
-
         def get(session: zenoh.Session) -> None:
             import zenoh
 
             octets = cdr.serialize(network.registry, f"{self.endpoint.type_name}_Request", request)
             session.get(
                 self.endpoint.key(network.domain_id),
-                zenoh.handlers.Callback(on_reply, on_end, indirect=False),
+                zenoh.handlers.Callback(on_reply, lambda: call_in_loop(loop, end), indirect=False),
                 target=zenoh.QueryTarget.ALL_COMPLETE,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout_s,

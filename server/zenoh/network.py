@@ -118,11 +118,9 @@ class Network:
 
     @property
     def domain_id(self) -> int:
-        """ROS_DOMAIN_ID of the network."""
         return self.tokens.domain_id
 
     def to_network(self, name: str) -> str:
-        """Return the network's name of a name of this server."""
         return f"{self.tokens.namespace}{name}"
 
     def to_local(self, name: str) -> str:
@@ -135,7 +133,6 @@ class Network:
 
     @property
     def registry(self) -> Registry:
-        """Message and service types of the graph."""
         return self.graph.message_types.registry
 
     def warn(self, text: str) -> None:
@@ -165,11 +162,9 @@ class Network:
         return own == endpoint
 
     def is_own_subscription(self, topic: str) -> bool:
-        """Return True if the server itself subscribes to a topic of the graph."""
         return any(not node.remote for node in self.graph.subscribers(topic))
 
     def is_own_publication(self, topic: str) -> bool:
-        """Return True if the server itself publishes a topic of the graph."""
         return any(not node.remote for node in self.graph.publishers(topic))
 
     def decode(self, type_name: str, octets: bytes, decoded: Callable[[ReceivedMessage | MessageError], None]) -> None:

@@ -141,7 +141,6 @@ class OfferedService:
         self._declaration = network.declare(self._declare)
 
     def close(self) -> None:
-        """Stop offering the service."""
         self._declaration.undeclare()
 
     def reply(self, call: IncomingCall, response: Response) -> None:

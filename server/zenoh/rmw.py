@@ -56,7 +56,6 @@ class Endpoint:
     type_hash: str
 
     def key(self, domain_id: int) -> str:
-        """Return the key of its messages or calls."""
         return f"{domain_id}/{self.name.strip('/')}/{dds_type(self.type_name)}/{self.type_hash}"
 
 
@@ -96,11 +95,9 @@ class LivelinessTokens:
         self._entities = 0
 
     def node(self) -> str:
-        """Return the token of the node that has the entities."""
         return f"{self._prefix}/0/{EntityKind.NODE.value}/{self._node}"
 
     def entity(self, kind: EntityKind, endpoint: Endpoint, *, latched: bool = False) -> str:
-        """Return the token of a new entity."""
         self._entities += 1
         qos = _QOS_LATCHED if latched else _QOS_VOLATILE
         spelled = f"{_mangled(endpoint.name)}/{dds_type(endpoint.type_name)}/{endpoint.type_hash}/{qos}"
@@ -115,7 +112,6 @@ class Attachment(NamedTuple):
     gid: bytes
 
     def encode(self) -> bytes:
-        """Return the attachment as octets."""
         return _ATTACHMENT.pack(self.sequence_number, self.source_timestamp_ns, GID_BYTES, self.gid)
 
     @classmethod

@@ -62,7 +62,6 @@ class SessionThread:
         self._thread = threading.Thread(target=self._run, name="zenoh", daemon=True)
 
     def start(self) -> None:
-        """Begin to open the session."""
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
@@ -155,18 +154,15 @@ class ReceiveQueue(Generic[Item]):
             call_in_loop(self._loop, self._handle_some)
 
     def _handle_some(self) -> None:
-        for item in self._next_items():
+        with self._lock:
+            taken = [self._waiting.popleft() for _ in range(min(ITEMS_AT_A_TIME, len(self._waiting)))]
+            self._waiting_bytes -= sum(size_bytes for _, size_bytes in taken)
+        for item, _ in taken:
             self._handle(item)
         with self._lock:
             self._scheduled = bool(self._waiting)
         if self._scheduled:
             self._loop.call_soon(self._handle_some)
-
-    def _next_items(self) -> list[Item]:
-        with self._lock:
-            taken = [self._waiting.popleft() for _ in range(min(ITEMS_AT_A_TIME, len(self._waiting)))]
-            self._waiting_bytes -= sum(size_bytes for _, size_bytes in taken)
-        return [item for item, _ in taken]
 
 
 def call_in_loop(loop: asyncio.AbstractEventLoop, function: Callable[..., object], *arguments: object) -> None:

@@ -52,7 +52,6 @@ class OutgoingTopic:
             self._queue(published)
 
     def close(self) -> None:
-        """Stop publishing the topic."""
         self._network.graph.unsubscribe(self._network.node, self._name)
         self._declaration.undeclare()
 
@@ -103,7 +102,6 @@ class OutgoingTopics:
 
     @property
     def dropped(self) -> int:
-        """Messages dropped because the network was too slow."""
         return self._dropped_by_closed + sum(topic.dropped for topic in self._topics.values())
 
     def refresh(self, foreign: frozenset[str]) -> None:
@@ -129,20 +127,18 @@ class OutgoingTopics:
                 endpoint = self._endpoint(name, type_name, foreign)
                 if endpoint is not None:
                     found[name] = endpoint, graph.is_latched(name)
-        self._warn_of([name for name in kept if self._is_of_clients(name)])
+        # In the log, and to each client that publishes there.
+        reason = "of a client does not go to other machines; zenoh.publish does not list it"
+        kept = [name for name in kept if self._is_of_clients(name)]
+        graph.remark({name: f"topic {name} {reason}" for name in kept})
+        for name in kept:
+            self._network.warn(f"{name} {reason}")
         return found
 
     def _is_of_clients(self, name: str) -> bool:
         """Return True for a topic that this server itself neither publishes nor subscribes to."""
         is_own = self._network.is_own_publication(name) or self._network.is_own_subscription(name)
         return is_name(name) and ACTION_PARTS not in name and not is_own
-
-    def _warn_of(self, kept: list[str]) -> None:
-        """Warn of topics of clients that do not go out: in the log, and each client that publishes there."""
-        reason = "of a client does not go to other machines; zenoh.publish does not list it"
-        self._network.graph.remark({name: f"topic {name} {reason}" for name in kept})
-        for name in kept:
-            self._network.warn(f"{name} {reason}")
 
     def _endpoint(self, name: str, type_name: str, foreign: frozenset[str]) -> Endpoint | None:
         # A client may publish to another server's topic, by its name there.
@@ -180,7 +176,6 @@ class IncomingTopic:
         self._declaration = network.declare(self._declare)
 
     def close(self) -> None:
-        """Unsubscribe from the topic."""
         self._network.graph.unadvertise(self._network.node, self.name)
         self._declaration.undeclare()
 
@@ -246,7 +241,6 @@ class IncomingTopics:
 
     @property
     def dropped(self) -> int:
-        """Messages dropped because this server was too slow."""
         return self._received.dropped + self._dropped_waiting
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:

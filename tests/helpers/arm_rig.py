@@ -15,7 +15,7 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
-from robot.hardware.interface import Actuation, HardwareInterface, Measured, Steps
+from robot.hardware.interface import Actuation, HardwareInterface, Measured, Steps, Survey, run_to_end
 from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import (
     ArmConfig,
@@ -90,6 +90,47 @@ METAL = SerialConfig(CALIBRATION, "/dev/arm")
 STEPS_A_TICK = 4
 
 
+def unread_hardware(
+    emulator: SteppedEmulator, config: SerialConfig | EmulatedConfig = METAL, limits: GuardLimits | None = None
+) -> ServoHardware:
+    """Hardware that was neither found nor read."""
+    return ServoHardware(
+        Feetech(),
+        emulator.open_bus(),
+        config.calibration,
+        BOUNDS,
+        limits or GuardLimits(),
+        emulator.clock,
+        simulated=config.simulated,
+    )
+
+
+class ServosInUse:
+    """Hardware on emulated servos, found and read once."""
+
+    def __init__(self, emulator: Any, hardware: ServoHardware) -> None:
+        self.emulator = emulator
+        self.hardware = hardware
+        self.found: Survey = run_to_end(hardware.survey())
+        self.read()
+
+    def read(self, after_s: float = 0.01) -> Measured:
+        self.emulator.run(after_s)
+        measured = self.hardware.read()
+        assert measured is not None
+        return measured
+
+    def enable(self) -> np.ndarray:
+        """Bring all joints to hold; returns their goals."""
+        return run_to_end(self.hardware.enable(range(6)), self.emulator.run)
+
+
+class FeetechsInUse(ServosInUse):
+    def __init__(self, emulator: SteppedEmulator | None = None) -> None:
+        emulator = emulator or SteppedEmulator()
+        super().__init__(emulator, unread_hardware(emulator))
+
+
 class ArmRig:
     """A supervisor on emulated servos, which it takes for real ones unless ``hardware`` says otherwise.
 
@@ -121,15 +162,7 @@ class ArmRig:
         if isinstance(config.hardware, IdealConfig):
             return IdealArm(config.hardware, NAMES, BOUNDS, self.clock)
         assert isinstance(config.hardware, SerialConfig | EmulatedConfig)
-        return ServoHardware(
-            Feetech(),
-            self.bus,
-            config.hardware.calibration,
-            BOUNDS,
-            config.guard_limits,
-            self.clock,
-            simulated=config.hardware.simulated,
-        )
+        return unread_hardware(self.emulator, config.hardware, config.guard_limits)
 
     @property
     def mode(self) -> Mode:

@@ -2,8 +2,6 @@
 
 from typing import Any, cast
 
-import numpy as np
-
 from robot.calibration import Calibration, JointCalibration
 from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
@@ -11,10 +9,10 @@ from robot.emulator.dynamixel import DynamixelServo, emulated_dynamixel_arm
 from robot.hardware.config import EmulatedConfig, SerialConfig
 from robot.hardware.dynamixel.family import Bus, Dynamixel
 from robot.hardware.dynamixel.registers import Register
-from robot.hardware.interface import HardwareInterface, Measured, Survey, run_to_end
+from robot.hardware.interface import HardwareInterface
 from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
-from tests.helpers.arm_rig import ArmRig
+from tests.helpers.arm_rig import ArmRig, ServosInUse
 from tests.helpers.emulator import SteppedClock
 
 KOCH = robot_folder.built_in("koch_v1_1")
@@ -74,35 +72,19 @@ class SteppedDynamixels:
         return sum(servo.writes for servo in self.servo_bus.servos)
 
 
-class DynamixelsInUse:
-    """Hardware on emulated servos, found and read once, which it takes for real ones."""
+class DynamixelsInUse(ServosInUse):
+    """Hardware that takes emulated servos for real ones."""
 
-    def __init__(
-        self, emulator: SteppedDynamixels | None = None, config: SerialConfig = METAL, **limits: float
-    ) -> None:
-        self.emulator = emulator or SteppedDynamixels()
-        self.hardware = unread_hardware(self.emulator, config, GuardLimits(**limits))
-        self.found: Survey = run_to_end(self.hardware.survey())
-        self.read()
+    def __init__(self, emulator: SteppedDynamixels | None = None, config: SerialConfig = METAL) -> None:
+        emulator = emulator or SteppedDynamixels()
+        super().__init__(emulator, unread_hardware(emulator, config))
 
-    def read(self, after_s: float = 0.01) -> Measured:
-        self.emulator.run(after_s)
-        measured = self.hardware.read()
-        assert measured is not None
-        return measured
-
-    def enable(self) -> np.ndarray:
-        """Bring all joints to hold; returns their goals."""
-        return run_to_end(self.hardware.enable(range(len(NAMES))), self.emulator.run)
-
-    def hold_for(self, seconds: float) -> Measured:
+    def hold_for(self, seconds: float) -> None:
         """Tick as the controller does while it holds: the goals are written again and again."""
-        measured = self.read()
-        goal_rad = measured.position_rad
+        goal_rad = self.read().position_rad
         for _ in range(round(seconds / 0.01)):
-            measured = self.read()
+            self.read()
             self.hardware.write_goals(goal_rad)
-        return measured
 
 
 def unread_hardware(

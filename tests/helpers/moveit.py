@@ -26,7 +26,7 @@ from server.execution.monitors import CurrentState
 from server.execution.queue import GoalQueue
 from server.graph.actions import Goal, Result
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalTranslator
 from server.moveit.named_states import NamedStates, NamedStatesFile
@@ -39,6 +39,7 @@ from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.moveit.services.move_group_services import offer_services
 from tests.helpers.fake_arm import JOINTS, FakeArm, settle
 from tests.helpers.goal_runner import GoalRunner
+from tests.helpers.graph import listen
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF, so101
 
 if TYPE_CHECKING:
@@ -251,9 +252,7 @@ class ServiceRig:
 
     def listen(self, topic: str, type_name: str) -> list[Any]:
         """The messages that come on a topic from now on."""
-        heard: list[Any] = []
-        self.graph.subscribe(Node("viewer"), topic, type_name, Subscriber(lambda news: heard.append(news.msg)))
-        return heard
+        return listen(self.graph, topic, type_name)
 
 
 class ActionDesk(ServiceRig, GoalRunner):
@@ -272,7 +271,7 @@ class ActionDesk(ServiceRig, GoalRunner):
         if goal.request.motion is None:
             self.refused.append(answer.message)
 
-    async def send(self, action: str, **goal: Any) -> Goal | None:
+    async def send(self, action: str, **goal: Any) -> Goal:
         """Send a goal, and let everything that it sets going come to rest."""
         type_name = self.graph.actions.names.type_of(action)
         assert type_name is not None
@@ -280,6 +279,7 @@ class ActionDesk(ServiceRig, GoalRunner):
             self.client, action, type_name, goal, self.results.append, self.feedback.append
         )
         await settle()
+        assert sent is not None
         return sent
 
     async def close(self) -> None:

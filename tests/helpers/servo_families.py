@@ -13,11 +13,10 @@ from robot.hardware.feetech.family import Feetech
 from robot.hardware.interface import StatusFlag
 from robot.hardware.servos.bus import StatusFrame
 from robot.hardware.servos.family import ServoFamily, ServoMap
-from tests.helpers import arm_rig, dynamixel, feetech
-from tests.helpers.arm_rig import ArmRig
+from tests.helpers import arm_rig, dynamixel
+from tests.helpers.arm_rig import ArmRig, FeetechsInUse
 from tests.helpers.dynamixel import DynamixelRig, DynamixelsInUse, SteppedDynamixels
 from tests.helpers.emulator import SteppedEmulator
-from tests.helpers.feetech import FeetechsInUse
 
 IDS = (1, 2, 3, 4, 5, 6)
 
@@ -37,7 +36,6 @@ class Family:
         unread: makes hardware that was not read.
         rig: kind of a supervisor on the emulated servos.
         fail: makes a servo report an overload.
-        max_voltage_v: highest supply of each servo.
         limit: torque limit of a servo [share].
         lowest_limit: register of the lower angle limit.
     """
@@ -52,7 +50,6 @@ class Family:
     unread: Any
     rig: Any
     fail: Callable[[Any], object]
-    max_voltage_v: list[float]
     limit: Callable[[Any], float]
     lowest_limit: str
 
@@ -95,10 +92,9 @@ FEETECH = Family(
     ),
     start=_feetechs,
     in_use=FeetechsInUse,
-    unread=feetech.unread_hardware,
+    unread=arm_rig.unread_hardware,
     rig=ArmRig,
     fail=lambda servo: setattr(servo.protection, "latched", StatusFlag.OVERLOAD),
-    max_voltage_v=[8.0] * 6,
     limit=lambda servo: servo.value(feetech_registers.Register.TORQUE_LIMIT) / 1000.0,
     lowest_limit="MIN_ANGLE_LIMIT",
 )
@@ -113,7 +109,6 @@ DYNAMIXEL = Family(
     unread=dynamixel.unread_hardware,
     rig=DynamixelRig,
     fail=lambda servo: servo.fail(0x20),
-    max_voltage_v=[14.0] * 2 + [7.0] * 4,
     limit=lambda servo: servo._drive.torque_permille / 1000.0,
     lowest_limit="MIN_POSITION_LIMIT",
 )

@@ -1,5 +1,7 @@
-"""The plugin in lerobot's environment: figures of a dataset, or a robot that a test commands by lines."""
+"""The plugin in lerobot's environment: datasets that are read or edited, or a robot that a test commands by lines."""
 
+import contextlib
+import io
 import json
 import sys
 from pathlib import Path
@@ -44,6 +46,20 @@ def opened(root: str) -> None:
     print(json.dumps({**figures, "image": list(image.shape)}))
 
 
+def edit(commands: str) -> None:
+    """Carry out command lines of armbridge-dataset; print exit code, output and last line of errors of each."""
+    from lerobot_robot_armbridge.dataset import main
+
+    for arguments in json.loads(commands):
+        if arguments[0] == "open":
+            opened(arguments[1])
+            continue
+        out, errors = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+            code = main(arguments)
+        print(json.dumps([code, out.getvalue().splitlines(), errors.getvalue().splitlines()[-1:]]))
+
+
 def robot(url: str, name: str = "", dataset: str = "", convert: str = "") -> None:
     """Carry out each line of the input, and print its result."""
     folder = Path(dataset) if dataset else None
@@ -75,4 +91,4 @@ def robot(url: str, name: str = "", dataset: str = "", convert: str = "") -> Non
     arm.disconnect()
 
 
-{"dataset": dataset, "open": opened, "robot": robot}[sys.argv[1]](*sys.argv[2:])
+{"dataset": dataset, "edit": edit, "robot": robot}[sys.argv[1]](*sys.argv[2:])

@@ -1,14 +1,16 @@
-"""lerobot opens and trains on datasets that the server has exported.
+"""lerobot opens datasets that the server has exported, and ``armbridge-dataset`` edits them.
 
 lerobot needs torch, and an environment of its own: ``make test-lerobot`` makes it and runs this.
 """
 
 import json
-import os
 import subprocess
 from pathlib import Path
+from typing import Any
 
-from tests.lerobot.test_robot import BIN, COMMAND_TIMEOUT_S, SCENARIO, pytestmark
+import pytest
+
+from tests.lerobot.test_robot import BIN, COMMAND_TIMEOUT_S, OFFLINE, SCENARIO, pytestmark
 from tests.server.datasets.conftest import in_order
 from tests.server.datasets.test_export import MARKED, exported
 from tests.server.recordings import record
@@ -16,17 +18,63 @@ from tests.server.recordings import record
 __all__ = ["pytestmark"]
 
 
-def test_lerobot_opens_an_exported_dataset_with_its_video(tmp_path: Path) -> None:
-    exported(tmp_path / "data", record(tmp_path / "run.mcap", in_order(MARKED)))
+def edit(*commands: tuple[object, ...]) -> list[Any]:
+    """Carry out commands of armbridge-dataset, or open a dataset; return what each has printed."""
+    arguments = json.dumps([[str(each) for each in command] for command in commands])
     done = subprocess.run(
-        [str(BIN / "python"), str(SCENARIO), "open", str(tmp_path / "data")],
+        [str(BIN / "python"), str(SCENARIO), "edit", arguments],
         capture_output=True,
         text=True,
         timeout=COMMAND_TIMEOUT_S,
         check=False,
-        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+        env=OFFLINE,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    opened = json.loads(done.stdout.splitlines()[-1])
-    assert (opened["episodes"], opened["frames"], opened["task"]) == (2, 27, "drop it")
-    assert opened["image"][0] == 3
+    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith(("{", "["))]
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    exported(tmp_path / "data", record(tmp_path / "run.mcap", in_order(MARKED)))
+    return tmp_path / "data"
+
+
+def test_a_dataset_with_its_video_is_opened_merged_listed_and_loses_episodes(dataset: Path, tmp_path: Path) -> None:
+    both = tmp_path / "both"
+    first, merged, listed, deleted, left = edit(
+        ("open", dataset),
+        ("merge", dataset, dataset, "--output", both),
+        ("list", both),
+        ("delete", both, 0, 2, 0),
+        ("open", both),
+    )
+    assert first == {"episodes": 2, "frames": 27, "task": "drop it", "image": [3, 24, 32]}
+    assert merged[:2] == [0, [f"{both}: 4 episodes of 2 datasets"]]
+    total = f"{both}: 4 episodes, 5.4 s at 10 Hz, observation.images.camera"
+    pick, drop = "1.1 s, pick the cube", "1.6 s, drop it"
+    assert listed[:2] == [0, [f"0: {pick}", f"1: {drop}", f"2: {pick}", f"3: {drop}", total]]
+    assert deleted[:2] == [0, [f"{both}: 2 episodes deleted, 2 are left"]]
+    assert left == {**first, "frames": 32}
+    assert (both / "meta/armbridge.json").read_text() == (dataset / "meta/armbridge.json").read_text()
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["both", "data", "run.mcap"]
+
+
+def test_what_cannot_be_edited_is_refused_with_a_sentence_and_stays(dataset: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    exported(other, record(tmp_path / "other.mcap", in_order(MARKED)))
+    arm = json.loads((other / "meta/armbridge.json").read_text())
+    (other / "meta/armbridge.json").write_text(json.dumps({**arm, "units": "lerobot"}))
+    (tmp_path / "x_old").mkdir()
+    attempts = {
+        ("list", tmp_path): f"{tmp_path}: is no dataset of lerobot: it has no meta/info.json",
+        ("delete", dataset, 5): f"{dataset}: has the episodes 0 to 1, not 5",
+        ("delete", dataset, 1, 0): f"{dataset}: a dataset must keep an episode; delete the folder instead",
+        ("merge", dataset, dataset, "--output", dataset): f"{dataset} exists already: name another folder (--output)",
+        ("merge", dataset, dataset, "--output", tmp_path / "x"): f"{tmp_path}/x_old: is left from an edit",
+        ("merge", dataset, other, "--output", tmp_path / "y"): f"has another units than in {dataset}",
+    }
+    *refused, left = edit(*attempts, ("open", dataset))
+    for (code, out, errors), sentence in zip(refused, attempts.values(), strict=True):
+        assert (code, out) == (1, [])
+        assert sentence in errors[0]
+    assert left["episodes"] == 2

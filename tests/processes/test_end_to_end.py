@@ -4,7 +4,6 @@ import asyncio
 import http.client
 import itertools
 import signal
-import statistics
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,8 @@ import pytest
 import pytest_asyncio
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from websockets.asyncio.client import connect
 
-from harness.clients import FrameClient, frame_client, goal_is, values_of
+from harness.clients import FrameClient, frame_client, goal_is
 from harness.server import RunningServer, read_write_log
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
@@ -47,8 +45,6 @@ RESULT = "/moveit_goal_result"
 
 # Backlash, droop and one tick of rounding.
 ARRIVED_RAD = 0.06
-
-ARM_JOINTS = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
 
 
 @pytest.fixture(scope="module")
@@ -129,41 +125,6 @@ def goal_ticks(entry: dict[str, Any], servo: str) -> int:
     return int(low | high << 8)
 
 
-async def test_joint_states_come_at_50_hz_with_every_joint(client: FrameClient) -> None:
-    await client.send(SUBSCRIBE)
-    # An arm that nobody watches reports more slowly until the first one does.
-    states = (await client.until("/joint_states", lambda all_: len(all_) >= 120))[20:]
-    stamps = [state["header"]["stamp"]["sec"] + state["header"]["stamp"]["nanosec"] / 1e9 for state in states]
-    assert stamps == sorted(stamps)
-    # A machine that does other things as well delays some of them, and the mean with them.
-    assert statistics.median(after - before for before, after in itertools.pairwise(stamps)) == pytest.approx(
-        0.02, rel=0.2
-    )
-    for state in states:
-        assert state["name"] == [*ARM_JOINTS, "gripper"]
-        assert {len(state[key]) for key in ("position", "velocity", "effort")} == {6}
-
-
-async def test_a_goal_is_answered_once_with_its_topic_and_id(client: FrameClient) -> None:
-    result = await goal_named(client, "home")
-    await asyncio.sleep(0.2)
-    topic, _, goal_id = result["source"].partition("#")
-    assert topic == "/moveit_goal_named"
-    same = [answer for answer in client.messages(RESULT) if answer["source"] == result["source"]]
-    assert len(same) == 1
-    states = [values_of(s)["state"] for s in client.messages("/moveit_goal_status") if s["hardware_id"] == goal_id]
-    order = ["queued", "planning", "executing", "done"]
-    assert [key for key, _ in itertools.groupby(states)] == order
-
-
-async def test_joints_that_are_not_named_keep_their_position(client: FrameClient) -> None:
-    await client.send(SUBSCRIBE)
-    assert (await goal_named(client, "ready"))["val"] == 1
-    assert (await client.reach("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [0.2]}))["val"] == 1
-    state = (await client.until("/joint_states", bool))[-1]
-    assert state["position"][:3] == pytest.approx([0.2, -0.5, 0.5], abs=ARRIVED_RAD)
-
-
 async def test_stop_ends_the_motion_along_its_path_and_empties_the_queue(client: FrameClient) -> None:
     assert (await goal_named(client, "home"))["val"] == 1
     await client.send(SUBSCRIBE)
@@ -183,28 +144,6 @@ async def test_stop_ends_the_motion_along_its_path_and_empties_the_queue(client:
     assert stopped["position"][1:5] == pytest.approx([0.0] * 4, abs=ARRIVED_RAD)
 
 
-async def test_a_goal_of_a_client_that_vanishes_is_finished(server: RunningServer, client: FrameClient) -> None:
-    # By one that leaves again: whoever drives keeps others from it.
-    async with frame_client(server.url) as other:
-        await other.open_goals()
-        assert (await goal_named(other, "home"))["val"] == 1
-    await client.until(RESULT, bool)
-    seen = len(client.messages(RESULT))
-    leaving = await connect(server.url)
-    await leaving.send(ADVERTISE[0])
-    await leaving.send(NAMED)
-    await client.until("/moveit_goal_status", goal_is("executing"))
-    leaving.transport.abort()
-    results = await client.until(RESULT, lambda all_: len(all_) > seen)
-    assert results[-1]["val"] == 1
-
-
-async def test_a_goal_topic_keeps_its_type(server: RunningServer, client: FrameClient) -> None:
-    await client.send({"op": "advertise", "topic": "/moveit_goal_named", "type": "sensor_msgs/JointState"})
-    assert server.has_logged("already established with type std_msgs/msg/String")
-    assert (await client.reach("/moveit_goal_named", {"name": ["shoulder_pan"]}))["val"] == -16
-
-
 def test_the_page_is_on_the_same_port_or_how_to_get_it(server: RunningServer) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30.0)
     connection.request("GET", "/")
@@ -218,28 +157,6 @@ def test_the_page_is_on_the_same_port_or_how_to_get_it(server: RunningServer) ->
         assert (response.status, HOW_TO_BUILD_PAGE in text) == (404, True)
         assert server.has_logged(HOW_TO_BUILD_PAGE)
     assert not any("rejected" in line or "HTTP" in line for line in server.lines)
-
-
-async def test_a_planner_that_dies_costs_its_goal_only(server: RunningServer, client: FrameClient) -> None:
-    assert (await goal_named(client, "ready"))["val"] == 1
-    workers = [
-        child
-        for child in psutil.Process(server.process.pid).children(recursive=True)
-        if "planners.worker" in child.cmdline()
-    ]
-    assert len(workers) == 2
-    for worker in workers:
-        worker.suspend()
-    await client.publish("/moveit_goal_named", {"data": "home"})
-    await client.until("/moveit_goal_status", goal_is("planning"))
-    for worker in workers:
-        worker.kill()
-    results = await client.until(RESULT, lambda all_: len(all_) == 2)
-    # A goal that was not yet in the hands of the planner waits for the next one.
-    assert results[-1]["val"] in (-29, 1)
-    # The spare was killed as well; a process of this size takes a moment to be gone.
-    await asyncio.to_thread(psutil.wait_procs, workers, timeout=30)
-    assert (await goal_named(client, "home"))["val"] == 1
 
 
 # A server that takes so long to end hangs.

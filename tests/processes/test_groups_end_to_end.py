@@ -1,6 +1,5 @@
 """Arms with several planning groups, served and moved over a real socket: a column with fingers, and a pair of arms."""
 
-import asyncio
 import itertools
 import math
 from collections.abc import AsyncIterator, Iterator
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.clients import ArmClient, FrameClient, arm_client, frame_client, values_of
+from harness.clients import FrameClient, frame_client
 from harness.server import RunningServer
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
@@ -145,105 +144,6 @@ async def test_two_arms_move_at_the_same_time(pair: FrameClient) -> None:
     assert together_s > 0.5 * (left[-1] - left[0])
 
 
-async def test_arms_that_might_touch_move_one_after_the_other(pair: FrameClient) -> None:
-    # Each leans over to where the other one stands, and comes from where the other one goes.
-    await joints_goal(pair, {"left_a1": math.pi / 2, "left_a2": -0.9})
-    seen, told = len(pair.messages("/moveit_goal_result")), len(pair.messages("/moveit_goal_status"))
-    await pair.publish("/moveit_goal_joints", joint_message({"left_a2": 0.6}))
-    await pair.publish("/moveit_goal_joints", joint_message({"right_a1": math.pi / 2, "right_a2": 0.9}))
-    assert [result["val"] for result in await results(pair, seen, 2)] == [1, 1]
-    waited = [one["message"] for one in pair.messages("/moveit_goal_status")[told:]]
-    assert "waits for the motion of left_a1 to left_a7, which it might touch" in waited
-
-
 async def test_a_goal_of_both_arms_moves_both(pair: FrameClient) -> None:
     joints = await joints_goal(pair, {"left_a1": 0.3, "right_a1": -0.3})
     assert (joints["left_a1"], joints["right_a1"]) == pytest.approx((0.3, -0.3), abs=ARRIVED)
-
-
-async def test_a_stop_stops_both_arms(pair: FrameClient) -> None:
-    seen = len(pair.messages("/moveit_goal_result"))
-    await pair.publish("/moveit_goal_joints", joint_message({"left_a1": 2.0}))
-    await pair.publish("/moveit_goal_joints", joint_message({"right_a1": -2.0}))
-    await until_executing(pair, 2)
-    await pair.send({"op": "publish", "topic": "/stop", "type": "std_msgs/Empty", "msg": {}})
-    assert [result["val"] for result in await results(pair, seen, 2)] == [-7, -7]
-    joints = await pair.positions()
-    await asyncio.sleep(0.2)
-    assert await pair.positions() == pytest.approx(joints, abs=ARRIVED)
-    assert abs(joints["left_a1"]) < 1.9
-
-
-async def until_executing(client: FrameClient, count: int) -> None:
-    """Wait until so many goals of the latest move."""
-
-    def moves(told: list[dict[str, Any]]) -> bool:
-        latest = {one["hardware_id"]: values_of(one)["state"] for one in told}
-        return list(latest.values()).count("executing") >= count
-
-    await client.until("/moveit_goal_status", moves)
-
-
-async def test_the_actions_of_both_controllers_play_at_once(pair_server: RunningServer, pair: FrameClient) -> None:
-    seen = len(pair.messages("/joint_states"))
-    async with arm_client(pair_server.url) as client:
-        goals = [await follow(client, side) for side in ("left", "right")]
-        for goal in goals:
-            assert (await client.result(goal))["values"]["error_code"] == 0
-    pair.topics["/joint_states"] = pair.messages("/joint_states")[seen:]
-    left, right = moving(pair, "left_a7"), moving(pair, "right_a7")
-    assert min(left[-1], right[-1]) - max(left[0], right[0]) > 0.5
-
-
-async def follow(client: ArmClient, side: str) -> str:
-    """Send a trajectory of three seconds to the controller of an arm; returns the goal's id."""
-    point = {"positions": [0.5], "time_from_start": {"sec": 3, "nanosec": 0}}
-    trajectory = {"joint_names": [f"{side}_a7"], "points": [point]}
-    action = f"/{side}_arm_controller/follow_joint_trajectory"
-    return await client.send_goal(action, "control_msgs/action/FollowJointTrajectory", {"trajectory": trajectory})
-
-
-GRIPPER_TYPE = "control_msgs/action/GripperCommand"
-
-
-@pytest.mark.parametrize("action", ["gripper_cmd", "gripper_action"])
-async def test_two_fingers_are_commanded_by_the_gap_between_them(lifted_server: RunningServer, action: str) -> None:
-    async with arm_client(lifted_server.url) as client:
-        for gap_m in (0.1, 0.04):
-            goal = await client.send_goal(
-                f"/gripper_controller/{action}", GRIPPER_TYPE, {"command": {"position": gap_m, "max_effort": 60.0}}
-            )
-            ended = (await client.result(goal))["values"]
-            assert ended["reached_goal"], ended
-            assert ended["position"] == pytest.approx(gap_m, abs=2 * ARRIVED)
-            state = client.topics["/joint_states"][-1]
-            fingers = [state["position"][state["name"].index(f"{side}_finger_joint")] for side in ("left", "right")]
-            assert fingers == pytest.approx([gap_m / 2, gap_m / 2], abs=ARRIVED)
-
-
-async def test_an_arm_without_a_gripper_offers_no_action_of_one(pair_server: RunningServer) -> None:
-    async with arm_client(pair_server.url) as client:
-        known = (await client.call("/rosapi/action_servers"))["action_servers"]
-    assert not [name for name in known if "gripper" in name]
-    assert "/left_arm_controller/follow_joint_trajectory" in known
-
-
-async def test_seven_joints_are_steered(lifted_server: RunningServer, lifted: FrameClient) -> None:
-    placements = ForwardPlacements(LIFTED)
-    before = after = placements.transforms(await joints_goal(lifted, BENT))["tool"][:3, 3].copy()
-    async with arm_client(lifted_server.url) as client:
-        topic = "/servo_node/delta_twist_cmds"
-        await client.say("advertise", topic=topic, type="geometry_msgs/TwistStamped")
-        async with asyncio.timeout(30.0):
-            while after[2] - before[2] < 0.03:
-                await client.say("publish", topic=topic, msg={"twist": {"linear": {"z": 0.5}}})
-                after = placements.transforms(await lifted.positions())["tool"][:3, 3].copy()
-    np.testing.assert_allclose(after[:2], before[:2], atol=0.02)
-
-
-async def test_a_group_without_a_tip_takes_no_poses(pair: FrameClient) -> None:
-    await select(pair, "both_arms")
-    pose = {"position": {"x": 0.4, "y": 0.0, "z": 0.4}, "orientation": {"w": 1.0}}
-    result = await pair.reach("/moveit_goal_pose", {"header": {"frame_id": "table"}, "pose": pose})
-    assert "group both_arms has no tip" in result["message"]
-    await select(pair, "left_arm")

@@ -145,19 +145,6 @@ async def test_all_arms_are_parked_one_after_the_other(client: ArmClient) -> Non
     assert (await client.call("/arm/enable"))["success"]
 
 
-async def test_motions_of_two_arms_run_at_the_same_time(client: ArmClient) -> None:
-    await go(client, "both_arms", named="home")
-    await both_are(client, "holding")
-    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.3})
-    left = asyncio.create_task(to_joints(client, "left", wrist_roll=1.0))
-    right = asyncio.create_task(to_joints(client, "right", wrist_roll=1.0))
-    await both_are(client, "moving")
-    assert not left.done()
-    assert not right.done()
-    assert {(await left)["val"], (await right)["val"]} == {SUCCESS}
-    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
-
-
 async def test_a_stop_of_one_arm_lets_the_other_go_on(client: ArmClient) -> None:
     await go(client, "both_arms", named="home")
     await both_are(client, "holding")
@@ -199,47 +186,6 @@ async def test_an_emergency_stop_means_all_arms(client: ArmClient) -> None:
 def test_the_lines_of_an_arm_process_name_its_arm(server: RunningServer) -> None:
     for name in ("left", "right"):
         assert any(f" armbridge.arm: {name}: the simulated arm is ready" in line for line in server.lines), server.lines
-
-
-async def test_two_clients_control_an_arm_each(server: RunningServer) -> None:
-    async with connected(server) as one, connected(server) as other:
-        assert (await one.call("/left/arm/take_control"))["success"]
-        assert (await other.call("/right/arm/take_control"))["success"]
-        refused = await other.call("/left/arm/take_control")
-        assert not refused["success"]
-        assert "the arm left" in refused["message"]
-        assert (await to_named(other, "right", "home"))["val"] == SUCCESS
-        assert (await to_named(one, "left", "home"))["val"] == SUCCESS
-        # The answers to the goals of the one come to the other as well.
-        await other.goal("/left/moveit_goal_named", "std_msgs/String", {"data": "ready"})
-        await other.until(f"/left{RESULT}", lambda results: any(each["val"] == CONTROL_FAILED for each in results))
-
-
-async def test_the_gripper_of_each_arm_has_its_action(client: ArmClient) -> None:
-    for arm, position in (("left", 0.8), ("right", 0.4)):
-        goal = await client.send_goal(
-            f"/{arm}/gripper_controller/gripper_cmd",
-            "control_msgs/action/GripperCommand",
-            {"command": {"position": position, "max_effort": 0.0}},
-        )
-        assert (await client.result(goal))["values"]["reached_goal"]
-    now = await client.positions()
-    assert now["left_gripper"] == pytest.approx(0.8, abs=0.06)
-    assert now["right_gripper"] == pytest.approx(0.4, abs=0.06)
-
-
-async def test_each_arm_is_steered_by_its_servo_node(client: ArmClient) -> None:
-    await go(client, "both_arms", named="home")
-    before = await client.positions()
-    for arm in ("right", "left"):
-        topic, type_name = f"/{arm}/servo_node/delta_joint_cmds", "control_msgs/JointJog"
-        await client.say("advertise", topic=topic, type=type_name)
-        jog = {"joint_names": [f"{arm}_elbow_flex"], "velocities": [0.5]}
-        async with asyncio.timeout(TIMEOUT_S):
-            while (await client.positions())[f"{arm}_elbow_flex"] < before[f"{arm}_elbow_flex"] + 0.1:
-                await client.say("publish", topic=topic, msg=jog)
-    other = await client.positions()
-    assert other["left_shoulder_pan"] == pytest.approx(before["left_shoulder_pan"], abs=0.02)
 
 
 async def test_an_arm_process_that_dies_leaves_the_other_arm_moving(server: RunningServer, client: ArmClient) -> None:

@@ -20,7 +20,7 @@ from tests.helpers.zenoh_network import RosMachine, free_port
 
 STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 ERROR_CODES = "moveit_msgs::msg::dds_::MoveItErrorCodes_"
-SUCCESS, PREEMPTED = 1, -7
+SUCCESS = 1
 
 
 # A server ends within a second, and on a starved machine by its arm's clock.
@@ -75,18 +75,11 @@ def lab() -> Iterator[Lab]:
         yield Lab(port, arm, viewer, machine)
 
 
-def test_joint_states_reach_a_ros_2_machine(lab: Lab) -> None:
-    heard = lab.machine.hear("/arm1/joint_states", JOINT_STATE)
-    wait_until(lambda: len(heard) >= 10)
-    message, _ = heard[-1]
-    assert message.name[0] == "shoulder_pan"
-    assert len(message.position) == len(message.name) == 6
-    assert lab.machine.has_token("/MP/%/%arm1/armbridge/%arm1%joint_states/sensor_msgs::msg::dds_::JointState_/RIHS01_")
-
-
 @pytest.fixture
 def ready_arm(lab: Lab) -> Lab:
     """The arm without the fault that a machine under load gives it: servos that seem silent."""
+    # A machine finds the services some time after it has joined.
+    wait_until(lambda: lab.machine.call("/arm1/arm/stop"))
     for service in ("reset_fault", "enable"):
         (reply,) = lab.machine.call(f"/arm1/arm/{service}")
         assert reply.ok is not None
@@ -107,12 +100,6 @@ def test_a_goal_of_a_ros_2_machine_moves_the_arm_and_is_answered(ready_arm: Lab)
     assert abs(states[-1][0].position - before).max() > 0.1
 
 
-def test_a_service_answers_a_ros_2_machine(lab: Lab) -> None:
-    (reply,) = lab.machine.call("/arm1/arm/stop")
-    assert reply.ok is not None
-    assert b"the arm does not move" in bytes(reply.ok.payload)
-
-
 async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: Lab) -> None:
     async with frame_client(ready_arm.viewer.url) as client:
         await client.subscribe("/arm1/joint_states", JOINT_STATE)
@@ -122,22 +109,6 @@ async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: L
         await client.publish("/arm1/moveit_goal_named", {"data": "rest"})
         results = await client.until("/arm1/moveit_goal_result", bool)
     assert results[0]["val"] == SUCCESS, results[0]
-
-
-async def test_a_client_of_another_server_stops_the_arm_by_a_topic_that_is_listed_nowhere(ready_arm: Lab) -> None:
-    machine = ready_arm.machine
-    states = machine.hear("/arm1/joint_states", JOINT_STATE)
-    async with frame_client(ready_arm.viewer.url) as client:
-        await client.subscribe("/arm1/moveit_goal_result", "moveit_msgs/MoveItErrorCodes")
-        await client.send({"op": "advertise", "topic": "/arm1/stop", "type": "std_msgs/Empty"})
-        await until(lambda: states)
-        goal = "rest" if abs(states[-1][0].position[1]) < 0.5 else "home"
-        before = states[-1][0].position
-        machine.publish("/arm1/moveit_goal_named", STRING, data=goal)
-        await until(lambda: abs(states[-1][0].position - before).max() > 0.05)
-        await client.publish("/arm1/stop", {})
-        results = await client.until("/arm1/moveit_goal_result", bool)
-    assert results[0]["val"] == PREEMPTED, results[0]
 
 
 async def call(url: str, service: str) -> Any:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.dialect import declared_in_ros1, from_ros1, spell_type, to_ros1
-from protocol.errors import InterfaceError, MessageError
+from protocol.errors import InterfaceError
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from tests.helpers.messages import made_up
@@ -189,9 +189,3 @@ def test_the_levels_are_those_of_both_definitions() -> None:
     ours = [constant.value for constant in REGISTRY.message("rcl_interfaces/Log").constants]
     theirs = [constant.value for constant in REGISTRY.ros1.message("rosgraph_msgs/Log").constants]
     assert list(zip(ours, theirs, strict=True)) == LEVELS
-
-
-@pytest.mark.parametrize("message", [[], {"header": 7}, {"header": {"stamp": []}}, {"level": "high"}])
-def test_what_cannot_be_understood_is_left_for_the_validation(message: object) -> None:
-    with pytest.raises(MessageError):
-        complete(REGISTRY, "rcl_interfaces/Log", from_ros1(REGISTRY, "rcl_interfaces/Log", message), NOW)

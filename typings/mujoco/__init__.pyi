@@ -14,6 +14,7 @@ class mjtCone:
 
 class mjtDisableBit:
     mjDSBL_AUTORESET: int
+    mjDSBL_CONTACT: int
 
 class mjtGeom:
     mjGEOM_PLANE: int
@@ -81,8 +82,18 @@ class MjsHeadlight:
     ambient: list[float]
     diffuse: list[float]
 
+class MjsGlobal:
+    offwidth: int
+    offheight: int
+
+class MjsMap:
+    znear: float
+    zfar: float
+
 class MjsVisual:
     headlight: MjsHeadlight
+    global_: MjsGlobal
+    map: MjsMap
 
 class MjSpec:
     visual: MjsVisual
@@ -104,7 +115,12 @@ class _Named:
     id: int
     name: str
 
+class MjStatistic:
+    extent: float
+
 class MjModel:
+    vis: MjsVisual
+    stat: MjStatistic
     nq: int
     nv: int
     nbody: int
@@ -144,5 +160,7 @@ def set_mju_user_warning(handler: Callable[[str], None] | None) -> None: ...
 class Renderer:
     def __init__(self, model: MjModel, height: int = ..., width: int = ...) -> None: ...
     def update_scene(self, data: MjData, camera: int | str = ...) -> None: ...
-    def render(self) -> NDArray[np.uint8]: ...
+    def enable_depth_rendering(self) -> None: ...
+    def disable_depth_rendering(self) -> None: ...
+    def render(self) -> NDArray[Any]: ...
     def close(self) -> None: ...

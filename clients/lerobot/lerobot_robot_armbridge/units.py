@@ -8,6 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+# Arm, ranges and zeros of a dataset that `armbridge export` has written.
+ARM_PATH = "meta/armbridge.json"
+
 # Start of the keys of the calibrated ranges on /arm/state.
 CALIBRATED_RANGE = "calibrated_range_rad."
 
@@ -71,7 +74,7 @@ def units_of_dataset(folder: Path, server_names: Mapping[str, str], *, use_degre
     Raises:
         ValueError: the dataset does not name its arm, or is in other units.
     """
-    path = folder / "meta" / "armbridge.json"
+    path = folder / ARM_PATH
     try:
         arm = json.loads(path.read_text())
         joints = {server: arm["joints"][server] for server in server_names.values()}

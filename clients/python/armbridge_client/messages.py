@@ -723,6 +723,24 @@ class SetBodyRequest(Service[SetBodyResponse]):
 
 
 @dataclass(repr=False)
+class SetBodyPoseResponse(Message):
+    """armbridge_msgs/srv/SetBodyPose_Response."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/SetBodyPose_Response"
+    success: bool = False
+    message: str = ""
+
+
+@dataclass(repr=False)
+class SetBodyPoseRequest(Service[SetBodyPoseResponse]):
+    """armbridge_msgs/srv/SetBodyPose_Request."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/SetBodyPose"
+    id: str = ""
+    pose: Pose = field(default_factory=Pose)
+
+
+@dataclass(repr=False)
 class SetSpeedLimitResponse(Message):
     """armbridge_msgs/srv/SetSpeedLimit_Response."""
 
@@ -776,6 +794,23 @@ class StartTeleopRequest(Service[StartTeleopResponse]):
     mirror: bool = False
     leader_joints: list[str] = field(default_factory=list[str])
     follower_joints: list[str] = field(default_factory=list[str])
+
+
+@dataclass(repr=False)
+class StepSimulationResponse(Message):
+    """armbridge_msgs/srv/StepSimulation_Response."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/StepSimulation_Response"
+    success: bool = False
+    message: str = ""
+
+
+@dataclass(repr=False)
+class StepSimulationRequest(Service[StepSimulationResponse]):
+    """armbridge_msgs/srv/StepSimulation_Request."""
+
+    TYPE: ClassVar[str] = "armbridge_msgs/srv/StepSimulation"
+    steps: int = 0
 
 
 @dataclass(repr=False)
@@ -1238,9 +1273,11 @@ TYPES = {
     "armbridge_msgs/srv/RenameMotion": "RIHS01_9cfc125556ae3f7fb871d9ac820e7317279e66e6a70b794cea6abb6c8edd7942",
     "armbridge_msgs/srv/SaveScene": "RIHS01_0f3e0d3e69414aa970d94587c6517cd6df917019d1376c862d4874e85824f07c",
     "armbridge_msgs/srv/SetBody": "RIHS01_53fc1dd708222dae818d32d54e62b279d9aa59ecc500b351b02516fe5195795d",
+    "armbridge_msgs/srv/SetBodyPose": "RIHS01_9a008ddf043d8b142412a8df48bed7df79aa9f80dc7da763dc7af9db3ab4f8c8",
     "armbridge_msgs/srv/SetSpeedLimit": "RIHS01_278c041a0080c5fe5b3722c2794092dd07827879abffc9f4ff39f2f5f460773d",
     "armbridge_msgs/srv/StartEpisode": "RIHS01_274175baa6bcbfaafffee23f172500b367040591c83c2005037ea74d83abccd7",
     "armbridge_msgs/srv/StartTeleop": "RIHS01_65c0f5ca819224890a227d34ccd309fc64603c0b7807ccfe52dbcb04e2478dd6",
+    "armbridge_msgs/srv/StepSimulation": "RIHS01_c0957edd4f335f6019a7481e50eaf9b8bbb6ad1a3096808ca95d9a9c4f3bfe20",
     "armbridge_msgs/srv/TrimMotion": "RIHS01_7bd9c987c044996664fd91a41761aedcf6d8900acde90d1901b22dbc875b0f51",
     "moveit_msgs/srv/ApplyPlanningScene": "RIHS01_8e6134783db0987c0acedbfd2f16f608a8f7a54e83a7bbb372e851af419f4d72",
     "moveit_msgs/srv/DeleteRobotStateFromWarehouse": "RIHS01_1c32a06d4ffa8740f355556542fd73d146cb80ff35d9c9529d0620e636bb47a7",

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import Callable
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
@@ -48,14 +47,6 @@ def submit_goal(
     cancel_with_goal(goal, lambda reason: queue.cancel(queued.goal_id, reason))
 
 
-def answer_by_task(goal: Goal, work: Coroutine[Any, Any, Answer], end: Callable[[Answer], None]) -> None:
-    """Have a task answer a goal, and end the task with the goal."""
-    task = asyncio.create_task(work, name=f"plan for {goal.action}")
-    task.add_done_callback(lambda done: end(answer_of_task(done)))
-    # The goal keeps the task alive, which the event loop does not.
-    cancel_with_goal(goal, lambda _reason: task.cancel())
-
-
 def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
     """Return the answer of a planning task that is done, failed or cancelled."""
     if done.cancelled():
@@ -83,12 +74,7 @@ def cancel_with_goal(goal: Goal, cancel: Callable[[str], object]) -> None:
     goal.when_ended(lambda end: cancel(f"the goal of {goal.action} is over" + ("" if end.ok else f": {end.values}")))
 
 
-def reject_goal(
-    goal: Goal,
-    queue: GoalQueue,
-    failure: PlanningFailure,
-    result: Callable[[Answer], Message],
-) -> None:
+def reject_goal(goal: Goal, queue: GoalQueue, failure: PlanningFailure, result: Callable[[Answer], Message]) -> None:
     """End a goal that cannot be submitted; the arm's motion continues."""
     queue.reject(GoalRequest(goal.action), failure)
     finish_goal(goal, Answer.of(failure), result)

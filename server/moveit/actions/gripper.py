@@ -8,6 +8,7 @@ The newest command wins, and a stall on the way is a grip. ros2_control's two gr
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import math
 import time
@@ -60,6 +61,12 @@ SAME_POSITION = 1e-6
 
 # Longest way of a finger that counts as none [rad or m].
 SHORTEST_WAY = 1e-6
+
+STATUS_OF_OUTCOME = {
+    Outcome.REACHED: GoalStatus.SUCCEEDED,
+    Outcome.GRIPPED: GoalStatus.SUCCEEDED,
+    Outcome.STOPPED: GoalStatus.CANCELED,
+}
 
 Message = dict[str, Any]
 
@@ -338,40 +345,32 @@ def _checked_command(
     return GripperCommand(min(max(each, lower), upper), max_effort, max_velocity)
 
 
-class GripperActions:
-    """The gripper's actions."""
+def offer_gripper(graph: LocalGraph, gripper: Gripper) -> None:
+    """Offer the gripper's actions."""
 
-    def __init__(self, graph: LocalGraph, gripper: Gripper) -> None:
-        self._gripper = gripper
-        simple = GripperCommandMessages(gripper.joints)
-        self._actions: dict[str, ActionMessages] = {
-            graph.resolve(GRIPPER_ACTION): simple,
-            graph.resolve(FETCH_ACTION): simple,
-            graph.resolve(PARALLEL_ACTION): ParallelGripperCommandMessages(gripper.joints),
-        }
-        node = Node("gripper")
-        for name in ACTIONS:
-            graph.offer_action(
-                node, name, self._actions[graph.resolve(name)].type_name, self._start, ListLimits(), rule=GOAL
-            )
-
-    def _start(self, goal: Goal) -> None:
-        messages = self._actions[goal.action]
+    def start(messages: ActionMessages, goal: Goal) -> None:
         try:
             command = messages.command(goal.request["command"])
         except RefusedError as error:
             goal.fail(str(error))
             return
-        claim = self._gripper.claim()
+        claim = gripper.claim()
         cancel_with_goal(goal, claim.cancel)
-        task = asyncio.create_task(self._execute(goal, messages, claim, command), name="gripper")
+        task = asyncio.create_task(execute(goal, messages, claim, command), name="gripper")
         # The goal keeps the task alive, which the event loop does not.
         goal.when_ended(lambda _end: task)
 
-    async def _execute(self, goal: Goal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
+    async def execute(goal: Goal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
         try:
-            ended = await self._gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
-            self._finish(goal, messages, ended)
+            ended = await gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
+            status, reading = STATUS_OF_OUTCOME.get(ended.outcome), gripper.reading()
+            if status is None or reading is None:
+                log.warning("%s: %s", goal.action, ended.message)
+                goal.fail(ended.message)
+                return
+            log.info("%s: %s", goal.action, ended.message)
+            stalled, reached = ended.outcome is Outcome.GRIPPED, ended.outcome is Outcome.REACHED
+            goal.finish(status, messages.result(reading, stalled=stalled, reached=reached))
         except RefusedError as error:
             log.warning("%s: %s", goal.action, error)
             goal.fail(str(error))
@@ -379,17 +378,7 @@ class GripperActions:
             log.exception("a goal of %s failed", goal.action)
             goal.fail(f"internal error: {type(error).__name__}: {error}")
 
-    def _finish(self, goal: Goal, messages: ActionMessages, ended: MotionEnded) -> None:
-        status = {
-            Outcome.REACHED: GoalStatus.SUCCEEDED,
-            Outcome.GRIPPED: GoalStatus.SUCCEEDED,
-            Outcome.STOPPED: GoalStatus.CANCELED,
-        }.get(ended.outcome)
-        reading = self._gripper.reading()
-        if status is None or reading is None:
-            log.warning("%s: %s", goal.action, ended.message)
-            goal.fail(ended.message)
-            return
-        log.info("%s: %s", goal.action, ended.message)
-        stalled, reached = ended.outcome is Outcome.GRIPPED, ended.outcome is Outcome.REACHED
-        goal.finish(status, messages.result(reading, stalled=stalled, reached=reached))
+    node, simple = Node("gripper"), GripperCommandMessages(gripper.joints)
+    kinds: tuple[ActionMessages, ...] = simple, simple, ParallelGripperCommandMessages(gripper.joints)
+    for name, messages in zip(ACTIONS, kinds, strict=True):
+        graph.offer_action(node, name, messages.type_name, functools.partial(start, messages), ListLimits(), rule=GOAL)

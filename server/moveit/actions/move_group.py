@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 import time
@@ -23,7 +24,7 @@ from server.graph.actions import Goal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import answer_by_task, finish_goal, reject_goal, submit_goal
+from server.moveit.actions.goal_bridge import answer_of_task, cancel_with_goal, finish_goal, reject_goal, submit_goal
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
 from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.messages import Message, error_code
@@ -113,53 +114,51 @@ def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[st
     return to_message(None if motion is None or motion.duration_s == 0.0 else motion, robot.root_link)
 
 
-class PlanningActions:
-    """MoveGroup and MoveGroupSequence."""
+def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
+    """Offer MoveGroup and MoveGroupSequence."""
+    node = Node("move group")
 
-    def __init__(self, graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
-        self._graph = graph
-        self._context = context
-        self._queue = queue
-        self._node = Node("move group")
-        for name in MOVE_ACTIONS:
-            self._offer(name, "MoveGroup", lambda goal: [goal["request"]], move_group_result)
-        self._offer(
-            SEQUENCE_ACTION, "MoveGroupSequence", lambda goal: sequence_requests(goal["request"]), sequence_result
-        )
-
-    def _offer(
-        self,
+    def offer(
         name: str,
         type_name: str,
         requests: Callable[[Message], Sequence[Message]],
         write_result: Callable[[Answer, RobotModel], Message],
     ) -> None:
         def result(answer: Answer) -> Message:
-            return write_result(answer, self._context.robot)
+            return write_result(answer, context.robot)
 
         def start(goal: Goal) -> None:
             try:
                 planning_goal = read_planning_goal(requests(goal.request), goal.request["planning_options"])
                 if planning_goal.plan_only:
-                    self._plan_only(goal, planning_goal, result)
+                    _answer_with_plan(goal, planning_goal, context, result)
                 else:
-                    motion = planned_motion(planning_goal, self._context)
+                    motion = planned_motion(planning_goal, context)
                     for warning in motion.warnings:
                         log.warning("%s: %s", goal.action, warning)
-                    submit_goal(goal, self._queue, motion, MoveGroupFeedback(), result)
+                    submit_goal(goal, queue, motion, MoveGroupFeedback(), result)
             except RefusedError as error:
-                reject_goal(goal, self._queue, error.failure, result)
+                reject_goal(goal, queue, error.failure, result)
 
-        type_name = f"moveit_msgs/action/{type_name}"
-        self._graph.actions.offer(self._node, name, type_name, start, PLANNING_LIMITS, rule=PLANNING_GOAL)
+        graph.actions.offer(node, name, f"moveit_msgs/action/{type_name}", start, PLANNING_LIMITS, rule=PLANNING_GOAL)
 
-    def _plan_only(self, goal: Goal, planning_goal: PlanningGoal, result: Callable[[Answer], Message]) -> None:
-        def end(answer: Answer) -> None:
-            goal.feedback({"state": "IDLE"})
-            finish_goal(goal, answer, result)
+    for name in MOVE_ACTIONS:
+        offer(name, "MoveGroup", lambda goal: [goal["request"]], move_group_result)
+    offer(SEQUENCE_ACTION, "MoveGroupSequence", lambda goal: sequence_requests(goal["request"]), sequence_result)
 
-        goal.feedback({"state": "PLANNING"})
-        answer_by_task(goal, plan_only(planning_goal, goal.sender, self._context), end)
+
+def _answer_with_plan(
+    goal: Goal, planning_goal: PlanningGoal, context: PlanningContext, result: Callable[[Answer], Message]
+) -> None:
+    def end(planned: asyncio.Task[Answer]) -> None:
+        goal.feedback({"state": "IDLE"})
+        finish_goal(goal, answer_of_task(planned), result)
+
+    goal.feedback({"state": "PLANNING"})
+    task = asyncio.create_task(plan_only(planning_goal, goal.sender, context), name=f"plan for {goal.action}")
+    task.add_done_callback(end)
+    # The goal keeps the task alive, which the event loop does not.
+    cancel_with_goal(goal, lambda _reason: task.cancel())
 
 
 def read_planning_goal(requests: Sequence[Message], message: Message) -> PlanningGoal:
@@ -256,41 +255,31 @@ def _check_requests(requests: Sequence[Message], start_rad: Positions, context: 
     return tuple(warning for one in built for warning in one.warnings)
 
 
-class ExecuteTrajectory:
-    """ExecuteTrajectory, for trajectories of any origin."""
+def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
+    """Offer ExecuteTrajectory, for trajectories of any origin."""
+    robot, current = context.planning.robot, context.planning.current
 
-    def __init__(self, graph: Graph, context: TrajectoryContext) -> None:
-        self._context = context
-        self._robot = context.planning.robot
-        self._queue = context.queue
-        offer = Node("execute trajectory"), EXECUTE_ACTION, "moveit_msgs/action/ExecuteTrajectory", self._start
-        graph.actions.offer(*offer, TRAJECTORY_LIMITS, rule=GOAL)
+    def result(answer: Answer) -> Message:
+        return {"error_code": error_code(answer.code, answer.message)}
 
-    def _start(self, goal: Goal) -> None:
+    def start(goal: Goal) -> None:
         trajectory = goal.request["trajectory"]
         if trajectory["multi_dof_joint_trajectory"]["points"]:
             log.warning("%s: multi_dof_joint_trajectory is ignored: the arm has no such joint", goal.action)
         message = trajectory["joint_trajectory"]
         if not message["points"]:
             # MoveIt's plan to a goal that is reached already has no points, and can be executed.
-            answer = Answer(MoveItErrorCode.SUCCESS, "the trajectory has no points: nothing to do")
-            finish_goal(goal, answer, _execution_result)
+            finish_goal(goal, Answer(MoveItErrorCode.SUCCESS, "the trajectory has no points: nothing to do"), result)
             return
         try:
-            self._check(message)
+            # A trajectory that cannot be played does not replace the motion of another goal.
+            check_duration(message, context.time_limits)
+            if (present_rad := current.positions_rad()) is not None:
+                context.check_speed(external_trajectory(message, robot, present_rad))
         except RefusedError as error:
-            reject_goal(goal, self._queue, error.failure, _execution_result)
+            reject_goal(goal, context.queue, error.failure, result)
         else:
-            motion = external_motion(message, self._robot)
-            submit_goal(goal, self._queue, motion, MoveGroupFeedback(), _execution_result)
+            submit_goal(goal, context.queue, external_motion(message, robot), MoveGroupFeedback(), result)
 
-    def _check(self, message: Message) -> None:
-        """Reject a trajectory that cannot be played before it replaces the motion of another goal."""
-        check_duration(message, self._context.time_limits)
-        present_rad = self._context.planning.current.positions_rad()
-        if present_rad is not None:
-            self._context.check_speed(external_trajectory(message, self._robot, present_rad))
-
-
-def _execution_result(answer: Answer) -> Message:
-    return {"error_code": error_code(answer.code, answer.message)}
+    node, type_name = Node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
+    graph.actions.offer(node, EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)

@@ -53,45 +53,40 @@ NOT_CHECKED = PlanningFailure(
 UNKNOWN = -1.0
 
 
-class GoalChecks:
-    """The service ``/check_goals``."""
+def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: PlanningContext) -> None:
+    """Offer ``/check_goals``."""
+    turn = asyncio.Lock()
 
-    def __init__(self, graph: Graph, translator: GoalTranslator, planning: PlanningContext) -> None:
-        self._translator = translator
-        self._planning = planning
-        self._turn = asyncio.Lock()
-        # Each may be the only ones; both together are counted in the call.
-        fields = ("poses", "joints")
-        limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in fields})
-        node = Node("goal checks")
-        graph.services.offer(node, SERVICE, "armbridge_msgs/CheckGoals", self._check, limits=limits, rule=PLANNING)
-
-    async def _check(self, request: dict[str, Any]) -> dict[str, Any]:
+    async def check(request: dict[str, Any]) -> dict[str, Any]:
         poses, joints = request["poses"], request["joints"]
         if len(poses) + len(joints) > MAX_GOALS:
             raise ServiceError(f"poses and joints: {len(poses) + len(joints)} goals, the limit is {MAX_GOALS}")
-        present_rad = self._planning.current.positions_rad()
+        present_rad = planning.current.positions_rad()
         if present_rad is None:
             raise ServiceError("joint positions unknown: the arm is not connected")
-        problems, results, tip = [], [], self._translator.tip
+        problems, results, tip = [], [], translator.tip
         # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
-        async with self._turn:
-            for translate, messages in ((self._translator.pose, poses), (self._translator.joints, joints)):
+        async with turn:
+            for translate, messages in ((translator.pose, poses), (translator.joints, joints)):
                 for each in messages:
                     await asyncio.sleep(0)
                     problems.append(_problem(translate, each, present_rad))
-        scene = self._planning.scene_state
-        await scene.settled()
-        answers = await answers_in_time(problems, self._planning.pool, scene.scene)
-        async with self._turn:
+        await planning.scene_state.settled()
+        answers = await answers_in_time(problems, planning.pool, planning.scene_state.scene)
+        async with turn:
             for answer, message in itertools.zip_longest(answers, poses):
                 await asyncio.sleep(0)
                 desired = None
                 if message is not None:
                     with contextlib.suppress(RefusedError):
-                        desired = self._translator.pose_in_root(message, present_rad)
-                results.append(goal_check(self._planning, present_rad, answer, tip, desired))
+                        desired = translator.pose_in_root(message, present_rad)
+                results.append(goal_check(planning, present_rad, answer, tip, desired))
         return {"results": results}
+
+    # Each may be the only ones; both together are counted in the call.
+    limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in ("poses", "joints")})
+    node = Node("goal checks")
+    graph.services.offer(node, SERVICE, "armbridge_msgs/CheckGoals", check, limits=limits, rule=PLANNING)
 
 
 def _problem(

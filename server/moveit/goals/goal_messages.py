@@ -180,17 +180,12 @@ class GoalTranslator:
         """
         frame, group = self._frame(message), options.group or self.group
         tip = checked_tip(tip_link(self._robot, group, self._parameters), group)
-        whole = chooses_orientation(group)
-        pose = (
-            _whole_pose(message["pose"], group)
-            if whole
-            else Pose(read_point(message["pose"]["position"], "pose.position"))
-        )
         radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
-
-        goal: Goal = PositionGoal(tip, pose.position_m, radius_m)
-        if whole:
-            goal = PoseGoal(tip, pose, radius_m, (turn_rad,) * 3, strict=True)
+        goal: Goal
+        if chooses_orientation(group):
+            goal = PoseGoal(tip, _whole_pose(message["pose"], group), radius_m, (turn_rad,) * 3, strict=True)
+        else:
+            goal = PositionGoal(tip, read_point(message["pose"]["position"], "pose.position"), radius_m)
         # An unknown frame is rejected at once, not when the goal's turn comes.
         present_rad = self._current.positions_rad()
         if present_rad is not None:
@@ -238,10 +233,6 @@ class Suggestion:
     type_name: str
     msg: dict[str, Any]
     words: str
-
-    def as_data(self) -> dict[str, Any]:
-        """Return the fields of rosbridge's operations advertise and publish."""
-        return {"topic": self.topic, "type": self.type_name, "msg": self.msg}
 
     def as_target(self) -> dict[str, Any]:
         """Return the armbridge_msgs/GoalTarget, whose one field that is given is a goal of ``/moveit_goal``."""

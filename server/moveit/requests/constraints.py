@@ -290,24 +290,19 @@ def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
 
 def read_path_constraints(message: Message, context: RequestContext, where: str = "path_constraints") -> Constraints:
     """Read constraints that hold from start to end; the result may be :attr:`Constraints.empty`."""
-    _refuse_visibility(message, where)
-    turned = _orientations(message, context, where)
-    inside = []
-    for index, region in enumerate(_regions(message, context, where)):
-        if len(region) > 1:
-            raise invalid(f"{where}.position_constraints[{index}] has {len(region)} regions; on the way it can be one")
-        inside.append(region[0])
-    return Constraints(read_joint_constraints(message["joint_constraints"], context, where), tuple(inside), turned)
+    ranges, choices, turned = _read_parts(message, context, where)
+    for index, regions in enumerate(choices):
+        if len(regions) > 1:
+            raise invalid(f"{where}.position_constraints[{index}] has {len(regions)} regions; on the way it can be one")
+    return Constraints(ranges, tuple(regions[0] for regions in choices), turned)
 
 
 def _goals(message: Message, context: RequestContext, where: str, most: int) -> Iterator[SingleGoal]:
     """Yield the alternatives of one moveit_msgs/Constraints: one goal for each combination of regions."""
-    _refuse_visibility(message, where)
-    ranges = _of_group(read_joint_constraints(message["joint_constraints"], context, where), context, where)
-    turned = _orientations(message, context, where)
-    choices = _regions(message, context, where)
-    if not (message["joint_constraints"] or choices or turned):
+    ranges, choices, turned = _read_parts(message, context, where)
+    if not (ranges or choices or turned):
         raise invalid(f"{where} is empty: give joint, position or orientation constraints")
+    ranges = _of_group(ranges, context, where)
     count = math.prod(len(choice) for choice in choices)
     if count > most:
         raise invalid(f"{where} and those before it have more than {MAX_ALTERNATIVES} alternatives of regions")
@@ -372,20 +367,18 @@ def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, wher
     return tuple(one for one in ranges if one.joint in context.group.joints)
 
 
-def _regions(message: Message, context: RequestContext, where: str) -> list[tuple[PositionConstraint, ...]]:
-    return [
+def _read_parts(
+    message: Message, context: RequestContext, where: str
+) -> tuple[tuple[JointConstraint, ...], list[tuple[PositionConstraint, ...]], tuple[OrientationConstraint, ...]]:
+    """Read the parts of a moveit_msgs/Constraints; the regions of each position constraint are alternatives."""
+    if message["visibility_constraints"]:
+        raise invalid(f"{where}.visibility_constraints: what a sensor sees is not planned for; leave them out")
+    regions = [
         _read_regions(constraint, context, f"{where}.position_constraints[{index}]")
         for index, constraint in enumerate(message["position_constraints"])
     ]
-
-
-def _orientations(message: Message, context: RequestContext, where: str) -> tuple[OrientationConstraint, ...]:
-    return tuple(
+    turned = tuple(
         read_orientation_constraint(constraint, context, f"{where}.orientation_constraints[{index}]")
         for index, constraint in enumerate(message["orientation_constraints"])
     )
-
-
-def _refuse_visibility(message: Message, where: str) -> None:
-    if message["visibility_constraints"]:
-        raise invalid(f"{where}.visibility_constraints: what a sensor sees is not planned for; leave them out")
+    return read_joint_constraints(message["joint_constraints"], context, where), regions, turned

@@ -184,7 +184,10 @@ GEOMETRY_KINDS: tuple[tuple[str, str, Callable[[Message, str], Shape]], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class CollisionObject:
-    """Object with its geometry and pose, kept so that it can be published again as it came."""
+    """Object with its geometry and pose, kept so that it can be published again as it came.
+
+    ``==`` compares identities, which is quick; objects are equal if their messages are.
+    """
 
     name: str
     frame: str  # frame of ``pose``: the planning frame, or the link that holds the object
@@ -229,15 +232,6 @@ class CollisionObject:
         """Compare a moveit_msgs/CollisionObject in the object's frame with the message that adds this object."""
         return message == {**self.message, "header": message["header"]}
 
-    def equals(self, other: CollisionObject) -> bool:
-        """Compare all that two objects have; ``==`` compares their identities, which is quicker."""
-        return (
-            (self.name, self.frame, self.pose, self.type) == (other.name, other.frame, other.pose, other.type)
-            and self.geometry == other.geometry
-            and [pose for _, pose in self.shapes] == [pose for _, pose in other.shapes]
-            and self.subframes == other.subframes
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class AttachedCollisionObject:
@@ -275,14 +269,6 @@ class AttachedCollisionObject:
             message["object"]["header"]["frame_id"] == self.link
             and all(value == self.message[field] for field, value in message.items() if field != "object")
             and self.collision_object.equals_message(message["object"])
-        )
-
-    def equals(self, other: AttachedCollisionObject) -> bool:
-        """Compare all that two attached objects have."""
-        return (
-            (self.touch_links, self.weight) == (other.touch_links, other.weight)
-            and self.detach_posture == other.detach_posture
-            and self.collision_object.equals(other.collision_object)
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from planners.problem import MoveItErrorCode
@@ -94,7 +94,9 @@ def find_frame(frame_id: str, around: SceneContents | SceneDraft, links: LinkTra
         raise _unknown(name[:MAX_NAME_LENGTH], text)
     if name in links.robot.links:
         return links.pose(name)
-    for object_name, subframe in _splits(name):
+    # Names of objects and of subframes may contain slashes.
+    splits = ((name[:i], name[i + 1 :]) for i, letter in enumerate(name) if letter == "/")
+    for object_name, subframe in ((name, ""), *splits):
         found = _object_frame(object_name, subframe, around, links)
         if found is not None:
             return found
@@ -115,12 +117,6 @@ def in_root(frame: Pose, pose: Pose) -> Pose:
 def seen_from(frame: Pose, pose: Pose) -> Pose:
     """Transform a pose from the root link into a frame."""
     return pose if frame == IDENTITY else composed(inverse(frame), pose)
-
-
-def _splits(name: str) -> Iterator[tuple[str, str]]:
-    """Yield every split of a name into object and subframe: both may contain slashes."""
-    yield name, ""
-    yield from ((name[:i], name[i + 1 :]) for i, letter in enumerate(name) if letter == "/")
 
 
 def _object_frame(name: str, subframe: str, around: SceneContents | SceneDraft, links: LinkTransforms) -> Pose | None:

@@ -20,11 +20,11 @@ from robot import files
 from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import CurrentState
 from server.graph.node import Node
-from server.graph.permissions import CONFIGURING, WORKING
+from server.graph.permissions import CONFIGURING, WORKING, Rule
 from server.graph.topics import Graph
-from server.moveit.messages import Message
+from server.moveit.messages import Message, write_pose
 from server.moveit.scene import collision_objects as shapes
-from server.moveit.scene.collision_objects import ADD, NO_STAMP, CollisionObject
+from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
 
@@ -147,7 +147,7 @@ class _Lines:
 
 def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
     has_pose = len(lines.peek().split()) > 1
-    pose = _read_pose(lines) if has_pose else _pose_message([0.0] * 3, [0.0, 0.0, 0.0, 1.0])
+    pose = _read_pose(lines) if has_pose else write_pose(IDENTITY)
     geometry: dict[str, list[Any]] = {"primitives": [], "meshes": [], "planes": []}
     poses: dict[str, list[Any]] = {"primitives": [], "meshes": [], "planes": []}
     (count,) = lines.counts(1, "the number of shapes")
@@ -178,10 +178,7 @@ def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
 
 
 def _read_pose(lines: _Lines) -> dict[str, Any]:
-    return _pose_message(lines.figures(3, "a position x y z"), lines.figures(4, "a quaternion x y z w"))
-
-
-def _pose_message(position: list[float], quaternion: list[float]) -> dict[str, Any]:
+    position, quaternion = lines.figures(3, "a position x y z"), lines.figures(4, "a quaternion x y z w")
     return {
         "position": dict(zip("xyz", position, strict=True)),
         "orientation": dict(zip("xyzw", quaternion, strict=True)),
@@ -212,42 +209,45 @@ _READERS: Mapping[str, tuple[str, Callable[[_Lines], Message]]] = {
 }
 
 
-class GeometryFiles:
-    """``/save_geometry_to_file`` and ``/load_geometry_from_file``, for files in one directory."""
+def offer_geometry_files(
+    graph: Graph, node: Node, state: SceneState, current: CurrentState, directory: Path | None
+) -> None:
+    """Offer ``/save_geometry_to_file`` and ``/load_geometry_from_file``, for files in one directory."""
 
-    def __init__(
-        self, graph: Graph, node: Node, state: SceneState, current: CurrentState, directory: Path | None
-    ) -> None:
-        self._message_types = graph.message_types
-        self._state = state
-        self._current = current
-        self._directory = directory
-        save, load = _service(SAVE, self._write), _service(LOAD, self._read)
-        graph.services.offer(node, SAVE, "moveit_msgs/srv/SaveGeometryToFile", save, rule=CONFIGURING)
-        graph.services.offer(node, LOAD, "moveit_msgs/srv/LoadGeometryFromFile", load, rule=WORKING)
-
-    async def _write(self, name: str) -> None:
-        path = file_within(self._directory, name)
+    async def save(path: Path) -> None:
         try:
-            await asyncio.to_thread(_write_bounded, path, self._state.contents)
+            await asyncio.to_thread(_write_bounded, path, state.contents)
         except OSError as error:
             raise invalid(f"{path} cannot be written: {error}") from error
 
-    async def _read(self, name: str) -> None:
-        path = file_within(self._directory, name)
+    def read_world(path: Path) -> Message:
+        objects = {"collision_objects": _read_bounded(path, state.frame)}
+        return graph.message_types.complete("moveit_msgs/msg/PlanningSceneWorld", objects)
+
+    async def load(path: Path) -> None:
         try:
-            world = await asyncio.to_thread(self._read_world, path)
+            world = await asyncio.to_thread(read_world, path)
         except (OSError, UnicodeDecodeError) as error:
             raise invalid(f"{path} cannot be read: {error}") from error
         except MessageError as error:
             raise invalid(f"{path}: {error}") from error
         # As in MoveIt, objects that the file does not name stay.
-        change = self._state.diff({"is_diff": True, "world": world})
-        await self._state.change(change, self._current.positions_rad())
+        await state.change(state.diff({"is_diff": True, "world": world}), current.positions_rad())
 
-    def _read_world(self, path: Path) -> Message:
-        objects = _read_bounded(path, self._state.frame)
-        return self._message_types.complete("moveit_msgs/msg/PlanningSceneWorld", {"collision_objects": objects})
+    def offer(service: str, type_name: str, work: Callable[[Path], Awaitable[None]], rule: Rule) -> None:
+        async def serve(request: Message) -> Message:
+            try:
+                await work(file_within(directory, request["file_path_and_name"]))
+            except RefusedError as error:
+                # The response has no field for the reason.
+                log.warning("%s: %s", service, error)
+                raise UnsuccessfulError({"success": False}, str(error)) from error
+            return {"success": True}
+
+        graph.services.offer(node, service, f"moveit_msgs/srv/{type_name}", serve, rule=rule)
+
+    offer(SAVE, "SaveGeometryToFile", save, CONFIGURING)
+    offer(LOAD, "LoadGeometryFromFile", load, WORKING)
 
 
 def file_within(directory: Path | None, name: str) -> Path:
@@ -262,19 +262,6 @@ def file_within(directory: Path | None, name: str) -> Path:
     if path == folder or not path.is_relative_to(folder):
         raise invalid(f"file_path_and_name {name[:100]!r} must be a file in {folder}")
     return path
-
-
-def _service(name: str, work: Callable[[str], Awaitable[None]]) -> Callable[[Message], Awaitable[Message]]:
-    async def serve(request: Message) -> Message:
-        try:
-            await work(request["file_path_and_name"])
-        except RefusedError as error:
-            # The response has no field for the reason.
-            log.warning("%s: %s", name, error)
-            raise UnsuccessfulError({"success": False}, str(error)) from error
-        return {"success": True}
-
-    return serve
 
 
 def _write_bounded(path: Path, contents: SceneContents) -> None:

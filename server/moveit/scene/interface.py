@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -14,7 +15,7 @@ from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
-from server.graph.list_limits import CheckLists, ListLimits
+from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.permissions import LOOKING, WORKING
 from server.graph.services import Call
@@ -31,15 +32,12 @@ from server.moveit.scene.collision_objects import (
     AttachedCollisionObject,
     CollisionObject,
 )
-from server.moveit.scene.geometry_files import GeometryFiles
+from server.moveit.scene.geometry_files import offer_geometry_files
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
 from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
-
-# Returns the change by a message of a topic.
-ReadChange = Callable[[Message], SceneChange]
 
 _SHAPE_LISTS = ("primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses")
 
@@ -102,18 +100,25 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     As in MoveIt, a sum of 0 stands for everything. ``state`` is its moveit_msgs/RobotState without attached objects.
     """
     requested = components or EVERYTHING
-    settings, links = requested & SCENE_SETTINGS, requested & LINK_PADDING_AND_SCALING
+    settings = requested & SCENE_SETTINGS
+    links = robot.links if requested & LINK_PADDING_AND_SCALING else ()
     colors = contents.colors if requested & OBJECT_COLORS else {}
+    # As in MoveIt the planning frame is among the fixed frames.
+    frames = {robot.root_link: IDENTITY, **contents.fixed_frames} if requested & TRANSFORMS else {}
+    header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
     return {
         "name": contents.name if settings else "",
         "robot_state": _state(contents, state, requested),
         "robot_model_name": robot.name if settings else "",
-        "fixed_frame_transforms": _transforms(contents, robot) if requested & TRANSFORMS else [],
+        "fixed_frame_transforms": [
+            {"header": header, "child_frame_id": name, "transform": write_transform(pose)}
+            for name, pose in frames.items()
+        ],
         "allowed_collision_matrix": contents.allowed_collisions.message
         if requested & ALLOWED_COLLISION_MATRIX
         else NO_MATRIX,
-        "link_padding": _padding(contents, robot) if links else [],
-        "link_scale": _scale(contents, robot) if links else [],
+        "link_padding": [{"link_name": link, "padding": contents.padding_m.get(link, NO_PADDING_M)} for link in links],
+        "link_scale": [{"link_name": link, "scale": contents.scale.get(link, NO_SCALE)} for link in links],
         "object_colors": [{"id": name, "color": color} for name, color in colors.items()],
         "world": {"collision_objects": _objects(contents, robot, requested), "octomap": NO_OCTOMAP},
         "is_diff": False,
@@ -122,19 +127,16 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
 
 def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
     """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours and frames."""
-    links = (before.padding_m, before.scale) != (after.padding_m, after.scale)
-    colors = after.colors if before.colors != after.colors else {}
+    changes = {
+        TRANSFORMS: before.fixed_frames != after.fixed_frames,
+        ALLOWED_COLLISION_MATRIX: before.allowed_collisions != after.allowed_collisions,
+        LINK_PADDING_AND_SCALING: (before.padding_m, before.scale) != (after.padding_m, after.scale),
+        OBJECT_COLORS: before.colors != after.colors,
+    }
+    components = SCENE_SETTINGS + sum(component for component, changed in changes.items() if changed)
     return {
-        "name": after.name,
+        **scene_message(after, robot, NO_STATE, components),
         "robot_state": {**NO_STATE, "attached_collision_objects": _changed_attached(before, after), "is_diff": True},
-        "robot_model_name": robot.name,
-        "fixed_frame_transforms": _transforms(after, robot) if before.fixed_frames != after.fixed_frames else [],
-        "allowed_collision_matrix": after.allowed_collisions.message
-        if before.allowed_collisions != after.allowed_collisions
-        else NO_MATRIX,
-        "link_padding": _padding(after, robot) if links else [],
-        "link_scale": _scale(after, robot) if links else [],
-        "object_colors": [{"id": name, "color": color} for name, color in colors.items()],
         "world": {"collision_objects": _changed_objects(before, after), "octomap": NO_OCTOMAP},
         "is_diff": True,
     }
@@ -176,48 +178,27 @@ def _changed_attached(before: SceneContents, after: SceneContents) -> list[Messa
     return [*detached, *attached]
 
 
-def _padding(contents: SceneContents, robot: RobotModel) -> list[Message]:
-    return [{"link_name": link, "padding": contents.padding_m.get(link, NO_PADDING_M)} for link in robot.links]
-
-
-def _scale(contents: SceneContents, robot: RobotModel) -> list[Message]:
-    return [{"link_name": link, "scale": contents.scale.get(link, NO_SCALE)} for link in robot.links]
-
-
-def _transforms(contents: SceneContents, robot: RobotModel) -> list[Message]:
-    """Write the fixed frames; as in MoveIt the planning frame is among them."""
-    header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
-    return [
-        {"header": header, "child_frame_id": name, "transform": write_transform(pose)}
-        for name, pose in {robot.root_link: IDENTITY, **contents.fixed_frames}.items()
-    ]
-
-
 def _subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
     """Apply the messages of the scene's topics, without the joints: a topic does not tell its publisher."""
-    topics: Mapping[str, tuple[str, ReadChange]] = {
+    topics: Mapping[str, tuple[str, Callable[[Message], SceneChange]]] = {
         "/planning_scene": ("moveit_msgs/msg/PlanningScene", state.diff),
         "/planning_scene_world": ("moveit_msgs/msg/PlanningSceneWorld", state.world),
         "/collision_object": ("moveit_msgs/msg/CollisionObject", state.collision_object),
         "/attached_collision_object": ("moveit_msgs/msg/AttachedCollisionObject", state.attached_object),
     }
-    for topic, (type_name, read) in topics.items():
-        check_lists = SCENE_LIMITS.check(graph.message_types.registry, type_name)
-        graph.subscribe(node, topic, type_name, _subscriber(topic, read, state, current, check_lists))
 
-
-def _subscriber(
-    topic: str, read: ReadChange, state: SceneState, current: CurrentState, check_lists: CheckLists
-) -> Subscriber:
-    def reject(error: MessageError | RefusedError) -> None:
-        log.warning("%s: refused, nothing is changed: %s", topic, error)
+    def end(topic: str, refusal: MessageError | RefusedError | None) -> None:
+        if refusal is not None:
+            log.warning("%s: refused, nothing is changed: %s", topic, refusal)
 
     def deliver(published: PublishedMessage) -> None:
-        state.submit(
-            read(published.msg), current.positions_rad(), lambda refusal: None if refusal is None else reject(refusal)
-        )
+        _, read = topics[published.topic]
+        state.submit(read(published.msg), current.positions_rad(), functools.partial(end, published.topic))
 
-    return Subscriber(deliver, reject, check_lists=check_lists, rule=WORKING)
+    for topic, (type_name, _) in topics.items():
+        check_lists = SCENE_LIMITS.check(graph.message_types.registry, type_name)
+        subscriber = Subscriber(deliver, functools.partial(end, topic), check_lists=check_lists, rule=WORKING)
+        graph.subscribe(node, topic, type_name, subscriber)
 
 
 class MonitoredScenePublisher:
@@ -272,47 +253,32 @@ class MonitoredScenePublisher:
         )
 
 
-class SceneServices:
-    """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``."""
+def offer_scene_services(
+    graph: Graph, node: Node, state: SceneState, assumed: AssumedStates, current: CurrentState
+) -> None:
+    """Offer ``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``."""
 
-    def __init__(
-        self, graph: Graph, node: Node, state: SceneState, assumed: AssumedStates, current: CurrentState
-    ) -> None:
-        self._state = state
-        self._assumed = assumed
-        self._current = current
-        services = graph.services
-        services.offer_calls(
-            node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS, rule=LOOKING
-        )
-        services.offer_calls(
-            node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS, rule=WORKING
-        )
-        # The scene has no octomap, so there is nothing to clear.
-        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
+    def respond(call: Call) -> None:
+        positions_rad = assumed.completed(assumed.of(call.caller), current.positions_rad()) or {}
+        assumed.note_sent(call.caller, positions_rad)
+        robot_state = state_message(positions_rad, state.robot.root_link, time.time())
+        components = call.request["components"]["components"]
+        call.succeed_prevalidated({"scene": scene_message(state.contents, state.robot, robot_state, components)})
 
-    def _get(self, call: Call) -> None:
-        async def get_settled() -> None:
-            await self._state.settled()
-            self._respond(call)
+    async def respond_settled(call: Call) -> None:
+        await state.settled()
+        respond(call)
 
-        if self._state.pending:
+    def get(call: Call) -> None:
+        if state.pending:
             # As if the changes that have been sent before were quick.
-            task = asyncio.ensure_future(get_settled())
+            task = asyncio.ensure_future(respond_settled(call))
             call.when_ended(lambda _response: task.cancel())
         else:
-            self._respond(call)
+            respond(call)
 
-    def _respond(self, call: Call) -> None:
-        assumed = self._assumed
-        positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
-        assumed.note_sent(call.caller, positions_rad)
-        state = state_message(positions_rad, self._state.robot.root_link, time.time())
-        components = call.request["components"]["components"]
-        call.succeed_prevalidated({"scene": scene_message(self._state.contents, self._state.robot, state, components)})
-
-    def _apply(self, call: Call) -> None:
-        scene, caller, assumed = call.request["scene"], call.caller, self._assumed
+    def apply(call: Call) -> None:
+        scene, caller = call.request["scene"], call.caller
 
         def end(refusal: RefusedError | None) -> None:
             if refusal is None:
@@ -330,9 +296,15 @@ class SceneServices:
         except RefusedError as error:
             end(error)
             return
-        positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
+        positions_rad = assumed.completed(assumed_rad, current.positions_rad())
         # A client that has left got no failure as an answer: its change is made all the same.
-        self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
+        state.submit(state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
+
+    offer = functools.partial(graph.services.offer_calls, node, limits=SCENE_LIMITS)
+    offer(GET, "moveit_msgs/srv/GetPlanningScene", get, rule=LOOKING)
+    offer(APPLY, "moveit_msgs/srv/ApplyPlanningScene", apply, rule=WORKING)
+    # The scene has no octomap, so there is nothing to clear.
+    graph.services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
 
 
 class SceneInterface:
@@ -349,8 +321,8 @@ class SceneInterface:
         node = Node("planning_scene")
         self._state = state
         _subscribe_to_scene_topics(graph, node, state, current)
-        SceneServices(graph, node, state, assumed, current)
-        GeometryFiles(graph, node, state, current, parameters.geometry_directory)
+        offer_scene_services(graph, node, state, assumed, current)
+        offer_geometry_files(graph, node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
         self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
 

@@ -212,7 +212,7 @@ def _add(draft: SceneDraft, message: Message, where: str) -> None:
         draft.objects[known.name] = known
         return
     added = draft.in_planning_frame(read_collision_object(message, frame_id, where))
-    draft.objects[added.name] = known if known is not None and known.equals(added) else added
+    draft.objects[added.name] = known if known is not None and known.message == added.message else added
 
 
 def _move(draft: SceneDraft, message: Message, where: str) -> None:
@@ -277,7 +277,7 @@ def _attach(draft: SceneDraft, message: Message, where: str) -> None:
     known = draft.before.attached.get(name)
     if known is None or not known.equals_message(message):
         attached = _read_attached(draft, message, where)
-        known = known if known is not None and known.equals(attached) else attached
+        known = known if known is not None and known.message == attached.message else attached
     draft.objects.pop(name, None)
     draft.attached[name] = known
 

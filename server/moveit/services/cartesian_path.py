@@ -150,8 +150,13 @@ def first_jump(
     thresholds: JumpThresholds,
 ) -> Jump | None:
     """Find the first jump on a path; None if there is none."""
-    configurations = _sampled(motion)
-    along_m = _along_m(configurations, motion.joint_names, tip, others_rad)
+    count = min(max(2, int(np.ceil(motion.duration_s / SAMPLE_S)) + 1), MAX_SAMPLES)
+    configurations = np.array([motion.sample(time_s)[0] for time_s in np.linspace(0.0, motion.duration_s, count)])
+    # Length of the tip's path up to each configuration, shape (count,) [m].
+    forward, link = tip
+    positions = [{**others_rad, **dict(zip(motion.joint_names, q, strict=True))} for q in configurations.tolist()]
+    tip_m = np.array([forward.transforms(each)[link][:3, 3] for each in positions])
+    along_m = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip_m, axis=0), axis=1))))
     places_m = np.append(np.arange(0.0, along_m[-1], step_m), along_m[-1])
     at = np.column_stack([np.interp(places_m, along_m, column) for column in configurations.T])
     steps = np.abs(np.diff(at, axis=0))
@@ -165,25 +170,6 @@ def first_jump(
     first = int(beyond[0])
     joint = int(np.argmax(steps[first]))
     return Jump(float(places_m[first]), motion.joint_names[joint], float(steps[first, joint]), limit_rad)
-
-
-def _sampled(motion: Trajectory) -> Vector:
-    """Sample configurations of a motion, shape (n, joints) [rad]."""
-    count = min(max(2, int(np.ceil(motion.duration_s / SAMPLE_S)) + 1), MAX_SAMPLES)
-    return np.array([motion.sample(float(time_s))[0] for time_s in np.linspace(0.0, motion.duration_s, count)])
-
-
-def _along_m(
-    configurations: Vector,
-    joint_names: tuple[str, ...],
-    tip: tuple[ForwardPlacements, str],
-    others_rad: Mapping[str, float],
-) -> Vector:
-    """Compute the length of the tip's path up to each configuration, shape (n,) [m]."""
-    forward, link = tip
-    positions = [{**others_rad, **dict(zip(joint_names, q, strict=True))} for q in configurations.tolist()]
-    places_m = np.array([forward.transforms(one)[link][:3, 3] for one in positions])
-    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(places_m, axis=0), axis=1))))
 
 
 def length_m(start: Pose, lines: Sequence[Line]) -> float:

@@ -51,30 +51,24 @@ STATIC_TRANSFORMS_TOPIC = "/tf_static"
 EARLY_S = 0.005
 
 
-class RobotDescription:
-    """Topics, parameters and file service of the description."""
+def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
+    """Publish topics and parameters of the description, and offer its files."""
+    node, files = Node("robot description"), RobotFiles(robot)
+    texts = {URDF_TOPIC: with_package_urls(robot.urdf, package_name(robot)), SRDF_TOPIC: robot.srdf}
+    for topic, text in texts.items():
+        graph.advertise(node, topic, "std_msgs/String", latch=True)
+        graph.publish(node, topic, {"data": text})
+        name = topic.removeprefix("/")
+        # ROS 1 clients ask for the name with its slash or without, clients of ROS 2 for a parameter of a node.
+        for parameter in (topic, name, *(f"{each}:{name}" for each in NODES)):
+            keep_parameter(parameter, json.dumps(text))
 
-    def __init__(self, graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
-        self._graph = graph
-        self._robot = robot
-        self._files = RobotFiles(robot)
-        self._keep_parameter = keep_parameter
-        self._node = Node("robot description")
-        package = package_name(self._robot)
-        texts = {URDF_TOPIC: with_package_urls(self._robot.urdf, package), SRDF_TOPIC: self._robot.srdf}
-        for topic, text in texts.items():
-            self._graph.advertise(self._node, topic, "std_msgs/String", latch=True)
-            self._graph.publish(self._node, topic, {"data": text})
-            name = topic.removeprefix("/")
-            # ROS 1 clients ask for the name with its slash or without, clients of ROS 2 for a parameter of a node.
-            for parameter in (topic, name, *(f"{node}:{name}" for node in NODES)):
-                self._keep_parameter(parameter, json.dumps(text))
-        self._graph.services.offer(self._node, FILE_SERVICE, "file_server/GetBinaryFile", self._get_file, rule=LOOKING)
-
-    async def _get_file(self, request: dict[str, Any]) -> dict[str, Any]:
+    async def get_file(request: dict[str, Any]) -> dict[str, Any]:
         # A slow disk must not hold up whatever else the server does; the call itself is bounded.
-        octets = await asyncio.to_thread(self._files.read, request["name"])
+        octets = await asyncio.to_thread(files.read, request["name"])
         return {"value": base64.b64encode(octets).decode("ascii")}
+
+    graph.services.offer(node, FILE_SERVICE, "file_server/GetBinaryFile", get_file, rule=LOOKING)
 
 
 class TransformsTopics:

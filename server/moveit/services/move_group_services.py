@@ -10,7 +10,7 @@ import asyncio
 import inspect
 import logging
 import xml.etree.ElementTree as ET
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
@@ -113,8 +113,14 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
         request["constraints"], context.problems.context(group, positions_rad), "constraints"
     )
     state = required(await context.pool.ask(StateQuestion(group.name, positions_rad), scene))
+    # Each constraint alone, in MoveIt's order of results.
+    singles = [
+        *(Constraints(joints=(one,)) for one in constraints.joints),
+        *(Constraints(positions=(one,)) for one in constraints.positions),
+        *(Constraints(orientations=(one,)) for one in constraints.orientations),
+    ]
     unmet = []
-    for single in _single_constraints(constraints):
+    for single in singles:
         answered = required(await context.pool.ask(StateQuestion(group.name, positions_rad, single), scene))
         violated = (each for each in answered.problems if each.code is MoveItErrorCode.GOAL_CONSTRAINTS_VIOLATED)
         unmet.append(next(violated, None))
@@ -132,13 +138,6 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
     for reason in reasons:
         log.info("/check_state_validity: %s", reason)
     raise UnsuccessfulError(response, "; ".join(reasons), complete=True)
-
-
-def _single_constraints(constraints: Constraints) -> Iterator[Constraints]:
-    """Yield each constraint alone, in MoveIt's order of results."""
-    yield from (Constraints(joints=(one,)) for one in constraints.joints)
-    yield from (Constraints(positions=(one,)) for one in constraints.positions)
-    yield from (Constraints(orientations=(one,)) for one in constraints.orientations)
 
 
 def _constraint_result(unmet: PlanningFailure | None) -> dict[str, Any]:
@@ -331,35 +330,27 @@ class MoveGroupService:
 
 SERVICES: Mapping[str, MoveGroupService] = {
     "/plan_kinematic_path": MoveGroupService(
-        "moveit_msgs/srv/GetMotionPlan",
+        "GetMotionPlan",
         plan_kinematic_path,
         lambda failure: {"motion_plan_response": _error_response(failure)},
         complete=True,
     ),
-    "/compute_ik": MoveGroupService("moveit_msgs/srv/GetPositionIK", compute_ik),
-    "/compute_fk": MoveGroupService("moveit_msgs/srv/GetPositionFK", compute_fk, complete=True, rule=LOOKING),
-    "/compute_cartesian_path": MoveGroupService(
-        "moveit_msgs/srv/GetCartesianPath", compute_cartesian_path, complete=True
-    ),
-    "/check_state_validity": MoveGroupService(
-        "moveit_msgs/srv/GetStateValidity", check_state_validity, _invalid_state, complete=True
-    ),
+    "/compute_ik": MoveGroupService("GetPositionIK", compute_ik),
+    "/compute_fk": MoveGroupService("GetPositionFK", compute_fk, complete=True, rule=LOOKING),
+    "/compute_cartesian_path": MoveGroupService("GetCartesianPath", compute_cartesian_path, complete=True),
+    "/check_state_validity": MoveGroupService("GetStateValidity", check_state_validity, _invalid_state, complete=True),
     "/plan_sequence_path": MoveGroupService(
-        "moveit_msgs/srv/GetMotionSequence",
+        "GetMotionSequence",
         plan_sequence_path,
         lambda failure: {"response": _error_response(failure)},
         complete=True,
     ),
     "/query_planner_interface": MoveGroupService(
-        "moveit_msgs/srv/QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING
+        "QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING
     ),
-    "/get_planner_params": MoveGroupService(
-        "moveit_msgs/srv/GetPlannerParams", get_planner_params, _fail_call, rule=LOOKING
-    ),
-    "/set_planner_params": MoveGroupService(
-        "moveit_msgs/srv/SetPlannerParams", set_planner_params, _fail_call, rule=CONFIGURING
-    ),
-    "/get_urdf": MoveGroupService("moveit_msgs/srv/GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
+    "/get_planner_params": MoveGroupService("GetPlannerParams", get_planner_params, _fail_call, rule=LOOKING),
+    "/set_planner_params": MoveGroupService("SetPlannerParams", set_planner_params, _fail_call, rule=CONFIGURING),
+    "/get_urdf": MoveGroupService("GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
 }
 
 
@@ -367,8 +358,8 @@ def offer_services(graph: Graph, context: PlanningContext) -> None:
     """Offer all services of move_group."""
     node = Node("moveit services")
     for name, service in SERVICES.items():
-        start = _start_call(service, context)
-        graph.services.offer_calls(node, name, service.type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
+        type_name, start = f"moveit_msgs/srv/{service.type_name}", _start_call(service, context)
+        graph.services.offer_calls(node, name, type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
 
 
 def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:

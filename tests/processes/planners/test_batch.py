@@ -17,7 +17,6 @@ from harness.server import free_port
 from planners.errors import BatchError
 from planners.files import plan_command, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
-from tests.helpers.resources import Pair, make_pair
 from tests.helpers.robots import so101
 
 distributed = pytest.importorskip("distributed", reason="the extra [dask] is not installed")
@@ -36,10 +35,9 @@ START_TIMEOUT_S = 60.0
 class DaskCluster:
     """A scheduler and its workers, by the commands of docs/planning.md; each takes one problem at a time."""
 
-    def __init__(self, workers: int, certificate: Pair | None = None) -> None:
+    def __init__(self, workers: int) -> None:
         self._port = free_port()
-        self.address = f"{'tls' if certificate else 'tcp'}://{HOST}:{self._port}"
-        self._certificate = certificate
+        self.address = f"tcp://{HOST}:{self._port}"
         self.scheduler = self._start("scheduler", "--port", str(self._port), "--dashboard-address", f"{HOST}:0")
         self.workers = [self._start("worker", self.address, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
         self._wait_until_started()
@@ -57,13 +55,7 @@ class DaskCluster:
         deadline_s = time.monotonic() + START_TIMEOUT_S
         while not self._answers() and time.monotonic() < deadline_s:
             time.sleep(0.05)
-        security = None
-        if self._certificate:
-            file, key = map(str, self._certificate)
-            security = distributed.Security(
-                tls_ca_file=file, tls_client_cert=file, tls_client_key=key, require_encryption=True
-            )
-        with distributed.Client(self.address, timeout=START_TIMEOUT_S, security=security) as client:
+        with distributed.Client(self.address, timeout=START_TIMEOUT_S) as client:
             if self.workers:
                 client.wait_for_workers(len(self.workers), timeout=START_TIMEOUT_S)
 
@@ -72,12 +64,8 @@ class DaskCluster:
             return probe.connect_ex((HOST, self._port)) == 0
 
     def _start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
-        options = ["--host", HOST, "--no-dashboard"]
-        if self._certificate:
-            file, key = map(str, self._certificate)
-            options += ["--tls-ca-file", file, "--tls-cert", file, "--tls-key", key]
         return subprocess.Popen(
-            [sys.executable, "-m", "dask", command, *arguments, *options],
+            [sys.executable, "-m", "dask", command, *arguments, "--host", HOST, "--no-dashboard"],
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "critical"},
             stdin=subprocess.DEVNULL,
@@ -181,20 +169,6 @@ def test_a_cluster_without_workers_is_one_line() -> None:
     finally:
         empty.close()
     assert result == (2, [], [f"armbridge: the Dask scheduler {empty.address} has no workers"])
-
-
-def test_certificates_are_those_of_dasks_configuration(tmp_path: Path) -> None:
-    pair = make_pair(tmp_path)
-    files = {"CA_FILE": pair.certificate, "CLIENT__CERT": pair.certificate, "CLIENT__KEY": pair.key}
-    running = DaskCluster(1, pair)
-    try:
-        arguments = (GAP, "--id", "gap-j03", "--scheduler", running.address)
-        known = Command(*arguments, **{f"DASK_DISTRIBUTED__COMM__TLS__{key}": str(files[key]) for key in files}).end()
-        unknown = Command(*arguments).end()
-    finally:
-        running.close()
-    assert (known[0], known[2]) == (0, [])
-    assert (unknown[0], len(unknown[2])) == (2, 1)
 
 
 @pytest.fixture

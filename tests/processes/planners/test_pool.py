@@ -17,14 +17,12 @@ import pytest_asyncio
 
 from harness.waiting import until, wait_until
 from planners import pool as planner_pool
-from planners import pool as pool_module
 from planners.interface import LOAD_TIMEOUT_S
 from planners.pool import PlannerPool
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, Request, StateAnswer
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot.description import model
 from tests.helpers import broken_planner
-from tests.helpers.broken_planner import NONE, PLAN, racers
 from tests.helpers.motions import EASY, LONG, REQUESTS, STATE, broken
 from tests.helpers.resources import no_descriptors_left, runs
 from tests.helpers.robots import so101
@@ -172,11 +170,6 @@ async def test_a_cancelled_worker_is_kept_if_it_listens(both_idle: PlannerPool, 
     assert isinstance(await both_idle.ask(EASY), Plan)
 
 
-async def test_a_hard_problem_is_searched_by_the_idle_worker_as_well(both_idle: PlannerPool) -> None:
-    problem = dataclasses.replace(EASY, group=racers(NONE, PLAN), allowed_time_s=120.0)
-    assert isinstance(await both_idle.ask(problem), Plan)
-
-
 async def test_a_large_scene_reaches_a_worker_whole(both_idle: PlannerPool) -> None:
     crowd = [
         SceneObject(f"box {i}", ((Box((0.01, 0.01, 0.01)), Pose()),), Pose((2.0 + 0.02 * i, 0.0, 0.0)))
@@ -195,20 +188,6 @@ async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both
     with no_descriptors_left():
         await until(lambda: sum(worker.usable for worker in both_idle._idle) == 2, 60.0)
     assert isinstance(await both_idle.ask(EASY), Plan)
-
-
-async def test_processes_that_end_at_once_are_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_module, "RESTART_PAUSE_S", 0.01)
-    monkeypatch.setattr(planner_pool, "WORKER_MODULE", "planners.no_such_module")
-    pool = made_of(so101())
-    await pool.start()
-    answer = await asyncio.wait_for(pool.ask(EASY), 60.0)
-    assert isinstance(answer, PlanningFailure)
-    assert "planner processes ended while starting" in answer.message
-    monkeypatch.setattr(planner_pool, "WORKER_MODULE", "planners.worker")
-    await until(lambda: pool.load_failure is None, 60.0)
-    assert isinstance(await pool.ask(EASY), Plan)
-    await pool.close()
 
 
 # Waits for a core.
@@ -253,12 +232,6 @@ async def test_a_hard_search_has_its_time_by_the_clock_on_a_busy_machine(on_a_bu
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert on_a_busy_core.pids == before
-
-
-async def test_a_worker_that_hangs_is_given_up_on_a_busy_machine(on_a_busy_core: PlannerPool) -> None:
-    answer = await on_a_busy_core.ask(broken(broken_planner.DEAF, allowed_time_s=0.1))
-    assert isinstance(answer, PlanningFailure)
-    assert answer.code is MoveItErrorCode.TIMED_OUT
 
 
 # End with the server.

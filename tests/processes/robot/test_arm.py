@@ -172,34 +172,6 @@ async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can
         assert reason in caplog.text
 
 
-class NotedDelay(RestartDelay):
-    """Keeps for how long the processes ran."""
-
-    def __init__(self) -> None:
-        super().__init__(0.0, 0.0)
-        self.ran_s: list[float] = []
-
-    def after(self, ran_s: float) -> float:
-        self.ran_s.append(ran_s)
-        return super().after(ran_s)
-
-
-async def test_the_run_of_an_arm_process_begins_with_its_first_state(tmp_path: Path) -> None:
-    delay = NotedDelay()
-    rig = ArmOnServos(tmp_path, delay)
-    await rig.arm.launch()
-    for number in (1, 2):
-        assert rig.arm.pid is not None
-        rig.kill()
-        await until(lambda number=number: len(delay.ran_s) == number)
-        if number == 1:
-            await rig.arm.start(SOON_S)
-            await until(lambda: rig.arm.state.position_rad is not None)
-    assert delay.ran_s[0] == 0.0
-    assert delay.ran_s[1] > 0.0
-    await rig.arm.close()
-
-
 async def test_starts_that_fail_without_end_do_not_fill_the_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -258,43 +230,6 @@ async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew
     assert rig.arm.state.pace == Pace()
     await rig.arm.execute(to(rig.pan_rad + 0.05, duration_s=0.2, start_rad=rig.pan_rad))
     assert rig.arm.state.pace == Pace(0.5)
-
-
-async def test_ticks_that_were_missed_are_not_made_up_for(rig: ArmOnServos) -> None:
-    rig.kill(signal.SIGSTOP)
-    await asyncio.sleep(0.5)
-    before = len(rig.goal_writes())
-    rig.kill(signal.SIGCONT)
-
-    def times_s() -> list[float]:
-        return [entry["machine_t"] for entry in read_write_log(rig.log) if entry["address"] == 41][before:]
-
-    await until(lambda: (seen := times_s()) and seen[-1] - seen[0] >= 0.1)
-    first_s, *_ = seen_s = times_s()
-    # 50 ticks were missed; in the first tenth of a second there is room for ten.
-    assert sum(time_s - first_s < 0.1 for time_s in seen_s) <= 15
-
-
-async def test_closing_brakes_the_arm_and_leaves_it_holding(rig: ArmOnServos) -> None:
-    motion = rig.arm.execute(to(1.5, duration_s=2.0))
-    await until(lambda: rig.pan_rad > 0.3)
-    await rig.arm.close()
-    assert (await motion).outcome is Outcome.STOPPED
-    last = read_write_log(rig.log)[-1]
-    assert set(last["torque"].values()) == {1}
-
-
-async def test_a_server_that_dies_leaves_an_arm_at_rest(rig: ArmOnServos) -> None:
-    rig.arm.execute(to(1.5, duration_s=2.0))
-    await until(lambda: rig.pan_rad > 0.3)
-    assert rig.arm.pid is not None
-    # The end of the channel is all that the arm process sees of its server's death.
-    rig.arm._closing = True
-    child = rig.arm._process._child
-    child._transport.close()
-    await until(lambda: not child.running)
-    pans = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes()[-4:]]
-    assert max(pans) - min(pans) <= 2
 
 
 async def test_who_asks_while_the_arm_is_being_started_waits_for_it(tmp_path: Path) -> None:

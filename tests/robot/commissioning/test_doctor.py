@@ -44,11 +44,6 @@ def findings(changes=()):
     return {finding.check: finding for finding in judge_scan(ScanResult(servos), SO101_SERVOS, NOMINAL)}
 
 
-def test_an_arm_that_is_well_is_good_in_everything():
-    assert {finding.verdict for finding in findings().values()} == {Verdict.GOOD}
-    assert {finding.verdict for finding in judge_cycles(TIMES)} == {Verdict.GOOD}
-
-
 @pytest.mark.parametrize(
     ("changes", "check", "verdict", "words"),
     [
@@ -89,6 +84,7 @@ def test_bad_times_are_found(changes, check, verdict):
     found = {finding.check: finding for finding in judge_cycles(replace(TIMES, **changes))}
     assert found[check].verdict is verdict
     assert found[check].remedy
+    assert {finding.verdict for name, finding in found.items() if name != check} == {Verdict.GOOD}
 
 
 def test_a_missing_servo_is_a_problem_and_an_empty_bus_is_only_that():

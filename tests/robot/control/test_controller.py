@@ -156,6 +156,7 @@ REFUSED = {
     "joint twice": move(shoulder_pan=(0.0, 1.0), elbow_flex=(0.0, 1.0)),
     "wrong shape": replace(GOOD, velocities_rad_s=GOOD.velocities_rad_s[:-1]),
     "time standing still": replace(GOOD, time_s=np.zeros_like(GOOD.time_s)),
+    "endless time": replace(GOOD, time_s=np.append(GOOD.time_s[:-1], np.inf)),
     "time not from 0": replace(GOOD, time_s=GOOD.time_s + 1.0),
     "too fast": smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=0.5),
     "beyond a limit": move(shoulder_pan=(0.0, 2.2)),

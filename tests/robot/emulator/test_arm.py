@@ -29,7 +29,7 @@ from robot.messages import GuardLimits
 from tests.helpers import arm_rig, dynamixel
 from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedClock
-from tests.helpers.robots import SO101_SERVOS, nominal_calibration, so101
+from tests.helpers.robots import SO101_SERVOS, so101
 
 STEP_S = 0.01
 
@@ -212,17 +212,6 @@ def test_a_servo_whose_ticks_fall_is_loaded_the_other_way() -> None:
     plain, other = (gravity_permille(Calibration.nominal(servos), pose) for servos in (SO101_SERVOS, mirrored))
     assert abs(plain[1]) > 1.0
     assert other == pytest.approx([-permille for permille in plain], abs=0.1)
-
-
-def test_the_weight_is_put_on_again_when_the_arm_has_moved() -> None:
-    calibration = nominal_calibration()
-    servos = build_servos(calibration, [0.0] * 6)
-    weigh = weight_of(so101(), calibration, servos)
-    weigh()
-    before = servos[1].plant.gravity_permille
-    servos[1].plant.position_ticks += 500
-    weigh()
-    assert servos[1].plant.gravity_permille < before - 1.0
 
 
 with warnings.catch_warnings(action="ignore"):  # of its own imports

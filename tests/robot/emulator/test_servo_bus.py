@@ -446,11 +446,6 @@ def test_a_reply_is_struck_as_often_as_asked_and_alike_for_a_seed(name):
     assert arrivals() == arrivals()
 
 
-def test_without_faults_every_reply_arrives_as_it_was_sent():
-    assert arrived(faults()) == SENT
-    assert not faults().happens(0.0)
-
-
 @given(st.integers(0, 2**32), st.sampled_from(["drop", "corrupt", "wrong_id", "truncate"]))
 def test_a_reply_that_is_struck_is_never_taken_for_a_good_one(seed, name):
     assert parse_status_frames(arrived(faults(seed, **{name: 1.0})), [ID], 15) == {}

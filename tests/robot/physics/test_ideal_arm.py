@@ -47,7 +47,7 @@ def test_joints_follow_their_goals_as_without_physics(name: str) -> None:
 
 def test_relaxed_joints_stay_since_the_arm_carries_its_weight() -> None:
     clock = SteppedClock()
-    arm = opened("so101", clock, physics=True, start_rad={"shoulder_lift": 0.9})
+    arm = opened("so101", clock, physics=True, start_rad={"shoulder_lift": 0.9, "elbow_flex": -0.6})
     for _ in range(200):
         clock.advance(0.01)
         measured = arm.read()

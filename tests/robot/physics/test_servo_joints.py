@@ -22,7 +22,8 @@ from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import so101
 
 TICK_S = 0.01
-STRETCHED = {"shoulder_lift": 0.9}
+# Of the SO-101 and the Koch: far out, above the floor.
+STRETCHED, RAISED = {"shoulder_lift": 0.9, "elbow_flex": -0.6}, {"shoulder_lift": -0.7}
 
 
 @dataclass
@@ -52,7 +53,7 @@ class Driven:
 
 
 def driven(*, physics: bool, koch: bool = False, **settings: Any) -> Driven:
-    clock, start_rad = SteppedClock(), settings.pop("start_rad", STRETCHED)
+    clock, start_rad = SteppedClock(), settings.pop("start_rad", RAISED if koch else STRETCHED)
     if koch:
         config = EmulatedConfig(dynamixel.CALIBRATION, kind="dynamixel", physics=physics, start_rad=start_rad)
         source: Any = emulated_dynamixel_arm(dynamixel.ROBOT, config, dynamixel.BOUNDS, GuardLimits(), clock)

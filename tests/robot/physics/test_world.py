@@ -73,8 +73,9 @@ def test_other_bodies_leave_arm_and_bodies_where_they_are(arm: Driven) -> None:
     world.set_bodies(SetBodies(3, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False))))
     assert state_of(world, "cube").position_m == pytest.approx((0.2, 0.3, 0.1))
     arm.tick(100)
-    world.set_bodies(SetBodies(4, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False)), reset=True))
-    assert state_of(world, "cube").position_m == pytest.approx((0.2, 0.3, 0.1))
+    placed = {"cube": ((0.25, 0.3, 0.1), LEVEL), "wall": ((0.2, 0.2, 0.2), LEVEL), "gone": ((0.0, 0.0, 0.0), LEVEL)}
+    world.set_bodies(SetBodies(4, (box("cube", (0.2, 0.3, 0.1)), box("wall", FAR, movable=False)), placed))
+    assert state_of(world, "cube").position_m == pytest.approx((0.25, 0.3, 0.1))
     world.set_bodies(SetBodies(5, ()))
     assert world.moved_bodies(every=True) is None
     assert arm.tick().position_rad == pytest.approx(before, abs=0.002)
@@ -92,6 +93,21 @@ def test_an_arm_pushes_a_movable_body_and_is_stopped_by_a_fixed_one() -> None:
             assert state_of(world_of(arm), "block").position_m[1] < -0.07
     assert turned[True] == pytest.approx(0.6, abs=0.02)
     assert turned[False] < 0.4
+
+
+def test_the_floor_stops_a_link_and_carries_it_and_the_base_stands_in_it() -> None:
+    arm = driven(physics=True, start_rad={})
+    world = world_of(arm)
+    assert world.overlaps({"base_link", "floor"}) == []
+    arm.move(SHOULDER_LIFT, 0.9, 90)
+    stopped = arm.tick(30)
+    assert stopped.position_rad[SHOULDER_LIFT] < 0.75
+    assert abs(stopped.load[SHOULDER_LIFT]) > 0.3
+    ((first, second, depth_m),) = world.overlaps({"floor"}) or (("floor", "", 0.0),)
+    assert first == "floor", second
+    assert depth_m < 0.004
+    arm.move(SHOULDER_LIFT, 0.0, 90)
+    assert arm.tick(50).position_rad[SHOULDER_LIFT] == pytest.approx(0.0, abs=0.06)
 
 
 def test_fingers_that_close_on_a_body_hold_it_lift_it_and_drop_it() -> None:

@@ -10,7 +10,7 @@ from harness.server import ServerOnBus
 from protocol.errors import MessageError
 from protocol.registry import Registry
 from robot.messages import ChangePace
-from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, ArmPace
+from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, offer_pace
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -115,7 +115,7 @@ class Desk:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.arm = FakeArm()
-        ArmPace(LocalGraph(self.graph), self.arm.as_arm)
+        offer_pace(LocalGraph(self.graph), self.arm.as_arm)
 
     def call(self, service: str, **request: Any) -> Any:
         answers: list[Any] = []
@@ -147,7 +147,7 @@ async def test_a_speed_limit_out_of_range_is_refused_with_range_value_and_remedy
 
 async def test_a_speed_limit_below_the_name_of_one_of_several_arms_is_that_of_this_arm(desk: Desk) -> None:
     left = FakeArm()
-    ArmPace(LocalGraph(desk.graph, "left"), left.as_arm)
+    offer_pace(LocalGraph(desk.graph, "left"), left.as_arm)
     assert desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.5)["success"]
     assert (left.changes, desk.arm.changes) == ([ChangePace(speed_limit=0.5)], [])
     assert "/left/arm/pause" in desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.0)["message"]

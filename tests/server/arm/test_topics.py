@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,6 +11,7 @@ from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, 
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from tests.helpers.graph import listen
 from tests.helpers.robots import nominal_calibration, so101
 
 ROBOT = so101()
@@ -25,20 +24,12 @@ class Heard:
     def __init__(self) -> None:
         self.graph = Graph(Registry.load())
         self.topics = ArmStateTopics(LocalGraph(self.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
-        self.states = self._listen(STATE_TOPIC)
+        self.states = listen(self.graph, STATE_TOPIC)
         # The state at the start, which is latched.
         self.states.clear()
-        self.limits = self._listen(LIMITS_TOPIC)
+        self.limits = listen(self.graph, LIMITS_TOPIC)
         self.joint_publisher = JointStates(LocalGraph(self.graph))
-        self.joint_states = self._listen(TOPIC)
-
-    def _listen(self, topic: str) -> list[Any]:
-        messages: list[Any] = []
-        before = self.graph.subscribe(
-            Node("test"), topic, None, Subscriber(lambda published: messages.append(published.msg))
-        )
-        messages += [published.msg for published in before]
-        return messages
+        self.joint_states = listen(self.graph, TOPIC)
 
 
 @pytest.fixture

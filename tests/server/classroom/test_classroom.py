@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from server.classroom.classroom import ClassroomOptions, run_classroom
+from server.classroom.classroom import run_classroom
 from server.config import Settings
 from server.errors import ConfigurationError
 
@@ -23,7 +23,7 @@ from server.errors import ConfigurationError
     ],
 )
 def test_a_bad_classroom_is_refused_before_it_is_made(settings: dict[str, Any], sentence: str, tmp_path: Path) -> None:
-    options = ClassroomOptions(students=2, planners=2, folder=tmp_path / "class")
+    folder = tmp_path / "class"
     with pytest.raises(ConfigurationError, match=sentence):
-        run_classroom(Settings.model_validate(settings), options)
-    assert not options.folder.exists()
+        run_classroom(Settings.model_validate(settings), 2, 2, folder)
+    assert not folder.exists()

@@ -1,11 +1,15 @@
 """Recordings exported as a LeRobotDataset, and the dataset read back by its documented schema."""
 
+import base64
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from server.cli import main
 from server.datasets import export as export_module
@@ -386,3 +390,62 @@ def test_frames_in_which_a_person_has_taken_over_from_the_policy_are_marked(tmp_
 def test_a_dataset_of_no_policy_has_no_column_of_interventions(tmp_path: Path, recorded: Record) -> None:
     exported(tmp_path / "data", recorded([*states(1.0), phase("idle", 0.0)]), video=False)
     assert "intervention" not in info(tmp_path / "data")["features"]
+
+
+def bag(folder: Path, storage: StoragePlugin, entries: Iterable[RecordedMessage]) -> Path:
+    """Write a bag with rosbags, an independent implementation of rosbag2."""
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
+        known = {}
+        for each in entries:
+            if each.topic not in known:
+                known[each.topic] = writer.add_connection(each.topic, each.type_name, typestore=types)
+            writer.write(known[each.topic], each.log_time_ns, each.octets)
+    return folder
+
+
+def raw_image(at_s: float, encoding: str, pixel: list[int], topic: str = "/wrist/image_raw") -> RecordedMessage:
+    """A picture of one colour, whose rows are padded as drivers do."""
+    row = bytes(pixel) * 32 + bytes(4)
+    size = {"height": 24, "width": 32, "encoding": encoding, "step": len(row)}
+    msg = {"header": stamp(at_s), **size, "data": base64.b64encode(row * 24).decode()}
+    return entry(topic, "sensor_msgs/Image", msg, at_s)
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+@pytest.mark.parametrize(
+    ("encoding", "pixel"),
+    [("rgb8", [200, 40, 90]), ("bgra8", [90, 40, 200, 7])],
+)
+def test_a_bag_of_ros_2_with_raw_images_is_exported(
+    tmp_path: Path, storage: StoragePlugin, encoding: str, pixel: list[int]
+) -> None:
+    pictures = [raw_image(n / 10, encoding, pixel) for n in range(21)]
+    same = [image(n / 10, 9, topic="/side/image_raw/compressed") for n in range(21)]
+    twin = [raw_image(n / 10, "rgb8", [0, 0, 0], topic="/side/image_raw") for n in range(21)]
+    depths = [raw_image(n / 10, "16UC1", [1, 1], topic="/depth/image_raw") for n in range(21)]
+    entries = in_order([*states(2.0, topic="/robot/joint_states"), *pictures, *same, *twin, *depths])
+    done = exported(tmp_path / "data", bag(tmp_path / "run", storage, entries))
+    assert done.cameras == ("observation.images.side", "observation.images.wrist")
+    assert done.frames == 20
+    assert done.problems == (f"{tmp_path}/run: /depth/image_raw is left out: its images are 16UC1",)
+    statistics = json.loads((tmp_path / "data/meta/stats.json").read_text())["observation.images.wrist"]
+    assert np.ravel(statistics["mean"]) * 255 == pytest.approx([200, 40, 90])
+    assert column(tmp_path / "data", "observation.state")[:, 0] == pytest.approx(0.01 * np.arange(20), abs=1e-6)
+
+
+def test_one_of_several_topics_of_states_is_named(recorded: Record, tmp_path: Path) -> None:
+    recording = recorded([*states(1.0, topic="/left/joint_states"), *states(1.0, topic="/right/joint_states")])
+    sentence = (
+        "no messages of .* on /joint_states: --state-topic must be one of /left/joint_states, /right/joint_states"
+    )
+    with pytest.raises(ExportError, match=sentence):
+        exported(tmp_path / "data", recording)
+    assert exported(tmp_path / "data", recording, state_topic="/right/joint_states").frames == 10
+
+
+def test_a_raw_image_that_is_cut_off_is_refused_with_its_size(recorded: Record, tmp_path: Path) -> None:
+    msg = {"height": 24, "width": 32, "encoding": "rgb8", "step": 96, "data": "AAAA"}
+    short = [entry("/c", "sensor_msgs/Image", msg, n / 10) for n in range(11)]
+    with pytest.raises(ExportError, match="image 1 of /c: an image of 32x24 pixels has 3 bytes, and 96 a row"):
+        exported(tmp_path / "data", recorded([*states(1.0), *short]))

@@ -1,51 +1,81 @@
-"""The rendered camera's connection to its server."""
+"""Messages of rendered cameras."""
 
 from __future__ import annotations
 
-import json
-import threading
+import base64
+from typing import Any
 
+import numpy as np
 import pytest
-from websockets.sync.server import ServerConnection, serve
+from numpy.typing import NDArray
 
-from harness.waiting import wait_until
-from robot.physics import renderer
-from robot.physics.camera import Camera
-from server.datasets import rendered
-from server.datasets.rendered import RenderedSource
+from robot.description.camera import Camera
+from robot.physics.bodies import Body, BodyShape
+from server.datasets.rendered import PublishedCamera, RenderedCameras, SeenScene
+from tests.helpers.rendering import needs_egl, red_pixels
 from tests.helpers.robots import so101
+from tests.server.datasets.test_camera import opened
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+HERE = (0.0, 0.0, 0.0)
+BETWEEN_FINGERS = (0.0, 0.0, -0.12)
+VIEW = (0.6, -0.4, 0.4, 0.15, 0.0, 0.05)
+CAMERA = PublishedCamera(Camera(frame="base_link", view=VIEW, depth=True), "/front/image/compressed")
+AT = (0.3, 0.15, 0.02)
 
 
-class NoRenderer:
-    def __init__(self, *_: object) -> None:
-        """Draw nothing."""
+def box(link: str = "") -> tuple[Body, str]:
+    shape = BodyShape("box", (0.02, 0.02, 0.02), HERE, LEVEL)
+    return Body("box", (shape,), BETWEEN_FINGERS if link else AT, LEVEL), link
 
 
-def test_a_refused_camera_leaves_the_server_before_it_tries_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    here: set[ServerConnection] = set()
-    tries = 0
+def scene(*bodies: tuple[Body, str], stamp_ns: int = 5_000_000_007) -> SeenScene:
+    return SeenScene(stamp_ns, {}, bodies, {"box": (1.0, 0.0, 0.0, 1.0)})
 
-    def refuse(connection: ServerConnection) -> None:
-        here.add(connection)
-        for _ in connection:
-            connection.send(json.dumps({"op": "service_response", "id": "camera", "result": False, "values": "no"}))
-        here.remove(connection)
 
-    def wait(_duration_s: float) -> None:
-        nonlocal tries
-        tries += 1
-        if tries == 3:
-            raise KeyboardInterrupt
+def red_of(image: dict[str, Any]) -> NDArray[np.int64]:
+    """Return the red pixels of a sensor_msgs/CompressedImage, shape (n, 2)."""
+    return red_pixels(np.asarray(opened(base64.b64decode(image["data"]))))
 
-    # The source sets it where it is missing, which other tests of this process would see.
-    monkeypatch.setenv("MUJOCO_GL", "egl")
-    monkeypatch.setattr(renderer, "ArmRenderer", NoRenderer)
-    monkeypatch.setattr(rendered.time, "sleep", wait)
-    with serve(refuse, "127.0.0.1", 0) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        url = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
-        source = RenderedSource(url, None, so101(), Camera("base_link", (0.5, 0.0, 0.2), (0.0, 0.0, 0.2), 64, 48))
-        with pytest.raises(KeyboardInterrupt):
-            source.read()
-        monkeypatch.undo()
-        wait_until(lambda: not here)
+
+@needs_egl
+def test_image_info_and_depth_have_the_stamp_of_the_scene_and_the_optical_frame() -> None:
+    messages = dict(RenderedCameras(so101(), [CAMERA]).messages(scene(box()), CAMERA.topics))
+    assert (
+        set(messages) == {"/front/image/compressed", "/front/camera_info", "/front/depth/image"} == set(CAMERA.topics)
+    )
+    for message in messages.values():
+        assert message["header"] == {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "front_optical_frame"}
+    image, info, depth = messages.values()
+    red = red_of(image)
+    # The box is where K of the camera's info has it, at the distance that the depth image has there.
+    transform = np.linalg.inv(CAMERA.camera.transform_optical_to_frame)
+    in_camera_m = (transform @ (*AT, 1.0))[:3]
+    pixel = np.reshape(info["k"], (3, 3)) @ in_camera_m / in_camera_m[2]
+    assert red.mean(axis=0) == pytest.approx(pixel[:2], abs=1.0)
+    assert np.reshape(info["p"], (3, 4))[:, :3] == pytest.approx(np.reshape(info["k"], (3, 3)))
+    assert (info["width"], info["height"], info["distortion_model"], len(info["d"])) == (320, 240, "plumb_bob", 5)
+    depth_mm = np.frombuffer(base64.b64decode(depth["data"]), "<u2").reshape(depth["height"], depth["width"])
+    column, row = pixel[:2].round().astype(int)
+    assert depth_mm[row, column] == pytest.approx(1000 * in_camera_m[2], abs=30)
+    assert (depth["encoding"], depth["step"]) == ("16UC1", 640)
+    assert depth_mm[0, 0] == 0, "the sky has no distance"
+
+
+@needs_egl
+def test_an_object_moves_with_the_link_that_holds_it_and_a_plane_hides_no_other_object() -> None:
+    cameras = RenderedCameras(so101(), [CAMERA])
+    ground = Body("ground", (BodyShape("plane", (), (0.0, 0.0, -0.1), LEVEL),), HERE, LEVEL), ""
+    seen = []
+    for angle_rad in (0.0, 0.5):
+        each = SeenScene(0, {"shoulder_pan": angle_rad}, [ground, box("gripper_link")], {"box": (1.0, 0.0, 0.0, 1.0)})
+        seen.append(
+            red_pixels(np.asarray(opened(base64.b64decode(cameras.messages(each, [CAMERA.topic])[0][1]["data"]))))
+        )
+    assert all(len(pixels) > 20 for pixels in seen)
+    assert abs(seen[0].mean(axis=0) - seen[1].mean(axis=0)).max() > 10
+
+
+def test_without_depth_no_depth_is_published() -> None:
+    plain = PublishedCamera(CAMERA.camera.model_copy(update={"depth": False}), "/camera/image/compressed")
+    assert list(plain.topics) == ["/camera/image/compressed", "/camera/camera_info"]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import logging
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,12 +14,13 @@ import numpy as np
 import pytest
 
 from protocol.registry import Registry
-from robot.messages import ArmState, Mode
+from robot.messages import ArmState, Mode, PauseSimulation
 from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
 from server.config import Settings
 from server.errors import ConfigurationError
-from server.features.physics import DROPPED_AFTER_S, RELEASED_AFTER_S, Physics, physics_of
+from server.features.physics import DROPPED_AFTER_S, MAX_STEPS, RELEASED_AFTER_S, Physics, physics_of
 from server.graph.node import Node
+from server.graph.permissions import Role, Rule
 from server.graph.topics import Graph
 from tests.helpers.moveit import ROBOT, box, current_state, diff, held, pose, scene_state
 
@@ -26,13 +30,17 @@ STAMP_S = 1000.0
 
 
 class PhysicalArm:
-    """An arm that keeps the bodies that it is sent."""
+    """An arm that keeps the bodies that it is sent, and the pauses."""
 
     def __init__(self) -> None:
         self.sent: list[SetBodies] = []
+        self.pauses: list[PauseSimulation] = []
 
-    def set_bodies(self, bodies: SetBodies) -> None:
-        self.sent.append(bodies)
+    def simulate(self, command: SetBodies | PauseSimulation) -> None:
+        if isinstance(command, SetBodies):
+            self.sent.append(command)
+        else:
+            self.pauses.append(command)
 
     @property
     def bodies(self) -> dict[str, Any]:
@@ -42,13 +50,14 @@ class PhysicalArm:
 class Stage:
     """Scene, arm and feature, and the states that the arm sends."""
 
-    def __init__(self) -> None:
+    def __init__(self, **arm: Any) -> None:
         self.arm = PhysicalArm()
         self.scene = scene_state()
         self.graph = Graph(Registry.load())
         planning = SimpleNamespace(scene_state=self.scene, current=current_state())
         whole = SimpleNamespace(robot=ROBOT)
-        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph)
+        settings = Settings.model_validate({"arm": {"simulation": "physics", **arm}})
+        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph, settings=settings)
         self.physics = Physics(cast(Any, context), cast(Any, self.arm))
         self.clock_s = STAMP_S
 
@@ -61,8 +70,25 @@ class Stage:
         self.graph.services.call(Node("client"), service, request, answers.append)
         return answers[0].values["success"], answers[0].values["message"]
 
+    async def answer(self, service: str, *states: int | None, **request: Any) -> tuple[bool, str]:
+        """Call a service that waits for the arm, which reports these numbers of single ticks meanwhile."""
+        answers: list[Any] = []
+        self.graph.services.call(Node("client"), service, request, answers.append)
+        for ticks in states:
+            await asyncio.sleep(0)
+            assert not answers
+            self.report(after_s=0.0, ticks=ticks)
+        while not answers:
+            await asyncio.sleep(0)
+        return answers[0].values["success"], answers[0].values["message"]
+
     def report(
-        self, *bodies: BodyState, after_s: float = 0.2, gripper_rad: float = 0.0, version: int | None = None
+        self,
+        *bodies: BodyState,
+        after_s: float = 0.2,
+        gripper_rad: float = 0.0,
+        version: int | None = None,
+        ticks: int | None = None,
     ) -> None:
         self.clock_s += after_s
         moved = BodyStates(self.arm.sent[-1].version if version is None else version, bodies) if bodies else None
@@ -73,6 +99,7 @@ class Stage:
             goal_rad=np.array([0.0, gripper_rad]),
             clock_s=self.clock_s,
             bodies=moved,
+            stepped_ticks=ticks,
         )
         self.physics.on_state("", state)
 
@@ -183,7 +210,88 @@ async def test_a_reset_puts_every_movable_object_back(stage: Stage) -> None:
     assert stage.call("/simulation/reset") == (True, "1 objects are where they were put")
     assert stage.position("cube") == (0.2, 0.1, 0.025)
     assert "cube" not in stage.scene.contents.attached
-    assert stage.arm.sent[-1].reset
+    assert stage.arm.sent[-1].placed == {"cube": ((0.2, 0.1, 0.025), LEVEL)}
+
+
+async def test_a_movable_object_is_put_somewhere_and_a_reset_puts_it_back(stage: Stage) -> None:
+    grip(stage)
+    at = {"pose": pose(0.1, 0.2, 0.3)}
+    assert stage.call("/simulation/set_pose", id="cube", **at) == (True, "cube is put there")
+    assert stage.position("cube") == (0.1, 0.2, 0.3)
+    assert "cube" not in stage.scene.contents.attached
+    assert stage.arm.sent[-1].placed == {"cube": ((0.1, 0.2, 0.3), LEVEL)}
+    stage.call("/simulation/reset")
+    assert stage.position("cube") == (0.2, 0.1, 0.025)
+
+
+FAR = "pose has a position that is not finite or beyond 100 m: (1000.0, 0.0, 0.0)"
+UNPLACED = {
+    "unknown": ("ball", pose(), "the physics has no object 'ball'"),
+    "fixed": (
+        "wall",
+        pose(),
+        "'wall' stays where it is: move it in the planning scene, or make it movable first",
+    ),
+    "not finite": ("cube", pose(math.nan), "pose.position.x must be a finite number, not nan"),
+    "far": ("cube", pose(1000.0), FAR),
+}
+
+
+@pytest.mark.parametrize(("name", "at", "sentence"), UNPLACED.values(), ids=UNPLACED.keys())
+async def test_an_object_that_cannot_be_put_somewhere_is_refused(
+    name: str, at: dict[str, Any], sentence: str, stage: Stage
+) -> None:
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    sent = len(stage.arm.sent)
+    assert stage.call("/simulation/set_pose", id=name, pose=at) == (False, sentence)
+    assert len(stage.arm.sent) == sent
+
+
+async def test_a_pause_and_its_steps_are_answered_when_the_arm_has_done_them(stage: Stage) -> None:
+    assert await stage.answer("/simulation/pause", None, 0, data=True) == (
+        True,
+        "the time of the simulation stands still",
+    )
+    assert await stage.answer("/simulation/step", 0, 2, 3, steps=3) == (True, "3 of 3 steps are done")
+    assert await stage.answer("/simulation/step", 4, None, steps=3) == (False, "0 of 3 steps are done")
+    assert await stage.answer("/simulation/pause", data=False) == (True, "the time of the simulation passes")
+    assert [(each.paused, each.ticks) for each in stage.arm.pauses] == [(True, 0), (True, 3), (True, 3), (False, 0)]
+
+
+async def test_every_service_needs_the_role_operate(stage: Stage) -> None:
+    rules = stage.graph.services.rules
+    assert {name for name, rule in rules.items() if rule == Rule(Role.OPERATE)} == {
+        f"/simulation/{name}" for name in ("set_body", "set_pose", "reset", "pause", "step")
+    }
+
+
+async def test_steps_need_a_pause_and_come_one_call_after_the_other(stage: Stage) -> None:
+    passes = "the time of the simulation passes: call /simulation/pause with true first"
+    assert await stage.answer("/simulation/step", steps=1) == (False, passes)
+    stage.report(ticks=0)
+    for steps in (0, MAX_STEPS + 1):
+        assert await stage.answer("/simulation/step", steps=steps) == (
+            False,
+            f"steps must be 1 to 1000, not {steps}",
+        )
+    stage.graph.services.call(Node("first"), "/simulation/step", {"steps": 2}, lambda _answer: None)
+    await asyncio.sleep(0)
+    assert await stage.answer("/simulation/step", steps=1) == (False, "other steps are in progress")
+
+
+async def test_an_arm_that_does_not_answer_ends_the_wait(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.features.physics.ANSWER_TIMEOUT_S", 0.0)
+    assert await stage.answer("/simulation/pause", data=True) == (
+        False,
+        "the arm process did not answer within 0 s",
+    )
+
+
+async def test_the_scene_follows_each_step(stage: Stage) -> None:
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    stage.report(moved(0.08), ticks=0)
+    stage.report(moved(0.09), after_s=0.01, ticks=1)
+    assert stage.position("cube") == (0.2, 0.1, 0.09)
 
 
 REFUSED = {
@@ -223,6 +331,58 @@ async def test_more_objects_than_physics_has_are_left_out_with_a_sentence(
         False,
         "physics has 100 objects at most, and 'box 99' is left out",
     )
+
+
+async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
+    stage = Stage(world="cubes", world_seed=4)
+    await stage.physics.start()
+    assert {name: body.movable for name, body in stage.arm.bodies.items()} == {
+        f"cube_{color}": True for color in ("red", "green", "blue", "yellow")
+    }
+    before, poses = stage.arm.bodies, {name: each.pose for name, each in stage.scene.contents.objects.items()}
+    assert stage.position("cube_red") != (0.2, -0.1, 0.016)
+    stage.apply(box("wall", at=pose(0.4, 0.0, 0.1)), {"id": "cube_blue", "operation": 1})
+    stage.call("/simulation/set_body", id="cube_red")
+    attached = [held("cube_green", touch_links=FINGERS)]
+    stage.apply(robot_state={"is_diff": True, "attached_collision_objects": attached})
+    assert stage.call("/simulation/reset") == (True, "4 objects are where they were put")
+    assert stage.arm.bodies == before
+    assert {name: each.pose for name, each in stage.scene.contents.objects.items()} == poses
+    assert stage.arm.sent[-1].placed.keys() == before.keys()
+    assert stage.scene.contents.attached == {}
+
+
+WRONG_WORLDS = {
+    "overlap": (
+        [box("left", at=pose(0.3, 0.3, 0.05)), box("right", at=pose(0.3, 0.32, 0.05))],
+        r"arm\.world: .*: 'left' overlaps 'right' by 30 mm, more than 2 mm",
+    ),
+    "not finite": ([box("left", at=pose(math.nan))], "the object 'left': .*pose.position.x must be a finite number"),
+    "too many": ([box(str(at)) for at in range(MAX_BODIES + 1)], "it has 101 objects, more than 100"),
+    "plane": (
+        [{"id": "left", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]}],
+        "'left' has a plane, and cannot be movable",
+    ),
+}
+
+
+@pytest.mark.parametrize(("objects", "sentence"), WRONG_WORLDS.values(), ids=WRONG_WORLDS.keys())
+async def test_a_world_that_cannot_be_simulated_is_refused(
+    objects: list[dict[str, Any]], sentence: str, tmp_path: Path
+) -> None:
+    names = [each["id"] for each in objects]
+    bodies = [{"id": name, "movable": True} for name in names]
+    path = tmp_path / "world.json"
+    path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))
+    with pytest.raises(ConfigurationError, match=sentence):
+        Stage(world=str(path))
+
+
+async def test_an_arm_without_physics_has_no_world() -> None:
+    settings = Settings.model_validate({"arm": {"world": "cubes"}})
+    whole = SimpleNamespace(served=SimpleNamespace(arm=None))
+    with pytest.raises(ConfigurationError, match=r"arm\.world: only an arm with physics has a world"):
+        physics_of(cast(Any, SimpleNamespace(settings=settings, whole=whole)))
 
 
 async def test_several_arms_have_no_physics() -> None:

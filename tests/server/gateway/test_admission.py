@@ -10,12 +10,12 @@ from server.errors import ConfigurationError
 from server.gateway import admission
 from server.gateway.admission import (
     AdmissionPolicy,
-    AllowedHosts,
     AllowedOrigins,
     Authority,
     HandshakeRequest,
     check_exposure,
     host_addresses,
+    is_server,
     matches,
     own_names,
     read_authority,
@@ -177,10 +177,10 @@ def test_a_path_without_sense_lets_nobody_in(upgrade: bool) -> None:
         assert not isinstance(AdmissionPolicy(LOCKED).check(request_for(path, upgrade=upgrade)), Identity), path
 
 
-def is_host(hosts: AllowedHosts, text: str) -> bool:
-    host = read_authority(text)
-    assert host is not None
-    return hosts.has(host)
+def authority_of(text: str) -> Authority:
+    authority = read_authority(text)
+    assert authority is not None
+    return authority
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def is_host(hosts: AllowedHosts, text: str) -> bool:
     ],
 )
 def test_the_server_has_its_addresses_and_the_names_of_its_machine(text: str, is_ours: bool) -> None:
-    assert is_host(AllowedHosts(own=own_names("robot.lab")), text) is is_ours
+    assert is_server(authority_of(text), own_names("robot.lab")) is is_ours
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_the_server_has_its_addresses_and_the_names_of_its_machine(text: str, is
     ],
 )
 def test_further_names_are_allowed_by_pattern(allowed: str, text: str, is_ours: bool) -> None:
-    assert is_host(AllowedHosts([allowed]), text) is is_ours
+    assert is_server(authority_of(text), (), [allowed]) is is_ours
 
 
 def test_a_machine_has_its_name_and_that_of_multicast_dns() -> None:
@@ -234,9 +234,7 @@ def test_a_machine_has_its_name_and_that_of_multicast_dns() -> None:
 
 
 def is_allowed(origin: str, *allowed: str, host: str = "robot.lab:9090", encrypted: bool = False) -> bool:
-    authority = read_authority(host)
-    assert authority is not None
-    return AllowedOrigins(allowed).has(origin, authority, encrypted=encrypted)
+    return AllowedOrigins(allowed).has(origin, authority_of(host), encrypted=encrypted)
 
 
 LOCAL_HOSTS = ("localhost", "localhost:3000", "127.0.0.1:8000", "127.8.9.1", "[::1]:5173")

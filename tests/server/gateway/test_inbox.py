@@ -96,11 +96,8 @@ class Handler:
         )
         self.inbox = Inbox(self, context)
 
-    def admit_frame(self, frame: str | bytes) -> bool:
-        return True
-
-    def admit_first(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
-        return True
+    def read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
+        return self.session.receive_frame(frame, self._world.clock(), light=light)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
         operation = self.session.peek(frame)

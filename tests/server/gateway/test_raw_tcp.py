@@ -21,14 +21,13 @@ from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.errors import StartError
 from server.gateway import connection, transport
-from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import OUT_OF_MEMORY
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.conformance.players import TURNS, serving, streams_of, until_read
-from tests.helpers.gateway import REGISTRY, TIMEOUT_S, FullTransport, until_empty, warnings_of
+from tests.helpers.gateway import REGISTRY, TIMEOUT_S, until_empty, warnings_of
 from tests.helpers.raw_tcp import RawClient
 from tests.helpers.resources import make_pair
 
@@ -165,20 +164,6 @@ async def test_a_connection_whose_bytes_cannot_be_kept_is_told_so_and_closed_wit
         client.send(op="publish", topic="/t", msg={"data": "own"})
         assert await client.receive() == {"op": "status", "level": "error", "msg": OUT_OF_MEMORY}
     await until_empty(listener)
-    (line,) = warnings_of(caplog)
-    assert line.endswith(f"connection closed: {OUT_OF_MEMORY}")
-
-
-async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_connection_alone(
-    graph: Graph, listener: Listener, caplog: pytest.LogCaptureFixture
-) -> None:
-    async with await RawClient.connect(port_of(listener), speaks_bson=False) as client:
-        client.send(op="subscribe", id="s", topic="/t", type="std_msgs/String")
-        assert (await client.receive())["msg"] == {"data": "hello"}
-        (stream,) = streams_of(listener)
-        stream._transport = FullTransport(stream._transport)  # type: ignore[assignment]
-        graph.publish(TALKER, "/t", {"data": "more"})
-        await until_empty(listener)
     (line,) = warnings_of(caplog)
     assert line.endswith(f"connection closed: {OUT_OF_MEMORY}")
 
@@ -323,13 +308,6 @@ async def test_connections_of_both_ports_count_together() -> None:
             assert "1 connections are open, the limit is 1 (server.max_clients)" in status["msg"]
             assert await second.next_frame() is None
         assert listener.refused_connections()["limit"] == 1
-
-
-async def test_of_refused_connections_a_flood_gets_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ConnectionLimiter, "acquire", lambda *_: None)
-    async with serving(Graph(REGISTRY)) as listener, await RawClient.connect(port_of(listener)) as client:
-        with pytest.raises(ConnectionResetError):
-            await asyncio.wait_for(client.reader.read(), TIMEOUT_S)
 
 
 async def test_the_system_asks_idle_clients_whether_they_are_there_and_delays_no_message() -> None:

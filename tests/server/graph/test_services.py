@@ -155,15 +155,6 @@ def test_nobody_takes_the_place_of_a_part_of_the_server_but_itself(services: Ser
     assert ask(services)[0].values["success"] is False
 
 
-def test_an_offer_is_withdrawn_by_its_own_node_only(services: Services) -> None:
-    provider = Provider(services)
-    services.withdraw(CALLER, "/switch")
-    services.withdraw(provider.node, "/nothing")
-    assert services.names.types() == {"/switch": "std_srvs/srv/SetBool"}
-    services.withdraw(provider.node, "/switch")
-    assert (services.names.types(), services.provided_by(provider.node)) == ({}, [])
-
-
 @pytest.mark.parametrize("type_name", ["std_srvs/Nothing", "std_msgs/String", "control_msgs/action/PointHead"])
 def test_a_type_that_is_none_of_a_service_is_refused_and_ends_nothing(services: Services, type_name: str) -> None:
     provider = Provider(services)

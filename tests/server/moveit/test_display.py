@@ -6,18 +6,13 @@ import pytest
 from protocol.registry import Registry
 from robot.trajectory import Trajectory
 from server.execution.motions import Performed
-from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.moveit.display import CONTACTS_TOPIC, PATH_TOPIC, PIPELINE_TOPIC, DisplayTopics
 from tests.helpers.fake_arm import HOME
+from tests.helpers.graph import listen
 from tests.helpers.moveit import ROBOT
 
 MOTION = Trajectory(("elbow_flex",), np.array([0.0, 1.0]), np.array([[0.0], [0.5]]), np.zeros((2, 1)), np.zeros((2, 1)))
-TYPES = {
-    PATH_TOPIC: "moveit_msgs/DisplayTrajectory",
-    CONTACTS_TOPIC: "visualization_msgs/MarkerArray",
-    PIPELINE_TOPIC: "moveit_msgs/PipelineState",
-}
 
 
 @pytest.fixture
@@ -28,13 +23,6 @@ def graph() -> Graph:
 @pytest.fixture
 def display(graph: Graph) -> DisplayTopics:
     return DisplayTopics(graph, ROBOT)
-
-
-def listen(graph: Graph, topic: str) -> list:
-    heard: list = []
-    subscriber = Subscriber(lambda news: heard.append(news.msg))
-    heard += [kept.msg for kept in graph.subscribe(Node("viewer"), topic, TYPES[topic], subscriber)]
-    return heard
 
 
 def test_a_planned_motion_is_shown_with_its_start(graph: Graph, display: DisplayTopics) -> None:

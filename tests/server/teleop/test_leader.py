@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from server.errors import ServiceError
-from server.teleop.leader import JitterBuffer, LeaderSample, joint_map, mirrored_joints
+from server.teleop.leader import JitterBuffer, LeaderPose, LeaderSample, joint_map, mirrored_joints
 from tests.helpers.robots import so101
 
 # The leader's clock is elsewhere.
@@ -25,10 +25,10 @@ def buffer_of(*samples: tuple[float, float, float], velocity: float = 2.0) -> Ji
     return buffer
 
 
-def position(buffer: JitterBuffer, now_s: float) -> float:
+def pose_at(buffer: JitterBuffer, now_s: float) -> LeaderPose:
     pose = buffer.pose(now_s)
     assert pose is not None
-    return pose.positions_rad["a"]
+    return pose
 
 
 def test_an_arm_of_this_server_is_followed_without_a_delay() -> None:
@@ -36,8 +36,7 @@ def test_an_arm_of_this_server_is_followed_without_a_delay() -> None:
     for number, late_s in enumerate((0.0, 0.03, 0.0, 0.05)):
         buffer.add(LeaderSample(number * 0.1, {"pan": float(number)}), number * 0.1 + late_s)
     assert buffer.delay_s == 0.0
-    pose = buffer.pose(0.35)
-    assert pose is not None
+    pose = pose_at(buffer, 0.35)
     assert pose.positions_rad == {"pan": 3.0}
 
 
@@ -48,8 +47,7 @@ def test_a_velocity_is_not_that_of_the_single_ticks_of_an_encoder() -> None:
     for number in range(100):
         read_s = number / 100
         buffer.add(LeaderSample(read_s, {"pan": 0.0015 * round(0.1 * read_s / 0.0015)}), read_s)
-        pose = buffer.pose(read_s)
-        assert pose is not None
+        pose = pose_at(buffer, read_s)
         velocities.append(pose.velocity_rad_s["pan"])
     assert velocities[0] == 0.0
     assert velocities[10:] == pytest.approx([0.1] * 90, abs=0.035)
@@ -70,7 +68,7 @@ def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
             for k in range(tick - 3, tick + 1):
                 buffer.add(LeaderSample(k / 100 + OFFSET_S, {"a": k / 100}), now_s)
         if tick > 20:
-            seen.append(position(buffer, now_s))
+            seen.append(pose_at(buffer, now_s).positions_rad["a"])
     assert [later - before for before, later in itertools.pairwise(seen)] == pytest.approx(
         [0.01] * (len(seen) - 1), abs=1e-6
     )
@@ -78,7 +76,7 @@ def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
 
 def test_a_sample_that_is_overtaken_is_dropped() -> None:
     buffer = buffer_of((0.0, 0.0, 0.0), (0.02, 0.02, 0.2), (0.01, 0.03, 0.1))
-    assert position(buffer, 1.0) == 0.2
+    assert pose_at(buffer, 1.0).positions_rad["a"] == 0.2
 
 
 def test_a_jump_is_told_once_and_fast_hands_are_none() -> None:
@@ -96,8 +94,7 @@ def test_a_pose_is_always_between_samples(steps: list[tuple[float, float, float]
         read_s += step_s
         arrived_s = max(arrived_s, read_s + late_s)
         buffer.add(LeaderSample(read_s + OFFSET_S, {"a": angle}), arrived_s)
-        pose = buffer.pose(arrived_s)
-        assert pose is not None
+        pose = pose_at(buffer, arrived_s)
         assert -1.0 - 1e-6 <= pose.positions_rad["a"] <= 1.0 + 1e-6
         assert pose.latency_s >= 0.0
 
@@ -109,8 +106,7 @@ def test_a_leader_whose_clock_is_set_is_followed_on(jump_s: float) -> None:
         now_s = number / 100
         buffer.add(LeaderSample(now_s + (jump_s if number >= 50 else 0.0), {"pan": now_s}), now_s)
         assert buffer.age_s(now_s) == 0.0
-        pose = buffer.pose(now_s)
-        assert pose is not None
+        pose = pose_at(buffer, now_s)
         assert pose.positions_rad == {"pan": now_s}
         assert abs(pose.velocity_rad_s["pan"]) < 1.1
     assert buffer.take_jump() == ""

@@ -43,15 +43,12 @@ async def test_other_domains_are_neither_seen_nor_heard() -> None:
 
 
 async def test_the_network_is_left_at_once_with_all_that_was_shared(caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
-    with_machine = Site(port, publish=("/news",), subscribe=("/chat",), offer=("/arm/*",))
-    async with with_machine as site:
+    async with networked(publish=("/news",), subscribe=("/chat",), offer=("/arm/*",)) as (site, machine):
         site.graph.advertise(site.part, "/news", STRING)
-        with RosMachine(port) as machine:
-            machine.announce_topic("/chat", STRING)
-            await until(lambda: machine.has_token("/MS/") and machine.has_token("/MP/%/%/armbridge"))
-            await site.leave()
-            await until(lambda: not machine.has_token("armbridge"))
+        machine.announce_topic("/chat", STRING)
+        await until(lambda: machine.has_token("/MS/") and machine.has_token("/MP/%/%/armbridge"))
+        await site.leave()
+        await until(lambda: not machine.has_token("armbridge"))
     assert site.graph.publishers("/chat") == site.graph.subscribers("/news") == []
     assert "the network was not left in time" not in caplog.text
 
@@ -170,8 +167,7 @@ async def test_an_arm_that_takes_nothing_else_of_others_takes_their_stop() -> No
 
 
 async def test_a_topic_of_a_client_that_does_not_go_out_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
-    async with Site(port, publish=("/arm1/moveit_goal_named",)) as edge:
+    async with Site(free_port(), publish=("/arm1/moveit_goal_named",)) as edge:
         edge.hear("/moveit_goal_named", STRING, edge.part)
         for name in ("/arm1/moveit_goal_named", "/arm1/stop", "/moveit_goal_named", "/arm1/moveit_goal_pose"):
             edge.graph.advertise(edge.client, name, STRING)
@@ -188,7 +184,7 @@ async def test_a_topic_of_a_client_that_does_not_go_out_is_warned_of_once(caplog
 
 
 async def test_the_sharing_outlives_an_error(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    port, refresh, failures = free_port(), OutgoingTopics.refresh, iter([True])
+    refresh, failures = OutgoingTopics.refresh, iter([True])
 
     def fail_once(topics: OutgoingTopics, foreign: frozenset[str]) -> None:
         if next(failures, False):
@@ -196,10 +192,9 @@ async def test_the_sharing_outlives_an_error(monkeypatch: pytest.MonkeyPatch, ca
         refresh(topics, foreign)
 
     monkeypatch.setattr(OutgoingTopics, "refresh", fail_once)
-    async with Site(port, publish=("/news",)) as site:
+    async with networked(publish=("/news",)) as (site, machine):
         site.graph.advertise(site.part, "/news", STRING)
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("%news"))
+        await until(lambda: machine.has_token("%news"))
     assert "zenoh: a refresh failed" in caplog.text
 
 

@@ -8,7 +8,7 @@ from harness.waiting import until
 from server.access.settings import AccessSettings
 from server.errors import ServiceError
 from server.zenoh import called_services, offered_services
-from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, free_port, networked
+from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, networked
 
 TRIGGER = "std_srvs/srv/Trigger"
 DONE = b"\x00\x01\x00\x00\x01\x00\x00\x00\x05\x00\x00\x00done\x00"
@@ -190,13 +190,12 @@ async def test_a_client_calls_a_service_of_a_ros_2_machine() -> None:
 
 
 async def test_a_service_that_goes_is_gone_and_calls_on_their_way_fail() -> None:
-    port = free_port()
-    async with Site(port, call=("/lamp/*",)) as site:
-        with RosMachine(port) as machine:
-            offering = Offering(machine, response=None)
-            await found_by(site)
-            call = asyncio.create_task(site.called("/lamp/switch"))
-            await until(lambda: offering.queries)
+    async with networked(call=("/lamp/*",)) as (site, machine):
+        offering = Offering(machine, response=None)
+        await found_by(site)
+        call = asyncio.create_task(site.called("/lamp/switch"))
+        await until(lambda: offering.queries)
+        machine.session.close()
         response = await call
         await until(lambda: site.graph.services.names.type_of("/lamp/switch") is None)
     assert not response.ok

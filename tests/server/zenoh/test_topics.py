@@ -68,13 +68,11 @@ async def test_topics_without_a_matching_pattern_or_a_ros_name_are_not_shared() 
 
 
 async def test_a_topic_that_nobody_publishes_any_more_is_taken_back() -> None:
-    port = free_port()
-    async with Site(port, publish=("/news",)) as site:
+    async with networked(publish=("/news",)) as (site, machine):
         site.graph.advertise(site.client, "/news", STRING)
-        with RosMachine(port) as machine:
-            await until(lambda: machine.has_token("%news"))
-            site.graph.unadvertise(site.client, "/news")
-            await until(lambda: not machine.has_token("%news"))
+        await until(lambda: machine.has_token("%news"))
+        site.graph.unadvertise(site.client, "/news")
+        await until(lambda: not machine.has_token("%news"))
         assert site.graph.subscribers("/news") == []
 
 
@@ -101,22 +99,19 @@ async def test_the_first_message_of_a_client_on_a_new_topic_is_not_lost() -> Non
 
 
 async def test_of_messages_that_come_faster_than_the_network_takes_them_the_newest_go_out() -> None:
-    port = free_port()
     count = 3 * topics.MAX_WAITING
-    async with Site(port, publish=("/news",)) as site:
+    dropped = count - topics.MAX_WAITING
+    async with networked(publish=("/news",)) as (site, machine):
         site.graph.advertise(site.part, "/news", STRING)
-        with RosMachine(port) as machine:
-            heard = machine.hear("/news", STRING)
-            await until(lambda: machine.has_token("%news"))
-            go_on = await site.held_network()
-            for number in range(count):
-                site.graph.publish(site.part, "/news", {"data": str(number)})
-            go_on.set()
-            await until(lambda: heard and heard[-1][0].data == str(count - 1))
-        assert [message.data for message, _ in heard] == [
-            str(each) for each in range(count - topics.MAX_WAITING, count)
-        ]
-        assert site.bridge.dropped == count - topics.MAX_WAITING
+        heard = machine.hear("/news", STRING)
+        await until(lambda: machine.has_token("%news"))
+        go_on = await site.held_network()
+        for number in range(count):
+            site.graph.publish(site.part, "/news", {"data": str(number)})
+        go_on.set()
+        await until(lambda: heard and heard[-1][0].data == str(count - 1))
+    assert [message.data for message, _ in heard] == [str(each) for each in range(dropped, count)]
+    assert site.bridge.dropped == dropped
 
 
 # Subscribed topics.
@@ -129,9 +124,9 @@ async def listening(machine: RosMachine, topic: str = "%moveit_goal_named") -> N
 
 
 async def test_no_goal_is_lost_when_its_sender_is_discovered_or_goes() -> None:
-    port, topic = free_port(), "/moveit_goal_named"
+    topic = "/moveit_goal_named"
     unbounded = AccessSettings(goals_per_s=1_000.0, goal_burst=10_000)
-    async with Site(port, subscribe=GOALS, access=unbounded) as site, asyncio.timeout(TIMEOUT_S):
+    async with networked(subscribe=GOALS, access=unbounded) as (site, machine), asyncio.timeout(TIMEOUT_S):
         goals, sent = site.hear(topic, STRING, site.part), 0
 
         async def send() -> None:
@@ -140,16 +135,15 @@ async def test_no_goal_is_lost_when_its_sender_is_discovered_or_goes() -> None:
             sent += 1
             await until(lambda: sent - len(goals) < 10)
 
-        with RosMachine(port) as machine:
-            await listening(machine)
-            token = machine.announce_topic(topic, STRING)
-            while not site.knows_publisher_of(topic):
-                await send()
-            token.undeclare()
-            while site.knows_publisher_of(topic):
-                await send()
+        await listening(machine)
+        token = machine.announce_topic(topic, STRING)
+        while not site.knows_publisher_of(topic):
             await send()
-            await until(lambda: goals and goals[-1].msg["data"] == str(sent - 1))
+        token.undeclare()
+        while site.knows_publisher_of(topic):
+            await send()
+        await send()
+        await until(lambda: goals and goals[-1].msg["data"] == str(sent - 1))
     assert [goal.msg["data"] for goal in goals] == [str(number) for number in range(sent)]
 
 
@@ -164,15 +158,14 @@ async def test_a_goal_in_the_namespace_is_for_this_server_and_one_outside_is_not
 
 
 async def test_topics_of_other_machines_are_there_for_clients_until_they_go() -> None:
-    port = free_port()
-    async with Site(port, subscribe=("/camera/*",)) as site:
-        with RosMachine(port) as machine:
-            machine.announce_topic("/camera/name", STRING)
-            await until(lambda: site.graph.topic_type("/camera/name") == STRING)
-            heard = site.hear("/camera/name")
-            await listening(machine, "%camera%name")
-            machine.publish("/camera/name", STRING, data="left")
-            await until(lambda: heard)
+    async with networked(subscribe=("/camera/*",)) as (site, machine):
+        machine.announce_topic("/camera/name", STRING)
+        await until(lambda: site.graph.topic_type("/camera/name") == STRING)
+        heard = site.hear("/camera/name")
+        await listening(machine, "%camera%name")
+        machine.publish("/camera/name", STRING, data="left")
+        await until(lambda: heard)
+        machine.session.close()
         await until(lambda: not site.graph.publishers("/camera/name"))
 
 
@@ -281,18 +274,16 @@ async def test_garbage_costs_a_warning_and_nothing_else(caplog: pytest.LogCaptur
 
 
 async def test_a_viewing_network_sends_no_goals_and_is_answered(caplog: pytest.LogCaptureFixture) -> None:
-    port = free_port()
     on_unauthorized: list[str] = []
-    async with Site(port, subscribe=GOALS, role="view") as site:
+    async with networked(subscribe=GOALS, role="view") as (site, machine):
         goals, stops = [], site.hear("/stop", "std_msgs/msg/Empty", site.part)
         subscriber = Subscriber(goals.append, None, lambda _asked, _sender, reason: on_unauthorized.append(reason))
         site.graph.subscribe(site.part, "/moveit_goal_named", STRING, subscriber)
-        with RosMachine(port) as machine:
-            await listening(machine)
-            machine.publish("/moveit_goal_named", STRING, data="ready")
-            await until(lambda: on_unauthorized)
-            machine.publish("/stop", "std_msgs/msg/Empty")
-            await until(lambda: stops)
+        await listening(machine)
+        machine.publish("/moveit_goal_named", STRING, data="ready")
+        await until(lambda: on_unauthorized)
+        machine.publish("/stop", "std_msgs/msg/Empty")
+        await until(lambda: stops)
     assert goals == []
     assert "needs the role operate" in on_unauthorized[0]
     assert [record.levelno for record in caplog.records if "needs the role" in record.message] == [logging.WARNING]

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from harness.waiting import PROGRAM_TIMEOUT_S, running
-from robot.emulator.control import MAX_COMMAND_BYTES
 from robot.emulator.process import LINGER_S
-from robot.errors import NoReply, PortError, PortLost
+from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 
@@ -48,32 +47,6 @@ def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):
     assert line.ping(1) == 777
     terminal.process.terminate()
     assert terminal.process.wait(30.0) == 0
-
-
-def test_a_controller_that_sends_no_line_end_is_let_go(terminal):
-    with contextlib.suppress(OSError):
-        terminal._socket.sendall(b"x" * (MAX_COMMAND_BYTES + 4096))
-    assert terminal.process.wait(30.0) == 0
-
-
-def test_an_adapter_is_pulled_under_the_client_and_comes_back_by_its_link(start_terminal, tmp_path):
-    link = tmp_path / "arm"
-    terminal = start_terminal("--link", str(link))
-    with contextlib.closing(Bus.open(str(link))) as bus:
-        bus.write(1, Register.TORQUE_LIMIT, 321)
-        terminal.command(plugged=False)
-        with pytest.raises(PortLost):
-            bus.ping(1)
-    with pytest.raises(PortError):
-        Bus.open(str(link))
-    assert terminal.command(plugged="renamed")["port"] != terminal.port
-    with contextlib.closing(Bus.open(str(link))) as bus:
-        assert bus.read(1, Register.TORQUE_LIMIT) == 321
-
-
-def test_no_servo_answers_at_a_wrong_baud_rate(terminal):
-    with contextlib.closing(Bus.open(terminal.port, 500_000)) as bus, pytest.raises(NoReply):
-        bus.ping(1)
 
 
 def standalone(*options):

@@ -1,7 +1,6 @@
 """The ends of a server whose arm is to be parked, by the servos' log."""
 
 import asyncio
-import os
 import re
 import signal
 from collections.abc import Iterator
@@ -39,10 +38,6 @@ class Parked:
     @property
     def arm_pid(self) -> int:
         return int(re.findall(r"\(process (\d+), 100 Hz", self.text)[0])
-
-    @property
-    def planner_pids(self) -> list[int]:
-        return [int(pid) for pid in re.findall(r"planners in processes ([\d, ]+)", self.text)[0].split(",")]
 
     @property
     def text(self) -> str:
@@ -115,12 +110,6 @@ def box(z_m: float, **fields: Any) -> dict[str, Any]:
     }
 
 
-def test_a_server_that_is_killed_at_rest_leaves_a_parked_arm(parking: Parked) -> None:
-    parking.until_known()
-    parking.kill()
-    assert parking.parked
-
-
 async def test_a_server_that_is_killed_in_mid_motion_leaves_a_parked_arm(parking: Parked) -> None:
     parking.until_known()
     async with arm_client(parking.server.url) as client:
@@ -146,14 +135,6 @@ async def test_an_orderly_end_parks_from_wherever_the_arm_comes_to_rest(parking:
     assert parking.parked
 
 
-def test_an_end_without_planners_parks_by_the_way_that_is_known(parking: Parked) -> None:
-    parking.until_known()
-    for pid in parking.planner_pids:
-        os.kill(pid, signal.SIGKILL)
-    assert parking.server.end(signal.SIGTERM, SOON_S)[0] == 0
-    assert parking.parked
-
-
 def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     parking.until_known()
     pid = parking.arm_pid
@@ -164,23 +145,6 @@ def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     wait_until(lambda: not runs(pid), SOON_S)
     assert "must not wait" in parking.text
     assert parking.relaxed
-
-
-async def test_the_arm_is_parked_when_the_last_client_has_left(tmp_path: Path) -> None:
-    settings = {"ARM__ON_LAST_CLIENT": "park", "ARM__LAST_CLIENT_DELAY_S": "0.5"}
-    with parked_server(tmp_path, **settings) as parking:
-        async with arm_client(parking.server.url) as client:
-            await begin_to_move(client)
-        assert parking.server.has_logged("arm.on_last_client: the arm is at its rest pose rest", SOON_S)
-        assert "goal 1 from /moveit_goal_joints: SUCCESS" in parking.text
-        assert parking.parked
-
-
-async def test_the_service_parks_and_relaxes(parking: Parked) -> None:
-    async with arm_client(parking.server.url) as client:
-        answer = await client.call("/arm/park")
-    assert answer == {"success": True, "message": "the arm is at its rest pose 'rest', and relaxed"}
-    assert parking.parked
 
 
 async def test_the_service_answers_why_it_cannot_and_the_arm_goes_on_holding(parking: Parked) -> None:

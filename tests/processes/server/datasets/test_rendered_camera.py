@@ -5,23 +5,28 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
-import ctypes.util
 import io
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from harness.clients import call, frame_client
+from harness.clients import arm_client, call
 from harness.server import ROOT, RunningServer
-from robot.physics.camera import Camera
+from harness.waiting import wait_until
+from robot.description.camera import Camera
 from server.commands.publish import RENDERED
+from server.datasets.camera import IMAGE_TYPE
+from server.datasets.rendered import DEPTH_TYPE, INFO_TYPE
+from tests.helpers.rendering import needs_egl, red_pixels
 
-TOPIC = "/camera/image/compressed"
+TOPIC, INFO, DEPTH = "/camera/image/compressed", "/camera/camera_info", "/camera/depth/image"
 VIEW = (0.6, -0.4, 0.4, 0.15, 0.0, 0.05)
 RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
 AT = (0.3, 0.15, 0.02)
@@ -37,35 +42,76 @@ def camera_command(url: str, *options: str) -> list[str]:
     return [sys.executable, str(ROOT / "armbridge.py"), "camera", RENDERED, "--connect", url, *options]
 
 
-def projected(camera: Camera, point_m: tuple[float, float, float]) -> tuple[float, float]:
-    """Column and row of a point in the image."""
-    x, y, z = camera.axes.T @ np.subtract(point_m, camera.position_m)
-    return camera.width / 2 - camera.focal_px * x / z, camera.height / 2 + camera.focal_px * y / z
-
-
-@pytest.mark.skipif(ctypes.util.find_library("EGL") is None, reason="no EGL: images are not rendered here")
-async def test_a_red_box_is_where_a_pinhole_camera_sees_it(server: RunningServer) -> None:
+@needs_egl
+async def test_a_red_box_is_where_the_info_of_the_camera_has_it(server: RunningServer) -> None:
     position = dict(zip("xyz", AT, strict=True))
     box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.04] * 3}], "pose": {"position": position}}
     scene = {"is_diff": True, "world": {"collision_objects": [box]}, "object_colors": [{"id": "box", "color": RED}]}
     assert call(server.url, "/apply_planning_scene", {"scene": scene})["success"]
-    async with frame_client(server.url) as client:
-        await client.subscribe(TOPIC, "sensor_msgs/CompressedImage")
+    async with arm_client(server.url) as client:
+        for topic, type_name in ((TOPIC, IMAGE_TYPE), (INFO, INFO_TYPE), (DEPTH, DEPTH_TYPE)):
+            await client.subscribe(topic, type_name)
         view = ",".join(map(str, VIEW))
-        process = await asyncio.create_subprocess_exec(*camera_command(server.url, "--view", view))
+        process = await asyncio.create_subprocess_exec(*camera_command(server.url, "--view", view, "--depth"))
         try:
-            await client.until(TOPIC, lambda images: len(images) > 1, 60.0)
+            await client.until(DEPTH, lambda images: len(images) > 1, 60.0)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 process.terminate()
-            await process.wait()
-        image = client.messages(TOPIC)[-1]
-    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(image["data"])))).astype(int)
-    assert pixels.shape == (240, 320, 3)
-    rows, columns = np.nonzero((pixels[:, :, 0] > 60) & (pixels[:, :, 1] < 30) & (pixels[:, :, 2] < 30))
-    camera = Camera("base_link", VIEW[:3], VIEW[3:], 320, 240)
-    assert (columns.mean(), rows.mean()) == pytest.approx(projected(camera, AT), abs=3.0)
+            assert await process.wait() == 0
+        image, info, depth = (client.messages(topic)[0] for topic in (TOPIC, INFO, DEPTH))
+    assert image["header"] == info["header"] == depth["header"]
     assert image["header"]["stamp"]["sec"] > 0
+    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(image["data"]))))
+    assert pixels.shape == (240, 320, 3)
+    in_camera_m = np.linalg.inv(Camera(view=VIEW).transform_optical_to_frame) @ (*AT, 1.0)
+    expected = (np.reshape(info["k"], (3, 3)) @ in_camera_m[:3] / in_camera_m[2])[:2]
+    assert red_pixels(pixels).mean(axis=0) == pytest.approx(expected, abs=1.0)
+    depth_mm = np.frombuffer(base64.b64decode(depth["data"]), "<u2").reshape(240, 320)
+    column, row = expected.round().astype(int)
+    assert depth_mm[row, column] == pytest.approx(1000 * in_camera_m[2], abs=30)
+
+
+def process_of_cameras(server: RunningServer) -> int | None:
+    """Return the id of the process that renders a server's cameras."""
+    pid = server.process.pid
+    for child in map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()):
+        if b"rendering_process" in Path(f"/proc/{child}/cmdline").read_bytes():
+            return child
+    return None
+
+
+@needs_egl
+async def test_the_arms_own_cameras_are_published_and_come_back_when_their_process_has_died(
+    server: RunningServer,
+) -> None:
+    front, wrist = "/front/image/compressed", "/wrist/image/compressed"
+    # The page asks for its tiles like this.
+    assert {front, wrist} <= set(call(server.url, "/rosapi/topics_for_type", {"type": IMAGE_TYPE})["topics"])
+    async with arm_client(server.url) as client:
+        for topic in (front, wrist):
+            await client.subscribe(topic, IMAGE_TYPE)
+        await client.subscribe("/front/camera_info", INFO_TYPE)
+        await client.subscribe("/front/depth/image", DEPTH_TYPE)
+        await client.until(wrist, bool, 60.0)
+        depth = (await client.until("/front/depth/image", bool, 60.0))[0]
+        assert depth["header"]["frame_id"] == "front_optical_frame"
+        stamps = [each["header"]["stamp"] for each in client.messages("/front/camera_info")]
+        assert depth["header"]["stamp"] in stamps
+        died = process_of_cameras(server)
+        assert died is not None
+        os.kill(died, signal.SIGKILL)
+        assert server.has_logged("the process of the cameras ended (SIGKILL); starting it again")
+        before = len(client.messages(front))
+        await client.until(front, lambda images: len(images) > before + 1, 60.0)
+        assert process_of_cameras(server) not in (None, died)
+
+
+def test_a_server_that_ends_takes_its_cameras_along() -> None:
+    with RunningServer("--port 0 --simulation physics") as running:
+        wait_until(lambda: process_of_cameras(running) is not None)
+        pid = process_of_cameras(running)
+    wait_until(lambda: not Path(f"/proc/{pid}").exists())
 
 
 def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> None:

@@ -132,21 +132,6 @@ async def remove_crate(client: ArmClient) -> None:
     await client.change_scene({"id": "crate", "operation": 1})
 
 
-async def test_a_replay_that_a_box_has_come_into_the_way_of_is_refused_with_where(arm: ServerOnBus) -> None:
-    async with teacher(arm) as client:
-        await taught(client, arm, "blocked")
-        assert (await replayed(client, arm, "blocked"))["error_code"]["val"] == 1
-        await put_crate(client, "blocked")
-        refused = await replayed(client, arm, "blocked")
-        assert refused["error_code"]["val"] == -2
-        assert "s of the motion would touch" in refused["message"]
-        assert "crate" in refused["message"]
-        again = await taught(client, arm, "blocked too")
-        assert "cannot be replayed: at " in again["message"]
-        assert "crate" in again["message"]
-        await remove_crate(client)
-
-
 async def test_a_replay_brakes_when_something_comes_into_its_way(arm: ServerOnBus) -> None:
     async with teacher(arm) as client:
         ended = await taught(client, arm, "surprised")

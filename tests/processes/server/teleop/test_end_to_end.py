@@ -11,7 +11,6 @@ import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import EmulatorControl, RunningServer
-from tests.helpers.moveit import box, pose
 from tests.helpers.robots import so101
 from tests.helpers.teleop import follow
 
@@ -162,24 +161,3 @@ async def test_an_impossible_following_is_refused(client: ArmClient, request_: d
     refused = await client.call("/teleop/start", **request_)
     assert not refused["success"]
     assert refused["message"].startswith(said)
-
-
-async def test_the_follower_stops_before_an_obstacle_to_its_joints(client: ArmClient, hand: EmulatorControl) -> None:
-    await follow(client, "/teleop", follower="follower", leader="leader")
-    # A wall beside the follower's gripper, which reaches 0.39 m forward from its foot at y = 0.4 m.
-    wall = box("wall", at=pose(0.3, 0.55, 0.15), frame="world")
-    wall["primitives"][0]["dimensions"] = [0.3, 0.02, 0.3]
-    await client.change_scene(wall)
-    try:
-        hand.command(hand={"1": MIDDLE_TICK - 700})
-        await client.until(
-            STATE, lambda told: told[-1]["phase"] == "following" and told[-1]["speed_scale"] < 0.5, TIMEOUT_S
-        )
-        async with asyncio.timeout(TIMEOUT_S):
-            while abs((now := await client.positions())["leader_shoulder_pan"]) < 0.9:
-                pass
-        assert abs(now["follower_shoulder_pan"]) < 0.5
-        hand.command(hand={"1": MIDDLE_TICK + 400})
-        await follows(client, "shoulder_pan", 0.5)
-    finally:
-        await client.change_scene({"id": "wall", "operation": 1})

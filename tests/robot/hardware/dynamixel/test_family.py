@@ -27,6 +27,7 @@ from robot.hardware.dynamixel.family import (
 )
 from robot.hardware.dynamixel.registers import FULL_PWM, TICKS_S_PER_VELOCITY_UNIT, OperatingMode, Register, status_of
 from robot.hardware.interface import StatusFlag, run_to_end
+from robot.hardware.port import LOCAL_LATENCY_S
 from robot.hardware.servos.bus import write_verified
 from robot.hardware.servos.family import ServoFound, ServoMap
 from robot.hardware.servos.hardware import CYCLES_BETWEEN, TELEMETRY_EVERY
@@ -42,8 +43,8 @@ from tests.helpers.dynamixel import (
     SteppedDynamixels,
     unread_hardware,
 )
-from tests.helpers.emulator import SteppedClock
 from tests.helpers.motions import smooth_move
+from tests.robot.hardware.feetech.test_bus import ScriptedPort
 
 FAMILY = Dynamixel()
 SERVOS = ServoMap(FAMILY, CALIBRATION, BOUNDS)
@@ -357,41 +358,11 @@ def test_replies_left_on_the_line_are_not_taken_for_the_next(bus: Bus, dynamixel
     assert bus.counters.discarded_bytes == len(DYNAMIXEL.status_packet(3, 0, bytes([1])))
 
 
-class LatePort:
-    """Port of one servo that answers every instruction with the next of some replies, each after its time."""
-
-    port_name, baudrate, is_using = "late", 1_000_000, False
-    latency_s, quiet_s, discarded_bytes = 0.005, 0.003, 0
-
-    def __init__(self, clock: SteppedClock, replies: list[tuple[float, bytes]]) -> None:
-        self._clock = clock
-        self._replies = replies
-        self._coming: list[tuple[float, bytes]] = []
-
-    def clearPort(self) -> None:  # noqa: N802 - the SDK's name, as below
-        return
-
-    def closePort(self) -> None:  # noqa: N802
-        return
-
-    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802
-        delay_s, data = self._replies.pop(0)
-        self._coming.append((self._clock() + delay_s, data))
-        return len(packet)
-
-    def receive(self, timeout_s: float, /) -> bytes:
-        due_s = self._coming[0][0] if self._coming else float("inf")
-        if due_s > self._clock() + timeout_s:
-            self._clock.advance(timeout_s)
-            return b""
-        self._clock.now_s = max(due_s, self._clock())
-        return self._coming.pop(0)[1]
-
-
 def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
-    clock = SteppedClock()
-    replies = [(0.008, DYNAMIXEL.status_packet(3, 0, bytes([1]))), (0.001, DYNAMIXEL.status_packet(3, 0, bytes([0])))]
-    bus = Bus(LatePort(clock, replies), clock)
+    late, soon = (DYNAMIXEL.status_packet(3, 0, bytes([value])) for value in (1, 0))
+    replies = iter([[(1.6 * LOCAL_LATENCY_S, late)], [(0.2 * LOCAL_LATENCY_S, soon)]])
+    line = ScriptedPort(lambda _instruction: next(replies), DYNAMIXEL)
+    bus = Bus(line, line.clock)
     with pytest.raises(NoReply):
         bus.read(3, Register.LED, attempts=1)
     assert bus.read(3, Register.TORQUE_ENABLE) == 0

@@ -10,7 +10,6 @@ import pytest
 from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningProblem
 from server.execution.goal import Answer, GoalPolicy
-from server.execution.motions import PlannedMotion
 from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -23,7 +22,6 @@ from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.goal_runner import THERE
 from tests.helpers.moveit import ActionDesk, translator
 
-OUT_OF_REACH = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 2.0}}}
 POINT = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 0.25, "y": 0.05, "z": 0.15}}}
 ELBOW = {"name": ["elbow_flex"], "position": [0.3]}
 
@@ -53,7 +51,6 @@ class Desk(ActionDesk):
     def problem(self) -> PlanningProblem:
         """The problem of the motion that was asked for."""
         (motion,) = self.asked
-        assert isinstance(motion, PlannedMotion)
         problem = motion.steps[0].problem(HOME)
         assert isinstance(problem, PlanningProblem)
         return problem
@@ -73,7 +70,6 @@ async def test_a_client_that_may_only_propose_has_one_goal_which_waits_for_appro
     desk.client = PROPOSER
     await desk.ask(named="ready")
     (motion,) = desk.asked
-    assert isinstance(motion, PlannedMotion)
     assert (motion.confirm, motion.proposed) == (True, True)
     desk.client = Node("agent again", remote=True, identity=PROPOSER.identity)
     for _ in range(1000):
@@ -105,7 +101,6 @@ async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_no_plan_is(d
     desk.confirmation.enabled = confirm
     await desk.ask(named="ready")
     (motion,) = desk.asked
-    assert isinstance(motion, PlannedMotion)
     assert (motion.confirm, motion.proposed) == (confirm, False)
     desk.client = PROPOSER
     desk.responses.clear()

@@ -27,13 +27,13 @@ from server.moveit.actions.gripper import (
     PARALLEL_ACTION,
     SQUEEZE_PERIOD_S,
     Gripper,
-    GripperActions,
     GripperCommand,
     GripperCommandMessages,
     GripperLimits,
     GripperReading,
     ParallelGripperCommandMessages,
     fingers_together,
+    offer_gripper,
 )
 from tests.helpers.fake_arm import StubbornArm, settle
 from tests.helpers.moveit import REGISTRY
@@ -180,7 +180,7 @@ class Grippers:
         joints, clock = [so101().joints["gripper"]], asyncio.get_running_loop().time
         limits = limits or TimeLimits()
         self.gripper = Gripper(self.arm.as_arm, joints, GripperLimits(1.0, 1.0, 0.5, limits), clock=clock)
-        self.actions = GripperActions(LocalGraph(self.graph), self.gripper)
+        offer_gripper(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
 
     async def send(self, **command: Any) -> Goal:
@@ -320,9 +320,6 @@ def test_fingers_arrive_together_wherever_each_of_them_is() -> None:
     share = (motion.positions_rad - motion.positions_rad[0]) / (motion.positions_rad[-1] - motion.positions_rad[0])
     np.testing.assert_allclose(share[:, 0], share[:, 1])
     assert np.abs(motion.velocities_rad_s).max() <= 0.1 + 1e-9
-
-
-def test_fingers_that_are_there_do_not_move() -> None:
     assert fingers_together(("a", "b"), np.array([0.05, 0.05]), 0.05, 0.1, 1.0).duration_s == 0.0
 
 

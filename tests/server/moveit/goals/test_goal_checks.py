@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +11,6 @@ from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, P
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
-from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
 from server.moveit.goals import goal_checks
@@ -21,16 +19,16 @@ from server.moveit.goals.goal_checks import (
     MAX_GOALS,
     NOT_CHECKED,
     SERVICE,
-    GoalChecks,
     answers_in_time,
     goal_check,
+    offer_goal_checks,
 )
 from server.moveit.messages import composed, pose_of
 from tests.helpers.fake_arm import FakeArm
+from tests.helpers.graph import called
 from tests.helpers.moveit import TRANSLATOR, DirectPool, planning_of
 from tests.helpers.robots import so101
 
-CLIENT = Node("client")
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
 
 ROBOT = so101()
@@ -47,13 +45,10 @@ class Desk:
         self.arm = FakeArm()
         planning = planning_of(self.arm, ROBOT, pool=DirectPool())
         self.scene = planning.scene_state
-        GoalChecks(self.graph, TRANSLATOR, planning)
+        offer_goal_checks(self.graph, TRANSLATOR, planning)
 
     async def check(self, **request: Any) -> Response:
-
-        answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
-        self.graph.services.call(CLIENT, SERVICE, request, answered.set_result)
-        return await answered
+        return await called(self.graph, SERVICE, **request)
 
 
 @pytest.fixture
@@ -86,17 +81,13 @@ async def test_poses_and_joint_goals_are_answered_in_their_order(desk: Desk, mon
     assert results[1]["position_error_m"] > 0.3
 
 
-async def test_more_goals_than_allowed_are_rejected_with_the_limit(desk: Desk) -> None:
-    answer = await desk.check(poses=[point(0.3, 0.0, 0.2)] * MAX_GOALS, joints=[{}])
-    assert not answer.ok
-    assert f"{MAX_GOALS + 1} goals, the limit is {MAX_GOALS}" in answer.values
-
-
-async def test_the_check_fails_while_the_arms_position_is_unknown(desk: Desk) -> None:
+async def test_too_many_goals_and_an_unknown_position_of_the_arm_are_refused(desk: Desk) -> None:
+    many = await desk.check(poses=[point(0.3, 0.0, 0.2)] * MAX_GOALS, joints=[{}])
     desk.arm.lose_positions()
-    answer = await desk.check(poses=[point(0.3, 0.0, 0.2)])
-    assert not answer.ok
-    assert "joint positions unknown" in answer.values
+    lost = await desk.check(poses=[point(0.3, 0.0, 0.2)])
+    assert (many.ok, lost.ok) == (False, False)
+    assert f"{MAX_GOALS + 1} goals, the limit is {MAX_GOALS}" in many.values
+    assert "joint positions unknown" in lost.values
 
 
 class Slow:

@@ -23,6 +23,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
 from tests.helpers.fake_arm import JOINTS, FakeArm
+from tests.helpers.graph import called
 from tests.helpers.moveit import REGISTRY, planning_of
 from tests.helpers.steps import StepOf
 
@@ -44,9 +45,7 @@ class Records:
         self.history = GoalHistory(self._graph, planning, lambda: float(next(stamps)))
 
     async def call(self, service: str, **request: Any) -> dict[str, Any]:
-        answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        self._graph.services.call(Node("client"), service, request, answered.set_result)
-        response = await asyncio.wait_for(answered, 20.0)
+        response = await called(self._graph, service, **request)
         assert response.ok, response.values
         values: dict[str, Any] = response.values
         return values

@@ -26,10 +26,11 @@ from server.moveit.goals.goal_topics import (
     STATUS_TOPIC,
     Confirmation,
     GoalStatusTopics,
-    GoalTopics,
+    offer_goal_topics,
 )
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
+from tests.helpers.graph import listen
 from tests.helpers.moveit import translator
 from tests.helpers.robots import so101
 
@@ -70,12 +71,8 @@ class Desk:
             self.runner, GoalPolicy.QUEUE, 4, status.publish_progress, status.publish_answer
         )
         self.queue.start()
-        GoalTopics(LocalGraph(self.graph), node, self.queue, translator(), self.confirmation)
-        self.heard: dict[str, list[Any]] = {RESULT_TOPIC: [], STATUS_TOPIC: []}
-        for topic, messages in self.heard.items():
-            self.graph.subscribe(
-                CLIENT, topic, None, Subscriber(lambda published, to=messages: to.append(published.msg))
-            )
+        offer_goal_topics(LocalGraph(self.graph), node, self.queue, translator(), self.confirmation)
+        self.heard = {topic: listen(self.graph, topic) for topic in (RESULT_TOPIC, STATUS_TOPIC)}
 
     async def publish(self, topic: str, message: dict[str, Any]) -> None:
         self.graph.publish(CLIENT, topic, message)
@@ -268,9 +265,7 @@ async def test_a_proposal_is_approved_by_its_id_alone(gate: Gate, caplog: pytest
 
 async def test_the_goal_that_waits_is_latched(gate: Gate) -> None:
     def request() -> dict[str, Any]:
-        node = Node("late", remote=True)
-        latched = gate.graph.subscribe(node, APPROVAL_TOPIC, None, Subscriber(lambda _message: None))
-        status = latched[-1].msg
+        status = listen(gate.graph, APPROVAL_TOPIC)[-1]
         return {**status, **{each["key"]: each["value"] for each in status["values"]}}
 
     assert (request()["hardware_id"], request()["message"]) == ("", "no goal waits")
@@ -295,8 +290,7 @@ GROUP_TOPIC = "/moveit_goal_group"
 
 def group_told(desk: Desk) -> str:
     """The group that a client sees which comes now."""
-    latched = desk.graph.subscribe(Node("late", remote=True), GROUP_TOPIC, None, Subscriber(lambda _message: None))
-    return str(latched[-1].msg["data"])
+    return str(listen(desk.graph, GROUP_TOPIC)[-1]["data"])
 
 
 async def test_the_group_of_goals_is_latched_and_can_be_chosen(desk: Desk) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,15 +51,14 @@ def asked(parameters=PARAMETERS, **fields):
     return outcome(ProblemBuilder(ROBOT, FRAMES, PlannerParameters(parameters)).motion_plan, request, HOME)
 
 
-def problem(**fields) -> PlanningProblem:
-    read = asked(**fields)
-    assert isinstance(read, BuiltProblem)
-    assert isinstance(read.problem, PlanningProblem)
-    return read.problem
+def built(parameters=PARAMETERS, **fields) -> BuiltProblem:
+    read = asked(parameters, **fields)
+    assert isinstance(read, BuiltProblem), read
+    return read
 
 
 def test_a_request_with_only_a_goal_is_planned_by_the_parameters() -> None:
-    assert problem() == PlanningProblem(
+    assert built().problem == PlanningProblem(
         "arm",
         HOME,
         JointGoal({"elbow_flex": 0.5}, PARAMETERS.joint_tolerance),
@@ -71,26 +71,23 @@ def test_a_request_with_only_a_goal_is_planned_by_the_parameters() -> None:
 
 
 def test_fields_of_a_request_override_the_parameters() -> None:
-    said = problem(
+    said: Any = built(
         group_name="arm",
         num_planning_attempts=7,
         allowed_planning_time=2.5,
         max_velocity_scaling_factor=0.2,
         max_acceleration_scaling_factor=0.1,
         planner_id="RRT",
-    )
+    ).problem
     assert (said.attempts, said.allowed_time_s, said.planner_id) == (7, 2.5, "RRT")
     assert (said.velocity_scaling, said.acceleration_scaling) == (0.2, 0.1)
 
 
 @pytest.mark.parametrize(("optimization", "time_s"), [("first", 0.0), ("short", 0.5), ("best", 2.5)])
 def test_the_chosen_optimization_has_its_time_and_the_best_motion_all_that_is_allowed(optimization, time_s) -> None:
-    read = asked(
-        PARAMETERS.changed({"optimization": optimization, "optimization_time": 0.5}), allowed_planning_time=2.5
-    )
-    assert isinstance(read, BuiltProblem)
-    assert isinstance(read.problem, PlanningProblem)
-    assert (read.problem.optimization_time_s, read.problem.allowed_time_s) == (time_s, 2.5)
+    parameters = PARAMETERS.changed({"optimization": optimization, "optimization_time": 0.5})
+    problem: Any = built(parameters, allowed_planning_time=2.5).problem
+    assert (problem.optimization_time_s, problem.allowed_time_s) == (time_s, 2.5)
 
 
 @pytest.mark.parametrize("field", ["max_velocity_scaling_factor", "max_acceleration_scaling_factor"])
@@ -100,8 +97,7 @@ def test_a_senseless_scaling_is_refused(field: str, value: float) -> None:
 
 
 def test_a_scaling_above_one_is_full_speed_with_a_warning() -> None:
-    read = asked(max_velocity_scaling_factor=1.5)
-    assert isinstance(read, BuiltProblem)
+    read = built(max_velocity_scaling_factor=1.5)
     assert read.problem.velocity_scaling == 1.0
     assert "max_velocity_scaling_factor 1.5" in read.warnings[0]
 
@@ -124,9 +120,7 @@ def test_values_that_mean_nothing_are_refused_by_name(fields, words: str) -> Non
 
 
 def test_time_and_attempts_are_bounded_with_a_warning() -> None:
-    read = asked(allowed_planning_time=1e6, num_planning_attempts=10_000)
-    assert isinstance(read, BuiltProblem)
-    assert isinstance(read.problem, PlanningProblem)
+    read: Any = built(allowed_planning_time=1e6, num_planning_attempts=10_000)
     assert read.problem.allowed_time_s == MAX_ALLOWED_PLANNING_TIME_S
     assert read.problem.attempts == MAX_PLANNING_ATTEMPTS
     assert len(read.warnings) == 2
@@ -137,9 +131,7 @@ IGNORED = {"trajectory_constraints": {"constraints": [{}]}, "reference_trajector
 
 @pytest.mark.parametrize("field", IGNORED)
 def test_ignored_fields_have_a_warning(field: str) -> None:
-    read = asked(**{field: IGNORED[field]})
-    assert isinstance(read, BuiltProblem)
-    assert field in read.warnings[0]
+    assert field in built(**{field: IGNORED[field]}).warnings[0]
 
 
 def test_an_unknown_planner_of_pilz_fails_and_its_smoothness_is_understood() -> None:

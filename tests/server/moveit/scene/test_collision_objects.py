@@ -20,7 +20,6 @@ from server.moveit.scene.collision_objects import (
     MAX_SUBFRAMES,
     PRISM,
     SPHERE,
-    AttachedCollisionObject,
     prism_mesh,
     read_collision_object,
     read_mesh,
@@ -61,23 +60,6 @@ def test_an_object_without_a_pose_gets_that_of_its_single_shape():
     thing = read_collision_object(collision_object(**box("b"), primitive_poses=[pose(0.3)]), "", "it")
     assert thing.pose == Pose((0.3, 0.0, 0.0))
     assert thing.shapes[0][1] == Pose()
-
-
-def test_a_repeated_message_equals_its_object_whatever_its_stamp():
-    thing = read_collision_object(RICH, "base_link", "it")
-    header = {"stamp": {"sec": 9, "nanosec": 9}, "frame_id": "base_link"}
-    assert thing.equals_message({**RICH, "header": header})
-    assert not thing.equals_message({**RICH, "pose": pose(1.0)})
-
-
-def test_two_attached_objects_are_equal_unless_a_field_differs():
-    thing, posture = read_collision_object(RICH, "gripper_link", "it"), {}
-    held = AttachedCollisionObject(thing, ("wrist_link",), posture, 0.25)
-    assert held.equals(
-        AttachedCollisionObject(read_collision_object(RICH, "gripper_link", "it"), ("wrist_link",), posture, 0.25)
-    )
-    others = [((), posture, 0.25), (("wrist_link",), {"points": []}, 0.25), (("wrist_link",), posture, 0.5)]
-    assert not any(held.equals(AttachedCollisionObject(thing, *other)) for other in others)
 
 
 BAD = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import math
 
@@ -14,7 +13,15 @@ from server.errors import RefusedError
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.scene import geometry_files as geometry_files_module
-from server.moveit.scene.geometry_files import LOAD, SAVE, GeometryFiles, file_within, read_geometry, write_geometry
+from server.moveit.scene.geometry_files import (
+    LOAD,
+    SAVE,
+    file_within,
+    offer_geometry_files,
+    read_geometry,
+    write_geometry,
+)
+from tests.helpers.graph import called
 from tests.helpers.moveit import BENT, box, current_state, diff, message, pose, rejection, scene_state
 
 
@@ -24,13 +31,10 @@ class Files:
     def __init__(self, directory):
         self.state = scene_state(box("cup"), box("pen"))
         self.graph = Graph(Registry.load())
-        GeometryFiles(self.graph, Node("scene"), self.state, current_state(), directory)
+        offer_geometry_files(self.graph, Node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):
-        answered = asyncio.get_running_loop().create_future()
-        self.graph.services.call(Node("client"), service, {"file_path_and_name": name}, answered.set_result)
-        async with asyncio.timeout(30.0):
-            return (await answered).values["success"]
+        return (await called(self.graph, service, file_path_and_name=name)).values["success"]
 
     def empty(self):
         self.state.apply(self.state.world(message("PlanningSceneWorld")), BENT)

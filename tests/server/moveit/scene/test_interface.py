@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 from copy import copy
 
 import numpy as np
@@ -17,7 +16,7 @@ from protocol.registry import Registry
 from server.errors import RefusedError
 from server.execution.monitors import state_message
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.moveit.messages import matrix_of
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.interface import (
@@ -33,13 +32,14 @@ from server.moveit.scene.interface import (
     TRANSFORMS,
     MonitoredScenePublisher,
     SceneInterface,
-    SceneServices,
+    offer_scene_services,
     scene_diff,
     scene_message,
 )
 from server.moveit.scene.scene_state import AT_ONCE_ELEMENTS, AssumedStates, SceneChange, SceneState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS
+from tests.helpers.graph import listen
 from tests.helpers.moveit import (
     BENT,
     FORWARD,
@@ -55,22 +55,6 @@ from tests.helpers.moveit import (
 )
 from tests.helpers.resources import examples
 
-TOPICS = {
-    "/planning_scene": "moveit_msgs/msg/PlanningScene",
-    "/planning_scene_world": "moveit_msgs/msg/PlanningSceneWorld",
-    "/collision_object": "moveit_msgs/msg/CollisionObject",
-    "/attached_collision_object": "moveit_msgs/msg/AttachedCollisionObject",
-    "/monitored_planning_scene": "moveit_msgs/msg/PlanningScene",
-}
-SERVICES = {
-    "/get_planning_scene": "moveit_msgs/srv/GetPlanningScene",
-    "/apply_planning_scene": "moveit_msgs/srv/ApplyPlanningScene",
-    "/clear_octomap": "std_srvs/srv/Empty",
-    "/save_geometry_to_file": "moveit_msgs/srv/SaveGeometryToFile",
-    "/load_geometry_from_file": "moveit_msgs/srv/LoadGeometryFromFile",
-}
-
-
 REGISTRY = Registry.load()
 
 
@@ -80,45 +64,33 @@ def opened():
     return graph, state
 
 
-async def test_the_scene_has_moveits_names_and_types():
-    graph, _ = opened()
-    assert graph.topic_names.types() == TOPICS
-    assert graph.services.names.types() == SERVICES
-
-
-CUP = box("cup")
+CUP, GHOST, CROWD = box("cup"), {"id": "ghost", "operation": 1}, {"primitives": [{}] * 1001}
+# A message that a topic takes, one that it refuses, and one with more shapes than a scene has.
 MESSAGES = {
-    "/planning_scene": {"is_diff": True, "world": {"collision_objects": [CUP]}},
-    "/planning_scene_world": {"collision_objects": [CUP]},
-    "/collision_object": CUP,
-    "/attached_collision_object": {
-        "link_name": "gripper_link",
-        "object": {**CUP, "header": {"frame_id": "gripper_link"}},
-    },
+    "/planning_scene": [{"is_diff": True, "world": {"collision_objects": [each]}} for each in (CUP, GHOST, CROWD)],
+    "/planning_scene_world": [{"collision_objects": [each]} for each in (CUP, GHOST, CROWD)],
+    "/collision_object": [CUP, GHOST, CROWD],
+    "/attached_collision_object": [
+        {"link_name": "gripper_link", "object": {**CUP, "header": {"frame_id": "gripper_link"}}},
+        {"object": GHOST},
+        {"object": CROWD},
+    ],
 }
 
 
-@pytest.mark.parametrize(("topic", "message"), MESSAGES.items())
-async def test_every_topic_changes_the_scene(topic, message):
+@pytest.mark.parametrize(("topic", "messages"), MESSAGES.items(), ids=MESSAGES)
+async def test_every_topic_changes_the_scene_and_logs_a_refusal_with_its_name(topic, messages, caplog):
     graph, state = opened()
-    graph.publish(Node("client"), topic, message)
+    graph.publish(Node("client"), topic, messages[0])
     assert "cup" in {**state.contents.objects, **state.contents.attached}
-
-
-@pytest.mark.parametrize("topic", MESSAGES)
-async def test_a_rejected_message_is_logged_with_its_topic(topic, caplog):
-    graph, _ = opened()
-    bad = {"id": "ghost", "operation": 1}
-    messages = {
-        "/planning_scene": {"is_diff": True, "world": {"collision_objects": [bad]}},
-        "/planning_scene_world": {"collision_objects": [bad]},
-        "/collision_object": bad,
-        "/attached_collision_object": {"object": bad},
-    }
-    with caplog.at_level(logging.WARNING, "armbridge"):
-        graph.publish(Node("client"), topic, messages[topic])
-    assert topic in caplog.text
+    graph.publish(Node("client"), topic, messages[1])
+    assert f"{topic}: refused, nothing is changed" in caplog.text
     assert "'ghost'" in caplog.text
+    caplog.clear()
+    # Refused before it is completed.
+    with pytest.raises(MessageError, match="primitives: wanted at most 1000 elements in all, got 1001"):
+        graph.publish(Node("client", remote=True), topic, messages[2])
+    assert topic in caplog.text
 
 
 class Client:
@@ -129,7 +101,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        SceneServices(self.graph, Node("scene"), self.state, self.assumed, current_state())
+        offer_scene_services(self.graph, Node("scene"), self.state, self.assumed, current_state())
 
     def another(self):
         other = copy(self)
@@ -218,21 +190,6 @@ async def test_a_scene_whose_client_leaves_before_it_is_made_is_made_all_the_sam
     assert client.joints() != dict.fromkeys(JOINTS, 0.1)
 
 
-@pytest.mark.parametrize("topic", sorted(TOPICS.keys() - {MONITORED_TOPIC}))
-async def test_more_objects_or_shapes_than_a_scene_has_are_refused_before_they_are_completed(topic, caplog):
-    graph, _state = opened()
-    objects = [{"primitives": [{}] * 1001}]
-    message = {
-        "/planning_scene": {"world": {"collision_objects": objects}},
-        "/planning_scene_world": {"collision_objects": objects},
-        "/collision_object": objects[0],
-        "/attached_collision_object": {"object": objects[0]},
-    }[topic]
-    with pytest.raises(MessageError, match="primitives: wanted at most 1000 elements in all, got 1001"):
-        graph.publish(Node("client", remote=True), topic, message)
-    assert topic in caplog.text
-
-
 def test_an_assumed_state_is_given_back_to_the_client_that_set_it():
     client = Client()
     assert client.joints() == pytest.approx(BENT)
@@ -297,12 +254,7 @@ class Watched:
         self.monitored = MonitoredScenePublisher(
             self.graph, self.state, current_state(), 2.0, self.clock, self.clock.call_later
         )
-        self.heard = []
-        self.first = self.subscribe(self.heard)
-
-    def subscribe(self, heard):
-        subscriber = Subscriber(lambda published: heard.append(published.msg))
-        return [published.msg for published in self.graph.subscribe(Node("client"), MONITORED_TOPIC, None, subscriber)]
+        self.heard = listen(self.graph, MONITORED_TOPIC)
 
     def add(self, name):
         self.state.apply(self.state.collision_object(collision_object(**box(name))), BENT)
@@ -312,27 +264,17 @@ def ids(message):
     return [each["id"] for each in message["world"]["collision_objects"]]
 
 
-def test_a_subscriber_gets_the_whole_scene_first():
-    (whole,) = Watched().first
+def test_a_subscriber_gets_the_whole_scene_first_and_then_fast_changes_together():
+    watched = Watched()
+    (whole,) = watched.heard
     assert (whole["is_diff"], ids(whole)) == (False, ["table"])
     assert len(whole["robot_state"]["joint_state"]["name"]) == 6
-
-
-def test_a_change_is_published_as_a_diff():
-    watched = Watched()
-    watched.add("cup")
-    watched.clock.advance(0.0)
-    (change,) = watched.heard
-    assert (change["is_diff"], ids(change)) == (True, ["cup"])
-
-
-def test_fast_changes_are_published_together():
-    watched = Watched()
     for number in range(10):
         watched.add(str(number))
         watched.clock.advance(0.1 * PERIOD_S)
     watched.clock.advance(PERIOD_S)
-    assert [len(ids(change)) for change in watched.heard] == [1, 9]
+    assert [ids(change) for change in watched.heard[1:]] == [["0"], [str(number) for number in range(1, 10)]]
+    assert all(change["is_diff"] for change in watched.heard[1:])
 
 
 def test_a_change_that_is_reverted_in_time_is_not_published():
@@ -342,7 +284,7 @@ def test_a_change_that_is_reverted_in_time_is_not_published():
     watched.add("pen")
     watched.state.apply(watched.state.collision_object(collision_object(id="pen", operation=1)), BENT)
     watched.clock.advance(PERIOD_S)
-    assert len(watched.heard) == 1
+    assert len(watched.heard) == 2
 
 
 def test_nothing_is_published_after_the_end():
@@ -350,7 +292,7 @@ def test_nothing_is_published_after_the_end():
     watched.add("cup")
     watched.monitored.close()
     watched.clock.advance(PERIOD_S)
-    assert watched.heard == []
+    assert len(watched.heard) == 1
 
 
 STATE = state_message(BENT, ROBOT.root_link, 0.0)
@@ -420,7 +362,7 @@ CHANGES = [
     PUT_DOWN,
     {"world": {"collision_objects": [box("b", at=pose(0.1))]}},
     {"robot_state": {"attached_collision_objects": [held("b", "wrist_link", **box("b", at=pose(0.2)))]}},
-    *({field: value} for field, value in SETTINGS.items() if field != "object_colors"),
+    *({field: value} for field, value in SETTINGS.items()),
 ]
 
 
@@ -435,6 +377,7 @@ def after(changes):
 
 @example([ADD], [MOVE])
 @example([ADD], [TAKE])
+@example([], [SETTINGS])
 @example([TAKE], [PUT_DOWN])
 @example([TAKE], [PUT_DOWN, REMOVE_ALL])
 @examples(30)
@@ -448,6 +391,9 @@ def test_a_diff_turns_one_scene_into_another(first, then):
         assert {name: each.message for name, each in ours.items()} == {name: e.message for name, e in theirs.items()}
     assert (follower.contents.padding_m, follower.contents.scale) == (leader.contents.padding_m, leader.contents.scale)
     assert follower.contents.allowed_collisions == leader.contents.allowed_collisions
+    # A difference removes no colours and frames.
+    for part in ("colors", "fixed_frames"):
+        assert getattr(leader.contents, part).items() <= getattr(follower.contents, part).items()
 
 
 @pytest.mark.parametrize(("one", "other"), [(SceneState(ROBOT), FULL), (FULL, SceneState(ROBOT))])

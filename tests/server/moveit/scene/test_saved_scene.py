@@ -11,7 +11,6 @@ import pytest
 from protocol.registry import Registry
 from robot import files
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
 from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.scene import saved_scene
@@ -20,6 +19,7 @@ from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, NamedScenes,
 from server.moveit.scene.scene_state import SceneState
 from server.named_files import read_json
 from tests.helpers.clock import FakeClock
+from tests.helpers.graph import called
 from tests.helpers.moveit import BENT, REGISTRY, ROBOT, box, current_state, diff, held, pose, scene_state
 from tests.helpers.rules import server_rules
 
@@ -235,10 +235,7 @@ class Scenes:
         offer_named_scenes(self.graph, scenes, current_state())
 
     async def call(self, service, **request):
-        answered = asyncio.get_running_loop().create_future()
-        self.graph.services.call(Node("client"), f"/arm/scenes/{service}", request, answered.set_result)
-        async with asyncio.timeout(5.0):
-            return (await answered).values
+        return (await called(self.graph, f"/arm/scenes/{service}", **request)).values
 
 
 async def test_a_scene_comes_back_with_what_is_held_and_without_what_was_added_since(tmp_path):
@@ -261,15 +258,6 @@ async def test_scenes_are_listed_by_name_and_deleted(tmp_path):
     assert await scenes.call("list") == {"names": ["a", "b"]}
     assert (await scenes.call("delete", name="a"))["success"]
     assert await scenes.call("list") == {"names": ["b"]}
-
-
-async def test_more_scenes_than_the_limit_are_refused_but_a_known_one_is_replaced(tmp_path, monkeypatch):
-    monkeypatch.setattr(saved_scene, "MAX_SCENES", 2)
-    scenes = Scenes(tmp_path, box("cup"))
-    for name in ("a", "b", "a"):
-        assert (await scenes.call("save", name=name))["success"]
-    assert "2 scenes are saved already, the limit is 2" in (await scenes.call("save", name="c"))["message"]
-    assert await scenes.call("list") == {"names": ["a", "b"]}
 
 
 async def test_a_scene_that_is_too_large_is_refused_and_the_old_one_stays(tmp_path, monkeypatch):

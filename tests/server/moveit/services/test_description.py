@@ -1,12 +1,10 @@
 from __future__ import annotations
 
-import asyncio
 import base64
 import json
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +16,7 @@ from robot.messages import ArmState, Mode
 from server import robot_files
 from server.actionlib import ActionlibBridge
 from server.errors import FileTooLargeError, ServiceError
-from server.graph.node import Node
-from server.graph.services import Response
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.moveit.messages import matrix_of, pose_of
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
@@ -33,37 +29,36 @@ from server.moveit.services.description import (
     STATIC_TRANSFORMS_TOPIC,
     TRANSFORMS_TOPIC,
     URDF_TOPIC,
-    RobotDescription,
     TransformRepublisher,
     TransformsTopics,
+    offer_description,
 )
-from server.robot_files import RobotFiles, package_name, with_package_urls
+from server.robot_files import RobotFiles, with_package_urls
 from tests.helpers.gateway import InProcess
+from tests.helpers.graph import called, listen
 from tests.helpers.moveit import ROBOT
 
 REGISTRY = Registry.load()
 PACKAGE = "so101_description"
-CLIENT = Node("client")
 
 
 @pytest.mark.parametrize("topic", [URDF_TOPIC, SRDF_TOPIC])
 def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
     graph = Graph(REGISTRY)
     parameters: dict[str, str] = {}
-    RobotDescription(graph, ROBOT, parameters.__setitem__)
-    (kept,) = graph.subscribe(CLIENT, topic, "std_msgs/String", Subscriber(lambda _: None))
-    assert ET.fromstring(kept.msg["data"]).tag == "robot"
+    offer_description(graph, ROBOT, parameters.__setitem__)
+    (kept,) = listen(graph, topic)
+    assert ET.fromstring(kept["data"]).tag == "robot"
     name = topic.removeprefix("/")
     for parameter in (topic, name, f"/robot_state_publisher:{name}", f"/move_group:{name}"):
-        assert json.loads(parameters[parameter]) == kept.msg["data"]
+        assert json.loads(parameters[parameter]) == kept["data"]
 
 
 async def test_a_mesh_is_served_by_its_name_in_the_description(files: Path) -> None:
     graph = Graph(REGISTRY)
-    RobotDescription(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None)
-    answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
-    graph.services.call(CLIENT, FILE_SERVICE, {"name": f"package://{PACKAGE}/assets/base.stl"}, answered.set_result)
-    assert base64.b64decode((await answered).values["value"]) == b"solid"
+    offer_description(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None)
+    response = await called(graph, FILE_SERVICE, name=f"package://{PACKAGE}/assets/base.stl")
+    assert base64.b64decode(response.values["value"]) == b"solid"
 
 
 def urdf(*meshes: str) -> str:
@@ -85,10 +80,6 @@ def files(tmp_path: Path) -> Path:
     return directory
 
 
-def test_the_package_has_a_name_in_the_style_of_ros() -> None:
-    assert package_name(ROBOT) == PACKAGE
-
-
 def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> None:
     served = with_package_urls(urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"), PACKAGE)
     names = [mesh.get("filename") for mesh in ET.fromstring(served).iter("mesh")]
@@ -97,9 +88,6 @@ def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> Non
         f"package://{PACKAGE}/assets/arm.stl",
         "package://other/a.stl",
     ]
-
-
-def test_a_description_without_mesh_paths_is_unchanged() -> None:
     assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
 
 
@@ -107,23 +95,17 @@ def files_in(directory: Path | None) -> RobotFiles:
     return RobotFiles(replace(ROBOT, mesh_directory=directory))
 
 
+NOT_BELOW = ["../secret.stl", f"package://{PACKAGE}/../secret.stl", "assets/out.stl", ".cache/a.png", "/etc/hosts"]
+NO_FILES = ["assets", "", "no", "\0", "a" * 999]
+NO_MESHES = ["id_rsa", f"package://{PACKAGE}/id_rsa", "arm.urdf"]
+
+
 @pytest.mark.parametrize(
-    "name",
-    [
-        "../secret.stl",
-        f"package://{PACKAGE}/../secret.stl",
-        "assets/out.stl",
-        ".cache/a.png",
-        "/etc/hosts",
-        "assets",
-        "",
-        "no",
-        "\0",
-        "a" * 999,
-    ],
+    ("name", "words"),
+    [(name, "name: ") for name in NOT_BELOW + NO_FILES] + [(name, "neither mesh nor texture") for name in NO_MESHES],
 )
-def test_only_files_below_the_description_are_served(files: Path, name: str) -> None:
-    with pytest.raises(ServiceError, match="name: "):
+def test_only_meshes_and_textures_below_the_description_are_served(files: Path, name: str, words: str) -> None:
+    with pytest.raises(ServiceError, match=words):
         files_in(files).read(name)
 
 
@@ -133,12 +115,6 @@ def test_files_too_large_or_of_no_description_are_refused(files: Path, monkeypat
         files_in(files).read("assets/base.stl")
     with pytest.raises(ServiceError, match="names no files"):
         files_in(None).read("assets/base.stl")
-
-
-@pytest.mark.parametrize("name", ["id_rsa", f"package://{PACKAGE}/id_rsa", "arm.urdf"])
-def test_only_meshes_and_textures_are_served(files: Path, name: str) -> None:
-    with pytest.raises(ServiceError, match="neither mesh nor texture"):
-        files_in(files).read(name)
 
 
 @pytest.mark.parametrize(
@@ -315,12 +291,8 @@ class Screen:
     def __init__(self, rate_hz: float = 50.0) -> None:
         self.graph = Graph(REGISTRY)
         self.topics = TransformsTopics(self.graph, ROBOT, rate_hz)
-        self.heard: list[Any] = []
-        for topic in (TRANSFORMS_TOPIC, STATIC_TRANSFORMS_TOPIC):
-            before = self.graph.subscribe(
-                Node("watcher"), topic, None, Subscriber(lambda published: self.heard.append(published.msg))
-            )
-            self.heard += [published.msg for published in before]
+        self.heard = listen(self.graph, TRANSFORMS_TOPIC)
+        (self.static,) = listen(self.graph, STATIC_TRANSFORMS_TOPIC)
 
     def show(self, clock_s: float, position_rad: float = 0.0, stamp_s: float = 0.0) -> None:
         positions = np.full(len(JOINTS), position_rad)
@@ -335,7 +307,9 @@ def screen() -> Screen:
 def test_both_transform_topics_together_place_every_link_as_forward_kinematics_does(screen: Screen) -> None:
     screen.show(1.0, 0.4)
     placed = {ROBOT.root_link: np.eye(4)}
-    transforms = {each["child_frame_id"]: each for message in screen.heard for each in message["transforms"]}
+    transforms = {
+        each["child_frame_id"]: each for message in (screen.static, *screen.heard) for each in message["transforms"]
+    }
     for link in ROBOT.links[1:]:
         parent, own = transforms[link]["header"]["frame_id"], transforms[link]["transform"]
         translation, rotation = own["translation"], own["rotation"]
@@ -350,16 +324,16 @@ def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
     screen = Screen(rate_hz)
     for tick in range(100):
         screen.show(10.0 + tick * 0.01)
-    assert len(screen.heard) == pytest.approx(1 + rate_hz, abs=1)
+    assert len(screen.heard) == pytest.approx(rate_hz, abs=1)
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
 def test_a_clock_that_is_set_neither_silences_transforms_nor_brings_more(screen: Screen, jump_s: float) -> None:
     for tick in range(100):
         screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
-    assert len(screen.heard) == pytest.approx(1 + 50, abs=1)
+    assert len(screen.heard) == pytest.approx(50, abs=1)
 
 
 def test_a_disconnected_arm_has_no_transforms(screen: Screen) -> None:
     screen.topics.take_state(ArmState(1.0, Mode.DISCONNECTED, JOINTS))
-    assert len(screen.heard) == 1
+    assert screen.heard == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 import pytest
@@ -13,13 +12,14 @@ from robot.description import model
 from server.moveit.requests.planning_problems import MAX_LINKS, PILZ, _goal_of_links
 from server.moveit.services.move_group_services import SERVICES, group_urdf
 from tests.helpers.fake_arm import HOME
+from tests.helpers.graph import called
 from tests.helpers.messages import made_up
 from tests.helpers.moveit import REGISTRY, ROBOT, SEVEN, TIP, ServiceRig, ball, context, joint, message, point, turned
 
 
 def test_every_service_is_offered_with_moveits_type(rig: ServiceRig) -> None:
     for name, offer in SERVICES.items():
-        assert rig.graph.services.names.type_of(name) == offer.type_name
+        assert rig.graph.services.names.type_of(name) == f"moveit_msgs/srv/{offer.type_name}"
 
 
 async def test_an_empty_request_is_answered_also_for_an_arm_that_is_not_read(rig: ServiceRig) -> None:
@@ -33,7 +33,7 @@ async def test_an_empty_request_is_answered_also_for_an_arm_that_is_not_read(rig
 async def test_nonsense_is_answered_too(rig: ServiceRig) -> None:
     for name, offer in SERVICES.items():
         for seed in range(10):
-            _, values = await rig.outcome(name, **made_up(REGISTRY, f"{offer.type_name}_Request", seed))
+            _, values = await rig.outcome(name, **made_up(REGISTRY, f"moveit_msgs/srv/{offer.type_name}_Request", seed))
             assert "inside the server" not in str(values), (name, seed)
 
 
@@ -140,33 +140,33 @@ async def test_a_failed_plan_has_its_code_and_message(rig, goals, fields, code, 
 async def test_a_goal_in_collision_names_the_object_and_shows_the_contact(rig: ServiceRig) -> None:
     shown = rig.listen("/display_contacts", "visualization_msgs/MarkerArray")
     put(rig, thing((0.0, 0.35, 0.2)))
-    code = (await planned(rig, {"position_constraints": [ball(0.0, 0.35, 0.2)]}))["error_code"]
+    code = (await planned(rig, IN_THE_CRATE))["error_code"]
     assert code["val"] == MoveItErrorCode.GOAL_IN_COLLISION
     assert "crate" in code["message"]
     assert "crate" in shown[-1]["markers"][-1]["ns"]
 
 
-@pytest.mark.parametrize("service", ["/plan_kinematic_path", "/plan_sequence_path"])
-async def test_a_line_of_the_tip_that_ends_early_says_how_far_it_can_be_planned(rig: ServiceRig, service: str) -> None:
-    fields = {"pipeline_id": PILZ, "planner_id": "LIN"}
-    far = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
-    if service == "/plan_kinematic_path":
-        response = await planned(rig, far, **fields)
-    else:
-        response = await planned_sequence(rig, {"req": {"goal_constraints": [far], **fields}})
-    assert response["error_code"]["val"] == MoveItErrorCode.NO_IK_SOLUTION
-    assert "what would work: the same path to (" in response["error_code"]["message"]
+FAR = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
+IN_THE_CRATE = {"position_constraints": [ball(0.0, 0.35, 0.2)]}
 
 
 @pytest.mark.parametrize("service", ["/plan_kinematic_path", "/plan_sequence_path"])
-async def test_a_goal_in_collision_says_what_would_work(rig: ServiceRig, service: str) -> None:
+@pytest.mark.parametrize(
+    ("goal", "fields", "code", "words"),
+    [
+        (FAR, {"pipeline_id": PILZ, "planner_id": "LIN"}, -31, "the same path to ("),
+        (IN_THE_CRATE, {}, -12, "the nearest point that was found, ("),
+    ],
+    ids=["a line of the tip that ends early", "a goal in collision"],
+)
+async def test_a_failed_plan_says_what_would_work(rig: ServiceRig, service: str, goal, fields, code, words) -> None:
     put(rig, thing((0.0, 0.35, 0.2)))
-    inside = {"position_constraints": [ball(0.0, 0.35, 0.2)]}
     if service == "/plan_kinematic_path":
-        response = await planned(rig, inside)
+        response = await planned(rig, goal, **fields)
     else:
-        response = await planned_sequence(rig, {"req": {"goal_constraints": [inside]}})
-    assert "what would work: the nearest point that was found, (" in response["error_code"]["message"]
+        response = await planned_sequence(rig, {"req": {"goal_constraints": [goal], **fields}})
+    assert response["error_code"]["val"] == code
+    assert f"what would work: {words}" in response["error_code"]["message"]
 
 
 async def test_the_pipeline_state_has_request_and_response(rig: ServiceRig) -> None:
@@ -192,11 +192,6 @@ async def test_the_motions_before_a_failed_item_are_in_the_response(rig: Service
     assert len(response["planned_trajectories"]) == 1
 
 
-async def params(rig: ServiceRig, **fields):
-    told = (await rig.call("/get_planner_params", **fields))["params"]
-    return dict(zip(told["keys"], told["values"], strict=True))
-
-
 async def test_every_planner_is_listed_with_its_pipeline(rig: ServiceRig) -> None:
     told = (await rig.call("/query_planner_interface"))["planner_interfaces"]
     by_pipeline = {one["pipeline_id"]: one["planner_ids"] for one in told}
@@ -204,23 +199,19 @@ async def test_every_planner_is_listed_with_its_pipeline(rig: ServiceRig) -> Non
     assert by_pipeline["pilz_industrial_motion_planner"] == ["PTP", "LIN", "CIRC"]
 
 
-async def test_parameters_that_were_set_are_returned(rig: ServiceRig) -> None:
+async def test_parameters_that_were_set_are_returned_and_one_that_changes_nothing_says_so(rig: ServiceRig) -> None:
     wanted = {"keys": ["num_planning_attempts", "range"], "values": ["3", "0.1"]}
     await rig.call("/set_planner_params", group="arm", params=wanted)
-    told = await params(rig, group="arm")
-    assert (told["num_planning_attempts"], told["range"]) == ("3", "0.1")
-
-
-async def test_a_parameter_that_changes_nothing_says_so(rig: ServiceRig) -> None:
-    await rig.call("/set_planner_params", params={"keys": ["range"], "values": ["0.1"]})
-    told = (await rig.call("/get_planner_params"))["params"]
-    described = dict(zip(told["keys"], told["descriptions"], strict=True))
-    assert described["range"]
-    assert not described["planner_id"]
+    told = (await rig.call("/get_planner_params", group="arm"))["params"]
+    shown = {key: (value, text) for key, value, text in zip(*(told[field] for field in told), strict=True)}
+    assert (shown["num_planning_attempts"], shown["range"]) == (("3", ""), ("0.1", "kept, changes nothing"))
 
 
 BAD = {
-    "value": ({"params": {"keys": ["num_planning_attempts"], "values": ["many"]}}, "num_planning_attempts"),
+    "value": (
+        {"params": {"keys": ["range", "num_planning_attempts"], "values": ["1", "many"]}},
+        "num_planning_attempts",
+    ),
     "lists": ({"params": {"keys": ["range"], "values": []}}, "1 entries"),
     "group": ({"group": "manipulator"}, "'manipulator'"),
     "pipeline": ({"pipeline_id": "chomp"}, "'chomp'"),
@@ -228,16 +219,12 @@ BAD = {
 
 
 @pytest.mark.parametrize(("fields", "words"), BAD.values(), ids=BAD.keys())
-async def test_a_bad_parameter_fails_with_a_message(rig: ServiceRig, fields, words) -> None:
+async def test_a_bad_parameter_fails_with_a_message_and_changes_nothing(rig: ServiceRig, fields, words) -> None:
+    before = await rig.call("/get_planner_params")
     ok, said = await rig.outcome("/set_planner_params", **fields)
     assert not ok
     assert words in said
-
-
-async def test_a_bad_parameter_changes_nothing(rig: ServiceRig) -> None:
-    before = await params(rig)
-    await rig.outcome("/set_planner_params", params={"keys": ["range", "planner_id"], "values": ["1", "CHOMP"]})
-    assert await params(rig) == before
+    assert await rig.call("/get_planner_params") == before
 
 
 @pytest.mark.parametrize("name", ["arm", "gripper"])
@@ -250,16 +237,13 @@ def test_a_groups_urdf_is_a_robot_with_its_joints(name: str) -> None:
     assert part.root_link == group.base_link
 
 
-async def test_large_responses_are_complete_messages() -> None:
-    rig = ServiceRig()
-    goal = {"goal_constraints": [{"joint_constraints": [joint("elbow_flex", 0.3)]}]}
-    touching = {"joint_state": {"name": ["shoulder_lift", "elbow_flex", "wrist_flex"], "position": [-1.7, 1.6, 1.6]}}
+async def test_large_responses_are_complete_messages(rig: ServiceRig) -> None:
     requests: dict[str, dict[str, Any]] = {
-        "/plan_kinematic_path": {"motion_plan_request": goal},
-        "/plan_sequence_path": {"request": {"items": [{"req": goal}]}},
+        "/plan_kinematic_path": {"motion_plan_request": {"goal_constraints": [ELBOW]}},
+        "/plan_sequence_path": {"request": {"items": [to(0.3)]}},
         "/compute_cartesian_path": {"waypoints": [{}], "max_step": 0.01},
         "/compute_fk": {},
-        "/check_state_validity": {"robot_state": touching},
+        "/check_state_validity": {"robot_state": start_state(FOLDED)},
         "/get_urdf": {},
     }
     for service, request in requests.items():
@@ -268,11 +252,8 @@ async def test_large_responses_are_complete_messages() -> None:
         assert rig.graph.message_types.complete(type_name, response) == response
 
 
-async def test_an_invalid_state_has_its_reason_beside_the_response() -> None:
-    rig, answers = ServiceRig(), asyncio.get_running_loop().create_future()
-    state = {"joint_state": {"name": ["elbow_flex"], "position": [9.0]}}
-    rig.graph.services.call(rig.client, "/check_state_validity", {"robot_state": state}, answers.set_result)
-    answer = await asyncio.wait_for(answers, 60.0)
+async def test_an_invalid_state_has_its_reason_beside_the_response(rig: ServiceRig) -> None:
+    answer = await called(rig.graph, "/check_state_validity", robot_state=start_state({"elbow_flex": 9.0}))
     assert answer.values["valid"] is False
     assert "elbow_flex" in answer.reason
 
@@ -376,9 +357,7 @@ async def test_more_links_than_any_robot_has_are_refused_before_they_cost_anythi
 
 
 async def check(rig: ServiceRig, positions=None, **fields: Any) -> Any:
-    positions = positions or {}
-    joints = {"name": list(positions), "position": list(positions.values())}
-    return await rig.call("/check_state_validity", robot_state={"joint_state": joints}, **fields)
+    return await rig.call("/check_state_validity", robot_state=start_state(positions or {}), **fields)
 
 
 async def test_contacts_have_bodies_depth_and_position(rig: ServiceRig) -> None:
@@ -392,9 +371,7 @@ async def test_contacts_have_bodies_depth_and_position(rig: ServiceRig) -> None:
 
 
 async def test_objects_and_links_have_different_body_types(rig: ServiceRig) -> None:
-    box = {"primitives": [{"type": 1, "dimensions": [0.1] * 3}], "primitive_poses": [point(0.39, 0.0, 0.22)]}
-    scene = {"is_diff": True, "world": {"collision_objects": [{"id": "crate", **box}]}}
-    rig.scene_state.apply_diff(rig.graph.message_types.complete("moveit_msgs/msg/PlanningScene", scene), HOME)
+    put(rig, thing((0.39, 0.0, 0.22)))
     contact = (await check(rig))["contacts"][0]
     types = {contact["contact_body_1"]: contact["body_type_1"], contact["contact_body_2"]: contact["body_type_2"]}
     assert types["crate"] == 1

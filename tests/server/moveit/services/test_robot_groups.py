@@ -7,10 +7,10 @@ import pytest
 from protocol.registry import Registry
 from robot.description import model
 from robot.description.joined import PlacedArm, joined, prefixed
-from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.services.robot_groups import ROBOT_TOPIC, groups_document, publish_groups
+from tests.helpers.graph import listen
 from tests.helpers.moveit import ROBOT
 
 PARAMETERS = MoveItParameters()
@@ -82,6 +82,6 @@ def test_of_several_arms_each_group_names_its_arm_and_a_group_of_both_has_none()
 def test_the_groups_are_latched_as_json() -> None:
     graph = Graph(Registry.load())
     publish_groups(graph, ROBOT, {"": ROBOT}, PARAMETERS)
-    (kept,) = graph.subscribe(Node("page"), ROBOT_TOPIC, "std_msgs/String", Subscriber(lambda _: None))
-    (arm,) = json.loads(kept.msg["data"])["groups"]
+    (kept,) = listen(graph, ROBOT_TOPIC)
+    (arm,) = json.loads(kept["data"])["groups"]
     assert (arm["name"], arm["tip"], arm["namespace"]) == ("arm", "gripper_frame_link", "")

@@ -19,7 +19,7 @@ from server.execution.queue import GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.services import Response
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.servo.servo_node import (
     INT8,
@@ -42,6 +42,7 @@ from server.moveit.servo.servo_node import (
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm, settle
 from tests.helpers.gateway import REGISTRY
+from tests.helpers.graph import listen
 from tests.helpers.moveit import planning_of
 
 NORTH = {"twist": {"linear": {"x": 0.5}}}
@@ -71,7 +72,6 @@ class Rig:
         self.graph, self.arm = Graph(REGISTRY), FakeArm()
         self.queue = OneGoal()
         self.asked: list[ServoQuestion] = []
-        self.heard: list[dict[str, Any]] = []
         self.one, self.other = Node("one", remote=True), Node("other", remote=True)
         self.node = ServoNode(
             LocalGraph(self.graph),
@@ -83,8 +83,7 @@ class Rig:
             frozenset(ROBOT.groups["arm"].joints),
         )
         self.node._session._clock = asyncio.get_running_loop().time
-        subscriber = Subscriber(lambda published: self.heard.append(dict(published.msg)))
-        self.graph.subscribe(self.one, STATUS_TOPIC, "moveit_msgs/ServoStatus", subscriber)
+        self.heard = listen(self.graph, STATUS_TOPIC)
         for client in (self.one, self.other):
             for topic, type_name in TYPES.items():
                 self.graph.advertise(client, topic, type_name)
@@ -183,10 +182,8 @@ class StatusRig:
     def __init__(self, type_name: str) -> None:
         graph = Graph(REGISTRY)
         self.clock = FakeClock()
-        self.heard: list[dict[str, Any]] = []
         self.topic = StatusPublisher(graph, Node("servo_node"), type_name, self.clock)
-        subscriber = Subscriber(lambda published: self.heard.append(dict(published.msg)))
-        graph.subscribe(Node("client"), STATUS_TOPIC, type_name, subscriber)
+        self.heard = listen(graph, STATUS_TOPIC)
 
 
 def test_humble_gets_its_own_numbers() -> None:
@@ -303,7 +300,7 @@ async def test_a_bad_timeout_is_rejected_with_limit_and_value(rig: Rig, data: fl
 
 
 async def test_the_scales_are_published_for_clients_that_come_later(rig: Rig) -> None:
-    [latched] = rig.graph.subscribe(rig.one, PARAMETERS_TOPIC, "std_msgs/String", Subscriber(lambda _published: None))
-    told = json.loads(latched.msg["data"])
+    [latched] = listen(rig.graph, PARAMETERS_TOPIC)
+    told = json.loads(latched["data"])
     assert told["linear_scale"] == MoveItParameters().servo.linear_scale
     assert told["command_in_type"] == "unitless"

@@ -1,0 +1,86 @@
+"""Rendered images: a camera moves with its link, sees bodies where they are, and measures distances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from robot.description.camera import Camera
+from robot.errors import DescriptionError
+from robot.physics.bodies import Body, BodyShape, Point
+from robot.physics.renderer import ArmRenderer, RenderingError
+from tests.helpers.rendering import needs_egl, red_pixels
+from tests.helpers.robots import so101
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+RED = {"cube": (1.0, 0.0, 0.0, 1.0)}
+CAMERAS = {
+    "above": Camera(frame="base_link", view=(0.3, 0.4, 0.6, 0.3, 0.4, 0.0), width=160, height=120),
+    "wrist": Camera(frame="gripper_link", view=(0.0, 0.2, -0.1, 0.0, 0.0, -0.1)),
+}
+
+
+def box(name: str, at: Point, half_m: float = 0.02) -> Body:
+    return Body(name, (BodyShape("box", (half_m,) * 3, (0.0, 0.0, 0.0), LEVEL),), at, LEVEL, movable=True)
+
+
+def held_cube(renderer: ArmRenderer) -> Body:
+    """A cube between the fingers."""
+    position_m, (qx, qy, qz, qw) = renderer.link_pose("gripper_link")
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, [qw, qx, qy, qz])
+    x, y, z = (np.array(position_m) + rotation.reshape(3, 3) @ (0.0, 0.0, -0.1)).tolist()
+    return replace(box("cube", (x, y, z)), orientation=(qx, qy, qz, qw))
+
+
+@needs_egl
+def test_a_cube_in_the_gripper_keeps_its_pixels_and_a_cube_that_stays_behind_does_not() -> None:
+    renderer = ArmRenderer(so101(), CAMERAS)
+    seen = []
+    cube = held_cube(renderer)
+    for angle_rad in (0.0, 0.2):
+        renderer.place({"shoulder_pan": angle_rad, "wrist_flex": angle_rad})
+        for body in (held_cube(renderer), cube):
+            renderer.set_bodies((body,), RED)
+            seen.append(red_pixels(renderer.image("wrist")))
+    before, same, held, left = (pixels.mean(axis=0) for pixels in seen)
+    assert before == pytest.approx(same)
+    assert before == pytest.approx((159.5, 119.5), abs=1.0)
+    assert held == pytest.approx(before, abs=0.2)
+    assert abs(left - before).max() > 20
+
+
+@needs_egl
+def test_depth_is_the_distance_along_the_view_and_infinite_beyond_the_floor() -> None:
+    renderer = ArmRenderer(so101(), CAMERAS | {"up": Camera(frame="base_link", view=(0.3, 0.0, 0.6, 0.3, 0.0, 2.0))})
+    renderer.set_bodies((box("cube", (0.3, 0.4, 0.05), 0.05),), {})
+    depth_m = renderer.depth_m("above")
+    assert depth_m.shape == (120, 160)
+    assert depth_m[60, 80] == pytest.approx(0.5, abs=0.001)
+    # The distance of the floor, not the way to its corners in the image, which is longer.
+    assert depth_m.max() == pytest.approx(0.6, abs=0.001)
+    assert np.isinf(renderer.depth_m("up")).all()
+    assert renderer.image("above").shape == (120, 160, 3)
+
+
+@needs_egl
+def test_images_may_be_larger_than_mujocos_frame_buffer_by_default() -> None:
+    large = Camera(frame="base_link", view=(0.6, 0.0, 0.4, 0.0, 0.0, 0.0), width=1280, height=960)
+    assert ArmRenderer(so101(), {"large": large}).image("large").shape == (960, 1280, 3)
+
+
+def test_a_camera_on_no_link_is_refused() -> None:
+    with pytest.raises(DescriptionError, match="camera 'top' is on the link 'hand', which the arm does not have"):
+        ArmRenderer(so101(), {"top": Camera(frame="hand", view=(0.1, 0.1, 0.1, 0.0, 0.0, 0.0))})
+
+
+def test_a_machine_without_opengl_gets_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AttributeError("no EGL")
+
+    monkeypatch.setattr(mujoco, "Renderer", refuse, raising=False)
+    with pytest.raises(RenderingError, match=r"images need OpenGL off screen: .* \(no EGL\)"):
+        ArmRenderer(so101(), CAMERAS)

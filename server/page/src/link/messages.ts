@@ -257,7 +257,7 @@ export function valuesByJoint(names: readonly string[], values: readonly (number
 }
 
 /** Return the values of a diagnostic_msgs/DiagnosticStatus by key. */
-function keyValues(status: DiagnosticStatus): Record<string, string> {
+export function keyValues(status: DiagnosticStatus): Record<string, string> {
   return Object.fromEntries(status.values.map(({ key, value }) => [key, value]));
 }
 

@@ -6,7 +6,7 @@ import { t } from "../texts/texts";
 import { Icon, Shown, SignButton, usePage } from "./ui";
 
 export interface Panel {
-  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "class" | "log" | "settings";
+  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "recording" | "class" | "log" | "settings";
   /** SVG path of its icon, in a square of 24. */
   icon: string;
   /** On the rail itself, or in its menu. */

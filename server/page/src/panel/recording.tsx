@@ -1,13 +1,12 @@
 import type { JSX } from "preact";
 import { useContext, useEffect, useState } from "preact/hooks";
-import type { DiagnosticStatus, TeleopState } from "../../../../clients/js/armbridge";
 import { ask } from "../link/connection";
-import { keyValues } from "../link/messages";
+import { keyValues, type Received } from "../link/messages";
 import { t } from "../texts/texts";
 import { isTyping } from "./drive-keyboard";
 import { Button, Gate, Line, Section, Select, Shown, TextList, usePage } from "./ui";
 
-const STATUS = "diagnostic_msgs/DiagnosticStatus";
+const STATUS = "diagnostic_msgs/msg/DiagnosticStatus";
 const RATE = "rate_hz.";
 
 /** As the server's. */
@@ -17,12 +16,12 @@ const MAX_TASK_CHARACTERS = 300;
 const OWN_STATES = /^\/(\w+\/)?(teleop\/leader_)?joint_states$/;
 
 /** Return the newest message of a topic while the panel is shown, and a function that calls a service and its answer. */
-function useTopic<Message>(topic: string, type: string): [Message | undefined, (service: string, request?: object) => void, string] {
+function useTopic<Type extends keyof Received>(topic: string, type: Type): [Received[Type] | undefined, (service: string, request?: object) => void, string] {
   const { connection } = usePage();
   const shown = useContext(Shown);
-  const [newest, take] = useState<Message>();
+  const [newest, take] = useState<Received[Type]>();
   const [answer, tell] = useState("");
-  useEffect(() => (shown ? connection.subscribe<Message>(topic, type, (message) => take(() => message)) : undefined), [shown]);
+  useEffect(() => (shown ? connection.subscribe(topic, type, (message) => take(() => message)) : undefined), [shown]);
   return [newest, (service, request = {}) => void ask(connection, service, request).then(({ message }) => tell(message)), answer];
 }
 
@@ -30,7 +29,7 @@ function useTopic<Message>(topic: string, type: string): [Message | undefined, (
 export function EpisodesSection(): JSX.Element {
   const { cameras, store } = usePage();
   const shown = useContext(Shown);
-  const [status, call, answer] = useTopic<DiagnosticStatus>("/dataset/state", STATUS);
+  const [status, call, answer] = useTopic("/dataset/state", STATUS);
   const [topics, setTopics] = useState<string[]>([]);
   const [task, setTask] = useState("");
   const values = status ? keyValues(status) : {};
@@ -77,7 +76,7 @@ export function EpisodesSection(): JSX.Element {
 export function LeaderSection(): JSX.Element {
   const { connection, store } = usePage();
   const shown = useContext(Shown);
-  const [state, call, answer] = useTopic<TeleopState>("/teleop/state", "armbridge_msgs/TeleopState");
+  const [state, call, answer] = useTopic("/teleop/state", "armbridge_msgs/msg/TeleopState");
   const [leaders, setLeaders] = useState<string[]>([]);
   const [chosen, choose] = useState("");
   const { connected } = store.state.link;
@@ -105,7 +104,7 @@ export function LeaderSection(): JSX.Element {
 
 /** A learned policy that moves the arm: its state, pause, and stop. */
 export function PolicySection(): JSX.Element {
-  const [status, call] = useTopic<DiagnosticStatus>("/arm/chunks/state", STATUS);
+  const [status, call] = useTopic("/arm/chunks/state", STATUS);
   const phase = status ? keyValues(status).phase : "idle";
   const held = phase === "paused" || phase === "taken_over";
   return (

@@ -58,7 +58,7 @@ build/docs/.installed: requirements-docs.lock
 	touch $@
 
 PAGE_SOURCES := $(wildcard $(PAGE)/*.json $(PAGE)/*.ts) $(PAGE)/index.html \
-	$(shell find $(PAGE)/src $(PAGE)/public -type f) pyproject.toml
+	$(shell find $(PAGE)/src $(PAGE)/public -type f) pyproject.toml protocol/interfaces/ros2.json
 
 $(PAGE)/dist/index.html: $(PAGE)/node_modules/.package-lock.json $(PAGE_SOURCES)
 	cd $(PAGE) && npm run build
@@ -100,10 +100,11 @@ test-pythons:
 test-processes: install-dev
 	$(PYTEST) tests/processes -n 6 --dist loadfile $(ARGS)
 
-# The page from its lock: types and build, then its logic, then in the browser, which each worker starts once.
+# The page from its lock: types and build, then its logic, then in the browser, which each worker starts once. A module's
+# server is started once. The pictures of the docs are made by make pictures.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page $(ARGS)
+	$(PYTEST) tests/page --ignore tests/page/test_pictures.py -n 2 --dist loadfile $(ARGS)
 
 # The pictures of README.md and docs/page.md, and the digest of the page that they show.
 pictures: install-dev page

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 EPISODE_TOPIC, EPISODE_TYPE = "/dataset/episode", "std_msgs/String"
+COMPRESSED_IMAGE, RAW_IMAGE = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
+IMAGES = COMPRESSED_IMAGE, RAW_IMAGE
 
 Kind: TypeAlias = Literal["start", "stop", "discard"]
 START: Kind = "start"

@@ -16,12 +16,11 @@ from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.datasets import lerobot
-from server.datasets.episodes import MAX_GAP_S, Episode, checked_task, episodes_of
+from server.datasets.episodes import IMAGES, MAX_GAP_S, Episode, checked_task, episodes_of
 from server.datasets.frames import Frames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
 from server.datasets.lerobot import ImageStatistics, VideoError, VideoWriter, pixels_of
 from server.datasets.samples import (
     CONTROLLER_STATE,
-    IMAGES,
     JOINT_STATE,
     LEADER_TOPIC,
     STATE_TOPIC,

@@ -16,7 +16,7 @@ from protocol.registry import Registry
 from server.arm.topics import CALIBRATED_RANGE
 from server.chunks.action_chunks import STATE as POLICY_TOPIC
 from server.chunks.action_chunks import Phase
-from server.datasets.episodes import EPISODE_TOPIC
+from server.datasets.episodes import EPISODE_TOPIC, IMAGES, RAW_IMAGE
 from server.errors import RecordingError
 from server.recording.bags import messages
 from server.recording.files import RecordedMessage
@@ -32,8 +32,6 @@ LIMITS_TOPIC = "/arm/joint_limits"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 ARM_STATE = "diagnostic_msgs/msg/DiagnosticStatus"
-COMPRESSED_IMAGE, RAW_IMAGE = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
-IMAGES = COMPRESSED_IMAGE, RAW_IMAGE
 
 # Encodings of raw images of 8 bits a channel (sensor_msgs/image_encodings.hpp): channels, and those that make RGB.
 COLOURS = {

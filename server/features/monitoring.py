@@ -113,15 +113,17 @@ class Recording(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         self.recorder = open_recorder(context.settings.recording, context.graph, context.planning.robot.name)
-        EpisodeServices(context.graph, self._records)
+        self._looking = BackgroundTask("episodes", EpisodeServices(context.graph, self._records).run)
 
     async def open_file(self) -> None:
         """Open the file."""
         if self.recorder is not None:
             self.recorder.start()
+        await self._looking.start()
 
     async def stop(self) -> None:
         """Write the last messages, also the messages of the stop."""
+        await self._looking.stop()
         if self.recorder is not None:
             await self.recorder.close()
 

@@ -2,13 +2,18 @@ import { readFileSync } from "node:fs";
 import { defineConfig } from "vitest/config";
 
 const project = readFileSync(new URL("../../pyproject.toml", import.meta.url), "utf8");
+const types = JSON.parse(readFileSync(new URL("../../protocol/interfaces/ros2.json", import.meta.url), "utf8"));
+const error_codes: string[][] = types["moveit_msgs/msg/MoveItErrorCodes"].consts;
 const version = /^version = "(.+)"$/m.exec(project)?.[1] ?? "";
 
 export default defineConfig({
   // Relative, so that the page also works behind a proxy that serves it under a path.
   base: "./",
-  // Version of armbridge that the page is built with; the server tells its own.
-  define: { __VERSION__: JSON.stringify(version) },
+  define: {
+    // Version of armbridge that the page is built with; the server tells its own.
+    __VERSION__: JSON.stringify(version),
+    __ERROR_CODE_NAMES__: JSON.stringify(Object.fromEntries(error_codes.map(([, name, value]) => [value, name]))),
+  },
   // For `armbridge --version`, which reads no JavaScript.
   plugins: [{
     name: "version",

@@ -94,18 +94,18 @@ def drive(page: OpenPage, press: Callable[[], None], let_go: Callable[[], None])
 def press_until(page: OpenPage, condition: str, press: Callable[[], None], let_go: Callable[[], None]) -> None:
     """Press an input until a condition of the state.
 
-    On a busy machine the servo loop may end, or the link, and want a new press.
+    A server that was late and has ended steering follows the held input again. After a lost link the input must be let
+    go and pressed again.
     """
     until_s = time.monotonic() + MOVES_WITHIN_S
     while True:
         page.until_state("s.link.connected")
         press()
-        page.until_state(f"{condition} || s.servo_node.message.startsWith('steering was ended') || !s.link.connected")
+        page.until_state(f"{condition} || !s.link.connected")
         if page.page.evaluate(f"(() => {{ const s = window.armbridge.state(); return {condition}; }})()"):
             return
-        assert time.monotonic() < until_s, page.state("servo_node")
+        assert time.monotonic() < until_s, page.describe()
         let_go()
-        page.page.wait_for_timeout(400)
 
 
 def until_still(page: OpenPage) -> None:

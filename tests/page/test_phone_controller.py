@@ -15,7 +15,7 @@ from harness.server import RunningServer
 # The emulated servos' reading jitters by less.
 MOVED_M = 0.01
 STILL_RAD_S = 0.02
-MOVES_WITHIN_S = 60.0
+MOVES_WITHIN_S = 180.0
 
 # A phone whose pose the tests hold in window.phone: its sensors tell it all the time, or WebXR once a frame.
 SENSORS = """
@@ -116,12 +116,12 @@ def drive(page: OpenPage, server: RunningServer, axis: int, move: Callable[[], N
     while True:
         hold_clutch(page)
         move()
-        for _ in range(60):
+        # A page that stood still for 0.08 s has begun the grip again, from the tilt that the phone has by then.
+        for _ in range(20):
             page.page.wait_for_timeout(50)
             if abs(way := tip(server.url)[axis] - first) > MOVED_M:
                 return way
         assert time.monotonic() < until_s, page.describe()
-        # On a busy machine the servo loop may end; it wants the clutch released first.
         page.page.mouse.up()
         # A phone that comes back while the clutch is held takes the tip the other way.
         page.page.evaluate("clearInterval(window.falling); Object.assign(phone, { beta: 40, gamma: 0, height_m: 0 })")

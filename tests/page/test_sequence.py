@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from websockets.sync.client import connect
 
-from harness.clients import call
+from harness.clients import call, tip
 from harness.page import PATIENCE_MS, SHARED, OpenPage
 from harness.server import FAST, ROOT, RunningServer
 
@@ -173,9 +173,7 @@ def test_a_leg_into_a_contact_names_the_links_and_nothing_is_played(page: OpenPa
 
 def test_an_object_that_comes_into_the_way_is_told_at_once(page: OpenPage, server: RunningServer) -> None:
     move(server, PLACES[1])
-    load(page, waypoint(PLACES[2], straight=True))
-    until_checked(page, "possible")
-    x, y, z = page.state("tool_m")
+    x, y, z = tip(server.url)
     move(server, PLACES[2])
     page.until_state("s.arm.mode === 'holding'")
     load(page, waypoint(PLACES[1]))

@@ -1,24 +1,13 @@
 import type { Point, State } from "./state/state";
 import type { PageStore } from "./state/store";
-import type { SceneView } from "./view/view";
-
-/** Figures of the drawing. */
-interface Drawn {
-  frames: number;
-  /** Time of the first frame with the arm, from the page's start; 0 before. */
-  arm_ms: number;
-  /** Stamp of the joint state that is on the screen. */
-  joint_stamp_s: number;
-  /** Time from the newest joint state to the frame that draws it. */
-  age_ms: number;
-}
+import { NO_FRAMES, type FrameFigures, type SceneView } from "./view/view";
 
 declare global {
   interface Window {
     /** State and figures of the page, for the browser's console and tests. */
     armbridge: {
       state: () => State;
-      readonly drawn: Drawn;
+      readonly drawn: FrameFigures;
       /** Return the place of a point of the root link's frame in the window [px]. */
       screen_of: (...position_m: Point) => [number, number];
     };
@@ -29,14 +18,8 @@ declare global {
 export function exposeToConsole(store: PageStore, view: SceneView | null): void {
   window.armbridge = {
     state: () => store.state,
-    get drawn(): Drawn {
-      const figures = view?.figures;
-      return {
-        frames: figures?.frames ?? 0,
-        arm_ms: figures?.arm_drawn_ms ?? 0,
-        joint_stamp_s: figures?.drawn_stamp ?? 0,
-        age_ms: figures?.age_ms ?? 0,
-      };
+    get drawn() {
+      return view?.figures ?? NO_FRAMES;
     },
     screen_of: (...position_m) => view?.screenOf(position_m) ?? [0, 0],
   };

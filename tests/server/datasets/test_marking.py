@@ -3,6 +3,7 @@ from typing import Any
 
 import pytest
 
+from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from server.datasets.episodes import (
     EPISODE_TOPIC,
@@ -14,7 +15,7 @@ from server.datasets.episodes import (
     episodes_of,
     parse_mark,
 )
-from server.datasets.marking import DISCARD_SERVICE, START_SERVICE, STOP_SERVICE, EpisodeServices
+from server.datasets.marking import DISCARD_SERVICE, START_SERVICE, STATE, STATE_TYPE, STOP_SERVICE, EpisodeServices
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.server.recordings import REGISTRY
@@ -26,9 +27,11 @@ class Marked:
     def __init__(self) -> None:
         self.now_s = 100.0
         self.recording = True
-        self.graph = Graph(REGISTRY)
+        self.graph = Graph(REGISTRY, wall_clock=lambda: self.now_s)
         self.texts: list[str] = []
-        EpisodeServices(self.graph, lambda: self.recording, lambda: self.now_s)
+        self.services = EpisodeServices(self.graph, lambda: self.recording, lambda: self.now_s)
+        self.states: list[dict[str, Any]] = []
+        self.graph.subscribe(Node("page"), STATE, STATE_TYPE, Subscriber(lambda each: self.states.append(each.msg)))
         self.graph.subscribe(Node("recorder"), EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take))
 
     def _take(self, published: PublishedMessage) -> None:
@@ -88,6 +91,46 @@ async def test_a_silent_camera_is_reported_as_soon_as_its_episode_ends(caplog: p
         f"episode 3 has ended after 1.4 s. {left_out} 1.4 s",
     ]
     assert f"episode 2 would be left out of a dataset: {topic} was silent for 0.9 s" in caplog.text
+
+
+CAMERA = "/wrist/image/compressed"
+
+# Intervals between images [s], their delay behind their stamps [s], and the problem.
+TIMINGS: dict[str, tuple[list[float], float, str]] = {
+    "even": ([0.1] * 10, 0.05, ""),
+    "jitter": ([0.1, 0.15, 0.05] * 4, 0.0, ""),
+    "uneven": ([0.05] * 9 + [0.4], 0.0, f"{CAMERA} is uneven: 11 images a second, but up to 0.40 s apart"),
+    "late": ([0.1] * 10, 0.3, f"{CAMERA} is late: its images come 0.3 s after their stamps"),
+    "silent": ([0.1, 0.1, 0.7], 0.0, ""),
+    "none": ([], 0.0, f"{CAMERA} is silent for 0.6 s"),
+}
+
+
+@pytest.mark.parametrize(("intervals_s", "delay_s", "problem"), TIMINGS.values(), ids=TIMINGS.keys())
+async def test_a_camera_that_is_late_or_uneven_is_reported_while_the_episode_is_recorded(
+    intervals_s: list[float], delay_s: float, problem: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    marked, camera = Marked(), Node("camera")
+    await marked.call(START_SERVICE, task="pick")
+    # A camera may begin after the episode.
+    marked.graph.advertise(camera, CAMERA, "sensor_msgs/CompressedImage")
+    marked.services.look()
+    for wait_s in intervals_s:
+        marked.now_s += wait_s
+        stamp = Stamp.from_seconds(marked.now_s - delay_s).as_message()
+        marked.graph.publish(camera, CAMERA, {"header": {"stamp": stamp, "frame_id": ""}})
+    marked.now_s += 0.0 if intervals_s else 0.6
+    for _ in range(2):
+        marked.services.look()
+    state = marked.states[-1]
+    values = {each["key"]: each["value"] for each in state["values"]}
+    assert (state["message"], state["level"]) == (problem, 1 if problem else 0)
+    assert (values["task"], values["recording"], values["episodes"]) == ("pick", "true", "0")
+    assert caplog.text.count("episode 1: ") == (1 if problem else 0)
+    await marked.call(STOP_SERVICE)
+    ended = {each["key"]: each["value"] for each in marked.states[-1]["values"]}
+    assert (ended["task"], ended["episode_s"], ended["episodes"]) == ("", "", "1")
+    assert ended["lengths_s"] == f"{marked.now_s - 100.0:.1f}"
 
 
 async def test_the_services_know_the_marks_of_clients(caplog: pytest.LogCaptureFixture) -> None:

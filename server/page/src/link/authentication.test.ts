@@ -3,8 +3,9 @@ import { emptyState } from "../state/state";
 import { Store, type PageStore } from "../state/store";
 import {
   Authentication,
-  bearerHeader,
+  authorizationHeaders,
   storedToken,
+  storeToken,
   takeTokenFromUrl,
   tokenFromUrl,
   urlWithoutToken,
@@ -26,11 +27,6 @@ test.each([
 test("an address without its token keeps the rest", () => {
   expect(urlWithoutToken("http://h:9090/?x=1&token=abc#token=def")).toBe("http://h:9090/?x=1");
   expect(urlWithoutToken("http://h:9090/#panel")).toBe("http://h:9090/#panel");
-});
-
-test("a token is shown in the header of a file", () => {
-  expect(bearerHeader("a+b")).toEqual({ Authorization: "Bearer a+b" });
-  expect(bearerHeader(null)).toEqual({});
 });
 
 let kept: Map<string, string>;
@@ -56,6 +52,13 @@ function authentication(): { authentication: Authentication; store: PageStore; r
   const reopen = vi.fn();
   return { authentication: new Authentication({ reopen } as unknown as Connection, store), store, reopen };
 }
+
+test("a token is shown in the header of a file", () => {
+  expect(authorizationHeaders()).toEqual({});
+  storeToken("a+b");
+  expect(authorizationHeaders()).toEqual({ Authorization: "Bearer a+b" });
+  storeToken(null);
+});
 
 test("a rejected page asks for a token, and connects anew with it", () => {
   const setup = authentication();

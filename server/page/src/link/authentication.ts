@@ -16,11 +16,6 @@ export function urlWithoutToken(page: string): string {
   return url.href;
 }
 
-/** Return the HTTP header that carries a token (RFC 6750, section 2.1). */
-export function bearerHeader(token: string | null): Record<string, string> {
-  return token === null ? {} : { Authorization: `Bearer ${token}` };
-}
-
 function tokenFromQuery(fields: string): string | null {
   // URLSearchParams reads a plus sign as a space; tokens have no spaces, but may have plus signs.
   return new URLSearchParams(fields.replaceAll("+", "%2B")).get("token") || null;
@@ -61,12 +56,12 @@ export function takeTokenFromUrl(): boolean {
   return true;
 }
 
-/** Return the headers of a request for the robot's files. */
+/** Return the headers of a request for the robot's files: the token as in RFC 6750, section 2.1. */
 export function authorizationHeaders(): Record<string, string> {
-  return bearerHeader(storedToken());
+  const token = storedToken();
+  return token === null ? {} : { Authorization: `Bearer ${token}` };
 }
 
-/** Authentication with the token that the user has given. */
 export class Authentication {
   constructor(
     private readonly connection: Connection,
@@ -81,7 +76,6 @@ export class Authentication {
     window.addEventListener("hashchange", () => takeTokenFromUrl() && this.reconnect());
   }
 
-  /** Ask the user for a token. */
   promptForToken(): void {
     this.store.patch("token", { asked: true });
   }

@@ -3,7 +3,7 @@ import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { storedToken } from "./authentication";
 import { ask, Connection } from "./connection";
-import { readArmState, valuesByJoint, type DiagnosticStatus, type JointState, type String as StringMessage, type TriggerResponse } from "./messages";
+import { readArmState, valuesByJoint, type JointState, type TriggerResponse } from "./messages";
 
 /** Least time between two poses of an arm [ms]: each is a picture to draw, and a class has many arms. */
 const POSE_PERIOD_MS = 1000;
@@ -19,7 +19,7 @@ export class Classroom {
     private readonly connection: Connection,
     private readonly store: PageStore,
   ) {
-    connection.subscribe<StringMessage>("/armbridge/classroom", "std_msgs/String", ({ data }) => {
+    connection.subscribe("/armbridge/classroom", "std_msgs/msg/String", ({ data }) => {
       const ports = Object.entries(JSON.parse(data) as Record<string, number>);
       store.set({ classroom: ports.map(([name, port]) => ({ name, port, connected: false, arm: null, seen_rad: {} })) });
     });
@@ -32,8 +32,8 @@ export class Classroom {
       url.port = String(port);
       const own = new Connection(url.href, ({ connected }) => this.patch(name, { connected }), storedToken);
       this.connections.set(name, own);
-      own.subscribe<DiagnosticStatus>("/arm/state", "diagnostic_msgs/DiagnosticStatus", (status) => this.patch(name, { arm: readArmState(status) }));
-      own.subscribe<JointState>("/joint_states", "sensor_msgs/JointState", (joints) => this.patch(name, { seen_rad: seen(joints) }), POSE_PERIOD_MS);
+      own.subscribe("/arm/state", "diagnostic_msgs/msg/DiagnosticStatus", (status) => this.patch(name, { arm: readArmState(status) }));
+      own.subscribe("/joint_states", "sensor_msgs/msg/JointState", (joints) => this.patch(name, { seen_rad: seen(joints) }), POSE_PERIOD_MS);
       own.open();
     }
     return () => {
@@ -45,7 +45,6 @@ export class Classroom {
     };
   }
 
-  /** Stop an arm; return the server's sentence. */
   async stop(name: string): Promise<string> {
     return (await this.request(name, "/arm/stop")) || t("stop.stands");
   }

@@ -1,5 +1,5 @@
 import { armGripper, armNamespace } from "../logic/joints";
-import type { State, SuggestedGoal } from "../state/state";
+import type { State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { STATUS_ABORTED, type Connection, type GoalHandle } from "./connection";
@@ -14,12 +14,11 @@ export class ArmCommands {
     private readonly store: PageStore,
   ) {}
 
-  /** Publish the goal that the server suggested in place of a rejected one. */
-  publishSuggestion({ topic, type, msg }: SuggestedGoal): void {
+  /** Publish a message; a notice has the reason when it cannot be sent. */
+  publish(topic: string, type: string, msg: unknown): void {
     this.attempt(() => this.connection.publish(topic, type, msg));
   }
 
-  /** Save the arm's present pose under a name. */
   async savePose(name: string): Promise<boolean> {
     return this.attempt(async () => {
       const request = { name, robot: "", state: {} };
@@ -29,7 +28,6 @@ export class ArmCommands {
     });
   }
 
-  /** Delete a saved pose. */
   async deletePose(name: string): Promise<void> {
     await this.attempt(() => this.connection.call("/delete_robot_state", { name, robot: "" }));
   }
@@ -43,14 +41,8 @@ export class ArmCommands {
     });
   }
 
-  /** Take control of the arm from another client. */
   async takeOver(): Promise<void> {
     if (await this.trigger("/arm/release_control")) await this.trigger("/arm/take_control");
-  }
-
-  /** Set the speed along the path, of the present motion and of later ones. */
-  setSpeedFactor(factor: number): void {
-    this.attempt(() => this.connection.publish("/arm/speed_factor", "std_msgs/Float64", { data: factor }));
   }
 
   /** Set the share of the joints' speed limits that no motion of the planning group's arm exceeds; return the success. */
@@ -61,7 +53,7 @@ export class ArmCommands {
   /** Select the joint group that goals are for, of this page and of the server's goal topics. */
   selectGroup(group: string): void {
     selectGroup(this.store, group);
-    this.attempt(() => this.connection.publish("/moveit_goal_group", "std_msgs/String", { data: group }));
+    this.publish("/moveit_goal_group", "std_msgs/String", { data: group });
   }
 
   /** Move the gripper to a position [rad or m]. */
@@ -82,14 +74,9 @@ export class ArmCommands {
     this.gripper_goal?.cancel();
   }
 
-  /** Execute the plan of a goal that waits to be confirmed. */
-  approveGoal(id: string): void {
-    this.attempt(() => this.connection.publish("/moveit_goal_approve", "std_msgs/String", { data: id }));
-  }
-
-  /** Cancel one goal, executing or queued, of any client. */
-  cancelGoal(id: string): void {
-    this.attempt(() => this.connection.publish("/moveit_goal_cancel", "std_msgs/String", { data: id }));
+  /** Have the plan of a goal that waits carried out, or cancel a goal of any client. */
+  decide(id: string, decision: "approve" | "cancel"): void {
+    this.publish(`/moveit_goal_${decision}`, "std_msgs/String", { data: id });
   }
 
   private async attempt(act: () => unknown): Promise<boolean> {
@@ -105,7 +92,6 @@ export class ArmCommands {
 /** Time for the answer of /arm/stop [s]; the server answers within 6 s, when the arm stands. */
 const STOP_TIMEOUT_S = 7;
 
-/** Time that the acknowledgement stays on the button [ms]. */
 const ACKNOWLEDGEMENT_MS = 4000;
 
 /** Stop of the arm, with the server's acknowledgement. */

@@ -53,9 +53,9 @@ function commands(answer: () => Promise<unknown>): { sent: unknown[]; store: Pag
 
 test("procedures are begun, answered and cancelled by the services of the server", async () => {
   const { sent, commands: all } = commands(() => Promise.resolve({ success: true, message: "" }));
-  await all.begin("calibrate", "left");
-  await all.answer("middle", "done");
-  await all.cancel();
+  await all.request("begin", { procedure: "calibrate", name: "left" });
+  await all.request("answer", { step: "middle", answer: "done" });
+  await all.request("cancel");
   expect(sent).toEqual([
     ["/arm/commissioning/begin", { procedure: "calibrate", name: "left" }],
     ["/arm/commissioning/answer", { step: "middle", answer: "done" }],
@@ -66,14 +66,14 @@ test("procedures are begun, answered and cancelled by the services of the server
 test("a refusal is shown until the next request is taken", async () => {
   const answers = [{ success: false, message: "the arm moves" }, { success: true, message: "" }];
   const { store, commands: all } = commands(() => Promise.resolve(answers.shift()));
-  expect(await all.begin("verify", "")).toBe(false);
+  expect(await all.request("begin", { procedure: "verify", name: "" })).toBe(false);
   expect(store.state.notices.map(({ text }) => text)).toEqual(["the arm moves"]);
-  expect(await all.begin("verify", "")).toBe(true);
+  expect(await all.request("begin", { procedure: "verify", name: "" })).toBe(true);
   expect(store.state.notices).toEqual([]);
 });
 
 test("a connection that is lost is told like a refusal", async () => {
   const { store, commands: all } = commands(() => Promise.reject(new Error("the server cannot be reached")));
-  expect(await all.cancel()).toBe(false);
+  expect(await all.request("cancel")).toBe(false);
   expect(store.state.notices.map(({ text }) => text)).toEqual(["the server cannot be reached"]);
 });

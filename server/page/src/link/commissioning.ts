@@ -1,7 +1,7 @@
 import { HandObserver } from "../logic/commissioning";
 import { setNotice, type PageStore } from "../state/store";
 import { ask, type Connection } from "./connection";
-import { readCommissioning, type CommissioningMessage, type TriggerResponse } from "./messages";
+import { readCommissioning, type TriggerResponse } from "./messages";
 
 /** Least time between two drawn states [ms]; bars that move faster cannot be read. */
 const UPDATE_PERIOD_MS = 100;
@@ -9,18 +9,13 @@ const UPDATE_PERIOD_MS = 100;
 /** Time for an answer of the server [s]: before a procedure begins, the arm stops and the torque goes off. */
 const ANSWER_TIMEOUT_S = 15;
 
-/** Key of the notice with the server's refusal. */
-const NOTICE = "commissioning";
-
 /** Subscribe to the state of calibration and verification; the topic is latched, so a new page knows it at once. */
 export function subscribeCommissioning(connection: Connection, store: PageStore): void {
   const hand = new HandObserver();
-  const listener = (message: CommissioningMessage): void => {
+  connection.subscribe("/arm/commissioning/state", "armbridge_msgs/msg/CommissioningState", (message) => {
     const commissioning = readCommissioning(message);
     store.set({ commissioning, joint_in_hand: nextInHand(store, hand.observe(commissioning, store.state.joints)) });
-  };
-  const type = "armbridge_msgs/msg/CommissioningState";
-  connection.subscribe<CommissioningMessage>("/arm/commissioning/state", type, listener, UPDATE_PERIOD_MS);
+  }, UPDATE_PERIOD_MS);
 }
 
 /** Return the joint in hand; the very object of the state where it is the same, so that nobody is told again. */
@@ -36,24 +31,10 @@ export class CommissioningCommands {
     private readonly store: PageStore,
   ) {}
 
-  /** Begin a procedure; an empty name writes the calibration in use. */
-  async begin(procedure: "calibrate" | "verify", name: string): Promise<boolean> {
-    return this.request("/arm/commissioning/begin", { procedure, name });
-  }
-
-  /** Answer a step; the server refuses an answer to a step that is over. */
-  async answer(step: string, answer: string): Promise<boolean> {
-    return this.request("/arm/commissioning/answer", { step, answer });
-  }
-
-  /** Break the procedure off. */
-  async cancel(): Promise<boolean> {
-    return this.request("/arm/commissioning/cancel", {});
-  }
-
-  private async request(service: string, request: object): Promise<boolean> {
-    const { success, message } = await ask<TriggerResponse>(this.connection, service, request, ANSWER_TIMEOUT_S);
-    setNotice(this.store, NOTICE, success ? "" : message);
+  /** Begin a procedure (with an empty name the calibration in use is written), answer a step, or break off. */
+  async request(service: "begin" | "answer" | "cancel", request: object = {}): Promise<boolean> {
+    const { success, message } = await ask<TriggerResponse>(this.connection, `/arm/commissioning/${service}`, request, ANSWER_TIMEOUT_S);
+    setNotice(this.store, "commissioning", success ? "" : message);
     return success;
   }
 }

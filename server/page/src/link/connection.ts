@@ -1,4 +1,5 @@
 import { t } from "../texts/texts";
+import type { Received } from "./messages";
 
 /** Failure to reach the server or to get its answer; the message is shown to the user. */
 export class ConnectionError extends Error {
@@ -29,7 +30,6 @@ export function backoff_s(failures: number): number {
 const HEARTBEAT_MS = 2000;
 const SILENT_HEARTBEATS = 2;
 
-/** action_msgs/GoalStatus.STATUS_ABORTED. */
 export const STATUS_ABORTED = 6;
 
 /** Final status of action_msgs/GoalStatus with the result, or with the reason where the goal was rejected. */
@@ -39,10 +39,8 @@ export interface GoalResult<Result> {
   reason: string;
 }
 
-/** Goal that was sent to an action. */
 export interface GoalHandle<Result> {
   result: Promise<GoalResult<Result>>;
-  /** Ask the server to cancel it. */
   cancel: () => void;
 }
 
@@ -51,7 +49,6 @@ export interface Refusable {
   refusal: string;
 }
 
-/** Condition of the connection. */
 export interface ConnectionStatus {
   connected: boolean;
   latency_ms: number | null;
@@ -81,7 +78,6 @@ interface Operation {
   values: unknown;
 }
 
-/** Request that waits for its answer. */
 interface Waiting {
   /** Reason that the server has told before the answer (docs/protocol.md, "Status"). */
   refusal: string;
@@ -91,14 +87,12 @@ interface Waiting {
 
 /** rosbridge connection that reconnects by itself and restores its subscriptions. */
 export class Connection {
-  /** Socket of the present attempt to connect. */
   private socket: WebSocket | null = null;
   private connected = false;
   /** True once the server has answered a request of this connection. */
   private accepted = false;
   private refused = "";
   private failures = 0;
-  /** Number of the last request or subscription, by which its answer is known. */
   private number = 0;
   private silent_heartbeats = 0;
   private reconnect_timer: ReturnType<typeof setTimeout> | undefined;
@@ -128,22 +122,15 @@ export class Connection {
     this.connect();
   }
 
-  /** End the connection for good. */
   close(): void {
     this.closing.abort();
     this.disconnect();
   }
 
-  /** Connect again with the present token. */
   reopen(): void {
     this.disconnect();
     this.onStatus({ connected: false, latency_ms: null, refused: "" });
     this.connect();
-  }
-
-  /** True while the connection is open. */
-  get isConnected(): boolean {
-    return this.connected;
   }
 
   /**
@@ -152,7 +139,7 @@ export class Connection {
    * @param throttle_ms - least time between two messages; the newest is kept.
    * @returns function that ends the subscription.
    */
-  subscribe<Message>(topic: string, type: string, listener: (message: Message) => void, throttle_ms = 0): () => void {
+  subscribe<Type extends keyof Received>(topic: string, type: Type, listener: (message: Received[Type]) => void, throttle_ms = 0): () => void {
     const subscription: Subscription = { id: this.newId("subscribe", topic), topic, type, throttle_ms, listener };
     this.subscriptions.add(subscription);
     if (this.connected) this.sendSubscription(subscription);

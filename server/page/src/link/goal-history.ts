@@ -4,7 +4,6 @@ import type { PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import { readGoal, readPlan, type DiagnosticStatus, type RobotTrajectory } from "./messages";
 
-/** armbridge_msgs/srv/GetGoalRecord, the response. */
 interface GoalRecordResponse {
   success: boolean;
   message: string;

@@ -1,6 +1,6 @@
 import { Quaternion, Vector3 } from "three";
 import { isRotation, type JogCommand, type TipAxis } from "../logic/jog";
-import { armGripper, armJoints, currentPositions } from "../logic/joints";
+import { armJoints, currentPositions, openedBy } from "../logic/joints";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
 import type { JointValues, Orientation, Point } from "../state/state";
@@ -15,7 +15,6 @@ import type { JogSender } from "./servo-node";
 const FULL_SPEED = 0.3;
 const LEAST_SPEED = 0.01;
 
-/** Key of the notice with the reason against a step. */
 const NOTICE = "step";
 
 /** Steps of a chosen size, as goals: a step arrives however busy the machine is, and quick presses add up. */
@@ -81,7 +80,6 @@ export class JogSteps {
     return { ...start_rad, [name]: Math.min(Math.max(moved, lower), upper) };
   }
 
-  /** Return the joint values near some others at which the tip is further along or about an axis [m or rad]. */
   private async tipMoved(start_rad: JointValues, axis: TipAxis, way: number): Promise<JointValues> {
     const group = planningGroup(this.store.state);
     const robot_state = { joint_state: { name: Object.keys(start_rad), position: Object.values(start_rad) } };
@@ -97,11 +95,8 @@ export class JogSteps {
   }
 
   private moveGripper(way: number, stops: number): void {
-    const gripper = armGripper(this.store.state);
-    const present = gripper && (this.gripper ?? currentPositions(this.store.state)[gripper.joints[0] ?? ""]);
-    if (gripper === null || present === undefined || present === null || stops !== this.stops) return;
-    const { open, closed } = gripper;
-    const position = Math.min(Math.max(present + way * (open - closed), Math.min(open, closed)), Math.max(open, closed));
+    const position = openedBy(this.store.state, way, this.gripper);
+    if (position === null || stops !== this.stops) return;
     this.gripper = position;
     void this.commands.moveGripper(position).then(() => {
       if (this.gripper === position) this.gripper = null;
@@ -109,13 +104,11 @@ export class JogSteps {
   }
 }
 
-/** moveit_msgs/srv/GetPositionFK, the response. */
 interface FkResponse {
   pose_stamped: { pose: Pose }[];
   error_code: MoveItErrorCodes;
 }
 
-/** moveit_msgs/srv/GetPositionIK, the response. */
 interface IkResponse {
   solution: { joint_state: JointState };
   error_code: MoveItErrorCodes;

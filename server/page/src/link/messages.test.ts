@@ -9,10 +9,8 @@ import {
   readArmState,
   readControl,
   readGoal,
-  readIdentity,
   readJoints,
   readLimits,
-  readNamedStates,
   readPlan,
   readServos,
   valuesByJoint,
@@ -107,11 +105,6 @@ test("a refused goal has its code, its sentence and what would work", () => {
   expect(goal).toMatchObject({ id: "7", code: -16, message: "no such name", suggestion: suggested });
 });
 
-test("a suggestion that cannot be read is none", () => {
-  expect(readGoal(status({ state: "done", suggested_goal: "{" })).suggestion).toBeNull();
-  expect(readGoal(status({ state: "done", suggested_goal: "[]" })).suggestion).toBeNull();
-});
-
 test("only the servos are listed, by joint", () => {
   const found = readServos([
     status({}),
@@ -127,18 +120,7 @@ test("a plan has times in seconds, and one without points is none", () => {
   expect(readPlan({ joint_trajectory: { joint_names: [], points: [] } } as never)).toBeNull();
 });
 
-test("named states that cannot be read are none", () => {
-  expect(readNamedStates("{")).toEqual({});
-});
-
 test("nobody drives, and nothing is left to wait for, where the server says so", () => {
   const free = status({ holder: "", address: "", policy: "shared", free_in_s: "" }, { hardware_id: "" });
   expect(readControl(free)).toEqual({ holder: "", address: "", policy: "shared", free_in_s: null });
-});
-
-test("an identity that cannot be read is none", () => {
-  for (const text of ["{", "null", '{"address": 1, "role": "view"}', '{"address": "a", "role": "king"}']) {
-    expect(readIdentity(text)).toBeNull();
-  }
-  expect(readIdentity('{"address": "a", "role": "view", "name": "x"}')).toEqual({ address: "a", role: "view", version: "" });
 });

@@ -1,17 +1,15 @@
-import type { DiagnosticStatus, JointState, KinematicSolverInfo, MoveItErrorCodes, RobotTrajectory, Time } from "../../../../clients/js/armbridge";
+import type { DiagnosticStatus, JointState, KinematicSolverInfo, Messages, MoveItErrorCodes, RobotTrajectory, Time } from "../../../../clients/js/armbridge";
 import type { TipVelocity } from "../logic/jog";
 import {
-  noGoal,
+  NO_GOAL,
   type ArmHealth,
   type ArmState,
   type Commissioning,
   type Control,
   type GoalState,
-  type Identity,
   type Joints,
   type JointValues,
   type LogEntry,
-  type NamedState,
   type Orientation,
   type Plan,
   type Point,
@@ -24,22 +22,12 @@ import {
 // Messages of the server, spelled as in ROS 2: JSON has null for a number that is not finite.
 export type * from "../../../../clients/js/armbridge";
 
-/** diagnostic_msgs/DiagnosticArray. */
-export interface DiagnosticArray {
-  status: DiagnosticStatus[];
-}
-
-/** rcl_interfaces/Log. */
-export interface LogMessage {
-  stamp: Time;
-  level: number;
-  name: string;
-  msg: string;
-}
-
-/** moveit_msgs/DisplayTrajectory, the field that is shown. */
-export interface DisplayTrajectory {
-  trajectory: RobotTrajectory[];
+/** Messages of the topics that the page subscribes to, with the fields that it reads. */
+export interface Received extends Messages {
+  "armbridge_msgs/msg/CommissioningState": CommissioningMessage;
+  "diagnostic_msgs/msg/DiagnosticArray": { status: DiagnosticStatus[] };
+  "moveit_msgs/msg/DisplayTrajectory": { trajectory: RobotTrajectory[] };
+  "rcl_interfaces/msg/Log": { stamp: Time; level: number; name: string; msg: string };
 }
 
 /** Result of moveit_msgs/action/MoveGroup and, without a trajectory, of ExecuteTrajectory. */
@@ -48,13 +36,11 @@ export interface MotionResult {
   planned_trajectory?: RobotTrajectory;
 }
 
-/** armbridge_msgs/CommissioningState. */
 export interface CommissioningMessage extends Omit<Commissioning, "progress" | "joints"> {
   progress: number | null;
   joints: (Omit<SweptJoint, "droop_rad"> & { droop_rad: number | null })[];
 }
 
-/** armbridge_msgs/srv/GetServoHistory, the response. */
 export interface ServoHistoryResponse {
   /** Times before now, and so negative. */
   time_s: number[];
@@ -65,42 +51,9 @@ export interface ServoHistoryResponse {
   events: string[];
 }
 
-/** Names of moveit_msgs/MoveItErrorCodes, in MoveIt's spelling. */
-const ERROR_CODE_NAMES: Record<number, string> = {
-  1: "SUCCESS",
-  0: "UNDEFINED",
-  99999: "FAILURE",
-  [-1]: "PLANNING_FAILED",
-  [-2]: "INVALID_MOTION_PLAN",
-  [-3]: "MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE",
-  [-4]: "CONTROL_FAILED",
-  [-5]: "UNABLE_TO_AQUIRE_SENSOR_DATA",
-  [-6]: "TIMED_OUT",
-  [-7]: "PREEMPTED",
-  [-10]: "START_STATE_IN_COLLISION",
-  [-11]: "START_STATE_VIOLATES_PATH_CONSTRAINTS",
-  [-12]: "GOAL_IN_COLLISION",
-  [-13]: "GOAL_VIOLATES_PATH_CONSTRAINTS",
-  [-14]: "GOAL_CONSTRAINTS_VIOLATED",
-  [-15]: "INVALID_GROUP_NAME",
-  [-16]: "INVALID_GOAL_CONSTRAINTS",
-  [-17]: "INVALID_ROBOT_STATE",
-  [-18]: "INVALID_LINK_NAME",
-  [-19]: "INVALID_OBJECT_NAME",
-  [-21]: "FRAME_TRANSFORM_FAILURE",
-  [-22]: "COLLISION_CHECKING_UNAVAILABLE",
-  [-23]: "ROBOT_STATE_STALE",
-  [-24]: "SENSOR_INFO_STALE",
-  [-25]: "COMMUNICATION_FAILURE",
-  [-26]: "START_STATE_INVALID",
-  [-27]: "GOAL_STATE_INVALID",
-  [-28]: "UNRECOGNIZED_GOAL_TYPE",
-  [-29]: "CRASH",
-  [-30]: "ABORT",
-  [-31]: "NO_IK_SOLUTION",
-};
+/** Names of moveit_msgs/MoveItErrorCodes by their value, from the type tables of the protocol (vite.config.ts). */
+declare const __ERROR_CODE_NAMES__: Record<number, string>;
 
-/** moveit_msgs/MoveItErrorCodes.SUCCESS. */
 export const SUCCESS = 1;
 
 /** moveit_msgs/MoveItErrorCodes.PREEMPTED: the goal was stopped, or replaced by another. */
@@ -108,16 +61,14 @@ export const PREEMPTED = -7;
 
 /** Return the name of an error code, as `NO_IK_SOLUTION`; `code -99` for an unknown one. */
 export function errorCodeName(code: number): string {
-  return ERROR_CODE_NAMES[code] ?? `code ${code}`;
+  return __ERROR_CODE_NAMES__[code] ?? `code ${code}`;
 }
 
 /** std_msgs/Header: the root link, which an empty frame means, and a stamp of zero, which means now. */
 export const HEADER = { stamp: { sec: 0, nanosec: 0 }, frame_id: "" };
 
-/** Orientation of what has none of its own. */
 const UPRIGHT: Orientation = [0, 0, 0, 1];
 
-/** Build geometry_msgs/Pose. */
 export function pose([x, y, z]: Point, orientation: Orientation = UPRIGHT): object {
   return { position: { x, y, z }, orientation: quaternion(orientation) };
 }
@@ -126,7 +77,6 @@ function quaternion([x, y, z, w]: Orientation): object {
   return { x, y, z, w };
 }
 
-/** Build moveit_msgs/Constraints of joint positions. */
 export function jointConstraints(joints_rad: JointValues): object {
   const joint_constraints = Object.entries(joints_rad).map(([joint_name, position]) => ({
     joint_name,
@@ -152,7 +102,6 @@ const POINT_TOLERANCE_M = 0.01;
 /** Tolerance of an orientation about each axis [rad]. */
 const ORIENTATION_TOLERANCE_RAD = 0.01;
 
-/** Build moveit_msgs/OrientationConstraint of the tip. */
 function orientationConstraint(orientation: Orientation): object {
   return {
     header: HEADER,
@@ -233,7 +182,6 @@ export function toSeconds({ sec, nanosec }: Time): number {
   return sec + nanosec * 1e-9;
 }
 
-/** Return numbers with NaN for each null. */
 export function readNumbers(values: readonly (number | null)[] | undefined): number[] {
   return (values ?? []).map((value) => (typeof value === "number" ? value : Number.NaN));
 }
@@ -256,12 +204,10 @@ export function valuesByJoint(names: readonly string[], values: readonly (number
   return Object.fromEntries(pairs.filter((pair): pair is [string, number] => Number.isFinite(pair[1])));
 }
 
-/** Return the values of a diagnostic_msgs/DiagnosticStatus by key. */
 function keyValues(status: DiagnosticStatus): Record<string, string> {
   return Object.fromEntries(status.values.map(({ key, value }) => [key, value]));
 }
 
-/** Read a message of /arm/state. */
 export function readArmState(status: DiagnosticStatus): ArmState {
   const values = keyValues(status);
   const share = (key: string): number => {
@@ -283,7 +229,6 @@ export function readArmState(status: DiagnosticStatus): ArmState {
   };
 }
 
-/** Read a message of /arm/control. */
 export function readControl(status: DiagnosticStatus): Control {
   const values = keyValues(status);
   const free_in_s = values.free_in_s || "none";
@@ -295,24 +240,12 @@ export function readControl(status: DiagnosticStatus): Control {
   };
 }
 
-/** Read the answer of /arm/who_am_i; null when it is not valid. */
-export function readIdentity(text: string): Identity | null {
-  try {
-    const { address, role, version } = JSON.parse(text) as Partial<Identity>;
-    const has_role = role === "view" || role === "propose" || role === "operate" || role === "admin";
-    return typeof address === "string" && has_role ? { address, role, version: version ?? "" } : null;
-  } catch {
-    return null;
-  }
-}
-
-/** Read a message of /moveit_goal_status. */
 export function readGoal(status: DiagnosticStatus): GoalState {
   const values = keyValues(status);
   const code = values.code === undefined ? null : Number(values.code);
   const seconds_left = Number(values.seconds_left);
   return {
-    ...noGoal(),
+    ...NO_GOAL,
     id: status.hardware_id,
     source: status.name,
     state: values.state ?? "",
@@ -320,18 +253,8 @@ export function readGoal(status: DiagnosticStatus): GoalState {
     seconds_left: Number.isFinite(seconds_left) ? seconds_left : null,
     message: status.message,
     code,
-    suggestion: readSuggestion(values.suggested_goal),
+    suggestion: values.suggested_goal === undefined ? null : (JSON.parse(values.suggested_goal) as SuggestedGoal),
   };
-}
-
-function readSuggestion(text: string | undefined): SuggestedGoal | null {
-  if (text === undefined) return null;
-  try {
-    const goal = JSON.parse(text) as SuggestedGoal;
-    return typeof goal.topic === "string" && typeof goal.type === "string" ? goal : null;
-  } catch {
-    return null;
-  }
 }
 
 /** Read the soft limits of /arm/joint_limits, for a joint without limits those of a whole turn. */
@@ -343,21 +266,10 @@ export function readLimits({ limits }: KinematicSolverInfo): Record<string, [num
   return Object.fromEntries(limits.map((limit) => [limit.joint_name, range(limit)]));
 }
 
-/** Read the JSON of /named_states; an empty record when it is not valid. */
-export function readNamedStates(text: string): Record<string, NamedState> {
-  try {
-    return JSON.parse(text) as Record<string, NamedState>;
-  } catch {
-    return {};
-  }
+export function readLogEntry({ stamp, level, name, msg: text }: Received["rcl_interfaces/msg/Log"]): LogEntry {
+  return { stamp: toSeconds(stamp), level, name, text };
 }
 
-/** Read a message of /rosout. */
-export function readLogEntry(message: LogMessage): LogEntry {
-  return { stamp: toSeconds(message.stamp), level: message.level, name: message.name, text: message.msg };
-}
-
-/** Read the servos among the statuses of /diagnostics. */
 export function readServos(statuses: readonly DiagnosticStatus[]): ServoState[] {
   const servos = statuses.filter((status) => status.hardware_id.startsWith("servo "));
   return servos.map((status) => ({
@@ -375,7 +287,6 @@ export function readArmHealth(statuses: readonly DiagnosticStatus[]): ArmHealth 
   return status ? { level: status.level, message: status.message, values: keyValues(status) } : null;
 }
 
-/** Read a message of /arm/commissioning/state. */
 export function readCommissioning(message: CommissioningMessage): Commissioning {
   const joints = message.joints.map((joint) => ({ ...joint, droop_rad: joint.droop_rad ?? Number.NaN }));
   return { ...message, progress: message.progress ?? 0, joints };

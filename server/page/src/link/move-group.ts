@@ -1,7 +1,7 @@
 import { currentPositions } from "../logic/joints";
 import { planningGroup } from "../logic/robot-info";
 import { duration_s, samplePlan } from "../logic/trajectory";
-import { noGoal, noPlan, type JointValues, type PendingRequest, type Plan, type State } from "../state/state";
+import { NO_GOAL, NO_PLAN, type JointValues, type PendingRequest, type Plan, type State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
@@ -12,7 +12,6 @@ import {
   PREEMPTED,
   readPlan,
   SUCCESS,
-  type DisplayTrajectory,
   type MotionResult,
   type RobotTrajectory,
 } from "./messages";
@@ -29,9 +28,8 @@ export class MoveGroupClient {
     private readonly store: PageStore,
   ) {}
 
-  /** Plan to the selected goal, and show the plan. */
   async plan(): Promise<void> {
-    const result = await this.sendMoveGroupGoal("plan", true);
+    const result = await this.sendSelection("plan");
     if (result?.error_code.val !== SUCCESS || !result.planned_trajectory) return;
     if (!this.showPlan(result.planned_trajectory)) this.report(SUCCESS, t("answer.there_already"));
   }
@@ -45,12 +43,11 @@ export class MoveGroupClient {
     const { goal } = this.store.state;
     // A goal with an id is the server's, and tells of itself.
     const in_progress = ["planning", "executing"].includes(goal.state) || (goal.state === "planned" && goal.id !== "");
-    const shown = in_progress ? goal : { ...noGoal(), state: "planned", message };
-    this.store.set({ goal: shown, plan: { ...noPlan(), trajectory, executable: true } });
+    const shown = in_progress ? goal : { ...NO_GOAL, state: "planned", message };
+    this.store.set({ goal: shown, plan: { ...NO_PLAN, trajectory, executable: true } });
     return true;
   }
 
-  /** Execute the plan that is shown. */
   async execute(): Promise<void> {
     const { trajectory } = this.store.state.plan;
     const sent = trajectory && this.sent_trajectories.get(trajectory);
@@ -59,36 +56,32 @@ export class MoveGroupClient {
     await this.sendGoal("move", "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", goal);
   }
 
-  /** Plan to the selected goal, and execute the plan at once. */
   async planAndExecute(): Promise<void> {
-    await this.sendMoveGroupGoal("move", false);
+    await this.sendSelection("move");
   }
 
   /** Move to joint values at once, in place of a motion in progress, at a fraction of the speed limits. */
   async moveTo(joints_rad: JointValues, speed: number): Promise<void> {
-    await this.sendConstraints("move", jointConstraints(joints_rad), speed, false);
+    await this.sendConstraints("move", jointConstraints(joints_rad), speed);
   }
 
-  /** Cancel this page's goal, if there is one. */
   cancel(): void {
     this.handle?.cancel();
   }
 
-  private async sendMoveGroupGoal(pending_request: PendingRequest, plan_only: boolean): Promise<MotionResult | null> {
+  private async sendSelection(request: PendingRequest): Promise<MotionResult | null> {
     const constraints = goalConstraints(this.store.state);
-    if (!constraints) {
-      this.report(null, t("answer.no_goal"));
-      return null;
-    }
-    return this.sendConstraints(pending_request, constraints, this.store.state.settings.speed, plan_only);
+    if (constraints) return this.sendConstraints(request, constraints, this.store.state.settings.speed);
+    this.report(null, t("answer.no_goal"));
+    return null;
   }
 
-  private sendConstraints(pending_request: PendingRequest, constraints: object, speed: number, plan_only: boolean): Promise<MotionResult | null> {
+  private sendConstraints(request: PendingRequest, constraints: object, speed: number): Promise<MotionResult | null> {
     const { group } = this.store.state;
     // Before the server has told a group, it knows its own default best.
     const group_name = group && (planningGroup(this.store.state)?.name ?? "");
-    const goal = moveGroupGoal(constraints, speed, plan_only, group_name);
-    return this.sendGoal(pending_request, "/move_action", "moveit_msgs/action/MoveGroup", goal);
+    const goal = moveGroupGoal(constraints, speed, request === "plan", group_name);
+    return this.sendGoal(request, "/move_action", "moveit_msgs/action/MoveGroup", goal);
   }
 
   private async sendGoal(
@@ -101,7 +94,7 @@ export class MoveGroupClient {
     try {
       handle = this.connection.goal<MotionResult>(action, type, goal);
       this.handle = handle;
-      this.store.set({ pending_request, goal: noGoal() });
+      this.store.set({ pending_request, goal: NO_GOAL });
       const { values, reason } = await handle.result;
       // The result of a goal that a newer one has replaced must not hide that of the newer one.
       if (this.handle !== handle) return null;
@@ -111,13 +104,11 @@ export class MoveGroupClient {
       this.report(null, (error as Error).message);
       return null;
     } finally {
-      if (this.handle === handle) this.finished();
+      if (this.handle === handle) {
+        this.handle = null;
+        this.store.set({ pending_request: "nothing" });
+      }
     }
-  }
-
-  private finished(): void {
-    this.handle = null;
-    this.store.set({ pending_request: "nothing" });
   }
 
   private reportResult(pending_request: PendingRequest, result: MotionResult | null, reason: string): void {
@@ -132,7 +123,7 @@ export class MoveGroupClient {
     const { goal } = this.store.state;
     const same = goal.state === "done" && goal.message.startsWith(message) && goal.code !== PREEMPTED;
     const suggestion = same ? goal.suggestion : null;
-    this.store.set({ goal: { ...noGoal(), id: goal.id, state: "done", code, message, suggestion } });
+    this.store.set({ goal: { ...NO_GOAL, id: goal.id, state: "done", code, message, suggestion } });
   }
 }
 
@@ -149,14 +140,13 @@ export function subscribeDisplayedPlans(connection: Connection, store: PageStore
     if (!is_planning && plan && startsAtCurrentState(plan, store.state)) moveGroup.showPlan(pending);
     pending = null;
   };
-  const take = ({ trajectory }: DisplayTrajectory): void => {
+  connection.subscribe("/display_planned_path", "moveit_msgs/msg/DisplayTrajectory", ({ trajectory }) => {
     // The leg of a sequence that is being checked was not asked for to be carried out.
     if (isCheckingLegs(store.state)) return;
     // Several trajectories are a sequence, which ExecuteTrajectory cannot take.
     pending = trajectory.length === 1 ? (trajectory[0] ?? null) : null;
     show();
-  };
-  connection.subscribe<DisplayTrajectory>("/display_planned_path", "moveit_msgs/DisplayTrajectory", take);
+  });
   // The latched plan comes before the first joint state.
   store.subscribe((state) => state.joints, show);
   store.subscribe((state) => state.joints, () => dropStalePlan(store));
@@ -167,7 +157,7 @@ function dropStalePlan(store: PageStore): void {
   const { plan, goal, pending_request, joints } = store.state;
   if (plan.trajectory === null || !plan.executable || joints.names.length === 0) return;
   const in_progress = pending_request === "move" || ["queued", "planning", "executing"].includes(goal.state);
-  if (!in_progress && distanceAt(plan.trajectory, 0, store.state) > START_TOLERANCE_RAD) store.set({ plan: noPlan() });
+  if (!in_progress && distanceAt(plan.trajectory, 0, store.state) > START_TOLERANCE_RAD) store.set({ plan: NO_PLAN });
 }
 
 /** Return the longest way of a joint from where the arm is to a plan at one of its times [rad or m]. */

@@ -3,7 +3,6 @@ import { poseOfDevice, poseOfViewer, type PhonePose } from "../logic/phone-pose"
 /** Receiver of the phone's poses; null for a moment in which the phone does not know its pose. */
 export type TakePose = (pose: PhonePose | null, now_ms: number) => void;
 
-/** Running source of poses. */
 export interface PoseSource {
   /** True where the position is known, not the orientation alone. */
   tracks_position: boolean;
@@ -19,13 +18,11 @@ export class SourceError extends Error {
   }
 }
 
-/** Time in which a device with sensors sends its first event [ms]. */
 const FIRST_EVENT_MS = 2000;
 
 /** iOS asks the user, after a press; other browsers do not have the function. */
 type WithPermission = { requestPermission?: () => Promise<"granted" | "denied"> };
 
-/** Return true where the browser can track the phone in space. */
 export async function canTrackPosition(): Promise<boolean> {
   try {
     return (await navigator.xr?.isSessionSupported("immersive-ar")) ?? false;

@@ -19,11 +19,11 @@ test("one question at a time, and of those that wait only the newest", async () 
   expect(asked).toEqual([1, 4]);
 });
 
-function checked(): { store: PageStore; asked: () => number; link: { isConnected: boolean } } {
+function checked(): { store: PageStore; asked: () => number; link: { connected: boolean } } {
   const store = new Store(emptyState("ws://here"));
-  const call = vi.fn(() => Promise.resolve({ results: [] }));
-  const link = { isConnected: true, call };
-  checkReachability(link as unknown as Connection, store);
+  const link = { connected: true };
+  const call = vi.fn(() => (link.connected ? Promise.resolve({ results: [] }) : Promise.reject(new Error("offline"))));
+  checkReachability({ call } as unknown as Connection, store);
   return { store, asked: () => call.mock.calls.length, link };
 }
 
@@ -31,14 +31,14 @@ const settled = (): Promise<void> => new Promise((resolve) => setTimeout(resolve
 
 test("a target that nobody could answer for is asked about when the server is back", async () => {
   const { store, asked, link } = checked();
-  link.isConnected = false;
+  link.connected = false;
   selectTarget(store, [0.2, 0, 0.2]);
   await settled();
-  expect(asked()).toBe(0);
-  link.isConnected = true;
+  expect(asked()).toBe(1);
+  link.connected = true;
   store.patch("link", { connected: true });
   await settled();
-  expect(asked()).toBe(1);
+  expect(asked()).toBe(2);
 });
 
 test("a point that is no target any more is not", async () => {

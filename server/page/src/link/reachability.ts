@@ -33,7 +33,6 @@ type CheckedPose = { position_m: Point; orientation: Orientation | null };
 /** Check with the server that the arm can reach each new target; skip targets that are replaced meanwhile. */
 export function checkReachability(connection: Connection, store: PageStore): void {
   const check = latestOnly<CheckedPose>(async ({ position_m, orientation }) => {
-    if (!connection.isConnected) return;
     try {
       const request = checkGoalsRequest([position_m], orientation);
       const { results } = await connection.call<{ results: GoalCheck[] }>("/check_goals", request, CHECK_TIMEOUT_S);

@@ -19,6 +19,9 @@ const BUSY_PAUSE_MS = 500;
 /** Time for an answer [s], many times that of the hardest points on a quiet machine. */
 const TIMEOUT_S = 10;
 
+/** Failures in a row after which the scan ends: a busy server answers later. */
+const MAX_FAILURES = 5;
+
 /** Distance of the tip from a point within which it counts as reached [m], as for /moveit_goal_pose. */
 const TOLERANCE_M = 0.01;
 
@@ -32,17 +35,12 @@ export class RegionScan {
     private readonly connection: Connection,
     private readonly store: PageStore,
   ) {
-    const causes: ((state: State) => unknown)[] = [
-      (state) => state.region.shown,
-      (state) => state.region.slice,
-      (state) => state.robot,
-      (state) => state.group,
-      (state) => state.objects,
-      (state) => state.link.connected,
-    ];
-    // Before the scan begins anew.
-    for (const cause of causes.slice(1, 4)) store.subscribe(cause, () => this.free.clear());
-    for (const cause of causes) store.subscribe(cause, () => this.begin());
+    // Before the scan begins again.
+    for (const part of ["robot", "group"] as const) store.subscribe((state) => state[part], () => this.free.clear());
+    store.subscribe((state) => state.region.slice, () => this.free.clear());
+    for (const part of ["robot", "group", "objects"] as const) store.subscribe((state) => state[part], () => this.begin());
+    const cause = ({ region, link }: State): string => JSON.stringify([region.shown, region.slice, link.connected]);
+    store.subscribe(cause, () => this.begin());
   }
 
   private begin(): void {
@@ -59,7 +57,8 @@ export class RegionScan {
   }
 
   private async scan(run: number, points: RegionPoint[]): Promise<void> {
-    for (let at = 0; at < points.length; at += BATCH) {
+    let failures = 0;
+    for (let at = 0; at < points.length; ) {
       // Planning is more urgent than the picture.
       do await pause(this.busy ? BUSY_PAUSE_MS : PAUSE_MS);
       while (this.busy && run === this.run);
@@ -68,10 +67,14 @@ export class RegionScan {
       try {
         const cells = await this.check(batch);
         if (run !== this.run) return;
-        this.store.patch("region", { cells: [...this.store.state.region.cells, ...cells] });
+        this.store.patch("region", { cells: [...this.store.state.region.cells, ...cells], problem: "" });
+        at += BATCH;
+        failures = 0;
       } catch (error) {
-        if (run === this.run) this.store.patch("region", { problem: t("world.region.failed", { reason: (error as Error).message }) });
-        return;
+        if (run !== this.run) return;
+        this.store.patch("region", { problem: t("world.region.failed", { reason: (error as Error).message }) });
+        failures += 1;
+        if (failures > MAX_FAILURES) return;
       }
     }
   }

@@ -1,6 +1,5 @@
 import { planningGroup } from "../logic/robot-info";
-import { readSceneText, sceneText, type SceneFile } from "../logic/scene-file";
-import { before, beforeReplacement, undoing, withChange } from "../logic/scene-history";
+import { undoing, withChange } from "../logic/scene-history";
 import { duplicateOf, placedOn } from "../logic/scene-objects";
 import type { Color, Orientation, Point, SceneChange, SceneObject, State } from "../state/state";
 import type { PageStore } from "../state/store";
@@ -13,10 +12,13 @@ import {
   detachObject,
   differenceMessage,
   moveObject,
+  readSceneText,
   removeObject,
   sceneDiff,
+  sceneText,
   type SceneDiff,
-} from "./scene-messages";
+  type SceneFile,
+} from "./planning-scene";
 
 const APPLY = "/apply_planning_scene";
 
@@ -46,19 +48,16 @@ export class SceneEditor {
     );
   }
 
-  /** Add an object, or replace the one of its name. */
   async add(object: SceneObject): Promise<boolean> {
     const done = await this.change([object.id], { world: [addObject(object)], colors: colorOf(object) });
     if (done) this.store.set({ selected_object: object.id });
     return done;
   }
 
-  /** Move an object of the world to a pose in the root link. */
   async move(id: string, position_m: Point, orientation: Orientation): Promise<void> {
     await this.change([id], { world: [moveObject(id, position_m, orientation)] });
   }
 
-  /** Replace an object by one of another name. */
   async rename(object: SceneObject, name: string): Promise<void> {
     const renamed = { ...object, id: name };
     const world = [removeObject(object.id), addObject(renamed)];
@@ -66,33 +65,27 @@ export class SceneEditor {
     if (done) this.store.set({ selected_object: name });
   }
 
-  /** Add a copy beside an object. */
   async duplicate(object: SceneObject): Promise<void> {
     await this.add(duplicateOf(object, this.store.state.objects));
   }
 
-  /** Give an object another colour. */
   async paint(id: string, color: Color): Promise<void> {
     await this.change([id], { colors: { [id]: color } });
   }
 
-  /** Remove an object, also one that is held. */
   async remove({ id, attached }: SceneObject): Promise<void> {
     await this.change([id], { attached: attached ? [detachObject(id)] : [], world: [removeObject(id)] });
   }
 
-  /** Attach an object of the world to the gripper, where it is. */
   async attach(id: string): Promise<void> {
     const group = planningGroup(this.store.state);
     if (group?.tip) await this.change([id], { attached: [attachObject(id, group.tip, group.touch_links)] });
   }
 
-  /** Put a held object back into the world, where it is. */
   async detach(id: string): Promise<void> {
     await this.change([id], { attached: [detachObject(id)] });
   }
 
-  /** Undo the last change of this page. */
   async undo(): Promise<void> {
     const { editing, objects } = this.store.state;
     const last = editing.history.at(-1);
@@ -102,7 +95,6 @@ export class SceneEditor {
     }
   }
 
-  /** Ask for the names of the saved scenes. */
   async listSaved(): Promise<void> {
     try {
       const { names } = await this.connection.call<{ names: string[] }>("/arm/scenes/list", {});
@@ -113,12 +105,11 @@ export class SceneEditor {
     }
   }
 
-  /** Save, load or delete a scene by name on the server. */
   async scenes(work: "save" | "load" | "delete", name: string): Promise<boolean> {
     const objects = this.store.state.objects;
     const { success, message } = await ask<TriggerResponse>(this.connection, `/arm/scenes/${work}`, { name }, APPLY_TIMEOUT_S);
     this.edit({ result: message });
-    if (success && work === "load") this.remember(beforeReplacement(objects));
+    if (success && work === "load") this.remember({ objects, ids: null });
     await this.listSaved();
     return success;
   }
@@ -135,23 +126,21 @@ export class SceneEditor {
     return text;
   }
 
-  /** Replace the present scene by that of a file's text. */
   async loadFile(text: string, name: string): Promise<void> {
     const scene = readSceneText(text);
     if (scene === null) return this.edit({ result: t("world.file.none", { name }) });
     const objects = this.store.state.objects;
-    if (await this.apply(scene)) this.remember(beforeReplacement(objects));
+    if (await this.apply(scene)) this.remember({ objects, ids: null });
   }
 
-  /** Replace parts of the editing's state. */
   edit(patch: Partial<State["editing"]>): void {
     this.store.patch("editing", patch);
   }
 
   private async change(ids: string[], diff: SceneDiff): Promise<boolean> {
-    const change = before(ids, this.store.state.objects);
+    const { objects } = this.store.state;
     const done = await this.apply(sceneDiff(diff));
-    if (done) this.remember(change);
+    if (done) this.remember({ objects, ids });
     return done;
   }
 

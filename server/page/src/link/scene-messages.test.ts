@@ -1,8 +1,8 @@
 import { expect, test } from "vitest";
-import { undoing, before } from "../logic/scene-history";
+import { undoing } from "../logic/scene-history";
 import { meshShape, newObject, sizedShape } from "../logic/scene-objects";
 import { applyColors, applyPlanningScene } from "./planning-scene";
-import { addObject, attachObject, detachObject, differenceMessage, moveObject, removeObject, sceneDiff } from "./scene-messages";
+import { addObject, attachObject, detachObject, differenceMessage, moveObject, removeObject, sceneDiff } from "./planning-scene";
 import type { PlanningScene } from "./messages";
 
 const cup = newObject({ name: "cup", shape: sizedShape("cylinder", [0.1, 0.02]) }, [0.1, 0.2, 0.3], []);
@@ -27,7 +27,7 @@ test("attaching names the link and what may touch, detaching neither", () => {
 test("an undone attachment gives the object back to the world, with its colour", () => {
   const red = { ...cup, color: [1, 0, 0, 1] as [number, number, number, number] };
   const held = { ...red, frame: "tip", attached: true, touch_links: ["jaw"] };
-  const difference = undoing(before(["cup_1"], [red]), [held]);
+  const difference = undoing({ ids: ["cup_1"], objects: [red] }, [held]);
   const scene = sceneDiff(differenceMessage(difference)) as PlanningScene;
   // The server has an object in the world only after its link has let go of it.
   expect(scene.robot_state.attached_collision_objects).toMatchObject([{ object: { id: "cup_1", operation: 1 } }]);

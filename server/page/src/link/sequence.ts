@@ -19,7 +19,6 @@ const CHECK_DELAY_MS = 300;
 /** Steps of joint values that count as the same start of a leg [rad or m]: an arm at rest droops less. */
 const START_STEP = 0.02;
 
-/** action_msgs/GoalStatus.STATUS_SUCCEEDED. */
 const STATUS_SUCCEEDED = 4;
 
 const CHECKING: LegCheck = { verdict: "checking", message: "", duration_s: 0, end_rad: null, plan: null };
@@ -47,20 +46,12 @@ export class SequencePlayer {
     private readonly connection: Connection,
     private readonly store: PageStore,
   ) {
-    const parts: ((state: State) => unknown)[] = [
-      (state) => state.sequence.waypoints,
-      (state) => state.arm.mode,
-      (state) => state.link.connected,
-      (state) => state.sequence.playing === null,
-    ];
-    for (const part of parts) store.subscribe(part, () => this.checkSoon());
-    store.subscribe(
-      (state) => state.objects,
-      () => {
-        this.answers.clear();
-        this.checkSoon();
-      },
-    );
+    store.subscribe((state) => state.sequence.waypoints, () => this.checkSoon());
+    store.subscribe(({ arm, link, sequence }) => `${arm.mode} ${link.connected} ${sequence.playing === null}`, () => this.checkSoon());
+    store.subscribe((state) => state.objects, () => {
+      this.answers.clear();
+      this.checkSoon();
+    });
     // Anyone's stop: while the sequence waits, no goal ends that would tell of it.
     store.subscribe((state) => state.arm.last_stop, () => this.stop());
     store.subscribe(
@@ -117,7 +108,6 @@ export class SequencePlayer {
     return this.stopped ? t("sequence.stopped") : null;
   }
 
-  /** Wait; a stop ends it. */
   private pause(time_ms: number): Promise<void> {
     return new Promise<void>((resolve) => {
       const timer = setTimeout(resolve, time_ms);

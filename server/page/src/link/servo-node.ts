@@ -1,4 +1,4 @@
-import { armGripper, armJoints, armNamespace, currentPositions, isOneArm } from "../logic/joints";
+import { armJoints, armNamespace, isOneArm, openedBy } from "../logic/joints";
 import { summed, type JogCommand } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
@@ -6,7 +6,7 @@ import type { State } from "../state/state";
 import { setNotice, type PageStore } from "../state/store";
 import type { ArmCommands } from "./commands";
 import type { Connection } from "./connection";
-import { jointJog, twistStamped, type ServoStatus, type String as StringMessage } from "./messages";
+import { jointJog, readArmState, twistStamped } from "./messages";
 
 /** Period of commands [ms]: three fit into the time after which a command expires. */
 export const PERIOD_MS = 25;
@@ -20,35 +20,38 @@ const GRIPPER_PERIOD_MS = 200;
 /** Time in which the gripper goes through its range at full speed [s]. */
 const GRIPPER_RANGE_S = 1.5;
 
-/** Values of moveit_msgs/ServoCommandType. */
 const COMMAND_TYPES = { joints: 0, tip: 1 } as const;
 
 type ArmKind = keyof typeof COMMAND_TYPES;
 
-/** Subscribe to status and parameters of the servo node of the planning group's arm. */
+/** Subscribe to status and parameters of the servo node of the planning group's arm, and to its speed limit. */
 export function subscribeServoNode(connection: Pick<Connection, "subscribe">, store: PageStore): void {
   // By the namespace of each arm that was steered since the page was opened.
   const parameters = new Map<string, Partial<State["servo_node"]>>();
+  // Without a namespace the limit is that of the arm, or the lowest of all arms.
+  const limits = new Map([["", 1]]);
+  const limit = (namespace: string, speed_limit: number): void => {
+    limits.set(namespace, speed_limit);
+    store.set({ speed_limit: limits.get(armNamespace(store.state)) ?? 1 });
+  };
+  store.subscribe((state) => state.arm.speed_limit, (speed_limit) => limit("", speed_limit));
   store.subscribe(armNamespace, (namespace) => {
     store.patch("servo_node", { code: 0, message: "", ...parameters.get(namespace) });
+    limit(namespace, limits.get(namespace) ?? 1);
     if (parameters.has(namespace)) return;
     parameters.set(namespace, {});
     const isPresent = (): boolean => armNamespace(store.state) === namespace;
-    connection.subscribe<ServoStatus>(`${namespace}/servo_node/status`, "moveit_msgs/ServoStatus", ({ code, message }) => {
+    connection.subscribe(`${namespace}/servo_node/status`, "moveit_msgs/msg/ServoStatus", ({ code, message }) => {
       if (isPresent()) store.patch("servo_node", { code, message });
     }, 100);
-    connection.subscribe<StringMessage>(`${namespace}/servo_node/parameters`, "std_msgs/String", ({ data }) => {
+    connection.subscribe(`${namespace}/servo_node/parameters`, "std_msgs/msg/String", ({ data }) => {
       const told = JSON.parse(data) as Partial<State["servo_node"]>;
       parameters.set(namespace, told);
       if (isPresent()) store.patch("servo_node", told);
     });
+    if (namespace !== "") connection.subscribe(`${namespace}/arm/state`, "diagnostic_msgs/msg/DiagnosticStatus", (status) => limit(namespace, readArmState(status).speed_limit));
   });
-  store.subscribe(
-    (state) => state.link.connected,
-    (connected) => {
-      if (connected) store.patch("servo_node", { code: 0, message: "" });
-    },
-  );
+  store.subscribe((state) => state.link.connected, (connected) => connected && store.patch("servo_node", { code: 0, message: "" }));
 }
 
 /**
@@ -57,7 +60,6 @@ export function subscribeServoNode(connection: Pick<Connection, "subscribe">, st
  * Tip and joints cannot be steered at once: the input that was pressed last decides, and the others of its kind add up.
  */
 export class JogSender {
-  /** Frame of the tip's velocities. */
   frame: "base" | "tool" = "base";
   private readonly held = new Map<string, JogCommand>();
   /** Inputs that were released from here while they were held, and those pressed since: nothing moves before all are let go. */
@@ -205,12 +207,8 @@ export class JogSender {
   private sendGripper(opening: number): void {
     const now_ms = performance.now();
     if (opening === 0 || (this.gripper && now_ms - this.gripper.sent_ms < GRIPPER_PERIOD_MS)) return;
-    const gripper = armGripper(this.store.state);
-    const present = gripper && (this.gripper?.position ?? currentPositions(this.store.state)[gripper.joints[0] ?? ""]);
-    if (gripper === null || present === undefined || present === null) return;
-    const way = (opening * (gripper.open - gripper.closed) * GRIPPER_PERIOD_MS) / 1000 / GRIPPER_RANGE_S;
-    const [lower, upper] = [Math.min(gripper.open, gripper.closed), Math.max(gripper.open, gripper.closed)];
-    const position = Math.max(lower, Math.min(upper, present + way));
+    const position = openedBy(this.store.state, (opening * GRIPPER_PERIOD_MS) / 1000 / GRIPPER_RANGE_S, this.gripper?.position);
+    if (position === null) return;
     if (position !== this.gripper?.position) void this.gripper_commands.moveGripper(position);
     this.gripper = { position, sent_ms: now_ms };
   }

@@ -4,7 +4,7 @@ import { emptyState, type State } from "../state/state";
 import { Store } from "../state/store";
 import { ArmCommands } from "./commands";
 import type { Connection } from "./connection";
-import { subscribeSpeedLimit } from "./speed-limit";
+import { subscribeServoNode } from "./servo-node";
 
 const LEFT_AND_RIGHT: Partial<State> = {
   limits: { left_a: [0, 1], right_a: [0, 1] },
@@ -20,12 +20,12 @@ function page(state: Partial<State> = {}, answer: object = { success: true, mess
     subscribe: (topic: string, _type: string, listener: (message: never) => void) => listeners.set(topic, listener as never),
     call: (service: string, request: unknown) => Promise.resolve(called.push([service, request]) && answer),
   } as unknown as Connection;
-  subscribeSpeedLimit(connection, store);
+  subscribeServoNode(connection, store);
   const tell = (topic: string, limit: string): void => {
     const values = [{ key: "speed_limit", value: limit }];
     listeners.get(topic)?.({ level: 0, name: "arm", message: "", hardware_id: "", values });
   };
-  return { store, called, tell, topics: () => [...listeners.keys()], commands: new ArmCommands(connection, store) };
+  return { store, called, tell, topics: () => [...listeners.keys()].filter((topic) => topic.endsWith("/arm/state")), commands: new ArmCommands(connection, store) };
 }
 
 test("is that of the arm on a server with one, whose state is subscribed to already", () => {

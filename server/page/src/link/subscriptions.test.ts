@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { emptyState, noGoal, type GoalState, type State } from "../state/state";
+import { emptyState, NO_GOAL, type GoalState, type State } from "../state/state";
 import { Store, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import type { DiagnosticStatus } from "./messages";
@@ -12,7 +12,7 @@ import {
 } from "./subscriptions";
 
 const empty = emptyState("ws://here");
-const news = (id: string, state: string, patch: Partial<GoalState> = {}): GoalState => ({ ...noGoal(), id, state, ...patch });
+const news = (id: string, state: string, patch: Partial<GoalState> = {}): GoalState => ({ ...NO_GOAL, id, state, ...patch });
 
 test("a goal that waits does not hide the one in hand, and is shown once it is worked on", () => {
   let state = { ...empty, ...applyGoalStatus(empty, news("1", "executing")) };
@@ -77,7 +77,7 @@ test("the page learns who it is, and forgets it with the connection", async () =
   const { store } = heard(() => Promise.resolve({ success: true, message: ME }));
   store.patch("link", { connected: true });
   await Promise.resolve();
-  expect(store.state.identity).toEqual({ address: "10.0.0.1:5", role: "operate", version: "" });
+  expect(store.state.identity).toMatchObject({ address: "10.0.0.1:5", role: "operate", version: "" });
   store.patch("link", { connected: false });
   expect(store.state.identity).toBeNull();
 });

@@ -1,5 +1,5 @@
 import { withStatus } from "../logic/goal-history";
-import { noGoal, noPlan, type ActiveGoal, type GoalState, type LogEntry, type State } from "../state/state";
+import { NO_GOAL, NO_PLAN, type ActiveGoal, type GoalState, type Identity, type LogEntry, type State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import {
@@ -8,22 +8,12 @@ import {
   readArmState,
   readControl,
   readGoal,
-  readIdentity,
   readJoints,
   readLimits,
   readLogEntry,
-  readNamedStates,
   readServos,
   SUCCESS,
   valuesByJoint,
-  type DiagnosticArray,
-  type DiagnosticStatus,
-  type JointState,
-  type JointTrajectoryControllerState,
-  type KinematicSolverInfo,
-  type LogMessage,
-  type PlanningScene,
-  type String as StringMessage,
   type TriggerResponse,
 } from "./messages";
 import { PAGE_VERSION, versionMismatch } from "../logic/version";
@@ -32,26 +22,23 @@ import { applyColors, applyPlanningScene, drawableObjects } from "./planning-sce
 /** Least time between two messages that are drawn [ms]: 30 per second look smooth. */
 const REDRAW_PERIOD_MS = 33;
 
-/** Number of log entries that are kept. */
 const MAX_LOG_ENTRIES = 500;
 
-/** Subscribe to the topics that every page shows. */
 export function subscribeTopics(connection: Connection, store: PageStore): void {
   subscribeRobot(connection, store);
-  const joints = (message: JointState): void => store.set({ joints: readJoints(message) });
-  connection.subscribe<JointState>("/joint_states", "sensor_msgs/JointState", joints, REDRAW_PERIOD_MS);
-  connection.subscribe<DiagnosticStatus>("/moveit_goal_status", "diagnostic_msgs/DiagnosticStatus", (status) => {
+  connection.subscribe("/joint_states", "sensor_msgs/msg/JointState", (message) => store.set({ joints: readJoints(message) }), REDRAW_PERIOD_MS);
+  connection.subscribe("/moveit_goal_status", "diagnostic_msgs/msg/DiagnosticStatus", (status) => {
     const goal = readGoal(status);
     const goal_history = withStatus(store.state.goal_history, goal, Date.now() / 1000);
     store.set({ ...applyGoalStatus(store.state, goal), goal_history });
   });
-  connection.subscribe<LogMessage>("/rosout", "rcl_interfaces/Log", (message) => {
+  connection.subscribe("/rosout", "rcl_interfaces/msg/Log", (message) => {
     store.set({ log: withLogEntry(store.state.log, readLogEntry(message)) });
   });
-  connection.subscribe<DiagnosticArray>("/diagnostics", "diagnostic_msgs/DiagnosticArray", ({ status }) => {
+  connection.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", ({ status }) => {
     store.set({ servos: readServos(status), arm_health: readArmHealth(status) });
   });
-  connection.subscribe<PlanningScene>("/monitored_planning_scene", "moveit_msgs/PlanningScene", (scene) => {
+  connection.subscribe("/monitored_planning_scene", "moveit_msgs/msg/PlanningScene", (scene) => {
     const object_colors = applyColors(store.state.object_colors, scene);
     const { objects, problems } = drawableObjects(applyPlanningScene(store.state.objects, scene, object_colors));
     store.set({ objects, object_colors });
@@ -66,18 +53,18 @@ export function withLogEntry(log: readonly LogEntry[], entry: LogEntry): LogEntr
 }
 
 function subscribeRobot(connection: Connection, store: PageStore): void {
-  connection.subscribe<StringMessage>("/robot_description", "std_msgs/String", ({ data }) => store.set({ urdf: data }));
-  connection.subscribe<StringMessage>("/armbridge/robot", "std_msgs/String", ({ data }) => {
+  connection.subscribe("/robot_description", "std_msgs/msg/String", ({ data }) => store.set({ urdf: data }));
+  connection.subscribe("/armbridge/robot", "std_msgs/msg/String", ({ data }) => {
     store.set({ robot: JSON.parse(data) as State["robot"] });
   });
-  connection.subscribe<StringMessage>("/moveit_goal_group", "std_msgs/String", ({ data }) => selectGroup(store, data));
-  connection.subscribe<KinematicSolverInfo>("/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", (message) => {
+  connection.subscribe("/moveit_goal_group", "std_msgs/msg/String", ({ data }) => selectGroup(store, data));
+  connection.subscribe("/arm/joint_limits", "moveit_msgs/msg/KinematicSolverInfo", (message) => {
     store.set({ limits: readLimits(message) });
   });
-  connection.subscribe<StringMessage>("/named_states", "std_msgs/String", ({ data }) => {
-    store.set({ named: readNamedStates(data) });
+  connection.subscribe("/named_states", "std_msgs/msg/String", ({ data }) => {
+    store.set({ named: JSON.parse(data) as State["named"] });
   });
-  connection.subscribe<DiagnosticStatus>("/arm/state", "diagnostic_msgs/DiagnosticStatus", (status) => {
+  connection.subscribe("/arm/state", "diagnostic_msgs/msg/DiagnosticStatus", (status) => {
     store.set({ arm: readArmState(status) });
   });
 }
@@ -92,23 +79,22 @@ export async function subscribeControllerState(
   const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
   // Each controller has its state under an old and a new name.
   const of_controllers = topics.filter((name) => name.endsWith("/controller_state"));
-  const onState = ({ joint_names, reference }: JointTrajectoryControllerState): void => {
-    const commanded = valuesByJoint(joint_names, reference.positions);
-    store.set({ commanded_rad: { ...store.state.commanded_rad, ...commanded } });
-  };
   for (const topic of of_controllers.length > 0 ? of_controllers : topics.slice(0, 1)) {
     if (subscribed_topics.has(topic)) continue;
     subscribed_topics.add(topic);
-    connection.subscribe<JointTrajectoryControllerState>(topic, type, onState, REDRAW_PERIOD_MS);
+    connection.subscribe(topic, type, ({ joint_names, reference }) => {
+      const commanded = valuesByJoint(joint_names, reference.positions);
+      store.set({ commanded_rad: { ...store.state.commanded_rad, ...commanded } });
+    }, REDRAW_PERIOD_MS);
   }
 }
 
 /** Forget goals and commands that may have ended while the page was disconnected. */
 export function resetAfterReconnect(store: PageStore): void {
   const in_progress = ["queued", "planning", "executing"].includes(store.state.goal.state);
-  const goal = in_progress ? noGoal() : store.state.goal;
+  const goal = in_progress ? NO_GOAL : store.state.goal;
   // Another server knows nothing of the plan; the same one sends its last plan again.
-  store.set({ active_goals: [], commanded_rad: {}, goal, plan: noPlan() });
+  store.set({ active_goals: [], commanded_rad: {}, goal, plan: NO_PLAN });
   setNotice(store, "link", "");
 }
 
@@ -126,7 +112,7 @@ export function applyGoalStatus(state: State, goal: GoalState): Partial<State> {
   if (goal.code === SUCCESS) return { active_goals, goal, ...clearSelection(state) };
   // The arm stands somewhere on the path, and the plan does not start there.
   const stopped_on_path = state.goal.id === goal.id && state.goal.state === "executing";
-  return stopped_on_path ? { active_goals, goal, plan: noPlan() } : { active_goals, goal };
+  return stopped_on_path ? { active_goals, goal, plan: NO_PLAN } : { active_goals, goal };
 }
 
 /** Return the active goals after a status of one, each in its place; the same list when nothing of it has changed. */
@@ -140,12 +126,11 @@ function withActiveGoal(goals: ActiveGoal[], { id, source: name, state }: GoalSt
 /** Clear the selection that a motion has reached; one that the user has made meanwhile stays. */
 function clearSelection(state: State): Partial<State> {
   if (state.target.dragging || state.selection !== state.executing_selection) return {};
-  return { selection: { kind: "none", joints_rad: null }, plan: noPlan() };
+  return { selection: { kind: "none", joints_rad: null }, plan: NO_PLAN };
 }
 
-/** Subscribe to the control of the arm, and fetch this page's identity after every connection. */
 export function subscribeControl(connection: Connection, store: PageStore): void {
-  connection.subscribe<DiagnosticStatus>("/arm/control", "diagnostic_msgs/DiagnosticStatus", (status) => {
+  connection.subscribe("/arm/control", "diagnostic_msgs/msg/DiagnosticStatus", (status) => {
     store.set({ control: readControl(status) });
   });
   store.subscribe(
@@ -161,9 +146,9 @@ export function subscribeControl(connection: Connection, store: PageStore): void
 async function fetchIdentity(connection: Connection, store: PageStore): Promise<void> {
   try {
     const { message } = await connection.call<TriggerResponse>("/arm/who_am_i", {});
-    const identity = readIdentity(message);
+    const identity = JSON.parse(message) as Identity;
     store.set({ identity });
-    setNotice(store, "version", versionMismatch(identity?.version ?? "", PAGE_VERSION));
+    setNotice(store, "version", versionMismatch(identity.version, PAGE_VERSION));
   } catch {
     // Without an identity every control stays enabled; the server itself rejects forbidden requests.
   }

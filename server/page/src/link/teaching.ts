@@ -6,13 +6,12 @@ import type { Plan } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { ask, type Connection, type GoalHandle } from "./connection";
-import { readPlan, type JointTrajectory, type ReplayMotionResult, type TeachState, type TriggerResponse } from "./messages";
+import { readPlan, type JointTrajectory, type ReplayMotionResult, type TriggerResponse } from "./messages";
 import { setWaypoints } from "./sequence";
 
 /** Time for making a motion of a recording, or for checking an edited one [s]: minutes of motion take seconds. */
 const WORK_TIMEOUT_S = 30;
 
-/** armbridge_msgs/srv/GetMotion, the response. */
 interface MotionResponse extends TriggerResponse {
   trajectory: JointTrajectory;
 }
@@ -25,7 +24,7 @@ export class Teaching {
     private readonly connection: Connection,
     private readonly store: PageStore,
   ) {
-    connection.subscribe<TeachState>("/teach/state", "armbridge_msgs/TeachState", ({ recording, name, duration_s, message }) => {
+    connection.subscribe("/teach/state", "armbridge_msgs/msg/TeachState", ({ recording, name, duration_s, message }) => {
       store.patch("teaching", { recording: recording ? { name, duration_s: duration_s ?? 0 } : null, told: message });
       // Another client may have recorded, too.
       if (!recording) void this.list();
@@ -36,36 +35,6 @@ export class Teaching {
     );
   }
 
-  /** Begin to record a motion under a name. */
-  async begin(name: string): Promise<boolean> {
-    return this.work("/teach/begin", { name, group: "" });
-  }
-
-  /** End the recording, which makes it a motion. */
-  async end(): Promise<boolean> {
-    return this.work("/teach/end", {});
-  }
-
-  /** Forget the recording. */
-  async discard(): Promise<boolean> {
-    return this.work("/teach/discard", {});
-  }
-
-  /** Delete a motion. */
-  async remove(name: string): Promise<boolean> {
-    return this.work("/teach/delete", { name });
-  }
-
-  /** Rename a motion. */
-  async rename(name: string, new_name: string): Promise<boolean> {
-    return this.work("/teach/rename", { name, new_name });
-  }
-
-  /** Keep a part of a motion alone, from one of its times to another. */
-  async trim(name: string, from_s: number, to_s: number): Promise<boolean> {
-    return this.work("/teach/trim", { name, from_s, to_s });
-  }
-
   /** Choose a motion to edit, whose duration is asked for; null for none. */
   async edit(name: string | null): Promise<void> {
     this.store.patch("teaching", { edited: null });
@@ -74,7 +43,6 @@ export class Teaching {
     if (motion) this.store.patch("teaching", { edited: { name, duration_s: duration_s(motion) } });
   }
 
-  /** Add a motion to the sequence, as a row in which it is replayed. */
   async addToSequence(name: string): Promise<void> {
     const motion = await this.get(name);
     if (motion === null) return;
@@ -143,9 +111,9 @@ export class Teaching {
     }
   }
 
-  /** Call a service; true when it has done what it was asked for. */
-  private async work(service: string, request: object): Promise<boolean> {
-    const { success, message } = await ask<TriggerResponse>(this.connection, service, request, WORK_TIMEOUT_S);
+  /** Record, keep or change a motion by the service of this name; true when it has done what it was asked for. */
+  async work(service: "begin" | "end" | "discard" | "delete" | "rename" | "trim", request: object = {}): Promise<boolean> {
+    const { success, message } = await ask<TriggerResponse>(this.connection, `/teach/${service}`, request, WORK_TIMEOUT_S);
     this.store.patch("teaching", { told: message, ...(success ? { edited: null } : {}) });
     await this.list();
     return success;

@@ -1,11 +1,9 @@
 import type { ArmHealth } from "../state/state";
 import type { TextKey } from "../texts/texts";
 
-/** Figure of the arm's health in words. */
 export interface HealthRow {
   /** Short name, which also chooses its title. */
   id: "latency" | "loop" | "machine" | "bus" | "answers";
-  /** Sentences with their values. */
   texts: [TextKey, Record<string, string | number>][];
   warn: boolean;
 }
@@ -23,7 +21,6 @@ const FEW_LOST = 20;
 /** Real-time factor below which a simulation is slow, as the server has it. */
 const SLOW_FACTOR = 0.9;
 
-/** Return the figures of bus, loop and network in words. */
 export function healthRows({ values }: ArmHealth, latency_ms: number | null): HealthRow[] {
   const rows = [latencyRow(latency_ms), loopRow(values), machineRow(values), busRow(values), answersRow(values)];
   return rows.filter((row) => row !== null);

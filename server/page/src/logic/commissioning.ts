@@ -17,18 +17,15 @@ const SIGN_TICKS = 150;
 /** Share of a motion in ticks by which the motion in radians may differ from it and still be the same motion. */
 const SAME_MOTION = 0.5;
 
-/** Return a number of ticks as an angle [rad]. */
 export function ticksToRadians(ticks: number): number {
   return (ticks / TICKS_PER_TURN) * 2 * Math.PI;
 }
 
-/** Return the title of a procedure, as it is shown. */
 export function procedureTitle(procedure: string): string {
   if (procedure === "calibrate") return t("commissioning.calibration");
   return procedure === "verify" ? t("commissioning.verification") : procedure;
 }
 
-/** Part of a bar, as fractions of its length. */
 export interface BarPart {
   begin: number;
   width: number;

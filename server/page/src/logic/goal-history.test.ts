@@ -1,8 +1,8 @@
 import { describe, expect, it, test } from "vitest";
-import { noGoal } from "../state/state";
+import { NO_GOAL } from "../state/state";
 import { fromServer, goalKind, joinedPlan, MAX_GOALS, readAsked, withStatus, type GoalEntry } from "./goal-history";
 
-const goal = (id: string, state: string, source = "/moveit_goal_named"): GoalEntry["goal"] => ({ ...noGoal(), id, state, source });
+const goal = (id: string, state: string, source = "/moveit_goal_named"): GoalEntry["goal"] => ({ ...NO_GOAL, id, state, source });
 
 describe("the history", () => {
   it("has one entry for all statuses of a goal, with the time of the first", () => {

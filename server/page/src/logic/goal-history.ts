@@ -1,11 +1,9 @@
 import type { GoalState, Plan, PlanPoint, State } from "../state/state";
 import { jointKind } from "./joints";
-import { lengthUnit, positionText, unitOf } from "./numbers";
+import { positionText, unitOf } from "./numbers";
 
-/** Goals that are kept, as the server keeps them. */
 export const MAX_GOALS = 100;
 
-/** Goal of any client with its newest status. */
 export interface GoalEntry {
   goal: GoalState;
   /** Time of its first and of its newest status [s since 1970]; equal for a goal that the server told of afterwards. */
@@ -38,7 +36,6 @@ export function fromServer(told: readonly GoalEntry[], history: readonly GoalEnt
   return [...known, ...in_progress].slice(-MAX_GOALS);
 }
 
-/** Kinds of goals by the topic or action that they came by. */
 const KINDS: [RegExp, GoalKind][] = [
   [/moveit_goal_named$/, "named"],
   [/moveit_goal_joints$/, "joints"],
@@ -49,7 +46,6 @@ const KINDS: [RegExp, GoalKind][] = [
 ];
 export type GoalKind = "named" | "joints" | "pose" | "move" | "execute" | "trajectory" | "other";
 
-/** Return the kind of a goal from a topic or action. */
 export function goalKind(source: string): GoalKind {
   return KINDS.find(([pattern]) => pattern.test(source))?.[1] ?? "other";
 }
@@ -91,7 +87,7 @@ function askedOf(message: Record<string, unknown>, shown: ShownUnits): Asked {
   const pose = (message.pose as PoseFields | undefined) ?? region;
   if (pose?.position === undefined) return null;
   const { x, y, z } = pose.position;
-  const unit = lengthUnit(shown.settings.units);
+  const unit = unitOf("prismatic", shown.settings.units);
   return { kind: "point", point: [x, y, z].map((value) => positionText(value, unit)), unit: unit.suffix.trim() };
 }
 

@@ -1,8 +1,5 @@
 import { describe, expect, it, test } from "vitest";
-import { scaled, shaped, summed, tipAxes, type JogCommand } from "./jog";
-import { DeadMan, gamepadCommands, isDeadManHeld } from "./jog-gamepad";
-import { jointKeys, keyCommand, printedKey } from "./jog-keys";
-import { LEFT_PAD, padCommand, PAD_REACH_PX, rightPad } from "./jog-pads";
+import { DeadMan, gamepadCommands, isDeadManHeld, jointKeys, keyCommand, LEFT_PAD, padCommand, PAD_REACH_PX, printedKey, rightPad, scaled, shaped, summed, tipAxes, type JogCommand } from "./jog";
 
 test.each([
   [3, ["x", "y", "z"]],

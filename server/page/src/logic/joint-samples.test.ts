@@ -18,7 +18,7 @@ describe("samples", () => {
     samples.record(stateAt(1, [0.75, 2]));
     const values = (joint: string): unknown[] => {
       const first = samples.curve(joint, "position");
-      return samples.ring.span(0, 2, [0, 1, 2, 3, 4, 5].map((index) => first + index)).slice(1).flat();
+      return samples.series.span(0, 2, [0, 1, 2, 3, 4, 5].map((index) => first + index)).slice(1).flat();
     };
     expect(values("a")).toEqual([0.75, 1, 0.25, 0.5, 0.25, 31]);
     expect(values("b")).toEqual([2, null, null, null, -0.1, null]);
@@ -28,16 +28,16 @@ describe("samples", () => {
     const samples = new JointSamples();
     samples.record(stateAt(10, [0, 0]));
     samples.record(stateAt(3, [0, 0]));
-    expect(samples.ring.oldest_s).toBe(3);
+    expect(samples.series.times_s[0]).toBe(3);
     samples.record(stateAt(4, [0, 0], ["c", "d"]));
-    expect([samples.ring.oldest_s, samples.curve("a", "load")]).toEqual([4, -1]);
+    expect([samples.series.times_s[0], samples.curve("a", "load")]).toEqual([4, -1]);
   });
 
   it("take a bounded space for any number of joints", () => {
     const samples = new JointSamples();
     const names = Array.from({ length: 100 }, (_, index) => `joint_${index}`);
     samples.record(stateAt(1, names.map(() => 0), names));
-    expect(samples.ring.capacity * (samples.ring.curves + 1)).toBeLessThanOrEqual(2_000_000);
+    expect(samples.series.capacity * (samples.series.curves + 1)).toBeLessThanOrEqual(2_000_000);
   });
 });
 

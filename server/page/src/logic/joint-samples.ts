@@ -1,7 +1,7 @@
 import type { JointValues, State } from "../state/state";
 import { jointKind } from "./joints";
-import { toUnit, unitOf } from "./numbers";
-import { RingBuffer } from "./ring-buffer";
+import { unitOf } from "./numbers";
+import { TimeSeries } from "./time-series";
 import { MAX_SPAN_S } from "./time-window";
 
 /** Quantities of a joint that are recorded, in the order of its curves. */
@@ -22,7 +22,7 @@ type SampledState = Pick<State, "joints" | "commanded_rad" | "servos">;
 /** Newest minutes of every quantity of every joint, at common times. */
 export class JointSamples {
   names: readonly string[] = [];
-  ring = new RingBuffer(0, 1);
+  series = new TimeSeries(0, 1);
 
   /** Add the newest state of the joints; other joints, or another clock, begin anew. */
   record(state: SampledState): void {
@@ -31,10 +31,10 @@ export class JointSamples {
     if (names.join() !== this.names.join()) {
       this.names = [...names];
       const curves = names.length * QUANTITIES.length;
-      this.ring = new RingBuffer(curves, Math.min(MAX_SAMPLES, Math.floor(MAX_NUMBERS / (curves + 1))));
+      this.series = new TimeSeries(curves, Math.min(MAX_SAMPLES, Math.floor(MAX_NUMBERS / (curves + 1))));
     }
-    if (stamp < this.ring.newest_s - CLOCK_RESET_S) this.ring.clear();
-    this.ring.push(stamp, sampleValues(state));
+    if (stamp < (this.series.times_s.at(-1) ?? 0) - CLOCK_RESET_S) this.series.clear();
+    this.series.push(stamp, sampleValues(state));
   }
 
   /** Return the index of a curve; -1 for a joint that there is not. */
@@ -69,10 +69,9 @@ export function curveUnit(state: Pick<State, "robot" | "settings">, joint: strin
   const unit = unitOf(jointKind(state, joint), state.settings.units);
   const name = unit.suffix.trim();
   const digits = quantity === "error" ? unit.digits + 1 : unit.digits;
-  return { name: quantity === "velocity" ? `${name}/s` : name, scale: toUnit(1, unit), digits };
+  return { name: quantity === "velocity" ? `${name}/s` : name, scale: unit.scale, digits };
 }
 
-/** Curve of a file. */
 export interface Column {
   joint: string;
   quantity: Quantity;
@@ -82,7 +81,7 @@ export interface Column {
 /** Return a span of the samples as CSV (RFC 4180): a column for each curve with its unit, times in seconds from the first. */
 export function csv(samples: JointSamples, columns: readonly Column[], from_s: number, to_s: number): string {
   const curves = columns.map(({ joint, quantity }) => samples.curve(joint, quantity));
-  const [times = [], ...rows] = samples.ring.span(from_s, to_s, curves);
+  const [times = [], ...rows] = samples.series.span(from_s, to_s, curves);
   const inside = times.flatMap((time_s, index) => (time_s !== null && time_s >= from_s && time_s <= to_s ? [index] : []));
   const first_s = times[inside[0] ?? 0] ?? 0;
   const head = ["time [s]", ...columns.map(({ joint, quantity, unit }) => `${joint} ${quantity} [${unit.name}]`)];

@@ -24,9 +24,17 @@ export function isOneArm(known: KnownGroup): boolean {
   return planningGroup(known)?.namespace !== null;
 }
 
-/** Return the gripper of the planning group's arm; null without one. */
 export function armGripper(known: KnownGroup): GripperInfo | null {
   return planningGroup(known)?.gripper ?? null;
+}
+
+/** Return the position of a gripper that is opened by a share of its range, from where it is unless told; null without one. */
+export function openedBy(state: KnownGroup & Pick<State, "joints">, share: number, from?: number | null): number | null {
+  const gripper = armGripper(state);
+  const present = from ?? currentPositions(state)[gripper?.joints[0] ?? ""];
+  if (gripper === null || present === undefined) return null;
+  const { open, closed } = gripper;
+  return Math.min(Math.max(present + share * (open - closed), Math.min(open, closed)), Math.max(open, closed));
 }
 
 /** Return the begin of the names of the topics and services by which the arm of the planning group is steered. */
@@ -68,9 +76,7 @@ export function displayedPositions(state: Pick<State, "joints" | "selection" | "
 /** Positions of a message of /joint_states that can be drawn, and its mistakes. */
 export interface JointReport {
   values: JointValues;
-  /** Names that the robot description does not have. */
   unknown: string[];
-  /** Known joints whose position is not a finite number. */
   without_number: string[];
 }
 
@@ -86,13 +92,11 @@ export function jointReport(joints: Joints, known: ReadonlySet<string>): JointRe
   return report;
 }
 
-/** Return the notice about unknown names; empty without any. */
 export function unknownNamesText(report: JointReport, known: ReadonlySet<string>): string {
   if (report.unknown.length === 0) return "";
   return t("picture.joints.unknown", { names: report.unknown.join(", "), known: [...known].join(", ") });
 }
 
-/** Return the notice about positions that are not finite; empty without any. */
 export function withoutNumberText(report: JointReport): string {
   if (report.without_number.length === 0) return "";
   return t("picture.joints.no_number", { names: report.without_number.join(", ") });

@@ -6,12 +6,10 @@ export interface Layout {
   pinned: string;
 }
 
-/** Layout of a page that nobody has arranged yet. */
 export const INITIAL_LAYOUT: Layout = { shown: "move", pinned: "" };
 
 export const PICTURE_ALONE: Layout = { shown: "", pinned: "" };
 
-/** Return true for an open panel. */
 export function isOpen({ shown, pinned }: Layout, id: string): boolean {
   return id === shown || id === pinned;
 }
@@ -20,7 +18,6 @@ export function openPanel(layout: Layout, id: string): Layout {
   return isOpen(layout, id) ? layout : { ...layout, shown: id };
 }
 
-/** Return the layout without a panel. */
 export function closePanel({ shown, pinned }: Layout, id: string): Layout {
   return { shown: shown === id ? "" : shown, pinned: pinned === id ? "" : pinned };
 }

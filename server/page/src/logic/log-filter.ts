@@ -1,6 +1,5 @@
 import type { LogEntry } from "../state/state";
 
-/** Levels of rcl_interfaces/Log, the least first. */
 export const LOG_LEVELS = [
   [10, "debug"],
   [20, "info"],

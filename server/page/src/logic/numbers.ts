@@ -6,13 +6,11 @@ export type UnitSystem = "deg" | "rad";
 
 /** Unit of displayed and typed positions of a joint. */
 export interface Unit {
-  /** Unit as written after a number. */
   suffix: string;
   /** Units per radian or metre. */
   scale: number;
   /** Decimals of displayed numbers, from the servo's resolution of 0.0015 rad, and a tenth of a millimetre. */
   digits: number;
-  /** Step of sliders. */
   step: number;
 }
 
@@ -25,33 +23,13 @@ const LENGTHS: Record<UnitSystem, Unit> = {
   rad: { suffix: " m", scale: 1, digits: 4, step: 0.0001 },
 };
 
-/** Return the unit of a joint's positions. */
 export function unitOf(kind: JointKind, system: UnitSystem): Unit {
   return (kind === "prismatic" ? LENGTHS : ANGLES)[system];
 }
 
-/** Return the unit of coordinates. */
-export function lengthUnit(system: UnitSystem): Unit {
-  return LENGTHS[system];
-}
-
-export function angleUnit(system: UnitSystem): Unit {
-  return ANGLES[system];
-}
-
-/** Convert a position from radians or metres. */
-export function toUnit(value: number, unit: Unit): number {
-  return value * unit.scale;
-}
-
-/** Convert a position to radians or metres. */
-export function fromUnit(value: number, unit: Unit): number {
-  return value / unit.scale;
-}
-
 /** Format a position without its unit; a dash where it is not finite. */
 export function positionText(value: number, unit: Unit): string {
-  return Number.isFinite(value) ? withoutNegativeZero(toUnit(value, unit).toFixed(unit.digits)) : "–";
+  return Number.isFinite(value) ? withoutNegativeZero((value * unit.scale).toFixed(unit.digits)) : "–";
 }
 
 function withoutNegativeZero(text: string): string {
@@ -61,7 +39,7 @@ function withoutNegativeZero(text: string): string {
 /** Format a distance to the millimetre, as "123 mm" or "0.123 m"; one that is there is never 0. */
 export function distanceText(distance_m: number, system: UnitSystem): string {
   const millimetres = Math.max(1, Math.round(distance_m * 1000));
-  return toUnit(millimetres / 1000, LENGTHS[system]).toFixed(system === "deg" ? 0 : 3) + LENGTHS[system].suffix;
+  return ((millimetres / 1000) * LENGTHS[system].scale).toFixed(system === "deg" ? 0 : 3) + LENGTHS[system].suffix;
 }
 
 /** Numbers with their unit in a sentence: one, a point in parentheses, or a range; not a speed, as rad/s. */
@@ -78,7 +56,6 @@ export function inUnits(sentence: string, system: UnitSystem): string {
   });
 }
 
-/** Result of reading a typed number. */
 export interface ParsedNumber {
   /** Number to use; null reverts to the one before. */
   value: number | null;
@@ -86,12 +63,10 @@ export interface ParsedNumber {
   message: string;
 }
 
-/** Range of a number field, with its name and unit for messages. */
 export interface NumberRange {
   name: string;
   lower: number;
   upper: number;
-  /** Unit as written after a number. */
   unit: string;
   digits: number;
 }

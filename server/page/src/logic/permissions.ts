@@ -4,13 +4,11 @@ import { t } from "../texts/texts";
 /** Operations with a permission of their own: moving the arm, changing its scene, changing stored settings, calibrating. */
 export type Operation = "drive" | "work" | "configure" | "commission";
 
-/** Parts of the state that permissions depend on. */
 type PermissionState = Pick<State, "identity" | "control">;
 
 const ROLES = ["view", "propose", "operate", "admin"];
 const NEEDED_ROLE: Record<Operation, string> = { drive: "operate", work: "operate", configure: "admin", commission: "admin" };
 
-/** Operations of the client that has the control lease. */
 const NEEDS_LEASE: readonly Operation[] = ["drive", "commission"];
 
 /** Return the server's reason to deny an operation, as a sentence; empty when it is allowed, or not yet known. */

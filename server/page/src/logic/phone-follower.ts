@@ -7,7 +7,6 @@ export type TipShares = Record<"x" | "y" | "z" | "roll" | "pitch" | "yaw", numbe
 /** What the phone's motion does: move and turn the tip as the phone, turn it only, or steer its velocity by tilting. */
 export type PhoneMode = "move" | "turn" | "tilt";
 
-/** Greatest velocities of the tip. */
 export interface TipLimits {
   linear_m_s: number;
   angular_rad_s: number;
@@ -49,7 +48,6 @@ export class PhoneFollower {
   private pose: { pose: PhonePose; at_ms: number } | null = null;
   private held: Grip | null = null;
 
-  /** @param limits - returns the greatest velocities of the tip. */
   constructor(private readonly limits: () => TipLimits) {}
 
   /** True between clutch and release. */
@@ -87,7 +85,6 @@ export class PhoneFollower {
     return true;
   }
 
-  /** Open the clutch. */
   release(): void {
     this.held = null;
   }

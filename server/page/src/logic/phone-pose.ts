@@ -2,7 +2,6 @@ import { Quaternion, Vector3 } from "three";
 
 /** Pose of a phone in a frame whose z axis points up; the phone's x points right, y to its top, z out of its screen. */
 export interface PhonePose {
-  /** Position [m]; null where only the orientation is known. */
   position_m: Vector3 | null;
   orientation: Quaternion;
 }
@@ -10,7 +9,6 @@ export interface PhonePose {
 /** Motion of a phone: along and about the axes forward, left and up of whoever holds it. */
 export interface PhoneMotion {
   linear_m: Vector3;
-  /** Rotation vector [rad]. */
   angular_rad: Vector3;
 }
 

@@ -1,6 +1,5 @@
 import type { Point } from "../state/state";
 
-/** Outline of what a tool reaches, as seen from above. */
 export interface ReachOutline {
   center: [number, number];
   /** Greatest distance from the center in each sector, counterclockwise from x; 0 where the tool does not get [m]. */

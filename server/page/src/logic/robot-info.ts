@@ -8,17 +8,14 @@ export interface GripperInfo {
   joints: string[];
   open: number;
   closed: number;
-  /** Action that moves it. */
   action: string;
 }
 
-/** Joint group that goals are for. */
 export interface JointGroup {
   name: string;
   joints: string[];
   /** Link at its end; null for a group that is no chain. */
   tip: string | null;
-  /** Links that an object at the tip may touch. */
   touch_links: string[];
   /** Begin of the names of its arm's topics and services, empty for an only arm; null for joints of several arms. */
   namespace: string | null;
@@ -27,7 +24,6 @@ export interface JointGroup {
 
 /** Robot as the server describes it on /armbridge/robot. */
 export interface RobotInfo {
-  /** Kinds of all movable joints by name. */
   joints: Record<string, JointKind>;
   default_group: string;
   groups: JointGroup[];
@@ -35,7 +31,6 @@ export interface RobotInfo {
   reach_m: number;
 }
 
-/** Parts of the state that choose the planning group. */
 export type KnownGroup = Pick<State, "robot" | "group">;
 
 /** Return the group that goals are for: the selected one, else the default; null before the robot is known. */

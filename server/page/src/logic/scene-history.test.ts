@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
-import type { SceneObject } from "../state/state";
-import { before, beforeReplacement, MAX_CHANGES, undoing, withChange } from "./scene-history";
+import type { SceneChange, SceneObject } from "../state/state";
+import { MAX_CHANGES, undoing, withChange } from "./scene-history";
 
 const object = (id: string, attached = false): SceneObject => ({
   id,
@@ -11,6 +11,7 @@ const object = (id: string, attached = false): SceneObject => ({
   shapes: [],
   color: null,
 });
+const before = (ids: string[], objects: SceneObject[]): SceneChange => ({ ids, objects });
 const nothing = { added: [], attached: [], detached: [], removed: [] };
 const [cup, pen] = [object("cup"), object("pen")];
 
@@ -32,12 +33,12 @@ test("what was attached is detached before it is put back or removed", () => {
 });
 
 test("a replaced scene comes back as a whole", () => {
-  expect(undoing(beforeReplacement([cup]), [pen])).toEqual({ ...nothing, added: [cup], removed: ["pen"] });
+  expect(undoing({ ids: null, objects: [cup] }, [pen])).toEqual({ ...nothing, added: [cup], removed: ["pen"] });
 });
 
 test("the oldest changes are forgotten", () => {
   let history: ReturnType<typeof withChange> = [];
   for (let count = 0; count < MAX_CHANGES + 5; count += 1) history = withChange(history, before([String(count)], []));
   expect(history).toHaveLength(MAX_CHANGES);
-  expect(history.at(-1)?.objects).toEqual({ [String(MAX_CHANGES + 4)]: null });
+  expect(history.at(-1)?.ids).toEqual([String(MAX_CHANGES + 4)]);
 });

@@ -7,13 +7,10 @@ export const MAX_FILE_BYTES = 30_000_000;
 /** Most triangles that the server takes of a mesh (planners/scene_checks.py). */
 export const MAX_TRIANGLES = 80_000;
 
-/** Kinds of mesh files, by the ends of their names. */
 export const MESH_KINDS = ["stl", "obj", "dae"] as const;
 
-/** Lengths of a unit of a file [m]. */
 export const FILE_UNITS: Record<string, number> = { mm: 0.001, cm: 0.01, m: 1, in: 0.0254 };
 
-/** Mesh that was made of triangles. */
 export interface MadeMesh {
   vertices: Point[];
   triangles: Shape["triangles"];
@@ -66,7 +63,6 @@ export function makeMesh(corners: ArrayLike<number>, scale_m: number, max_triang
   return mesh;
 }
 
-/** Return loose triangles, each with corners of its own. */
 function loose(points: Float64Array): Pick<MadeMesh, "vertices" | "triangles"> {
   const vertices: Point[] = [];
   const triangles: Shape["triangles"] = [];

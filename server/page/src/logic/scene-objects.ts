@@ -1,9 +1,7 @@
 import type { NewObject, Orientation, Point, SceneObject, Shape, SurfacePoint } from "../state/state";
 
-/** Shapes that are made of sizes. */
 export const SIZED_KINDS = ["box", "sphere", "cylinder"] as const;
 
-/** Shape that is made of sizes. */
 export type SizedKind = (typeof SIZED_KINDS)[number];
 
 /** Least and greatest size of an object on a table, and the greatest coordinate [m]. */
@@ -11,7 +9,6 @@ export const MIN_SIZE_M = 0.001;
 export const MAX_SIZE_M = 2;
 export const MAX_PLACE_M = 2;
 
-/** Longest name of an object, so that it fits into a line. */
 export const MAX_NAME_LENGTH = 60;
 
 /** Sizes of a new object [m], which the gripper can hold, in the order of SolidPrimitive.dimensions. */
@@ -35,7 +32,6 @@ const SIZE_NAMES: Record<SizedKind, readonly Size["name"][]> = {
 
 const AT_ORIGIN: { position_m: Point; orientation: Orientation } = { position_m: [0, 0, 0], orientation: [0, 0, 0, 1] };
 
-/** Return a shape of sizes [m]. */
 export function sizedShape(kind: SizedKind, dimensions: readonly number[]): Shape {
   return { kind, ...AT_ORIGIN, dimensions: [...dimensions], vertices: [], triangles: [] };
 }
@@ -44,13 +40,11 @@ export function meshShape(vertices: Point[], triangles: Shape["triangles"]): Sha
   return { kind: "mesh", ...AT_ORIGIN, dimensions: [], vertices, triangles };
 }
 
-/** Return the sizes of a kind of shape by their names; empty for a shape without any. */
 export function sizesOf({ kind, dimensions }: Pick<Shape, "kind" | "dimensions">): Size[] {
   const names = SIZE_NAMES[kind as SizedKind] ?? [];
   return names.map((name, index) => ({ name, value_m: dimensions[index] ?? 0 }));
 }
 
-/** Return the object with another size of its only shape. */
 export function withSize(object: SceneObject, index: number, value_m: number): SceneObject {
   const shapes = object.shapes.map((shape) => ({
     ...shape,
@@ -68,7 +62,6 @@ export function freeName(start: string, objects: readonly Pick<SceneObject, "id"
   return `${stem}_${number}`;
 }
 
-/** Reason why a name cannot be used. */
 export type NameProblem = "" | "empty" | "long" | "taken";
 
 /** Return the reason why an object cannot have a name; empty when it can. */
@@ -93,7 +86,6 @@ export function extent_m({ kind, dimensions, vertices }: Shape, [x, y, z]: Point
   }
 }
 
-/** Return a new object that stands on a surface. */
 export function placedOn({ name, shape }: NewObject, { point_m, normal }: SurfacePoint, objects: readonly SceneObject[]): SceneObject {
   const [x, y, z] = normal;
   const lift_m = extent_m(shape, [-x, -y, -z]);
@@ -101,7 +93,6 @@ export function placedOn({ name, shape }: NewObject, { point_m, normal }: Surfac
   return newObject({ name, shape }, [at(0), at(1), at(2)], objects);
 }
 
-/** Return a new object with its middle at a point of the root link's frame. */
 export function newObject({ name, shape }: NewObject, position_m: Point, objects: readonly SceneObject[]): SceneObject {
   return {
     id: freeName(name, objects),
@@ -122,7 +113,6 @@ export function duplicateOf(object: SceneObject, objects: readonly SceneObject[]
   return { ...object, id: freeName(object.id, objects), position_m: [x, rounded(y + width_m + 0.02), z] };
 }
 
-/** Tenths of a millimetre, finer than a click is. */
 function rounded(value_m: number): number {
   return Number(value_m.toFixed(4));
 }

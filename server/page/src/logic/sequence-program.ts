@@ -2,13 +2,11 @@ import JAVASCRIPT from "./sequence-program.mjs.txt?raw";
 import PYTHON from "./sequence-program.py.txt?raw";
 import { GRIPPER_TYPE, type Waypoint } from "./sequence";
 
-/** Program that plays a sequence, as a file. */
 export interface Program {
   file: string;
   text: string;
 }
 
-/** Languages that a sequence is exported in. */
 export type ProgramLanguage = "python" | "javascript";
 
 /**

@@ -4,7 +4,6 @@ import { simplified } from "./polyline";
 
 /** Place that a sequence of motions goes to, and what is done on the way and there. */
 export interface Waypoint {
-  /** Unique within the sequence. */
   id: number;
   name: string;
   /** Planning group; empty for the server's default. */
@@ -18,13 +17,10 @@ export interface Waypoint {
   speed: number;
   /** Position that the gripper goes to after the motion [rad or m]; null leaves it. */
   gripper: number | null;
-  /** Time to wait there. */
   pause_s: number;
 }
 
-/** Taught motion of a sequence. */
 export interface TaughtWay {
-  /** Name under which the server keeps it. */
   name: string;
   /** Joint values at its start, where the arm goes first. */
   start_rad: JointValues;
@@ -33,12 +29,10 @@ export interface TaughtWay {
 /** Answer of the server about the motion to a waypoint. */
 export interface LegCheck {
   verdict: "checking" | "possible" | "refused" | "unknown";
-  /** Sentence of the server; empty without one. */
   message: string;
   duration_s: number;
   /** Joint values at the end, where the next leg begins; null when no motion was found. */
   end_rad: JointValues | null;
-  /** Planned motion; null without one. */
   plan: Plan | null;
 }
 
@@ -67,7 +61,6 @@ export type Step =
 /** Largest number of waypoints, as many as the server takes in one request of MoveIt's sequences. */
 export const MAX_WAYPOINTS = 50;
 
-/** Longest wait at a waypoint [s]. */
 export const MAX_PAUSE_S = 600;
 
 /** Slowest motion that can be chosen, as a fraction of the limits. */
@@ -143,7 +136,6 @@ export function moved(waypoints: readonly Waypoint[], id: number, index: number)
   return [...others.slice(0, at), ...own, ...others.slice(at)];
 }
 
-/** Return the list with fields of one waypoint replaced. */
 export function edited(waypoints: readonly Waypoint[], id: number, patch: Partial<Waypoint>): Waypoint[] {
   return waypoints.map((waypoint) => (waypoint.id === id ? { ...waypoint, ...patch } : waypoint));
 }
@@ -177,7 +169,6 @@ export function sequenceSteps(waypoints: readonly Waypoint[], gripper_action: st
   });
 }
 
-/** Return the text of a file with a sequence. */
 export function sequenceText(waypoints: readonly Waypoint[]): string {
   const content = { waypoints: waypoints.map(({ id: _, ...waypoint }) => waypoint) };
   return `${JSON.stringify(content, null, 1)}\n`;

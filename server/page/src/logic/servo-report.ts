@@ -1,7 +1,6 @@
 import type { ServoState } from "../state/state";
 import { t } from "../texts/texts";
 
-/** Register of a servo, as /diagnostics has it. */
 export interface RegisterValue {
   name: string;
   value: string;
@@ -11,7 +10,6 @@ export interface RegisterValue {
   differs: boolean;
 }
 
-/** Errors of one kind, counted by the server. */
 export interface ErrorCount {
   kind: string;
   count: number;
@@ -19,11 +17,8 @@ export interface ErrorCount {
 
 /** Details of a servo among the values of its status. */
 export interface ServoReport {
-  /** Those that differ first. */
   registers: RegisterValue[];
-  /** Kinds that have happened, the most frequent first. */
   errors: ErrorCount[];
-  /** What differs or goes wrong, and what to do about it: a sentence each. */
   advice: string[];
 }
 
@@ -32,7 +27,6 @@ const REGISTER = "register/";
 const EXPECTED = "expected/";
 const ERROR = "error/";
 
-/** Read the details of a servo from the values of its status. */
 export function servoReport({ level, message, values }: ServoState): ServoReport {
   const named = (prefix: string): [string, string][] => {
     const pairs = Object.entries(values).filter(([key]) => key.startsWith(prefix));

@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { bounds, live, MAX_SPAN_S, MIN_SPAN_S, panned, paused, zoomed } from "./time-window";
+import { bounds, MAX_SPAN_S, MIN_SPAN_S, panned, zoomed } from "./time-window";
 
 const EXTENT = { oldest_s: 100, newest_s: 200 };
 const LIVE = { span_s: 20, end_s: null };
@@ -7,7 +7,6 @@ const HALTED = { span_s: 20, end_s: 180 };
 
 describe("a live window", () => {
   it("ends at the newest sample", () => expect(bounds(LIVE, EXTENT)).toEqual([180, 200]));
-  it("halts there", () => expect(paused(LIVE, EXTENT)).toEqual({ span_s: 20, end_s: 200 }));
   it("stays live when zoomed", () => expect(zoomed(LIVE, 0.5, 190, EXTENT)).toEqual({ span_s: 10, end_s: null }));
   it("halts when it is dragged into the past", () => expect(panned(LIVE, -5, EXTENT)).toEqual({ span_s: 20, end_s: 195 }));
 });
@@ -23,7 +22,6 @@ describe("a halted window", () => {
   });
   it("does not go beyond the newest sample", () => expect(panned(HALTED, 50, EXTENT).end_s).toBe(200));
   it("keeps some samples in sight at the other end", () => expect(panned(HALTED, -500, EXTENT).end_s).toBe(102));
-  it("goes on live", () => expect(live(HALTED)).toEqual(LIVE));
 });
 
 describe("the span", () => {

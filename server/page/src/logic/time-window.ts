@@ -1,12 +1,9 @@
-/** Span of time that plots show. */
 export interface TimeWindow {
-  /** Length [s]. */
   span_s: number;
   /** Its end [s]; null follows the newest sample. */
   end_s: number | null;
 }
 
-/** Times that there are samples of [s]. */
 export interface Extent {
   oldest_s: number;
   newest_s: number;
@@ -16,20 +13,9 @@ export interface Extent {
 export const MIN_SPAN_S = 0.5;
 export const MAX_SPAN_S = 600;
 
-/** Return begin and end of the window [s]. */
 export function bounds(window: TimeWindow, { newest_s }: Extent): [number, number] {
   const end_s = window.end_s ?? newest_s;
   return [end_s - window.span_s, end_s];
-}
-
-/** Return the window halted where it is. */
-export function paused(window: TimeWindow, extent: Extent): TimeWindow {
-  return { ...window, end_s: bounds(window, extent)[1] };
-}
-
-/** Return the window following the newest sample. */
-export function live(window: TimeWindow): TimeWindow {
-  return { ...window, end_s: null };
 }
 
 /** Return the window zoomed about a time, which stays in its place; a live window keeps its end, and a factor below 1 shows less. */

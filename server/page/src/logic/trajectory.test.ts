@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { emptyState, noPlan, type State } from "../state/state";
+import { emptyState, NO_PLAN, type State } from "../state/state";
 import { duration_s, ghostPose, samplePlan, sampleTimes_s } from "./trajectory";
 
 const PLAN = {
@@ -48,7 +48,7 @@ describe("ghostPose", () => {
     expect(ghostPose(state({}))).toBeNull();
   });
   it("shows the end of a plan, or where the scrubber stands", () => {
-    const plan = { ...noPlan(), trajectory: SHORT_PLAN };
+    const plan = { ...NO_PLAN, trajectory: SHORT_PLAN };
     expect(ghostPose(state({ plan }))?.joints_rad).toEqual({ pan: 1 });
     expect(ghostPose(state({ plan: { ...plan, scrub_s: 0.25 } }))?.joints_rad).toEqual({ pan: 0.25 });
   });

@@ -1,6 +1,5 @@
 import type { JointValues, Plan, State } from "../state/state";
 
-/** Return the duration of a plan, in seconds. */
 export function duration_s(plan: Plan): number {
   return plan.points.at(-1)?.time_s ?? 0;
 }

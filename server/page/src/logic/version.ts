@@ -2,7 +2,6 @@ import { t } from "../texts/texts";
 
 declare const __VERSION__: string | undefined;
 
-/** Version of armbridge that the page was built with. */
 export const PAGE_VERSION = typeof __VERSION__ === "string" ? __VERSION__ : "";
 
 /** Return the sentence about a server of another version than the page's; empty for the same, or where one is unknown. */

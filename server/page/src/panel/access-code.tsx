@@ -14,7 +14,6 @@ interface PhoneAccess {
   /** Lets one connection in; empty where no token is needed, or none was issued. */
   token: string;
   expires_in_s: number;
-  /** True for addresses of https. */
   encrypted: boolean;
   urls: string[];
 }
@@ -53,7 +52,6 @@ export function AccessCode({ name, role, text }: { name: "phone" | "share"; role
   );
 }
 
-/** Return a note on what the code opens, or what is missing. */
 function noteOf({ success, message, token, expires_in_s, encrypted }: PhoneAccess, urls: readonly string[]): string {
   if (!success) return message;
   if (urls.length === 0) return t("phone.this_machine_only");

@@ -4,7 +4,6 @@ import { controlHolder, controlText } from "../logic/permissions";
 import { t } from "../texts/texts";
 import { Button, usePage } from "./ui";
 
-/** Line about control of the arm, with buttons to take and release it. */
 export function ControlBar(): JSX.Element {
   const { store: { state }, commands, authentication } = usePage();
   const { identity, control, link, token } = state;

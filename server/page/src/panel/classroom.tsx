@@ -1,7 +1,7 @@
 import type { JSX } from "preact";
 import { useContext, useEffect, useRef, useState } from "preact/hooks";
 import { poseKey } from "../logic/sequence";
-import { noGoal, type StudentArm } from "../state/state";
+import { NO_GOAL, type StudentArm } from "../state/state";
 import { t } from "../texts/texts";
 import { statePill } from "./status";
 import { Button, Gate, Shown, usePage } from "./ui";
@@ -28,7 +28,7 @@ function Tile({ name, connected, arm, seen_rad }: StudentArm): JSX.Element {
   const picture = useRef<string | undefined>(undefined);
   picture.current = state.thumbnails[poseKey(seen_rad)] ?? picture.current;
   const link = { ...state.link, connected, refused: "" };
-  const { label, kind } = statePill({ ...state, link, arm: arm ?? { ...state.arm, mode: "" }, goal: noGoal(), pending_request: "nothing" });
+  const { label, kind } = statePill({ ...state, link, arm: arm ?? { ...state.arm, mode: "" }, goal: NO_GOAL, pending_request: "nothing" });
   return (
     <li data-testid={`class-${name}`}>
       <img class="thumbnail" alt={name} src={picture.current} hidden={picture.current === undefined} />

@@ -19,7 +19,7 @@ export function ProcedureBar(): JSX.Element {
     <div class="procedure" hidden={!isInProgress(commissioning)}>
       <span data-testid="procedure" role="status">{commissioning && t("commissioning.in_progress", { procedure: procedureTitle(commissioning.procedure) })}</span>
       <progress data-testid="procedure-progress" aria-label={t("commissioning.progress")} value={commissioning?.progress ?? 0} />
-      <Gate to="configure"><Button testid="procedure-cancel" title={t("commissioning.cancel.hint")} press={() => void commands.cancel()}>{t("commissioning.cancel")}</Button></Gate>
+      <Gate to="configure"><Button testid="procedure-cancel" title={t("commissioning.cancel.hint")} press={() => void commands.request("cancel")}>{t("commissioning.cancel")}</Button></Gate>
     </div>
   );
 }
@@ -54,14 +54,13 @@ function isInProgress(commissioning: Commissioning | null): boolean {
   return commissioning !== null && commissioning.procedure !== "";
 }
 
-/** Form that begins a procedure. */
 function Begin(): JSX.Element {
   const { commissioning: commands } = usePage();
   const name = useRef<HTMLInputElement>(null);
   const [asking, ask] = useState(false);
   const begin = (procedure: "calibrate" | "verify"): void => {
     ask(true);
-    void commands.begin(procedure, name.current?.value.trim() ?? "").then(() => ask(false));
+    void commands.request("begin", { procedure, name: name.current?.value.trim() ?? "" }).then(() => ask(false));
   };
   return (
     <Gate to="commission">
@@ -100,7 +99,7 @@ function Step({ commissioning }: { commissioning: Commissioning }): JSX.Element 
     instruction.current?.focus();
     arm(false);
     // A new question has answers of its own by then.
-    void commands.answer(commissioning.step, answer).then(() => newest.current === question && arm(true));
+    void commands.request("answer", { step: commissioning.step, answer }).then(() => newest.current === question && arm(true));
   };
   return (
     <>

@@ -7,9 +7,7 @@ import { Icon, Shown, SignButton, usePage } from "./ui";
 
 export interface Panel {
   id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "class" | "log" | "settings";
-  /** SVG path of its icon, in a square of 24. */
   icon: string;
-  /** On the rail itself, or in its menu. */
   place: "rail" | "more";
   sections: readonly ComponentType[];
 }

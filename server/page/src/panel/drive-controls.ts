@@ -6,9 +6,7 @@ import { t } from "../texts/texts";
 
 /** Effect of a press of any input of this panel: the chosen speed, and the chosen step. */
 export interface JogControls {
-  /** Share of the full speed, 0 to 1. */
   share: () => number;
-  /** Begin what a press does: one step, or motion until the release. */
   press: (input: string, command: JogCommand) => void;
   /** Make one step, the smallest while presses are held: for a press without a release. */
   step: (command: JogCommand) => void;
@@ -29,6 +27,16 @@ export function useStored<Value extends string>(key: string, values: readonly Va
   const change = (value: string): void => {
     storePreference(key, value);
     choose(known(value));
+  };
+  return [chosen, change];
+}
+
+/** Return a number that the browser stores, and the function that changes it. */
+export function useStoredNumber(key: string, initial: number): [number, (value: number) => void] {
+  const [chosen, choose] = useState(() => Number(loadPreference(key, String(initial))));
+  const change = (value: number): void => {
+    storePreference(key, String(value));
+    choose(value);
   };
   return [chosen, change];
 }
@@ -65,7 +73,7 @@ function watchHold(element: HTMLElement, press: () => void, release: () => void)
 }
 
 /** Report the press and the release of an element by one pointer, which may leave the element and outlive it. */
-export function watchPointer(
+function watchPointer(
   element: HTMLElement,
   press: (event: PointerEvent) => void,
   release: () => void,
@@ -90,4 +98,14 @@ export function watchPointer(
   element.addEventListener("pointermove", (event) => event.pointerId === held && move(event));
   // A long press would open the menu in place of moving the arm.
   element.addEventListener("contextmenu", (event) => event.preventDefault());
+}
+
+/** Report the way of a thumb from where it has landed on an element [px], and its release. */
+export function watchThumb(element: HTMLElement, move: (right_px: number, down_px: number) => void, release: () => void, land: (event: PointerEvent) => void = () => undefined): void {
+  let landed = { x: 0, y: 0 };
+  const press = (event: PointerEvent): void => {
+    landed = { x: event.clientX, y: event.clientY };
+    land(event);
+  };
+  watchPointer(element, press, release, ({ clientX, clientY }) => move(clientX - landed.x, clientY - landed.y));
 }

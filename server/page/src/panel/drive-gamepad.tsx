@@ -1,11 +1,11 @@
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { scaled, tipAxes } from "../logic/jog";
-import { DeadMan, gamepadCommands, isDeadManHeld } from "../logic/jog-gamepad";
+import type { Services } from "../link/services";
+import { DeadMan, gamepadCommands, isDeadManHeld, scaled, tipAxes } from "../logic/jog";
 import { armJoints } from "../logic/joints";
 import { t } from "../texts/texts";
 import { useControls, type JogControls } from "./drive-controls";
-import { Gate, Section, usePage, type PanelContext } from "./ui";
+import { Gate, Section, usePage } from "./ui";
 
 /** Period of reading the gamepad [ms]: it has no events of its sticks. */
 const POLL_PERIOD_MS = 16;
@@ -29,14 +29,13 @@ export function GamepadSection(): JSX.Element {
   );
 }
 
-/** Reader of the first gamepad with the standard mapping. */
 class GamepadReader {
   private timer: ReturnType<typeof setInterval> | undefined;
   private readonly dead_man = new DeadMan();
   private held: string[] = [];
 
   constructor(
-    private readonly context: PanelContext,
+    private readonly context: Services,
     private readonly controls: JogControls,
     private readonly show: (text: string) => void,
   ) {
@@ -91,7 +90,6 @@ class GamepadReader {
   }
 }
 
-/** Gamepad with what its parts do. */
 function GamepadPicture(): JSX.Element {
   const body = "M80 62 H260 C300 62 325 120 318 165 C312 192 285 188 262 150 H78 C55 188 28 192 22 165 C15 120 40 62 80 62 Z";
   const labels: [number, number, string][] = [

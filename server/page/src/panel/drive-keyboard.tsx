@@ -1,7 +1,6 @@
 import type { JSX } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { tipAxes } from "../logic/jog";
-import { GRIPPER_KEYS, jointKeys, keyCommand, printedKey, tipKeys, type KeyPair } from "../logic/jog-keys";
+import { GRIPPER_KEYS, jointKeys, keyCommand, printedKey, tipAxes, tipKeys, type KeyPair } from "../logic/jog";
 import { armGripper, armJoints } from "../logic/joints";
 import { t } from "../texts/texts";
 import { axisText, useControls } from "./drive-controls";

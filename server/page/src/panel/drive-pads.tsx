@@ -1,17 +1,15 @@
 import { signal, type Signal } from "@preact/signals";
 import type { JSX } from "preact";
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
-import { isRotation, scaled, tipAxes, type TipAxis } from "../logic/jog";
-import { LEFT_PAD, padCommand, rightPad, type PadAxes } from "../logic/jog-pads";
+import { isRotation, LEFT_PAD, padCommand, rightPad, scaled, tipAxes, type PadAxes, type TipAxis } from "../logic/jog";
 import { armJoints } from "../logic/joints";
 import { t } from "../texts/texts";
-import { axisText, useControls, useHold, useStored, watchPointer, type JogControls } from "./drive-controls";
+import { axisText, useControls, useHold, useStored, watchThumb, type JogControls } from "./drive-controls";
 import { Gate, Line, Section, usePage } from "./ui";
 import type { JogSender } from "../link/servo-node";
 
 const ROTATION_AXES = ["pitch", "roll", "yaw"] as const satisfies readonly TipAxis[];
 
-/** Return true on a device that is used by fingers first. */
 export function isTouch(): boolean {
   return matchMedia("(pointer: coarse)").matches;
 }
@@ -62,7 +60,7 @@ class ThumbPad {
   axes: PadAxes = LEFT_PAD;
   /** Place in the pad where the thumb has landed, and its way from there [px]. */
   readonly thumb: Signal<{ x: number; y: number; right: number; down: number }> = signal({ x: 0, y: 0, right: 0, down: 0 });
-  private landed: { x: number; y: number } | null = null;
+  private landed = false;
 
   constructor(
     readonly testid: string,
@@ -71,33 +69,31 @@ class ThumbPad {
     private readonly isHeld: () => boolean,
   ) {}
 
-  /** Move the arm as the thumb is. */
   apply(): void {
-    if (this.landed === null || !this.isHeld()) return;
+    if (!this.landed || !this.isHeld()) return;
     const { right, down } = this.thumb.peek();
     const command = padCommand(this.axes, right, down);
     if (Object.keys(command.velocity).length === 0) this.jogSender.release(this.testid);
     else this.jogSender.hold(this.testid, scaled(command, this.controls.share()));
   }
 
-  /** Listen to the pointers on an element. */
   listen(element: HTMLElement): void {
-    watchPointer(
+    const move = (right: number, down: number): void => void (this.thumb.value = { ...this.thumb.peek(), right, down });
+    watchThumb(
       element,
-      ({ clientX: x, clientY: y }) => {
-        const { left, top } = element.getBoundingClientRect();
-        this.landed = { x, y };
-        this.thumb.value = { x: x - left, y: y - top, right: 0, down: 0 };
+      (right_px, down_px) => {
+        move(right_px, down_px);
+        this.apply();
       },
       () => {
-        this.landed = null;
-        this.thumb.value = { ...this.thumb.peek(), right: 0, down: 0 };
+        this.landed = false;
+        move(0, 0);
         this.jogSender.release(this.testid);
       },
-      ({ clientX, clientY }) => {
-        if (this.landed === null) return;
-        this.thumb.value = { ...this.thumb.peek(), right: clientX - this.landed.x, down: clientY - this.landed.y };
-        this.apply();
+      ({ clientX: x, clientY: y }) => {
+        const { left, top } = element.getBoundingClientRect();
+        this.landed = true;
+        this.thumb.value = { x: x - left, y: y - top, right: 0, down: 0 };
       },
     );
   }

@@ -3,10 +3,9 @@ import type { JSX } from "preact";
 import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { isRotation, scaled, tipAxes, type JogCommand, type TipAxis } from "../logic/jog";
 import { armGripper, armJoints, isOneArm, jointKind } from "../logic/joints";
-import { loadPreference, storePreference } from "../state/preferences";
 import type { State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
-import { axisText, Controls, useControls, useHold, useStored, type JogControls } from "./drive-controls";
+import { axisText, Controls, useControls, useHold, useStored, useStoredNumber, type JogControls } from "./drive-controls";
 import { GamepadSection } from "./drive-gamepad";
 import { KeyboardSection } from "./drive-keyboard";
 import { isTouch, PadsSection } from "./drive-pads";
@@ -28,7 +27,7 @@ export function Drive(): JSX.Element {
   const { store, jogSender, jogSteps } = usePage();
   const [lying, lie] = useState(LYING.matches);
   const [mode, setMode] = useStored("drive-mode", ["hold", "0", "1", "2"]);
-  const [speed, setSpeed] = useState(() => Number(loadPreference("drive-speed", "0.5")));
+  const [speed, chooseSpeed] = useStoredNumber("drive-speed", 0.5);
   // Inputs are read outside of the drawing.
   const newest = useRef({ mode, speed });
   newest.current = { mode, speed };
@@ -52,10 +51,6 @@ export function Drive(): JSX.Element {
   const chooseMode = (value: string): void => {
     setMode(value);
     jogSender.releaseAll();
-  };
-  const chooseSpeed = (value: number): void => {
-    storePreference("drive-speed", String(value));
-    setSpeed(value);
   };
   const pads = <PadsSection lying={lying} />;
   return (
@@ -110,7 +105,6 @@ function SpeedLine({ speed, choose }: { speed: number; choose: (speed: number) =
   );
 }
 
-/** Return the size of a step in the unit that its command moves in. */
 function stepSize(state: State, { kind, velocity }: JogCommand, step: (typeof STEPS)[number]): number {
   if (kind === "gripper") return step.opening;
   const name = Object.keys(velocity)[0] ?? "";

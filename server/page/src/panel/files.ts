@@ -1,12 +1,10 @@
 /** Time until the text of a saved file is let go of [ms]: browsers read it after the click. */
 const RELEASE_AFTER_MS = 10_000;
 
-/** Offer a text to the user as a file. */
 export function saveFile(name: string, type: string, text: string): void {
   saveBlob(name, new Blob([text], { type: `${type};charset=utf-8` }));
 }
 
-/** Offer bytes to the user as a file. */
 export function saveBlob(name: string, blob: Blob): void {
   const url = URL.createObjectURL(blob);
   Object.assign(document.createElement("a"), { href: url, download: name }).click();

@@ -10,9 +10,6 @@ import { Button, Gate, SignButton, usePage, useSlowState } from "./ui";
 /** Preference that the arm has been moved from this browser, or the offer put away. */
 const SEEN = "first-motion-seen";
 
-/** Time between two looks at the arm [ms]. */
-const UPDATE_PERIOD_MS = 200;
-
 /** Offer of a first motion, which goes for good once the arm has moved or it is put away. */
 export function FirstMotion(): JSX.Element | null {
   const [seen, see] = useState(() => loadPreference(SEEN, "") === "true");
@@ -25,7 +22,7 @@ export function FirstMotion(): JSX.Element | null {
 
 function Offer({ forget }: { forget: () => void }): JSX.Element {
   const { store, moveGroup } = usePage();
-  const state = useSlowState(UPDATE_PERIOD_MS);
+  const state = useSlowState();
   const is_moving = state.arm.mode === "moving";
   useEffect(() => void (is_moving && forget()), [is_moving]);
   const resting = state.link.connected && state.arm.mode === "holding" && state.plan.trajectory === null && state.selection.kind === "none";

@@ -1,6 +1,6 @@
 import type { JSX } from "preact";
 import { armGripper, armJoints, currentPositions, displayedPositions, isOneArm, jointKind, shownPosition, takesOrientation } from "../logic/joints";
-import { angleUnit, distanceText, fromUnit, lengthUnit, positionText, toUnit, unitOf, type NumberRange, type Unit } from "../logic/numbers";
+import { distanceText, positionText, unitOf, type NumberRange, type Unit } from "../logic/numbers";
 import { planningGroup } from "../logic/robot-info";
 import { AXES, quaternionOf, rollPitchYawOf, ROTATIONS, type RollPitchYaw } from "../logic/rotations";
 import type { Orientation, Point, State } from "../state/state";
@@ -10,9 +10,6 @@ import { Button, Gate, Line, NumberField, Problems, Section, Select, Slider, use
 
 /** Limit of typed coordinates [m], beyond the reach of any arm on a table or a mobile base. */
 const MAX_COORDINATE_M = 5;
-
-/** Time between two updates of numbers [ms]; faster ones cannot be read. */
-const UPDATE_PERIOD_MS = 100;
 
 /** Choice of the joint group that goals are for, which is hidden where there is one alone. */
 export function GroupChoice(): JSX.Element {
@@ -27,10 +24,9 @@ export function GroupChoice(): JSX.Element {
   );
 }
 
-/** The target's coordinates and its reachability. */
 export function Target(): JSX.Element {
   const { store } = usePage();
-  const state = useSlowState(UPDATE_PERIOD_MS);
+  const state = useSlowState();
   const { selection, target, settings: { units } } = state;
   const select = (position_m: Point, orientation: Orientation | null): void => {
     selectTarget(store, position_m, takesOrientation(store.state) ? orientation : null);
@@ -49,10 +45,10 @@ export function Target(): JSX.Element {
     <Section name="target" title={t("target.title")} hidden={!isOneArm(state)}>
       <Problems>
         <div class="axes">
-          {AXES.map((axis, index) => <UnitField key={axis} name={axis} limit={MAX_COORDINATE_M} unit={lengthUnit(units)} value={position_m[index] ?? Number.NaN} take={(value) => move(index, value)} />)}
+          {AXES.map((axis, index) => <UnitField key={axis} name={axis} limit={MAX_COORDINATE_M} unit={unitOf("prismatic", units)} value={position_m[index] ?? Number.NaN} take={(value) => move(index, value)} />)}
         </div>
         <div class="axes" hidden={!takesOrientation(state)}>
-          {ROTATIONS.map(([name, limit], index) => <UnitField key={name} name={name} limit={limit} unit={angleUnit(units)} value={angles_rad[index] ?? 0} take={(value) => turn(index, value)} />)}
+          {ROTATIONS.map(([name, limit], index) => <UnitField key={name} name={name} limit={limit} unit={unitOf("revolute", units)} value={angles_rad[index] ?? 0} take={(value) => turn(index, value)} />)}
         </div>
       </Problems>
       <p class="hint" data-testid="target-state" role="status" data-off={String(is_selected && target.reachable === false)}>{is_selected ? reachabilityText(state) : t("target.hint")}</p>
@@ -69,15 +65,14 @@ interface UnitFieldProps {
   take: (value: number) => void;
 }
 
-/** Field with its axis before and its unit behind it. */
 function UnitField({ name, limit, unit, value, take }: UnitFieldProps): JSX.Element {
   const suffix = unit.suffix.trim();
-  const range: NumberRange = { name, lower: -toUnit(limit, unit), upper: toUnit(limit, unit), unit: unit.suffix, digits: unit.digits };
+  const range: NumberRange = { name, lower: -limit * unit.scale, upper: limit * unit.scale, unit: unit.suffix, digits: unit.digits };
   const text = Number.isFinite(value) ? positionText(value, unit) : "";
   return (
     <label>
       <b>{name}</b>
-      <NumberField testid={`target-${name}`} label={t("target.axis.unit", { axis: name, unit: suffix })} range={range} text={text} take={(typed) => take(fromUnit(typed, unit))} />
+      <NumberField testid={`target-${name}`} label={t("target.axis.unit", { axis: name, unit: suffix })} range={range} text={text} take={(typed) => take(typed / unit.scale)} />
       <span class="unit" aria-hidden="true">{suffix}</span>
     </label>
   );
@@ -98,10 +93,9 @@ function reachabilityText({ target: { reachable, distance_m }, settings }: State
   return t("target.touches");
 }
 
-/** One row per joint: slider, number, measured position and limits. */
 export function JointValuesSection(): JSX.Element {
   const { store } = usePage();
-  const state = useSlowState(UPDATE_PERIOD_MS);
+  const state = useSlowState();
   return (
     <Section name="joints" title={t("joints.title")}>
       <div class="rows" data-testid="joints">{armJoints(state).map((name) => <JointRow key={name} name={name} state={state} />)}</div>
@@ -116,11 +110,11 @@ function JointRow({ name, state }: { name: string; state: State }): JSX.Element 
   const unit = unitOf(kind, state.settings.units);
   const { suffix, digits, step } = unit;
   const limits = state.limits[name] ?? [-Math.PI, Math.PI];
-  const [lower, upper] = limits.map((limit) => toUnit(limit, unit)) as [number, number];
+  const [lower, upper] = limits.map((limit) => limit * unit.scale) as [number, number];
   const take = (value: number): void => {
     const names = armJoints(store.state);
     const displayed = Object.entries(displayedPositions(store.state)).filter(([joint]) => names.includes(joint));
-    selectGoal(store, "joints", { ...Object.fromEntries(displayed), [name]: fromUnit(value, unit) });
+    selectGoal(store, "joints", { ...Object.fromEntries(displayed), [name]: value / unit.scale });
   };
   const position = (values: Record<string, number>): number => shownPosition(values[name] ?? Number.NaN, kind);
   const shown = position(displayedPositions(state));
@@ -133,7 +127,7 @@ function JointRow({ name, state }: { name: string; state: State }): JSX.Element 
           <NumberField testid={`joint-${name}-number`} label={t("joints.number", { name })} range={{ name, lower, upper, unit: suffix, digits }} text={positionText(shown, unit)} take={take} />
         </div>
         {/* A slider rounds to its steps and so may miss its limits; typing reaches them exactly. */}
-        <Slider testid={`joint-${name}-slider`} label={t("joints.slider", { name })} range={[lower, upper, step]} value={toUnit(shown, unit)} take={take} />
+        <Slider testid={`joint-${name}-slider`} label={t("joints.slider", { name })} range={[lower, upper, step]} value={shown * unit.scale} take={take} />
         <span class="limits" data-testid={`joint-${name}-limits`}>{kind === "continuous" ? t("joints.any") : `${positionText(limits[0], unit)} … ${positionText(limits[1], unit)}${suffix}`}</span>
       </Problems>
     </div>
@@ -146,7 +140,7 @@ const GRIPPER_STEPS = 1000;
 /** The gripper: a slider that moves it on release, and buttons for its ends. */
 export function Gripper(): JSX.Element {
   const { commands } = usePage();
-  const state = useSlowState(UPDATE_PERIOD_MS);
+  const state = useSlowState();
   const gripper = armGripper(state);
   if (gripper === null) return <Section name="gripper" title={t("gripper.title")} hidden>{null}</Section>;
   const { open, closed } = gripper;

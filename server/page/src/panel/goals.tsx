@@ -4,18 +4,14 @@ import { useEffect, useState } from "preact/hooks";
 import { fetchGoalRecord, type GoalRecord } from "../link/goal-history";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import { goalKind, readAsked, type GoalEntry } from "../logic/goal-history";
-import { noPlan, type ActiveGoal, type GoalState, type State } from "../state/state";
+import { NO_PLAN, type ActiveGoal, type GoalState, type State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { saveFile } from "./files";
 import { Button, Gate, Section, usePage, useSlowPart } from "./ui";
 
-/** Time between two updates [ms]; a goal in progress has several statuses a second. */
-const UPDATE_PERIOD_MS = 250;
-
 /** Newest goals that say where they were to go: each takes a request. */
 const MAX_PLACES = 20;
 
-/** Active goals of all clients. */
 export function ActiveGoals(): JSX.Element {
   const { store, stopCommand } = usePage();
   const goals = store.state.active_goals;
@@ -34,7 +30,7 @@ function ActiveItem({ id, name, state }: ActiveGoal): JSX.Element {
   return (
     <li data-testid={`waiting-${id}`}>
       <span>{text}</span>
-      <Button testid={`cancel-${id}`} aria-label={`${t("goals.cancel")}: ${text}`} press={() => commands.cancelGoal(id)}>{t("goals.cancel")}</Button>
+      <Button testid={`cancel-${id}`} aria-label={`${t("goals.cancel")}: ${text}`} press={() => commands.decide(id, "cancel")}>{t("goals.cancel")}</Button>
     </li>
   );
 }
@@ -42,7 +38,7 @@ function ActiveItem({ id, name, state }: ActiveGoal): JSX.Element {
 /** Timeline of goals, newest first, each of which opens its record. */
 export function GoalHistory(): JSX.Element {
   const { connection, store } = usePage();
-  const history = useSlowPart(UPDATE_PERIOD_MS, (state) => state.goal_history);
+  const history = useSlowPart((state) => state.goal_history);
   const [places, setPlaces] = useState<Record<string, string>>({});
   const newest = history.toReversed();
   const next = newest.slice(0, MAX_PLACES).find((entry) => entry.goal.state === "done" && !(keyOf(entry) in places));
@@ -81,8 +77,8 @@ function GoalItem({ entry: { goal, began_s }, place }: { entry: GoalEntry; place
     if (open && is_done) void fetchGoalRecord(connection, goal.id).then(setRecord);
   }, [open, is_done]);
   return (
-    <li data-testid={`goal-${goal.id}`} data-outcome={outcomeOf(goal)}>
-      <details class="goal" onToggle={({ currentTarget }) => setOpen(currentTarget.open)}>
+    <li data-testid={`goal-${goal.id}`}>
+      <details class="goal" data-outcome={outcomeOf(goal)} onToggle={({ currentTarget }) => setOpen(currentTarget.open)}>
         <summary data-testid={`goal-open-${goal.id}`}>
           <time>{new Date(began_s * 1000).toLocaleTimeString()}</time> <span>{itemText(goal.id, goal.source, outcomeText(goal), place)}</span>
         </summary>
@@ -100,7 +96,7 @@ function Facts({ goal, record }: { goal: GoalState; record: GoalRecord | string 
   const { suggestion } = goal;
   const known = typeof record === "string" ? null : record;
   const remark = known ? known.message : String(record);
-  const replay = (): void => store.set({ plan: { ...noPlan(), trajectory: known?.plan ?? null, scrub_s: 0, replaying: true } });
+  const replay = (): void => store.set({ plan: { ...NO_PLAN, trajectory: known?.plan ?? null, scrub_s: 0, replaying: true } });
   return (
     <>
       <dl class="facts">
@@ -115,7 +111,7 @@ function Facts({ goal, record }: { goal: GoalState; record: GoalRecord | string 
         {known && known.problem !== "" && (
           <Button testid={`goal-save-${goal.id}`} title={t("goals.save.title")} press={() => saveFile(known.problem_name, "application/json", known.problem)}>{t("goals.save")}</Button>
         )}
-        {suggestion && <Gate to="drive"><Button testid={`goal-instead-${goal.id}`} press={() => commands.publishSuggestion(suggestion)}>{t("goals.instead")}</Button></Gate>}
+        {suggestion && <Gate to="drive"><Button testid={`goal-instead-${goal.id}`} press={() => commands.publish(suggestion.topic, suggestion.type, suggestion.msg)}>{t("goals.instead")}</Button></Gate>}
       </div>
       {remark && <p class="hint">{remark}</p>}
     </>

@@ -3,12 +3,8 @@ import { healthRows } from "../logic/arm-health";
 import { t } from "../texts/texts";
 import { Section, useSlowState } from "./ui";
 
-/** Time between two updates [ms]; diagnostics come once a second. */
-const UPDATE_PERIOD_MS = 500;
-
-/** Timing of bus, control loop and network. */
 export function Health(): JSX.Element {
-  const { arm_health, link } = useSlowState(UPDATE_PERIOD_MS);
+  const { arm_health, link } = useSlowState();
   const rows = arm_health === null ? [] : healthRows(arm_health, link.latency_ms);
   return (
     <Section name="health" title={t("health.title")}>

@@ -7,18 +7,14 @@ import { t } from "../texts/texts";
 import { copyText } from "./files";
 import { Button, Line, Select, useSlowPart } from "./ui";
 
-/** Time between two updates [ms]. */
-const UPDATE_PERIOD_MS = 200;
-
 /** Distance from the end within which the list follows new lines [px]. */
 const AT_END_PX = 8;
 
-/** Time that the answer stays on the button for copying [ms]. */
 const COPIED_MS = 2000;
 
 /** The server's log: filtered, the newest last, and still while one reads what is above. */
 export function LogPanel(): JSX.Element {
-  const log = useSlowPart(UPDATE_PERIOD_MS, (state) => state.log);
+  const log = useSlowPart((state) => state.log);
   const [level, setLevel] = useState("20");
   const [filter, setFilter] = useState("");
   // The log at the moment when it was halted; null while the list follows.
@@ -59,7 +55,6 @@ export function LogPanel(): JSX.Element {
   );
 }
 
-/** Keys of entries, which have no number of their own. */
 const keys = new WeakMap<LogEntry, number>();
 let last_key = 0;
 

@@ -81,7 +81,7 @@ function PlanningSpeed(): JSX.Element {
 
 function ExecutionPace(): JSX.Element {
   const { store, commands } = usePage();
-  return <FractionSlider testid="pace" label={t("move.pace")} least={0} value={store.state.arm.speed_factor} take={(factor) => commands.setSpeedFactor(factor)} />;
+  return <FractionSlider testid="pace" label={t("move.pace")} least={0} value={store.state.arm.speed_factor} take={(factor) => commands.publish("/arm/speed_factor", "std_msgs/Float64", { data: factor })} />;
 }
 
 function SpeedLimit(): JSX.Element {

@@ -1,6 +1,7 @@
 import { effect } from "@preact/signals";
 import { render, type JSX } from "preact";
 import { INITIAL_LAYOUT, parseLayout, PICTURE_ALONE } from "../logic/layout";
+import type { Services } from "../link/services";
 import { loadPreference, storePreference } from "../state/preferences";
 import { t } from "../texts/texts";
 import { ControlBar, TokenForm } from "./access";
@@ -30,7 +31,7 @@ import { ConnectionPill, Notices, StatusBar } from "./status";
 import { TeachingSection } from "./teaching";
 import { Tour, TourStart } from "./tour";
 import { TransportBar } from "./transport";
-import { Page, usePage, type PanelContext } from "./ui";
+import { Page, usePage } from "./ui";
 
 /** Every panel with its sections, in the order in which they are offered. */
 const PANELS: readonly Panel[] = [
@@ -48,7 +49,7 @@ const PANELS: readonly Panel[] = [
 ];
 
 /** Add bar, rail and panels to the page: STOP first, and outside of everything that can hide it. */
-export function createPanel(context: PanelContext): void {
+export function createPanel(context: Services): void {
   const { store } = context;
   const show = (id: string, content: JSX.Element): HTMLElement => {
     const place = document.getElementById(id) as HTMLElement;
@@ -86,7 +87,6 @@ function Cards(): JSX.Element[] {
   return PANELS.map((panel) => <Card key={panel.id} panel={panel} />);
 }
 
-/** Button that stops the arm, above everything else; Esc presses it. */
 function Stop(): JSX.Element {
   const { store, stopCommand } = usePage();
   const { stop: { phase, text }, link: { connected } } = store.state;

@@ -6,15 +6,13 @@ import { PERIOD_MS, type JogSender } from "../link/servo-node";
 import { denialReason } from "../logic/permissions";
 import { PhoneFollower } from "../logic/phone-follower";
 import type { PageStore } from "../state/store";
-import { loadPreference, storePreference } from "../state/preferences";
 import { t, type TextKey } from "../texts/texts";
 import { AccessCode } from "./access-code";
 import { isTouch } from "./drive-pads";
-import { useHold, useStored, watchPointer } from "./drive-controls";
+import { useHold, useStored, useStoredNumber, watchThumb } from "./drive-controls";
 import { canTrackPosition, SourceError, startOrientation, startTracking, type PoseSource } from "../link/phone-sources";
 import { Button, Gate, Line, Section, Select, Slider, usePage } from "./ui";
 
-/** Name of this input among those that drive the arm. */
 const INPUT = "phone";
 
 /** Shares of the phone's way that the tip goes, from fine to coarse. */
@@ -46,7 +44,7 @@ function PhoneController(): JSX.Element {
   const [driver] = useState(() => new PhoneDriver(store, jogSender));
   const [mode, setMode] = useStored("phone-mode", MODES);
   const [can_track, setCanTrack] = useState(false);
-  const [scale, setScale] = useState(() => Number(loadPreference("phone-scale", "2")));
+  const [scale, chooseScale] = useStoredNumber("phone-scale", 2);
   useLayoutEffect(() => driver.setMode(mode), [mode]);
   useLayoutEffect(() => void (driver.follower.scale = SCALES[scale] ?? 1), [scale]);
   useEffect(() => {
@@ -57,10 +55,6 @@ function PhoneController(): JSX.Element {
   const source = driver.source.value;
   const is_held = driver.gripping.value;
   const hint: TextKey = !source ? "phone.hint" : source.tracks_position ? "phone.hint.move" : `phone.hint.${mode}`;
-  const chooseScale = (value: number): void => {
-    storePreference("phone-scale", String(value));
-    setScale(value);
-  };
   return (
     <div class="phone-controller" data-testid="phone-controller" data-started={String(source !== null)} data-tracks={String(source?.tracks_position ?? false)}>
       <div class="buttons">
@@ -81,29 +75,21 @@ function PhoneController(): JSX.Element {
   );
 }
 
-/** Pad for the other thumb, for the axes that the phone's motion leaves. */
 function PhonePad({ driver }: { driver: PhoneDriver }): JSX.Element {
   const pad = useRef<HTMLDivElement>(null);
   useLayoutEffect(() => {
-    let landed = { x: 0, y: 0 };
     const limited = (way_px: number): number => Math.max(-1, Math.min(1, way_px / PAD_PX));
-    const move = ({ clientX, clientY }: PointerEvent): void => {
-      driver.thumb.value = { right: limited(clientX - landed.x), up: limited(landed.y - clientY) };
-    };
-    const release = (): void => void (driver.thumb.value = { right: 0, up: 0 });
-    if (pad.current) watchPointer(pad.current, ({ clientX: x, clientY: y }) => void (landed = { x, y }), release, move);
+    const move = (right_px: number, down_px: number): void => void (driver.thumb.value = { right: limited(right_px), up: limited(-down_px) });
+    if (pad.current) watchThumb(pad.current, move, () => move(0, 0));
   }, []);
   const { right, up } = driver.thumb.value;
   return <div ref={pad} class="phone-pad" data-testid="phone-pad" role="img" aria-label={t("phone.pad")}><i style={{ transform: `translate(${right * PAD_PX}px, ${-up * PAD_PX}px)` }} /></div>;
 }
 
-/** Driver of the tip by the phone's pose, while its clutch is held. */
 class PhoneDriver {
   readonly source = signal<PoseSource | null>(null);
   readonly gripping = signal(false);
-  /** Sentence in place of the hint; empty for none. */
   readonly problem = signal("");
-  /** Share of the thumb's way on the pad, to the right and up. */
   readonly thumb = signal({ right: 0, up: 0 });
   readonly follower: PhoneFollower;
   readonly take: PhoneFollower["update"];

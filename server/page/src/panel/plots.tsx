@@ -2,15 +2,12 @@ import "./plots.css";
 import type { JSX } from "preact";
 import { useContext, useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import { csv, curveUnit, JointSamples, QUANTITIES, type Column, type Quantity } from "../logic/joint-samples";
-import { bounds, live, MAX_SPAN_S, panned, paused, zoomed, type Extent, type TimeWindow } from "../logic/time-window";
+import { bounds, MAX_SPAN_S, panned, zoomed, type Extent, type TimeWindow } from "../logic/time-window";
 import { loadPreference, storePreference } from "../state/preferences";
 import { t } from "../texts/texts";
 import { saveFile } from "./files";
 import type { TimeChart } from "./time-chart";
 import { Button, Line, Select, Shown, SignButton, Tick, usePage, useSlowState } from "./ui";
-
-/** Least time between two drawings [ms]: each takes some milliseconds, and five a second look live. */
-const REDRAW_PERIOD_MS = 200;
 
 /** Least number of points of a curve: a chart that is laid out later has no width yet. */
 const MIN_POINTS = 200;
@@ -21,7 +18,6 @@ const COLORS = 8;
 /** Joints that are chosen at first: those of a common arm, without making the charts a tangle. */
 const FIRST_JOINTS = 3;
 
-/** Spans that are offered [s]. */
 const SPANS_S = [5, 10, 20, 60, 300, MAX_SPAN_S];
 
 /** Quantities that share a chart: what is commanded beside what is measured. */
@@ -33,7 +29,7 @@ const LEAST_RANGES: Record<Quantity, number> = { position: 0.02, goal: 0.02, err
 /** Plots of any of the joints' quantities over the last minutes, with the choice of them and of the time that is shown. */
 export function Plots(): JSX.Element {
   const { store } = usePage();
-  const state = useSlowState(REDRAW_PERIOD_MS);
+  const state = useSlowState();
   const shown = useContext(Shown);
   const [samples] = useState(() => new JointSamples());
   const [view, show] = useState<TimeWindow>({ span_s: 20, end_s: null });
@@ -45,13 +41,14 @@ export function Plots(): JSX.Element {
   const [, resize] = useState(0);
   const [cursor] = useState({ share: 1 });
   const host = useRef<HTMLDivElement>(null);
-  const extent: Extent = { oldest_s: samples.ring.oldest_s, newest_s: samples.ring.newest_s };
+  const { times_s } = samples.series;
+  const extent: Extent = { oldest_s: times_s[0] ?? Number.NaN, newest_s: times_s.at(-1) ?? Number.NaN };
   // Charts and pointers read it outside of the drawing.
   const newest = useRef({ view, extent });
   newest.current = { view, extent };
   const zoom = (factor: number, about_s: number): void => show((before) => zoomed(before, factor, about_s, newest.current.extent));
   const pan = (by_s: number): void => show((before) => panned(before, by_s, newest.current.extent));
-  const toggle = (): void => show(view.end_s === null ? paused(view, extent) : live(view));
+  const toggle = (): void => show({ ...view, end_s: view.end_s === null ? extent.newest_s : null });
   const [begin_s, end_s] = bounds(view, extent);
   const zero_s = view.end_s ?? extent.newest_s;
   const zoomAboutMiddle = (factor: number): void => zoom(factor, (begin_s + end_s) / 2);
@@ -105,7 +102,7 @@ export function Plots(): JSX.Element {
     host.current.dataset.draws = String(Number(host.current.dataset.draws ?? 0) + 1);
     charts.current.forEach(({ chart, columns }) => {
       const curves = columns.map(({ joint, quantity }) => samples.curve(joint, quantity));
-      const [times = [], ...rows] = samples.ring.span(begin_s, end_s, curves, max_points);
+      const [times = [], ...rows] = samples.series.span(begin_s, end_s, curves, max_points);
       const scaled = rows.map((row, at) => row.map((value) => (value === null ? null : value * (columns[at]?.unit.scale ?? 1))));
       chart.draw([times.map((time_s) => (time_s ?? 0) - zero_s), ...scaled], [begin_s - zero_s, end_s - zero_s]);
     });
@@ -123,7 +120,7 @@ export function Plots(): JSX.Element {
       "+": () => zoomAboutMiddle(0.5),
       "-": () => zoomAboutMiddle(2),
       " ": toggle,
-      End: () => show(live(view)),
+      End: () => show({ ...view, end_s: null }),
     };
     const action = actions[event.key];
     if (!action) return;
@@ -142,7 +139,6 @@ export function Plots(): JSX.Element {
     storePreference("plot-quantities", next.join());
     setQuantities(next);
   };
-  /** Save what is shown, with every sample. */
   const saveCsv = (): void => {
     const stamp = new Date(end_s * 1000).toISOString().replace(/[:.]/g, "-");
     saveFile(`armbridge-${stamp}.csv`, "text/csv", csv(samples, chosen.flat(), begin_s, end_s));
@@ -170,7 +166,7 @@ export function Plots(): JSX.Element {
         <Button testid="plot-csv" title={t("plots.csv.title")} disabled={chosen.length === 0} press={saveCsv}>{t("plots.csv")}</Button>
       </div>
       <p class="hint" data-testid="plot-empty" hidden={reason === ""}>{reason}</p>
-      <div ref={host} class="time-charts" data-testid="plot" role="group" tabindex={0} aria-label={t("plots.label")} aria-describedby="plot-keys" data-samples={chosen.length === 0 ? 0 : samples.ring.count} data-span-s={view.span_s} data-end-s={view.end_s ?? ""} onKeyDown={onKey} />
+      <div ref={host} class="time-charts" data-testid="plot" role="group" tabindex={0} aria-label={t("plots.label")} aria-describedby="plot-keys" data-samples={chosen.length === 0 ? 0 : times_s.length} data-span-s={view.span_s} data-end-s={view.end_s ?? ""} onKeyDown={onKey} />
       <p class="hint" id="plot-keys">{t("plots.keys")}</p>
     </div>
   );

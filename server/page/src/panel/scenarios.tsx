@@ -9,7 +9,6 @@ const FILES = import.meta.glob<string>("../scenarios/*.json", { query: "?raw", i
 const SCENARIOS = ["table", "cubes", "shelf", "empty"] as const;
 type Scenario = (typeof SCENARIOS)[number];
 
-/** Worlds of one press, and the reset of the chosen one. */
 export function Scenarios(): JSX.Element {
   const { sceneEditor } = usePage();
   const [chosen, choose] = useState<Scenario | null>(null);

@@ -6,7 +6,7 @@ import { FILE_UNITS, fileProblem, makeMesh, MAX_FILE_BYTES, MESH_KINDS } from ".
 import { INITIAL_SIZES_M, MAX_PLACE_M, MAX_SIZE_M, meshShape, MIN_SIZE_M, newObject, sizedShape, SIZED_KINDS, sizesOf, type SizedKind } from "../logic/scene-objects";
 import type { NewObject, Point, Shape } from "../state/state";
 import { t } from "../texts/texts";
-import { readCorners } from "../view/mesh-file";
+import { readCorners } from "../view/meshes";
 import { Button, Gate, Line, MeasureField, MeasureLine, Radios, Section, Select, usePage } from "./ui";
 import "./scene.css";
 

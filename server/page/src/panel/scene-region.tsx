@@ -4,7 +4,6 @@ import type { Region, Slice } from "../state/state";
 import { t } from "../texts/texts";
 import { MeasureField, Problems, Section, Select, Tick, usePage } from "./ui";
 
-/** Reachable region: the switch, its slice, and the progress of its computation. */
 export function RegionSection(): JSX.Element {
   const { store } = usePage();
   const { region } = store.state;

@@ -1,10 +1,9 @@
 import type { JSX } from "preact";
-import { MAX_SCENE_FILE_BYTES } from "../logic/scene-file";
+import { MAX_SCENE_FILE_BYTES } from "../link/planning-scene";
 import { t } from "../texts/texts";
 import { saveFile } from "./files";
 import { Button, DeleteButton, FileInput, Gate, NameForm, Section, usePage } from "./ui";
 
-/** Saved scenes: by name on the server, and as files of the user. */
 export function SavedScenes(): JSX.Element {
   const { store, sceneEditor } = usePage();
   const { saved } = store.state.editing;

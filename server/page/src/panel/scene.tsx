@@ -22,7 +22,6 @@ export function SceneBar(): JSX.Element {
   );
 }
 
-/** List of the objects, and the selected one's values. */
 export function ObjectsSection(): JSX.Element {
   const { store } = usePage();
   const { objects, selected_object, collision_shapes } = store.state;
@@ -46,7 +45,6 @@ export function ObjectsSection(): JSX.Element {
   );
 }
 
-/** Fields and buttons of the selected object. */
 function ObjectEditor({ object }: { object: SceneObject }): JSX.Element {
   const { store, sceneEditor } = usePage();
   const { id, attached, color } = object;
@@ -87,7 +85,6 @@ function NameLine({ object }: { object: SceneObject }): JSX.Element {
   );
 }
 
-/** Size, place and rotation of an object, and the choice of the arrows in the picture. */
 function Dimensions({ object }: { object: SceneObject }): JSX.Element {
   const { store, sceneEditor } = usePage();
   const { id, shapes, position_m, orientation } = object;

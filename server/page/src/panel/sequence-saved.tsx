@@ -44,7 +44,6 @@ function keep(store: PageStore, saved: Record<string, readonly Waypoint[]>): boo
   return storePreference(SAVED, JSON.stringify(Object.fromEntries(texts)));
 }
 
-/** Sequences by name, and as files and programs. */
 export function SavedSequences(): JSX.Element {
   const { store } = usePage();
   const { saved, waypoints } = store.state.sequence;

@@ -11,10 +11,6 @@ import { selectGoal } from "../state/store";
 import { t } from "../texts/texts";
 import { Button, Gate, NumberField, Problems, Section, Select, SignButton, TextField, Tick, useKeptFocus, usePage, useSlowState } from "./ui";
 
-/** Time between two looks at the arm, which can be added as a waypoint [ms]. */
-const UPDATE_PERIOD_MS = 100;
-
-/** The sequence: its waypoints, and the buttons that add them and play it. */
 export function SequenceSection(): JSX.Element {
   const { waypoints, playing } = usePage().store.state.sequence;
   const list = useKeptFocus<HTMLOListElement>();
@@ -34,7 +30,7 @@ export function SequenceSection(): JSX.Element {
 
 function AddButtons(): JSX.Element {
   const { store } = usePage();
-  const state = useSlowState(UPDATE_PERIOD_MS);
+  const state = useSlowState();
   const full = state.sequence.waypoints.length >= MAX_WAYPOINTS;
   const add = (joints_rad: JointValues | null): void => {
     const { sequence, settings } = store.state;
@@ -189,7 +185,6 @@ function GripperChoice({ own, position, edit }: { own: string; position: number 
   );
 }
 
-/** Buttons that play and stop the sequence, with its progress. */
 function PlayControls(): JSX.Element {
   const { store, sequencePlayer } = usePage();
   const { waypoints, playing, result, checks, loop } = store.state.sequence;

@@ -7,22 +7,16 @@ import { t } from "../texts/texts";
 import type { TimeChart } from "./time-chart";
 import { Button, Section, Shown, TextList, usePage, useSlowState } from "./ui";
 
-/** Levels of diagnostic_msgs/DiagnosticStatus. */
 const DIAGNOSTIC_LEVELS = ["ok", "warn", "error", "stale"];
-
-/** Time between two updates [ms]; diagnostics come once a second. */
-const UPDATE_PERIOD_MS = 500;
 
 /** Time between two requests for the server's history of a servo [ms], and the time that it has [s]. */
 const FETCH_PERIOD_MS = 2000;
 const HISTORY_S = 600;
 
-/** Events that are shown, newest first. */
 const MAX_EVENTS = 30;
 
-/** Table of the servos' condition, each of which opens its details. */
 export function ServosSection(): JSX.Element {
-  const { servos, selected_servo } = useSlowState(UPDATE_PERIOD_MS);
+  const { servos, selected_servo } = useSlowState();
   const selected = servos.find(({ name }) => name === selected_servo);
   const heads = [t("servos.joint"), "°C", "A", t("servos.load"), t("servos.torque"), t("servos.condition")];
   return (
@@ -54,7 +48,6 @@ function ServoRow({ servo: { name, level, message, values } }: { servo: ServoSta
   );
 }
 
-/** Details of a servo: condition, advice, lines, errors, events and registers. */
 function ServoDetails({ servo }: { servo: ServoState }): JSX.Element {
   const { store } = usePage();
   const report = servoReport(servo);
@@ -125,7 +118,6 @@ const CHARTS = [
   { key: "servos.load_percent", field: "load", scale: 100, unit: "%", color: "--commanded", least_range: 100 },
 ] as const;
 
-/** Return a value that is missing or not measured as a gap. */
 function toScale(value: number | null | undefined, scale: number): number | null {
   return value === null || value === undefined ? null : scale * value;
 }

@@ -1,32 +1,24 @@
 import type { JSX } from "preact";
-import { useState } from "preact/hooks";
 import { PAGE_VERSION } from "../logic/version";
 import { loadPreference, storePreference } from "../state/preferences";
 import type { PageStore } from "../state/store";
 import { LANGUAGES, t } from "../texts/texts";
 import { Line, Select, usePage } from "./ui";
 
-/** Settings of this page in this browser: units, language and colours. */
 export function Settings(): JSX.Element {
   const { store } = usePage();
-  const [theme, setTheme] = useState(() => loadPreference("theme", "system"));
-  const chooseUnits = (units: string): void => {
-    storePreference("units", units);
+  const choose = (key: "units" | "theme", chosen: string): void => {
+    storePreference(key, chosen);
     loadSettings(store);
   };
   const chooseLanguage = (language: string): void => {
     storePreference("language", language);
     location.reload();
   };
-  const chooseTheme = (chosen: string): void => {
-    setTheme(chosen);
-    storePreference("theme", chosen);
-    loadSettings(store);
-  };
   return (
     <div class="rows settings">
       <Line text={t("settings.units")}>
-        <Select testid="units" value={store.state.settings.units} options={(["deg", "rad"] as const).map((value) => [value, t(`settings.units.${value}`)])} take={chooseUnits} />
+        <Select testid="units" value={store.state.settings.units} options={(["deg", "rad"] as const).map((value) => [value, t(`settings.units.${value}`)])} take={(units) => choose("units", units)} />
       </Line>
       <Line text={t("settings.language")}>
         <select data-testid="language" onChange={({ currentTarget }) => chooseLanguage(currentTarget.value)} value={document.documentElement.lang}>
@@ -34,7 +26,7 @@ export function Settings(): JSX.Element {
         </select>
       </Line>
       <Line text={t("settings.colours")}>
-        <Select testid="theme" value={theme} options={(["system", "light", "dark"] as const).map((value) => [value, t(`settings.colours.${value}`)])} take={chooseTheme} />
+        <Select testid="theme" value={loadPreference("theme", "system")} options={(["system", "light", "dark"] as const).map((value) => [value, t(`settings.colours.${value}`)])} take={(theme) => choose("theme", theme)} />
       </Line>
       <p class="hint">{t("settings.version", { version: PAGE_VERSION })}</p>
     </div>

@@ -5,7 +5,6 @@ import { AccessCode } from "./access-code";
 import { saveBlob } from "./files";
 import { Button, Section, Tick } from "./ui";
 
-/** Length of the film of the picture's last seconds [ms]. */
 const FILM_MS = 10_000;
 
 const FRAMES_PER_S = 25;
@@ -24,7 +23,6 @@ export function Share(): JSX.Element {
   );
 }
 
-/** Switch that keeps the last seconds, and the button that saves them. */
 function FilmControls(): JSX.Element {
   const [film, setFilm] = useState<Film | null>(null);
   const [saving, setSaving] = useState(false);
@@ -77,7 +75,6 @@ class Film {
     return new Blob(take.parts, { type: FILM_TYPE });
   }
 
-  /** End everything. */
   stop(): void {
     clearInterval(this.timer);
     for (const { recorder } of this.takes) recorder.stop();

@@ -6,17 +6,13 @@ import type { GoalState, Notice, State } from "../state/state";
 import { capitalized, t, type TextKey } from "../texts/texts";
 import { Button, Gate, SignButton, usePage } from "./ui";
 
-/** Label and kind of the state pill. */
 export interface Pill {
   label: string;
-  /** Kind of state, which sets the colour. */
   kind: "idle" | "busy" | "stopped" | "fault" | "off";
 }
 
-/** Parts of the state that the pill and the sentence depend on. */
 type StatusInput = Pick<State, "link" | "arm" | "goal" | "pending_request" | "settings">;
 
-/** Return the arm's state in a word. */
 export function statePill(state: StatusInput): Pill {
   const [name, kind] = stateName(state);
   return { label: t(`state.${name}` as TextKey), kind };
@@ -74,7 +70,6 @@ export function statusCode({ link, arm, goal }: StatusInput): string {
   return failed ? `${errorCodeName(goal.code ?? 0)} (${goal.code})` : "";
 }
 
-/** Return a text of the server as a sentence. */
 function sentence(text: string): string {
   return text === "" || /[.!?…]$/.test(text) ? capitalized(text) : `${capitalized(text)}.`;
 }
@@ -97,19 +92,18 @@ export function StatusBar(): JSX.Element {
         <span>{text}</span> <small class="code" data-testid="message-code">{code}</small>
       </p>
       <Gate to="drive">
-        <Button testid="suggestion" hidden={suggestion === null} press={() => suggestion && commands.publishSuggestion(suggestion)}>{t("bar.suggestion", { place: suggestionText(goal) })}</Button>
+        <Button testid="suggestion" hidden={suggestion === null} press={() => suggestion && commands.publish(suggestion.topic, suggestion.type, suggestion.msg)}>{t("bar.suggestion", { place: suggestionText(goal) })}</Button>
         <Button class="primary" testid="reset-fault" title={t("bar.reset_fault.title")} hidden={arm.mode !== "fault" || !connected} press={() => void commands.trigger("/arm/reset_fault")}>{t("bar.reset_fault")}</Button>
         <Button class="primary" testid="hold" title={t("bar.hold.title")} hidden={arm.mode !== "relaxed" || !connected} press={() => void commands.trigger("/arm/enable")}>{t("bar.hold")}</Button>
       </Gate>
       <Gate to="work">
-        <Button class="primary" testid="confirm" title={t("bar.confirm.title")} hidden={!is_waiting} press={() => commands.approveGoal(goal.id)}>{t("bar.confirm")}</Button>
-        <Button testid="discard" title={t("bar.discard.title")} hidden={!is_waiting} press={() => commands.cancelGoal(goal.id)}>{t("bar.discard")}</Button>
+        <Button class="primary" testid="confirm" title={t("bar.confirm.title")} hidden={!is_waiting} press={() => commands.decide(goal.id, "approve")}>{t("bar.confirm")}</Button>
+        <Button testid="discard" title={t("bar.discard.title")} hidden={!is_waiting} press={() => commands.decide(goal.id, "cancel")}>{t("bar.discard")}</Button>
       </Gate>
     </>
   );
 }
 
-/** Connection with its round-trip time. */
 export function ConnectionPill(): JSX.Element {
   const { connected, latency_ms, refused } = usePage().store.state.link;
   const latency = latency_ms === null ? t("link.connected") : `${Math.max(1, Math.round(latency_ms))} ms`;

@@ -6,7 +6,6 @@ import { Button, DeleteButton, Gate, Line, NameForm, NumberField, Problems, Sect
 /** Fastest replay, as a multiple of the speed in which the motion was shown; as the server's. */
 const MAX_SPEED = 2;
 
-/** Motions that a hand shows: recording, replaying and editing them. */
 export function TeachingSection(): JSX.Element {
   const { store: { state }, teaching } = usePage();
   const { motions, recording, replaying, told } = state.teaching;
@@ -39,13 +38,13 @@ function RecordForm(): JSX.Element {
   return (
     <Gate to="work">
       <div hidden={recording !== null}>
-        <NameForm testid="teach-name" label={t("teaching.name")} button={t("teaching.record")} button_testid="teach-begin" title={t("teaching.record.title")} submit={(name) => teaching.begin(name)} />
+        <NameForm testid="teach-name" label={t("teaching.name")} button={t("teaching.record")} button_testid="teach-begin" title={t("teaching.record.title")} submit={(name) => teaching.work("begin", { name, group: "" })} />
       </div>
       <div hidden={recording === null}>
         <p data-testid="teach-recording">{recording && t("teaching.recording", { name: recording.name, seconds: recording.duration_s.toFixed(1) })}</p>
         <div class="buttons">
-          <Button testid="teach-end" press={() => void teaching.end()}>{t("teaching.end")}</Button>
-          <Button testid="teach-discard" press={() => void teaching.discard()}>{t("teaching.discard")}</Button>
+          <Button testid="teach-end" press={() => void teaching.work("end")}>{t("teaching.end")}</Button>
+          <Button testid="teach-discard" press={() => void teaching.work("discard")}>{t("teaching.discard")}</Button>
         </div>
       </div>
     </Gate>
@@ -81,12 +80,12 @@ function MotionEditor({ name, duration_s }: { name: string; duration_s: number }
           <div class="buttons">
             <Line text={`${t("teaching.from")} (s)`}><NumberField testid="trim-from" label={t("teaching.from")} range={range(t("teaching.from"))} text={String(from_s)} take={(value) => setRange([value, to_s])} /></Line>
             <Line text={`${t("teaching.to")} (s)`}><NumberField testid="trim-to" label={t("teaching.to")} range={range(t("teaching.to"))} text={to_s.toFixed(2)} take={(value) => setRange([from_s, value])} /></Line>
-            <Button testid="trim-motion" press={() => void teaching.trim(name, from_s, to_s)}>{t("teaching.trim")}</Button>
+            <Button testid="trim-motion" press={() => void teaching.work("trim", { name, from_s, to_s })}>{t("teaching.trim")}</Button>
           </div>
           <div class="buttons">
             <Line text={t("teaching.new_name")}><input type="text" data-testid="new-motion-name" autocomplete="off" maxlength={50} value={new_name} onInput={({ currentTarget }) => setName(currentTarget.value)} /></Line>
-            <Button testid="rename-motion" press={() => void teaching.rename(name, new_name.trim())}>{t("teaching.rename")}</Button>
-            <DeleteButton text={t("teaching.delete")} testid="delete-motion" name={name} remove={() => void teaching.remove(name)} />
+            <Button testid="rename-motion" press={() => void teaching.work("rename", { name, new_name: new_name.trim() })}>{t("teaching.rename")}</Button>
+            <DeleteButton text={t("teaching.delete")} testid="delete-motion" name={name} remove={() => void teaching.work("delete", { name })} />
           </div>
         </Gate>
       </Problems>

@@ -1,7 +1,6 @@
 import "uplot/dist/uPlot.min.css";
 import uPlot from "uplot";
 
-/** Curve of a chart. */
 export interface TimeCurve {
   label: string;
   /** Name of the custom property with its colour, as "--measured". */
@@ -25,10 +24,8 @@ export interface TimeChartOptions {
 /** Least size of a chart; a hidden one has none [px]. */
 const MIN_SIZE_PX = 50;
 
-/** Part of the span by which a turn of the wheel of 100 px zooms. */
 const WHEEL_ZOOM = 0.2;
 
-/** Charts whose cursors move together. */
 const SYNC_KEY = "plots";
 
 /** Chart that is zoomed by wheel and pinch, moved by dragging, and tells the values at the cursor. */
@@ -60,13 +57,11 @@ export class TimeChart {
     this.showValues();
   }
 
-  /** Put the cursor of all charts at a share of the width. */
   setCursor(share: number): void {
     const { clientWidth: width, clientHeight: height } = this.plot.over;
     this.plot.setCursor({ left: share * width, top: height / 2 });
   }
 
-  /** Remove the chart from the page. */
   destroy(): void {
     this.plot.destroy();
     this.element.remove();
@@ -159,7 +154,6 @@ function colorsOf(host: HTMLElement): (name: string) => () => string {
   };
 }
 
-/** Return the look of an axis. */
 function axisOf(color: (name: string) => () => string): uPlot.Axis {
   return { stroke: color("--dim"), grid: { stroke: color("--line"), width: 1 }, ticks: { show: false } };
 }

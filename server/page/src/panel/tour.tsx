@@ -5,7 +5,6 @@ import { openPanel } from "../logic/layout";
 import { t, type TextKey } from "../texts/texts";
 import { Button, usePage } from "./ui";
 
-/** Steps of the tour: a text, and the element that it points at. */
 const STEPS: readonly [TextKey, string][] = [
   ["tour.ball", "#view"],
   ["tour.primary", ".transport"],
@@ -13,10 +12,8 @@ const STEPS: readonly [TextKey, string][] = [
   ["tour.more", "#rail"],
 ];
 
-/** Present step of the tour; null while there is none. */
 const step = signal<number | null>(null);
 
-/** Card of the tour of the page. */
 export function Tour(): JSX.Element {
   const next = useRef<HTMLButtonElement>(null);
   const index = step.value;

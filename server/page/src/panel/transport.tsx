@@ -8,7 +8,6 @@ import { t } from "../texts/texts";
 import { isAwaitingConfirmation } from "./status";
 import { Gate, SignButton, usePage } from "./ui";
 
-/** Step that the primary button takes. */
 export interface PrimaryStep {
   action: "plan" | "go" | "pause" | "resume";
   label: string;
@@ -35,11 +34,8 @@ function isMoving({ link, goal, arm }: State): boolean {
   return link.connected && (goal.state === "executing" || arm.mode === "moving");
 }
 
-/** Return the next step to a motion in words. */
-export function nextStep({ link, goal, selection }: Pick<State, "link" | "goal" | "selection">): string {
-  if (!link.connected) return t("bar.offline.disabled");
-  if (isAwaitingConfirmation(goal)) return t("move.step.confirm");
-  return t(selection.kind === "none" ? "move.step.choose" : "move.step.plan");
+export function nextStep(state: State): string {
+  return primaryStep(state).reason || t("move.step.plan");
 }
 
 /** Return the done part of a motion and its time left, as "34 % · 1.2 s left". */

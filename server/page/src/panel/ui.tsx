@@ -1,64 +1,36 @@
 import { effect, untracked, useSignal, type Signal } from "@preact/signals";
 import { createContext, type ComponentChildren, type JSX, type RefObject } from "preact";
 import { useContext, useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
-import type { Authentication } from "../link/authentication";
-import type { Cameras } from "../link/cameras";
-import type { Classroom } from "../link/classroom";
-import type { Connection } from "../link/connection";
-import type { ArmCommands, StopCommand } from "../link/commands";
-import type { CommissioningCommands } from "../link/commissioning";
-import type { MoveGroupClient } from "../link/move-group";
-import type { SceneEditor } from "../link/scene-editor";
-import type { SequencePlayer } from "../link/sequence";
-import type { JogSteps } from "../link/jog-steps";
-import type { JogSender } from "../link/servo-node";
-import type { Teaching } from "../link/teaching";
+import type { Services } from "../link/services";
 import { denialReason, type Operation } from "../logic/permissions";
-import { fromUnit, parseNumber, positionText, unitOf, type NumberRange } from "../logic/numbers";
+import { parseNumber, positionText, unitOf, type NumberRange } from "../logic/numbers";
 import { throttle } from "../logic/throttle";
 import { loadPreference, storePreference } from "../state/preferences";
 import type { State } from "../state/state";
-import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 
-/** Services that every section of the panel uses. */
-export interface PanelContext {
-  connection: Connection;
-  store: PageStore;
-  moveGroup: MoveGroupClient;
-  commands: ArmCommands;
-  stopCommand: StopCommand;
-  jogSender: JogSender;
-  jogSteps: JogSteps;
-  commissioning: CommissioningCommands;
-  authentication: Authentication;
-  sceneEditor: SceneEditor;
-  sequencePlayer: SequencePlayer;
-  cameras: Cameras;
-  classroom: Classroom;
-  teaching: Teaching;
-}
-
-/** Services of the page. */
-export const Page = createContext({} as PanelContext);
-export const usePage = (): PanelContext => useContext(Page);
+export const Page = createContext({} as Services);
+export const usePage = (): Services => useContext(Page);
 
 /** True while what is inside can be seen: its panel is open, and no section above it is closed. */
 export const Shown = createContext(true);
 
+/** Least time between two updates of numbers and lists [ms]; faster ones cannot be read. */
+const READABLE_PERIOD_MS = 200;
+
 /** Return the state, at most once a period, and only while the component can be seen. */
-export function useSlowState(period_ms: number): State {
-  return useSlowPart(period_ms, (state) => ({ ...state }));
+export function useSlowState(): State {
+  return useSlowPart((state) => ({ ...state }));
 }
 
 /** Return a part of the state, which draws the component again only where it is another one; else as useSlowState. */
-export function useSlowPart<Part>(period_ms: number, select: (state: State) => Part): Part {
+export function useSlowPart<Part>(select: (state: State) => Part): Part {
   const { store } = usePage();
   const shown = useContext(Shown);
   const [part, take] = useState(() => untracked(() => select(store.state)));
   useEffect(() => {
     if (!shown) return;
-    const takeSometimes = throttle<Part>(period_ms, (newest) => take(() => newest));
+    const takeSometimes = throttle<Part>(READABLE_PERIOD_MS, (newest) => take(() => newest));
     return effect(() => takeSometimes(select(store.state)));
   }, [shown]);
   return part;
@@ -130,12 +102,10 @@ export function NameForm({ testid, label, button, button_testid, title, submit }
   );
 }
 
-/** Icon from a path in a square of 24. */
 export function Icon({ path }: { path: string }): JSX.Element {
   return <svg viewBox="0 0 24 24" class="icon" aria-hidden="true"><path d={path} /></svg>;
 }
 
-/** Line with a text before its control. */
 export function Line({ text, children }: { text: string; children: ComponentChildren }): JSX.Element {
   return <label class="line">{text} {children}</label>;
 }
@@ -144,7 +114,6 @@ interface SelectProps {
   testid: string;
   label?: string;
   value: string;
-  /** Values with their texts. */
   options: readonly (readonly [string, string])[];
   take: (value: string) => void;
   disabled?: boolean;
@@ -158,12 +127,10 @@ export function Select({ options, take, testid, label, ...rest }: SelectProps): 
   );
 }
 
-/** Box to tick, with a text behind it. */
 export function Tick({ testid, text, checked, take, kind = "line" }: { testid: string; text: ComponentChildren; checked: boolean; take: (on: boolean) => void; kind?: "line" | "choice" }): JSX.Element {
   return <label class={kind}><input type="checkbox" data-testid={testid} checked={checked} onChange={({ currentTarget }) => take(currentTarget.checked)} />{text}</label>;
 }
 
-/** Choices of which one is taken, in a row. */
 export function Radios({ label, value, options, take, testid, titled = false }: SelectProps & { titled?: boolean }): JSX.Element {
   return (
     <div class="chips" role="radiogroup" aria-label={label}>
@@ -175,7 +142,6 @@ export function Radios({ label, value, options, take, testid, titled = false }: 
   );
 }
 
-/** Texts as a list, which is hidden without any. */
 export function TextList({ texts, testid, label, kind }: { texts: readonly string[]; testid: string; label?: string; kind: string }): JSX.Element {
   return <ul class={kind} data-testid={testid} aria-label={label} hidden={texts.length === 0}>{texts.map((text, index) => <li key={index}>{text}</li>)}</ul>;
 }
@@ -253,7 +219,6 @@ interface SliderProps {
   /** Least and largest value, and step. */
   range: readonly [number, number, number];
   value: number;
-  /** Takes each value on the way. */
   take?: (value: number) => void;
   /** Takes the value at which the slider is let go. */
   release?: (value: number) => void;
@@ -278,7 +243,6 @@ export function Slider({ testid, label, range: [min, max, step], value, take, re
   );
 }
 
-/** Input for a JSON file of the user. */
 export function FileInput({ testid, label, take }: { testid: string; label: string; take: (file: File) => Promise<void> }): JSX.Element {
   const open = (input: HTMLInputElement): void => {
     const file = input.files?.[0];
@@ -338,7 +302,7 @@ export function MeasureField({ testid, kind = "prismatic", name, label = name, l
       <NumberField
         testid={testid} label={`${label} (${suffix.trim()})`} range={{ name: label, lower: lower * scale, upper: upper * scale, unit: suffix, digits }}
         // Without zeros after the last decimal.
-        text={text.includes(".") ? text.replace(/\.?0+$/, "") : text} take={(typed) => take(fromUnit(typed, unit))}
+        text={text.includes(".") ? text.replace(/\.?0+$/, "") : text} take={(typed) => take(typed / unit.scale)}
       />
     </label>
   );

@@ -14,7 +14,6 @@ export type Orientation = [number, number, number, number];
 /** Joint values by joint name, in radians (metres for a joint that slides). */
 export type JointValues = Record<string, number>;
 
-/** Condition of the connection to the server. */
 export interface ConnectionState {
   connected: boolean;
   /** Round-trip time of the last heartbeat; null before the first answer. */
@@ -29,11 +28,9 @@ export interface Identity {
   /** IP address and port of the connection, which are unique to it. */
   address: string;
   role: "view" | "propose" | "operate" | "admin";
-  /** Version of the server; empty where it tells none. */
   version: string;
 }
 
-/** Control of the arm, from /arm/control. */
 export interface Control {
   /** Name of the client that controls the arm; empty while none does. */
   holder: string;
@@ -47,11 +44,9 @@ export interface Control {
 /** State of this page's token; the token itself is in sessionStorage. */
 export interface TokenState {
   held: boolean;
-  /** True while the user is asked for a token. */
   asked: boolean;
 }
 
-/** Newest message of /joint_states. */
 export interface Joints {
   names: string[];
   /** NaN where the message had no number. */
@@ -62,11 +57,9 @@ export interface Joints {
   stamp: number;
 }
 
-/** Newest message of /arm/state. */
 export interface ArmState {
   /** Mode of the state machine; empty before the server has told it. */
   mode: string;
-  /** Sentence of the server. */
   message: string;
   /** Code of the fault; empty without one, as are the next three. */
   fault: string;
@@ -75,7 +68,6 @@ export interface ArmState {
   fault_joint: string;
   reason: string;
   speed_factor: number;
-  /** Share of the joints' speed limits that no motion exceeds. */
   speed_limit: number;
   course: string;
   /** Number of the last stop, anyone's; another number means another stop. */
@@ -89,7 +81,6 @@ export interface SuggestedGoal {
   msg: unknown;
 }
 
-/** Present goal, or the last one. */
 export interface GoalState {
   id: string;
   /** Topic or action that it came by. */
@@ -103,7 +94,6 @@ export interface GoalState {
   suggestion: SuggestedGoal | null;
 }
 
-/** Answer to the last press of STOP. */
 export interface StopState {
   phase: "ready" | "asked" | "acknowledged" | "failed";
   text: string;
@@ -119,19 +109,16 @@ export interface Settings {
   speed: number;
 }
 
-/** Point of a planned trajectory. */
 export interface PlanPoint {
   time_s: number;
   position_rad: number[];
 }
 
-/** Planned trajectory. */
 export interface Plan {
   names: string[];
   points: PlanPoint[];
 }
 
-/** Plan that is shown, and the position of the scrubber. */
 export interface PlanState {
   trajectory: Plan | null;
   /** Path of the tool, which the view computes from the URDF; empty without a plan. */
@@ -143,7 +130,6 @@ export interface PlanState {
   replaying: boolean;
 }
 
-/** Target of the tool, which the user drags or types. */
 export interface TargetState {
   /** Null hides the target; every new target has a new array. */
   position_m: Point | null;
@@ -153,7 +139,6 @@ export interface TargetState {
   /** Null until the server has answered for this position. */
   reachable: boolean | null;
   distance_m: number;
-  /** Joint values of the nearest reachable point. */
   joints_rad: JointValues | null;
 }
 
@@ -161,11 +146,9 @@ export interface TargetState {
 export interface GoalSelection {
   kind: "none" | "joints" | "target" | "named";
   joints_rad: JointValues | null;
-  /** Name of a named pose. */
   name?: string;
 }
 
-/** Named state of the arm. */
 export interface NamedState {
   saved: boolean;
   joints: JointValues;
@@ -178,17 +161,14 @@ export interface LogEntry {
   text: string;
 }
 
-/** Condition of a servo, from /diagnostics. */
 export interface ServoState {
   name: string;
-  /** Hardware id, as "servo 3". */
   hardware: string;
   level: number;
   message: string;
   values: Record<string, string>;
 }
 
-/** Condition of the arm's bus and control loop, from /diagnostics. */
 export interface ArmHealth {
   level: number;
   message: string;
@@ -204,20 +184,16 @@ export interface SweptJoint {
   /** Width that the range of the joint has on an arm as built; 0 where none is known. */
   expected_width: number;
   done: boolean;
-  /** Remark of the server; empty without one. */
   note: string;
   /** Angle by which the joint hangs below its command; NaN while it is not measured. */
   droop_rad: number;
 }
 
-/** Procedure of commissioning as the server tells it on /arm/commissioning/state. */
 export interface Commissioning {
   /** "calibrate" or "verify"; empty while none is in progress. */
   procedure: string;
   step: string;
-  /** Sentence for the person at the arm. */
   instruction: string;
-  /** Texts of which one answers the step. */
   answers: string[];
   /** Done part of the procedure, 0 to 1. */
   progress: number;
@@ -227,7 +203,6 @@ export interface Commissioning {
   result: string;
 }
 
-/** Goal that is queued, planned or executed. */
 export interface ActiveGoal {
   id: string;
   name: string;
@@ -245,7 +220,6 @@ export interface Notice {
 export interface Shape {
   kind: "box" | "sphere" | "cylinder" | "cone" | "prism" | "plane" | "mesh";
   position_m: Point;
-  /** x, y, z, w. */
   orientation: Orientation;
   /** SolidPrimitive.dimensions, or a plane's four coefficients. */
   dimensions: number[];
@@ -254,7 +228,6 @@ export interface Shape {
   triangles: [number, number, number][];
 }
 
-/** Object of the planning scene. */
 export interface SceneObject {
   id: string;
   /** Link that the pose is relative to: the root link, or the one that the object is attached to. */
@@ -263,9 +236,7 @@ export interface SceneObject {
   position_m: Point;
   orientation: Orientation;
   shapes: Shape[];
-  /** Red, green, blue, alpha, 0 to 1; null takes the theme's colour. */
   color: Color | null;
-  /** Links that an attached object may touch. */
   touch_links?: string[];
 }
 
@@ -284,15 +255,12 @@ export interface SurfacePoint {
   normal: Point;
 }
 
-/** Change of the scene that can be undone. */
 export interface SceneChange {
-  /** Objects as they were before; null for one that there was not. */
-  objects: Record<string, SceneObject | null>;
-  /** True when the whole scene was replaced, so that there were no other objects. */
-  whole: boolean;
+  objects: readonly SceneObject[];
+  /** Names of the changed objects; null when the whole scene was replaced. */
+  ids: readonly string[] | null;
 }
 
-/** Editing of the planning scene. */
 export interface SceneEditing {
   /** Object that the next click in the picture places; null while none is chosen. */
   placing: NewObject | null;
@@ -330,13 +298,11 @@ export interface Region {
   shown: boolean;
   slice: Slice;
   cells: Cell[];
-  /** Number of points that are checked in all. */
   total: number;
   /** Reason why nothing is computed, as a sentence; empty without one. */
   problem: string;
 }
 
-/** Sequence of motions that is edited, and played. */
 export interface SequenceState {
   waypoints: readonly Waypoint[];
   /** The server's answer for the leg to each waypoint. */
@@ -357,9 +323,7 @@ export interface TeachingState {
   recording: { name: string; duration_s: number } | null;
   /** Names of the motions that the server keeps; null before it has told them. */
   motions: readonly string[] | null;
-  /** The motion that is edited. */
   edited: { name: string; duration_s: number } | null;
-  /** The motion that this page replays. */
   replaying: string | null;
   /** What the server has said last, a sentence; empty before. */
   told: string;
@@ -379,15 +343,12 @@ export interface ServoNodeState {
   joint_scale: number;
 }
 
-/** Arm of a student in a classroom. */
 export interface StudentArm {
   name: string;
-  /** Port of the student's server. */
   port: number;
   connected: boolean;
   /** Null until its server has told it. */
   arm: ArmState | null;
-  /** Joint values that its picture shows. */
   seen_rad: JointValues;
 }
 
@@ -457,7 +418,19 @@ export interface State {
   classroom: StudentArm[];
 }
 
-/** Return the state before the first message. */
+export const NO_PLAN: PlanState = { trajectory: null, tool_path: [], scrub_s: null, executable: false, replaying: false };
+
+export const NO_GOAL: GoalState = {
+  id: "",
+  source: "",
+  state: "",
+  fraction: 0,
+  seconds_left: null,
+  message: "",
+  code: null,
+  suggestion: null,
+};
+
 export function emptyState(url: string): State {
   return {
     link: { connected: false, latency_ms: null, url, refused: "" },
@@ -469,9 +442,21 @@ export function emptyState(url: string): State {
     group: "",
     joints: { names: [], position_rad: [], velocity: [], effort: [], stamp: 0 },
     limits: {},
-    arm: noArm(),
-    goal: noGoal(),
-    plan: noPlan(),
+    arm: {
+      mode: "",
+      message: "",
+      fault: "",
+      fault_message: "",
+      fault_remedy: "",
+      fault_joint: "",
+      reason: "",
+      speed_factor: 1,
+      speed_limit: 1,
+      course: "forward",
+      last_stop: "",
+    },
+    goal: NO_GOAL,
+    plan: NO_PLAN,
     target: { position_m: null, orientation: null, dragging: false, reachable: null, distance_m: 0, joints_rad: null },
     selection: { kind: "none", joints_rad: null },
     executing_selection: null,
@@ -507,49 +492,9 @@ export function emptyState(url: string): State {
     object_colors: {},
     editing: { placing: null, clicked: null, arrows: "translate", history: [], saved: null, result: "" },
     region: { shown: false, slice: { kind: "upright", height_m: 0.1, angle_rad: 0 }, cells: [], total: 0, problem: "" },
-    sequence: noSequence(),
+    sequence: { waypoints: [], checks: [], playing: null, result: "", loop: false, saved: {} },
     thumbnails: {},
     classroom: [],
     teaching: { recording: null, motions: null, edited: null, replaying: null, told: "" },
-  };
-}
-
-/** Return the plan state without a plan. */
-export function noPlan(): PlanState {
-  return { trajectory: null, tool_path: [], scrub_s: null, executable: false, replaying: false };
-}
-
-/** Return the sequence before the first waypoint. */
-export function noSequence(): SequenceState {
-  return { waypoints: [], checks: [], playing: null, result: "", loop: false, saved: {} };
-}
-
-/** Return the goal state before the first goal. */
-export function noGoal(): GoalState {
-  return {
-    id: "",
-    source: "",
-    state: "",
-    fraction: 0,
-    seconds_left: null,
-    message: "",
-    code: null,
-    suggestion: null,
-  };
-}
-
-function noArm(): ArmState {
-  return {
-    mode: "",
-    message: "",
-    fault: "",
-    fault_message: "",
-    fault_remedy: "",
-    fault_joint: "",
-    reason: "",
-    speed_factor: 1,
-    speed_limit: 1,
-    course: "forward",
-    last_stop: "",
   };
 }

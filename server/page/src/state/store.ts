@@ -1,5 +1,5 @@
 import { batch, effect, signal, untracked, type Signal } from "@preact/signals";
-import { noPlan, type GoalSelection, type JointValues, type Orientation, type Point, type State } from "./state";
+import { NO_PLAN, type GoalSelection, type JointValues, type Orientation, type Point, type State } from "./state";
 
 /**
  * State of which every part is a signal: a component or an effect that reads a part runs again when the part is replaced.
@@ -11,7 +11,6 @@ export class Store<State extends object> {
   readonly state: Readonly<State>;
   private readonly parts: { [Key in keyof State]: Signal<State[Key]> };
 
-  /** @param initial - the state before the first change. */
   constructor(initial: State) {
     const keys = Object.keys(initial) as (keyof State)[];
     this.parts = Object.fromEntries(keys.map((key) => [key, signal(initial[key])])) as typeof this.parts;
@@ -19,14 +18,12 @@ export class Store<State extends object> {
     this.state = Object.defineProperties({}, Object.fromEntries(keys.map((key) => [key, part(key)]))) as State;
   }
 
-  /** Replace parts of the state. */
   set(patch: Partial<State>): void {
     batch(() => {
       for (const key of Object.keys(patch) as (keyof State)[]) this.parts[key].value = patch[key] as State[keyof State];
     });
   }
 
-  /** Replace fields of one part of the state. */
   patch<Key extends keyof State>(key: Key, patch: Partial<State[Key]>): void {
     this.set({ [key]: { ...this.parts[key].peek(), ...patch } } as unknown as Partial<State>);
   }
@@ -53,7 +50,6 @@ export class Store<State extends object> {
   }
 }
 
-/** Store of everything that the page shows. */
 export type PageStore = Store<State>;
 
 /** Show a notice, which stays until its cause is gone; an empty text removes it. */
@@ -78,7 +74,7 @@ export function selectGoal(
   joints_rad: JointValues | null,
   name = "",
 ): void {
-  store.set({ selection: { kind, joints_rad, name }, plan: noPlan() });
+  store.set({ selection: { kind, joints_rad, name }, plan: NO_PLAN });
 }
 
 /** Select a pose as the goal of the tool; without an orientation the point may be reached in any. */
@@ -87,12 +83,12 @@ export function selectTarget(store: PageStore, position_m: Point, orientation: O
   store.set({
     selection: { kind: "target", joints_rad: null },
     target: { ...target, position_m: [...position_m], orientation },
-    plan: noPlan(),
+    plan: NO_PLAN,
   });
 }
 
 /** Select the joint group that goals are for, and remove the goal of the group before. */
 export function selectGroup(store: PageStore, group: string): void {
   if (group === store.state.group) return;
-  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: noPlan() });
+  store.set({ group, selection: { kind: "none", joints_rad: null }, plan: NO_PLAN });
 }

@@ -29,7 +29,6 @@ export function t(key: TextKey, values: Record<string, string | number> = {}): s
   return present[key].replace(/\{(\w+)\}/g, (braces, name: string) => String(values[name] ?? braces));
 }
 
-/** Return a text with a capital first letter. */
 export function capitalized(text: string): string {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }

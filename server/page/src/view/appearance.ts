@@ -20,35 +20,15 @@ import { Ground } from "./ground";
 import type { MaterialSelector } from "./robot-model";
 import { SoftShadow } from "./soft-shadow";
 
-/** Colours of the view. */
-export interface Theme {
-  /** Background at the picture's upper and lower edge. */
-  sky: number;
-  background: number;
-  ground: number;
-  grid: number;
-  grid_axis: number;
-  grid_label: number;
-  /** Darkness of the arm's shadow, from 0 to 1. */
-  shadow: number;
-  arm: number;
-  arm_dark: number;
-  ghost: number;
-  ghost_off: number;
-  path: number;
-  object: number;
-  collision: number;
-  missing: number;
-  swept: number;
-}
-
-const LIGHT: Theme = {
+const LIGHT = {
+  // At the picture's upper edge, and at its lower one.
   sky: 0xd3dce5,
   background: 0xf3f5f7,
   ground: 0xffffff,
   grid: 0xd9dfe5,
   grid_axis: 0xb4bec8,
   grid_label: 0x5c6874,
+  // Darkness of the arm's shadow, from 0 to 1.
   shadow: 0.34,
   arm: 0xf0b323,
   arm_dark: 0x3a434d,
@@ -60,6 +40,9 @@ const LIGHT: Theme = {
   missing: 0xd96a2c,
   swept: 0x35a0a0,
 };
+
+/** Colours of the view. */
+export type Theme = typeof LIGHT;
 
 const DARK: Theme = {
   ...LIGHT,
@@ -77,7 +60,6 @@ const DARK: Theme = {
   collision: 0xe07cf0,
 };
 
-/** Return the present theme: the user's choice, else that of the system. */
 export function currentTheme(): Theme {
   const chosen = document.documentElement.dataset.theme;
   if (chosen === "light") return LIGHT;
@@ -85,7 +67,6 @@ export function currentTheme(): Theme {
   return matchMedia("(prefers-color-scheme: dark)").matches ? DARK : LIGHT;
 }
 
-/** Call back whenever the theme may have changed. */
 export function watchTheme(changed: () => void): void {
   const system = matchMedia("(prefers-color-scheme: dark)");
   system.addEventListener("change", changed);
@@ -118,13 +99,11 @@ export class Materials {
   private theme: Theme;
   private off_target = false;
 
-  /** @param theme - initial colours. */
   constructor(theme: Theme) {
     this.theme = theme;
     this.setTheme(theme);
   }
 
-  /** Apply other colours. */
   setTheme(theme: Theme): void {
     this.theme = theme;
     this.arm.color.set(theme.arm);
@@ -137,7 +116,6 @@ export class Materials {
     this.setOffTarget(this.off_target);
   }
 
-  /** Set the ghost's colour: a warning where it does not reach the target. */
   setOffTarget(off_target: boolean): void {
     this.off_target = off_target;
     this.ghost.color.set(off_target ? this.theme.ghost_off : this.theme.ghost);
@@ -160,10 +138,8 @@ export class Environment {
   private readonly ground = new Ground();
   private readonly shadow: SoftShadow;
   private readonly hemisphere = new HemisphereLight();
-  /** Background behind everything. */
   readonly sky = new Mesh(new PlaneGeometry(2, 2, 1, SKY_BANDS), backgroundMaterial());
 
-  /** @param scene - scene to add them to. */
   constructor(scene: Scene) {
     const sun = new DirectionalLight(0xfff6ea, 1.75);
     sun.position.copy(LIGHT_DIRECTION);
@@ -187,7 +163,6 @@ export class Environment {
     this.shadow.setStrength(theme.shadow);
   }
 
-  /** Draw the shadow of an object; to be called when it has moved. */
   castShadow(renderer: WebGLRenderer, object: Object3D): void {
     this.shadow.cast(renderer, object);
   }

@@ -1,17 +1,17 @@
 import {
-  BufferAttribute,
   BufferGeometry,
   CanvasTexture,
-  CircleGeometry,
   Color,
+  Float32BufferAttribute,
   Group,
   LineSegments,
   Mesh,
-  type MeshBasicMaterial,
+  RingGeometry,
   Sprite,
   SpriteMaterial,
   SRGBColorSpace,
   type ColorRepresentation,
+  type MeshBasicMaterial,
 } from "three";
 import { distanceText, type UnitSystem } from "../logic/numbers";
 import type { Theme } from "./appearance";
@@ -33,7 +33,6 @@ const LABEL_PX: [number, number] = [144, 48];
 const DISC_Z_M = -0.003;
 const GRID_Z_M = -0.002;
 
-/** Return the visibility of the ground at a distance from the origin: 1 near, 0 at its edge. */
 export function groundVisibility(distance_m: number): number {
   const share = Math.min(Math.max((distance_m - FADED_FROM_M) / (HALF_M - FADED_FROM_M), 0), 1);
   return 1 - share * share * (3 - 2 * share);
@@ -41,7 +40,6 @@ export function groundVisibility(distance_m: number): number {
 
 /** Ground of the scene: a lit disc and a grid of 5 cm, which fade away, with lengths beside the x axis. */
 export class Ground {
-  /** Object to add to a scene. */
   readonly group = new Group();
   private theme: Theme | null = null;
   private units: UnitSystem | null = null;
@@ -68,22 +66,8 @@ export class Ground {
 }
 
 function disc(color: ColorRepresentation): Mesh {
-  const geometry = new BufferGeometry();
-  const rings = 8;
-  const segments = 40;
-  const at: number[] = [];
-  for (let ring = 0; ring < rings; ring += 1) {
-    const part = new CircleGeometry(1, segments).getAttribute("position");
-    const [inner, outer] = [(HALF_M * ring) / rings, (HALF_M * (ring + 1)) / rings];
-    for (let side = 1; side <= segments; side += 1) {
-      const [a_x, a_y, b_x, b_y] = [part.getX(side), part.getY(side), part.getX(side + 1), part.getY(side + 1)];
-      const corner = (x: number, y: number, radius: number): number[] => [x * radius, y * radius, DISC_Z_M];
-      at.push(...corner(a_x, a_y, inner), ...corner(a_x, a_y, outer), ...corner(b_x, b_y, outer));
-      if (ring > 0) at.push(...corner(a_x, a_y, inner), ...corner(b_x, b_y, outer), ...corner(b_x, b_y, inner));
-    }
-  }
-  setFading(geometry, at, color);
-  const mesh = new Mesh(geometry, flatMaterial(true));
+  const geometry = new RingGeometry(0, HALF_M, 40, 8).translate(0, 0, DISC_Z_M);
+  const mesh = new Mesh(faded(geometry, color), flatMaterial(true));
   mesh.renderOrder = -3;
   return mesh;
 }
@@ -99,21 +83,16 @@ function grid(color: ColorRepresentation, major: boolean): LineSegments {
       at.push(across, from, GRID_Z_M, across, to, GRID_Z_M, from, across, GRID_Z_M, to, across, GRID_Z_M);
     }
   }
-  const geometry = new BufferGeometry();
-  setFading(geometry, at, color);
-  const segments = new LineSegments(geometry, flatMaterial(true));
+  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(at, 3));
+  const segments = new LineSegments(faded(geometry, color), flatMaterial(true));
   segments.renderOrder = -2;
   return segments;
 }
 
-function setFading(geometry: BufferGeometry, at: number[], color: ColorRepresentation): void {
-  const [r, g, b] = srgb(color);
-  const colors: number[] = [];
-  for (let index = 0; index < at.length; index += 3) {
-    colors.push(r, g, b, groundVisibility(Math.hypot(at[index] ?? 0, at[index + 1] ?? 0)));
-  }
-  geometry.setAttribute("position", new BufferAttribute(new Float32Array(at), 3));
-  geometry.setAttribute("color", new BufferAttribute(new Float32Array(colors), 4));
+function faded(geometry: BufferGeometry, color: ColorRepresentation): BufferGeometry {
+  const at = geometry.getAttribute("position");
+  const colors = Array.from({ length: at.count }, (_, index) => [...srgb(color), groundVisibility(Math.hypot(at.getX(index), at.getY(index)))]);
+  return geometry.setAttribute("color", new Float32BufferAttribute(colors.flat(), 4));
 }
 
 function label(text: string, x_m: number, color: ColorRepresentation): Sprite {

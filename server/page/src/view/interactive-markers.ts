@@ -21,7 +21,6 @@ import type { Ghost } from "./plan-preview";
 import type { Robot } from "./robot";
 import type { RobotModel } from "./robot-model";
 import type { SceneObjects } from "./scene-objects";
-import { surfaceAt } from "./surface";
 import type { SceneComponent, Viewer } from "./viewer";
 
 // Soft ball that is grabbed, and its opacity.
@@ -78,7 +77,6 @@ function grip(start: number): BufferGeometry {
   return new CylinderGeometry(GRIP_RADIUS, GRIP_RADIUS, to - from, 8).translate(0, (from + to) / 2, 0);
 }
 
-/** Create an arrow along y that begins away from the middle. */
 function arrow(start: number): BufferGeometry {
   const length = ARROWS_END - start;
   const shaft = length - HEAD_LENGTH;
@@ -90,6 +88,19 @@ function arrow(start: number): BufferGeometry {
     [0, length],
   ].map(([x, y]) => new Vector2(x, y));
   return new LatheGeometry(profile, 12).translate(0, start, 0);
+}
+
+/** Create handles in the scene of a viewer, whose camera stands still while they are dragged. */
+function createHandles(viewer: Viewer, canvas: HTMLCanvasElement, drag: (dragging: boolean) => void, moved: () => void): TransformControls {
+  const handles = new TransformControls(viewer.camera, canvas);
+  handles.addEventListener("change", () => viewer.request());
+  handles.addEventListener("objectChange", moved);
+  handles.addEventListener("dragging-changed", ({ value }) => {
+    viewer.orbit.enabled = value !== true;
+    drag(value === true);
+  });
+  viewer.scene.add(handles.getHelper());
+  return handles;
 }
 
 /** Marker of the target, dragged by its ball or by three arrows; without a target it is at the tool of the ghost or the arm. */
@@ -111,13 +122,10 @@ export class TargetMarker implements SceneComponent {
   ) {
     const material = new MeshBasicMaterial({ transparent: true, opacity: BALL_OPACITY, depthTest: false });
     this.ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 20, 14), material);
-    this.arrows = new TransformControls(viewer.camera, canvas);
+    this.arrows = createHandles(viewer, canvas, (dragging) => this.drag(dragging), () => this.dragged());
     this.arrow_materials = offsetHandles(this.arrows);
     this.arrows.attach(this.ball);
-    this.arrows.addEventListener("change", () => viewer.request());
-    this.arrows.addEventListener("objectChange", () => this.dragged());
-    this.arrows.addEventListener("dragging-changed", (event) => this.drag(event.value === true));
-    viewer.scene.add(this.ball, this.arrows.getHelper());
+    viewer.scene.add(this.ball);
   }
 
   update(state: State): void {
@@ -149,7 +157,6 @@ export class TargetMarker implements SceneComponent {
     this.arrows.setSize(handleLength_m(this.clearance_m, picture_m) / (ARROW_SHARE * picture_m));
   }
 
-  /** Apply other colours. */
   setTheme(theme: Theme): void {
     this.ball.material.color.set(theme.ghost);
   }
@@ -161,7 +168,6 @@ export class TargetMarker implements SceneComponent {
   }
 
   private drag(dragging: boolean): void {
-    this.viewer.orbit.enabled = !dragging;
     if (dragging) this.moved = false;
     this.store.patch("target", { dragging });
     // Check the last position of a drag once more, as answers during the drag may be of earlier ones.
@@ -180,7 +186,6 @@ export class TargetMarker implements SceneComponent {
 const TAP_PX = 5;
 const OBJECT_ARROWS_SIZE = 0.6;
 
-/** Callback with the pose that an object was dragged to, in the root link's frame. */
 export type ObjectMoved = (id: string, position_m: Point, orientation: Orientation) => void;
 
 /** Tap on an object of the planning scene, which selects it, or on the place of a new one; drag of it by arrows. */
@@ -219,7 +224,7 @@ export class ObjectMarkers implements SceneComponent {
     const [x, y] = this.pressed;
     if (Math.hypot(event.clientX - x, event.clientY - y) > TAP_PX) return;
     if (this.store.state.editing.placing !== null) {
-      const clicked = surfaceAt(event, this.canvas, this.viewer.camera, this.objects.worldObjects());
+      const clicked = this.viewer.surfaceAt(event, this.objects.worldObjects());
       if (clicked !== null) this.store.patch("editing", { clicked });
       return;
     }
@@ -231,7 +236,6 @@ export class ObjectMarkers implements SceneComponent {
   }
 
   private drag(dragging: boolean): void {
-    this.viewer.orbit.enabled = !dragging;
     if (dragging) this.is_moved = false;
     // A tap on an arrow is no change that could be undone.
     if (dragging || !this.is_moved || this.attached === null) return;
@@ -242,20 +246,11 @@ export class ObjectMarkers implements SceneComponent {
 
   private attach(object: Object3D): void {
     this.attached = object;
-    this.arrows ??= this.createArrows();
+    this.arrows ??= createHandles(this.viewer, this.canvas, (dragging) => this.drag(dragging), () => void (this.is_moved = true));
+    this.arrows.setSize(OBJECT_ARROWS_SIZE);
     this.arrows.setMode(this.store.state.editing.arrows);
     this.arrows.attach(object);
     this.arrows.enabled = true;
-  }
-
-  private createArrows(): TransformControls {
-    const arrows = new TransformControls(this.viewer.camera, this.canvas);
-    arrows.setSize(OBJECT_ARROWS_SIZE);
-    arrows.addEventListener("change", () => this.viewer.request());
-    arrows.addEventListener("dragging-changed", (event) => this.drag(event.value === true));
-    arrows.addEventListener("objectChange", () => (this.is_moved = true));
-    this.viewer.scene.add(arrows.getHelper());
-    return arrows;
   }
 
   private detach(): void {

@@ -3,7 +3,7 @@ import { jointReport } from "../logic/joints";
 import { isOpen } from "../logic/layout";
 import { distanceText } from "../logic/numbers";
 import { ghostPose, samplePlan, sampleTimes_s, type GhostPose } from "../logic/trajectory";
-import type { Joints, JointValues, Plan, Point, State } from "../state/state";
+import type { Plan, Point, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Materials } from "./appearance";
@@ -15,7 +15,6 @@ import type { SceneComponent } from "./viewer";
 const ASIDE_PX = 16;
 const ABOVE_PX = 24;
 
-/** Short text beside a point of the scene. */
 export class Label {
   private readonly element = document.createElement("div");
   private anchor: Vector3 | null = null;
@@ -31,7 +30,6 @@ export class Label {
     canvas.parentElement?.append(this.element);
   }
 
-  /** Show a text at a point; an empty text hides it. */
   show(text: string, at: Vector3): void {
     this.element.hidden = text === "";
     if (this.element.textContent !== text) this.element.textContent = text;
@@ -60,7 +58,6 @@ function clamp(value: number, upper: number): number {
 
 /** Translucent arm in its future pose: on the plan, or as near to the target as it gets. */
 export class Ghost implements SceneComponent {
-  /** Position of its tool; null while there is no ghost. */
   tool_m: Point | null = null;
   private model: RobotModel | null = null;
   private arm: RobotModel | null = null;
@@ -88,7 +85,8 @@ export class Ghost implements SceneComponent {
     this.model ??= this.robot.createModel("visual", () => this.materials.ghost);
     if (this.model === null) return;
     this.model.robot.visible = true;
-    this.model.setJoints({ ...knownPositions(state.joints, this.model), ...finite(pose.joints_rad) });
+    const goal = Object.entries(pose.joints_rad).filter(([, value]) => Number.isFinite(value));
+    this.model.setJoints({ ...jointReport(state.joints, this.model.joint_names).values, ...Object.fromEntries(goal) });
     this.tool_m = this.model.linkPosition_m(this.robot.tip);
     this.materials.setOffTarget(pose.off_target_m !== null);
     const off = pose.off_target_m;
@@ -109,14 +107,6 @@ export class Ghost implements SceneComponent {
     this.model = null;
     this.shown = null;
   }
-}
-
-function knownPositions(joints: Joints, model: RobotModel): JointValues {
-  return jointReport(joints, model.joint_names).values;
-}
-
-function finite(values: JointValues): JointValues {
-  return Object.fromEntries(Object.entries(values).filter(([, value]) => Number.isFinite(value)));
 }
 
 // On a path of half a metre the points are then 4 mm apart, and the curve looks smooth.

@@ -16,7 +16,6 @@ const LOUD_FILL = 0.16;
 
 /** Ground below what the tool reaches: a faint outline, which is plain while the target is in hand. */
 export class ReachHint implements SceneComponent {
-  /** Object to add to a scene. */
   readonly group = new Group();
   private readonly fill = flatMaterial(false);
   private readonly line = flatMaterial(false);
@@ -29,7 +28,6 @@ export class ReachHint implements SceneComponent {
     private readonly is_in_hand: () => boolean,
   ) {}
 
-  /** Apply other colours. */
   setTheme(theme: Theme): void {
     this.color = theme.ghost;
   }

@@ -2,13 +2,10 @@ import { DynamicDrawUsage, InstancedMesh, Matrix4, MeshBasicMaterial, Color, Dou
 import type { Cell, Slice, State } from "../state/state";
 import type { SceneComponent } from "./viewer";
 
-/** Colours of squares: where the tip can be, and where something is in its way. */
 const COLORS: Record<Exclude<Cell["reach"], "out">, Color> = { free: new Color(0x2fa36b), contact: new Color(0xe08a1e) };
 
-/** Most squares, above those of a slice. */
 const MAX_SQUARES = 1024;
 
-/** Part of a square's edge that is drawn, so that each can be seen. */
 const FILLED = 0.86;
 
 /** Reachable region of the tip on a slice: squares, all in one draw call. */
@@ -16,7 +13,6 @@ export class ReachableRegion implements SceneComponent {
   private mesh: InstancedMesh | null = null;
   private cells: readonly Cell[] = [];
 
-  /** @param scene - scene to add it to. */
   constructor(private readonly scene: Scene) {}
 
   update({ region }: State): void {

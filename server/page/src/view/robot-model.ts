@@ -3,7 +3,6 @@ import URDFLoader, { type URDFRobot, type URDFVisual } from "urdf-loader";
 import type { JointValues, Orientation, Point } from "../state/state";
 import { mergeShapes } from "./merged-shapes";
 import type { Meshes } from "./meshes";
-import type { Description } from "./robot-description";
 import { roundShapes } from "./rounded-shapes";
 
 /** Function that returns the material of a link's shape; null keeps that of the description. */
@@ -12,15 +11,12 @@ export type MaterialSelector = (shape: Element | null, link_index: number) => Ma
 /** Geometry of a URDF link: its visuals, or the shapes that are checked for collisions. */
 export type GeometryKind = "visual" | "collision";
 
-/** Model of the robot in a pose of its own. */
 export class RobotModel {
-  /** Object to add to a scene. */
   readonly robot: URDFRobot;
-  /** Joints that can move by themselves. */
   readonly joint_names: ReadonlySet<string>;
 
   constructor(
-    description: Description,
+    description: Document,
     meshes: Meshes,
     geometry_kind: GeometryKind,
     selectMaterial: MaterialSelector,
@@ -41,7 +37,7 @@ export class RobotModel {
         changed();
       });
     };
-    this.robot = loader.parse(description.document);
+    this.robot = loader.parse(description);
     // Collision shapes keep their edges, as these are what is checked.
     if (geometry_kind === "visual") roundShapes(this.robot);
     const movable = Object.values(this.robot.joints).filter((joint) => joint.jointType !== "fixed");
@@ -52,17 +48,14 @@ export class RobotModel {
     for (const link of Object.values(this.robot.links)) mergeShapes(link.children.filter(isShape));
   }
 
-  /** Set some joint values; the others stay. */
   setJoints(values: JointValues): void {
     this.robot.setJointValues(values);
   }
 
-  /** Return the joint values that are drawn. */
   jointValues(): JointValues {
     return Object.fromEntries([...this.joint_names].map((name) => [name, this.robot.joints[name]?.angle ?? 0]));
   }
 
-  /** Return the position of a link in the root link's frame; null for an unknown link. */
   linkPosition_m(link: string): Point | null {
     const pose = this.linkPose(link);
     if (pose === null) return null;
@@ -70,7 +63,6 @@ export class RobotModel {
     return [x, y, z];
   }
 
-  /** Return the orientation of a link in the root link's frame; null for an unknown link. */
   linkOrientation(link: string): Orientation | null {
     const pose = this.linkPose(link);
     if (pose === null) return null;
@@ -93,7 +85,6 @@ export class RobotModel {
     return [];
   }
 
-  /** Remove it from its scene, and free its shapes. */
   dispose(): void {
     this.robot.removeFromParent();
     this.robot.traverse((node) => {

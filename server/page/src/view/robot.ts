@@ -1,4 +1,4 @@
-import type { Scene } from "three";
+import type { Object3D, Scene } from "three";
 import { planningGroup } from "../logic/robot-info";
 import { jointReport, unknownNamesText, withoutNumberText } from "../logic/joints";
 import type { Joints, State } from "../state/state";
@@ -6,20 +6,37 @@ import { clearNotices, setNotice, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Materials, Theme } from "./appearance";
 import { Meshes } from "./meshes";
-import { farthestLink, readDescription, type Description } from "./robot-description";
 import { RobotModel, type GeometryKind, type MaterialSelector } from "./robot-model";
 import type { SceneComponent } from "./viewer";
 
-/** Robot description, and the models drawn from it. */
+/** Parse a robot description, whose links and joints the server has checked; throw an Error with the reason when it is none. */
+function parseDescription(urdf: string): Document {
+  const xml = new DOMParser().parseFromString(urdf, "text/xml");
+  const broken = xml.querySelector("parsererror")?.textContent;
+  if (broken) {
+    const reason = broken.match(/error on line \d+[^\n]*/)?.[0].trim() ?? t("picture.urdf.unreadable");
+    throw new Error(t("picture.urdf.no_xml", { reason }));
+  }
+  const { nodeName: name, children } = xml.documentElement;
+  if (name !== "robot") throw new Error(t("picture.urdf.root", { name }));
+  if (![...children].some((child) => child.nodeName === "link")) throw new Error(t("picture.urdf.no_link"));
+  return xml;
+}
+
+/** Return the name of the link that the most joints carry, for use as the tip. */
+function farthestLink({ robot }: RobotModel): string {
+  const depth = ({ parent }: Object3D): number => (parent === null ? 0 : 1 + depth(parent));
+  const depths = Object.entries(robot.links).map(([name, link]) => [name, depth(link)] as const);
+  return depths.reduce((best, each) => (each[1] > best[1] ? each : best), ["", 0] as const)[0];
+}
+
 export class Robot implements SceneComponent {
   /** Model of the arm in its measured pose; null until there is a description. */
   arm: RobotModel | null = null;
-  /** Link of the tool. */
   tip = "";
-  private description: Description | null = null;
+  private description: Document | null = null;
   private meshes: Meshes | null = null;
   private urdf: string | null = null;
-  /** Tool of a robot whose semantic description names none. */
   private farthest_link = "";
 
   constructor(
@@ -49,7 +66,7 @@ export class Robot implements SceneComponent {
     this.urdf = urdf;
     if (urdf === null) return;
     try {
-      const description = readDescription(urdf);
+      const description = parseDescription(urdf);
       clearNotices(this.store, "view:mesh:");
       this.meshes = new Meshes((uri, text) => setNotice(this.store, `view:mesh:${uri}`, text), this.theme().missing);
       const before = this.arm;
@@ -62,7 +79,7 @@ export class Robot implements SceneComponent {
       setNotice(this.store, "view:urdf", t(key, { reason: (error as Error).message }));
       return;
     }
-    this.farthest_link = farthestLink(this.description.parts) ?? "";
+    this.farthest_link = this.arm === null ? "" : farthestLink(this.arm);
     this.changed(true);
   }
 

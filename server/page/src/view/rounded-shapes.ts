@@ -94,7 +94,6 @@ export function roundedCylinder(radius_m: number, length_m: number): BufferGeome
   return new LatheGeometry(profile, CYLINDER_SEGMENTS);
 }
 
-/** Replace the boxes and cylinders of a URDF's shape by ones with round edges. */
 export function roundShapes(shape: Object3D): void {
   shape.traverse((node) => {
     if (!(node instanceof Mesh)) return;

@@ -1,23 +1,7 @@
 import { Box3, MeshBasicMaterial, Vector3, type BufferGeometry } from "three";
 import { describe, expect, it } from "vitest";
 import type { Point, Shape } from "../state/state";
-import { planeFrame, prismSides, shapeMesh } from "./scene-objects";
-
-describe("prismSides", () => {
-  it("joins two rings", () => {
-    const { vertices, triangles } = prismSides([[0, 0, 0], [1, 0, 0], [0, 1, 0]], 2);
-    expect(vertices[0]).toEqual([0, 0, -1]);
-    expect(vertices[5]).toEqual([0, 1, 1]);
-    expect(triangles).toHaveLength(6);
-    expect(triangles.flat().every((index) => index < 6)).toBe(true);
-  });
-});
-
-describe("planeFrame", () => {
-  it("finds the nearest point and the normal", () => {
-    expect(planeFrame([0, 0, 2, -1])).toEqual({ point_m: [0, 0, 0.5], normal: [0, 0, 1] });
-  });
-});
+import { shapeMesh } from "./scene-objects";
 
 const MATERIAL = new MeshBasicMaterial();
 

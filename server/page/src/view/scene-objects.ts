@@ -4,12 +4,14 @@ import {
   Color,
   ConeGeometry,
   CylinderGeometry,
+  ExtrudeGeometry,
   Float32BufferAttribute,
   Group,
   Mesh,
+  Plane,
   PlaneGeometry,
   Quaternion,
-  ShapeUtils,
+  Shape as Outline,
   SphereGeometry,
   Vector2,
   Vector3,
@@ -25,41 +27,11 @@ import type { Robot } from "./robot";
 import { toQuaternion, type RobotModel } from "./robot-model";
 import type { SceneComponent } from "./viewer";
 
-/** Corners and triangles of a surface. */
-export interface Surface {
-  vertices: Point[];
-  triangles: [number, number, number][];
-}
-
-/** Return the sides of a prism, half its height below and above its polygon, without its ends. */
-export function prismSides(polygon: readonly Point[], height_m: number): Surface {
-  const count = polygon.length;
-  const ring = (z: number): Point[] => polygon.map(([x, y]) => [x, y, z]);
-  const triangles = polygon.flatMap((_, index): Surface["triangles"] => {
-    const next = (index + 1) % count;
-    return [
-      [index, next, count + index],
-      [next, count + next, count + index],
-    ];
-  });
-  return { vertices: [...ring(-height_m / 2), ...ring(height_m / 2)], triangles };
-}
-
-/** Return the point of the plane a x + b y + c z + d = 0 that is nearest to the origin, and its unit normal. */
-export function planeFrame(coefficients: readonly number[]): { point_m: Point; normal: Point } {
-  const [a = 0, b = 0, c = 1, d = 0] = coefficients;
-  const length = Math.hypot(a, b, c);
-  const normal: Point = [a / length, b / length, c / length];
-  const offset = -d / length;
-  return { point_m: [normal[0] * offset, normal[1] * offset, normal[2] * offset], normal };
-}
-
 const SEGMENTS = 24;
 // Edge of the piece of an infinite plane that is drawn, as large as the table.
 const PLANE_EDGE_M = 1;
 const PLANE_NORMAL = new Vector3(0, 0, 1);
 
-/** Create the mesh of a shape, in its pose within the object. */
 export function shapeMesh(shape: Shape, material: Material): Mesh {
   const mesh = new Mesh(geometryOf(shape), material);
   mesh.position.set(...shape.position_m);
@@ -82,33 +54,27 @@ function geometryOf(shape: Shape): BufferGeometry {
     case "plane":
       return plane(shape.dimensions);
     case "prism":
-      return surface(prism(shape.vertices, first));
+      return prism(shape.vertices, first);
     case "mesh":
       return surface(shape);
   }
 }
 
-function plane(coefficients: number[]): BufferGeometry {
-  const { point_m, normal } = planeFrame(coefficients);
-  const turn = new Quaternion().setFromUnitVectors(PLANE_NORMAL, new Vector3(...normal));
-  return new PlaneGeometry(PLANE_EDGE_M, PLANE_EDGE_M).applyQuaternion(turn).translate(...point_m);
+/** Lay a plane a x + b y + c z + d = 0 about its point that is nearest to the origin. */
+function plane([a = 0, b = 0, c = 1, d = 0]: number[]): BufferGeometry {
+  const { normal, constant } = new Plane(new Vector3(a, b, c), d).normalize();
+  const turn = new Quaternion().setFromUnitVectors(PLANE_NORMAL, normal);
+  const [x, y, z] = normal.clone().multiplyScalar(-constant).toArray();
+  return new PlaneGeometry(PLANE_EDGE_M, PLANE_EDGE_M).applyQuaternion(turn).translate(x, y, z);
 }
 
-function prism(polygon: Point[], height_m: number): Surface {
-  const sides = prismSides(polygon, height_m);
-  const cap = ShapeUtils.triangulateShape(polygon.map(([x, y]) => new Vector2(x, y)), []);
-  const triangles = cap.flatMap((corners): Surface["triangles"] => {
-    const [a = 0, b = 0, c = 0] = corners;
-    const above = polygon.length;
-    return [
-      [c, b, a],
-      [a + above, b + above, c + above],
-    ];
-  });
-  return { vertices: sides.vertices, triangles: [...sides.triangles, ...triangles] };
+/** Stand a prism on its polygon, half its height below and above it. */
+function prism(polygon: Point[], height_m: number): BufferGeometry {
+  const outline = new Outline(polygon.map(([x, y]) => new Vector2(x, y)));
+  return new ExtrudeGeometry(outline, { depth: height_m, bevelEnabled: false }).translate(0, 0, -height_m / 2);
 }
 
-function surface({ vertices, triangles }: Surface): BufferGeometry {
+function surface({ vertices, triangles }: Shape): BufferGeometry {
   // Corners are not shared, so that edges look sharp.
   const corners = triangles.flat().flatMap((index) => vertices[index] ?? [0, 0, 0]);
   const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(corners, 3));
@@ -121,7 +87,6 @@ interface Drawn {
   group: Group;
 }
 
-/** Objects of the planning scene, also those attached to the arm. */
 export class SceneObjects implements SceneComponent {
   private readonly drawn = new Map<string, Drawn>();
   private objects: SceneObject[] = [];
@@ -146,7 +111,6 @@ export class SceneObjects implements SceneComponent {
     setNotice(this.store, "view:frames", problems.join(" "));
   }
 
-  /** Return the groups of the objects that are not attached, for picking with a pointer. */
   worldObjects(): Group[] {
     return [...this.drawn.values()].filter(({ object }) => !object.attached).map(({ group }) => group);
   }

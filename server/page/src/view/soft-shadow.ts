@@ -76,21 +76,19 @@ export class SoftShadow {
     light: Vector3,
   ) {
     this.camera.layers.set(SHADOW_LAYER);
+    const plain = { depthTest: false, depthWrite: false };
     this.flatten = new ShaderMaterial({
       vertexShader: FLATTEN,
       fragmentShader: DARKEN,
       uniforms: { light: { value: light }, half_m: { value: HALF_M } },
-      depthTest: false,
-      depthWrite: false,
       side: DoubleSide,
+      ...plain,
     });
-    const step_uv = { value: [0, 0] };
     this.blur = new ShaderMaterial({
       vertexShader: FULL_SCREEN,
       fragmentShader: BLUR,
-      uniforms: { picture: { value: null }, step_uv },
-      depthTest: false,
-      depthWrite: false,
+      uniforms: { picture: { value: null }, step_uv: { value: [0, 0] } },
+      ...plain,
     });
     const full = new Mesh(new PlaneGeometry(2, 2), this.blur);
     full.frustumCulled = false;
@@ -109,7 +107,6 @@ export class SoftShadow {
     scene.add(this.ground);
   }
 
-  /** Set the darkness, from 0 to 1. */
   setStrength(strength: number): void {
     this.ground.material.uniforms.strength!.value = strength;
   }

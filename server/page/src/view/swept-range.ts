@@ -9,7 +9,6 @@ import type { SceneComponent } from "./viewer";
 const MIN_RADIUS_M = 0.05;
 const MAX_RADIUS_M = 0.15;
 
-/** Width of the line at the present position. */
 const LINE_M = 0.004;
 
 /** Segments of a whole turn: 5 degrees each look round. */
@@ -18,7 +17,6 @@ const SEGMENTS = 72;
 /** A projection onto the plane of rotation that is shorter has no reliable direction. */
 const MIN_ASIDE_M = 0.005;
 
-/** Joint of a model, as urdf-loader has it. */
 export interface AxisJoint extends Object3D {
   axis: Vector3;
 }
@@ -54,7 +52,6 @@ export class Sector {
     this.fan.geometry = new CircleGeometry(this.radius_m, segments, lowest_rad, width_rad);
   }
 
-  /** Remove it from its joint, and free its shapes. */
   dispose(): void {
     this.group.removeFromParent();
     for (const part of this.group.children) if (part instanceof Mesh) part.geometry.dispose();
@@ -73,7 +70,6 @@ function perpendicularTo(axis: Vector3): Vector3 {
   return other.cross(axis).normalize();
 }
 
-/** Display of the range through which a joint has been moved by hand. */
 export class SweptRange implements SceneComponent {
   private sector: Sector | null = null;
   private shown: [unknown, unknown] = [null, null];

@@ -15,50 +15,26 @@ import { SweptRange } from "./swept-range";
 import { Thumbnails } from "./thumbnails";
 import { Viewer, type SceneComponent } from "./viewer";
 
-/** Figures of the drawn frames. */
 export interface FrameFigures {
-  /** Frames since the start. */
   frames: number;
-  /** Stamp of the joint state that is on the screen, in seconds. */
-  drawn_stamp: number;
+  /** Time of the first frame with the arm, from the page's start; 0 before. */
+  arm_ms: number;
+  /** Stamp of the joint state that is on the screen. */
+  joint_stamp_s: number;
   /** Time from the newest message of /joint_states to the end of the frame that draws it. */
   age_ms: number;
-  /** Time of the first frame with the arm, from the page's start; null before. */
-  arm_drawn_ms: number | null;
 }
+
+export const NO_FRAMES: FrameFigures = { frames: 0, arm_ms: 0, joint_stamp_s: 0, age_ms: 0 };
 
 // Three passes of the graphics, which in software take as long as the arm itself; the shadow may come a little behind.
 const SHADOW_PERIOD_MS = 100;
 
-/** Counter of frames, which also measures the age of each joint state on the screen. */
-class FrameStatistics {
-  readonly figures: FrameFigures = { frames: 0, drawn_stamp: 0, age_ms: 0, arm_drawn_ms: null };
-  private received_ms: number | null = null;
-  private stamp = 0;
-
-  /** Note a message of /joint_states. */
-  jointStateReceived(stamp: number): void {
-    this.stamp = stamp;
-    this.received_ms = performance.now();
-  }
-
-  /** Note a message of /joint_states that needs no new frame. */
-  unchangedJointStateReceived(stamp: number): void {
-    this.figures.drawn_stamp = stamp;
-    this.figures.age_ms = 0;
-  }
-
-  /** Note a frame, with the arm or without. */
-  frameDrawn(with_arm: boolean): void {
-    const now_ms = performance.now();
-    this.figures.frames += 1;
-    if (with_arm) this.figures.arm_drawn_ms ??= now_ms;
-    if (!with_arm || this.received_ms === null) return;
-    this.figures.drawn_stamp = this.stamp;
-    this.figures.age_ms = now_ms - this.received_ms;
-    this.received_ms = null;
-  }
-}
+// Parts of the state that the view draws, beside the joints.
+const DRAWN: readonly (keyof State)[] = [
+  "urdf", "robot", "group", "plan", "target", "selection", "objects", "selected_object", "editing", "region", "identity",
+  "layout", "sequence", "classroom", "collision_shapes", "commissioning", "joint_in_hand",
+];
 
 /** Start the 3D view on a canvas; null, with a notice to the user, where the browser cannot draw in 3D. */
 export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: ObjectMoved): SceneView | null {
@@ -70,7 +46,6 @@ export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: Ob
   }
 }
 
-/** 3D view of the arm, its plan and the planning scene. */
 export class SceneView {
   private readonly viewer: Viewer;
   private readonly robot: Robot;
@@ -80,7 +55,9 @@ export class SceneView {
   private readonly environment: Environment;
   private readonly thumbnails: Thumbnails;
   private readonly materials = new Materials(currentTheme());
-  private readonly statistics = new FrameStatistics();
+  readonly figures: FrameFigures = { ...NO_FRAMES };
+  /** Time at which the newest joint state came that is not drawn yet; null without one. */
+  private received_ms: number | null = null;
   private readonly components: SceneComponent[];
   private shown_joints: Joints | null = null;
   private shadow_of: [Joints, RobotModel, number] | null = null;
@@ -124,38 +101,14 @@ export class SceneView {
     return this.viewer.screenOf(point_m);
   }
 
-  /** Figures of the drawn frames. */
-  get figures(): Readonly<FrameFigures> {
-    return this.statistics.figures;
-  }
-
   private resetCamera(): void {
     if (this.robot.arm !== null) this.viewer.frame(this.robot.arm.robot);
   }
 
   private watchState(): void {
     const { store } = this;
-    const shown: ((state: State) => unknown)[] = [
-      (state) => state.urdf,
-      (state) => state.robot,
-      (state) => state.group,
-      (state) => state.plan,
-      (state) => state.target,
-      (state) => state.selection,
-      (state) => state.objects,
-      (state) => state.selected_object,
-      (state) => state.editing,
-      (state) => state.region,
-      (state) => state.identity,
-      (state) => state.layout,
-      (state) => state.sequence,
-      (state) => state.classroom,
-      (state) => state.collision_shapes,
-      (state) => state.commissioning,
-      (state) => state.joint_in_hand,
-    ];
     store.subscribe((state) => state.joints, (joints) => this.jointsReceived(joints));
-    for (const selector of shown) store.subscribe(selector, () => this.viewer.request());
+    for (const part of DRAWN) store.subscribe((state) => state[part], () => this.viewer.request());
     store.subscribe((state) => state.settings.units, () => this.applyTheme());
     // The person compares the whole arm with the model, wherever the camera was.
     const compared = ({ commissioning }: State): string => {
@@ -171,17 +124,17 @@ export class SceneView {
 
   private jointsReceived(joints: Joints): void {
     if (this.shown_joints !== null && looksEqual(joints, this.shown_joints)) {
-      this.statistics.unchangedJointStateReceived(joints.stamp);
+      Object.assign(this.figures, { joint_stamp_s: joints.stamp, age_ms: 0 });
       return;
     }
-    this.statistics.jointStateReceived(joints.stamp);
+    this.received_ms = performance.now();
     this.viewer.request();
   }
 
   private prepare(renderer: WebGLRenderer): void {
     for (const component of this.components) component.update(this.store.state);
     // The first picture does without the reach, for which hundreds of poses of the arm are computed.
-    if (this.figures.arm_drawn_ms !== null) {
+    if (this.figures.arm_ms > 0) {
       this.reach.update(this.store.state);
       this.thumbnails.update(this.store.state);
     }
@@ -191,7 +144,7 @@ export class SceneView {
 
   private castShadow(renderer: WebGLRenderer): void {
     const { arm } = this.robot;
-    if (arm === null || this.figures.arm_drawn_ms === null) return;
+    if (arm === null || this.figures.arm_ms === 0) return;
     const { joints } = this.store.state;
     const inputs: [Joints, RobotModel, number] = [joints, arm, this.meshes_loaded];
     if (inputs.every((input, index) => input === this.shadow_of?.[index])) return;
@@ -207,10 +160,19 @@ export class SceneView {
   }
 
   private drawn(): void {
+    const { figures } = this;
     this.shown_joints = this.store.state.joints;
-    // The first picture does without the shadow, whose programs take long to compile in software.
-    if (this.robot.arm !== null && this.figures.arm_drawn_ms === null) this.viewer.request();
-    this.statistics.frameDrawn(this.robot.arm !== null);
+    figures.frames += 1;
+    if (this.robot.arm === null) return;
+    const now_ms = performance.now();
+    if (figures.arm_ms === 0) {
+      figures.arm_ms = now_ms;
+      // The first picture does without the shadow, whose programs take long to compile in software.
+      this.viewer.request();
+    }
+    if (this.received_ms === null) return;
+    Object.assign(figures, { joint_stamp_s: this.shown_joints.stamp, age_ms: now_ms - this.received_ms });
+    this.received_ms = null;
   }
 
   private robotChanged(is_new: boolean): void {

@@ -1,12 +1,10 @@
-import { Box3, type Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
+import { Box3, Matrix3, type Object3D, PerspectiveCamera, Plane, Raycaster, Scene, Vector2, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { framingDistance_m } from "../logic/framing";
-import type { Point, State } from "../state/state";
+import type { Point, State, SurfacePoint } from "../state/state";
 import { t } from "../texts/texts";
 
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
-/** Canvas with its WebGL context. */
 export interface Graphics {
   canvas: HTMLCanvasElement;
   context: WebGL2RenderingContext;
@@ -45,7 +43,6 @@ function rendererName(context: WebGL2RenderingContext): string {
 
 /** Component of the scene, which is updated from the state before each frame. */
 export interface SceneComponent {
-  /** Apply the changes of the state. */
   update(state: State): void;
 }
 
@@ -65,16 +62,17 @@ const TABLE_RADIUS_M = 0.3;
 // From the front and the side, above the table.
 const VIEW_DIRECTION = new Vector3(0.75, -0.85, 0.55).normalize();
 
+// Ground that objects stand on: the plane z = 0 of the root link.
+const GROUND = new Plane(new Vector3(0, 0, 1), 0);
+// Farthest point of the ground that counts: near the horizon a click has no certain place.
+const MAX_DISTANCE_M = 2;
 // A little below the table's edge; from further down the grid hides nothing and confuses.
 const MAX_POLAR_ANGLE_RAD = 1.75;
 
 /** Viewer that draws a scene on a canvas, only on request. */
 export class Viewer {
-  /** Scene that is drawn. */
   readonly scene = new Scene();
-  /** Camera with z up, as in ROS. */
   readonly camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, NEAR_M, FAR_M);
-  /** Control of the camera by mouse or finger. */
   readonly orbit: OrbitControls;
   /** Canvas that is drawn on: the given one, or its copy. */
   readonly canvas: HTMLCanvasElement;
@@ -128,7 +126,6 @@ export class Viewer {
     resized.observe(this.free);
   }
 
-  /** Request a frame; requests before it are merged. */
   request(): void {
     if (this.frame_id === 0) this.frame_id = requestAnimationFrame(() => this.draw());
   }
@@ -144,17 +141,33 @@ export class Viewer {
 
   /** Return the first of some objects under a pointer; null without any. */
   pick(event: PointerEvent, objects: Object3D[]): Object3D | null {
-    const box = this.canvas.getBoundingClientRect();
-    const x = ((event.clientX - box.left) / box.width) * 2 - 1;
-    const y = 1 - ((event.clientY - box.top) / box.height) * 2;
-    const ray = new Raycaster();
-    ray.setFromCamera(new Vector2(x, y), this.camera);
-    let hit = ray.intersectObjects(objects, true)[0]?.object ?? null;
+    let hit = this.rayThrough(event).intersectObjects(objects, true)[0]?.object ?? null;
     while (hit !== null && !objects.includes(hit)) hit = hit.parent;
     return hit;
   }
 
-  /** Return the place of a point, in pixels from the page's upper left corner. */
+  /** Return the nearest surface under a pointer, of some objects or the ground; null where there is none. */
+  surfaceAt(event: PointerEvent, objects: Object3D[]): SurfacePoint | null {
+    const ray = this.rayThrough(event);
+    const hit = ray.intersectObjects(objects, true)[0];
+    if (hit?.face) {
+      const normal = hit.face.normal.clone().applyNormalMatrix(new Matrix3().getNormalMatrix(hit.object.matrixWorld));
+      // A mesh may have its triangles the other way round.
+      if (normal.dot(ray.ray.direction) > 0) normal.negate();
+      return { point_m: hit.point.toArray(), normal: normal.toArray() };
+    }
+    const point = ray.ray.intersectPlane(GROUND, new Vector3());
+    if (point === null || point.length() > MAX_DISTANCE_M) return null;
+    return { point_m: point.toArray(), normal: [0, 0, 1] };
+  }
+
+  private rayThrough({ clientX, clientY }: PointerEvent): Raycaster {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    const ray = new Raycaster();
+    ray.setFromCamera(new Vector2(((clientX - left) / width) * 2 - 1, 1 - ((clientY - top) / height) * 2), this.camera);
+    return ray;
+  }
+
   screenOf(point_m: Point): [number, number] {
     const box = this.canvas.getBoundingClientRect();
     const projected = new Vector3(...point_m).project(this.camera);
@@ -223,14 +236,16 @@ export class Viewer {
 }
 
 /** Put a camera at the usual side of a box, which then fills its picture; return the box's middle. */
-function placeCamera(camera: PerspectiveCamera, box: Box3, field_of_view_rad: number, aspect: number): Vector3 {
+export function placeCamera(camera: PerspectiveCamera, box: Box3, field_of_view_rad: number, aspect: number): Vector3 {
   const center = box.getCenter(new Vector3());
+  const right = new Vector3(-VIEW_DIRECTION.y, VIEW_DIRECTION.x, 0).normalize();
+  const up = VIEW_DIRECTION.clone().cross(right);
+  const tan_up = Math.tan(field_of_view_rad / 2) * FILLED;
   const { min, max } = box;
-  const corners = [min.x, max.x].flatMap((x) =>
-    [min.y, max.y].flatMap((y) => [min.z, max.z].map((z): Point => [x, y, z])),
-  );
-  const optics = { direction: VIEW_DIRECTION.toArray(), field_of_view_rad, aspect };
-  const distance_m = framingDistance_m(corners, center.toArray(), optics, FILLED);
-  camera.position.copy(center).addScaledVector(VIEW_DIRECTION, distance_m);
+  const corners = [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z).sub(center))));
+  const distances_m = corners.map((corner) => {
+    return Math.max(Math.abs(corner.dot(right)) / (tan_up * aspect), Math.abs(corner.dot(up)) / tan_up) + corner.dot(VIEW_DIRECTION);
+  });
+  camera.position.copy(center).addScaledVector(VIEW_DIRECTION, Math.max(...distances_m));
   return center;
 }

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { readSceneText, sceneText } from "./scene-file";
+import { readSceneText, sceneText } from "./planning-scene";
 
 const scene = {
   world: { collision_objects: [{ id: "cup" }] },

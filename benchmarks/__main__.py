@@ -38,6 +38,7 @@ BENCHMARKS = (
     "chunks",
     "soak",
     "planning_scene_services",
+    "pick_and_place",
 )
 
 

@@ -141,6 +141,12 @@ class App:
         commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
         self._physics = physics_of(context)
+        self._cameras: list[Feature] = []
+        if self._physics:
+            # Imported when it is needed: most servers render nothing.
+            from server.features.cameras import cameras_of
+
+            self._cameras = cameras_of(context, self._physics)
         made = (MoveGroup, ArmGoals, teaching_of, GoalQueueing, Servo, teleoperation_of, PolicyChunks)
         goals = [make(context) for make in made]
         self.features = self._in_order_of_start(commissioning, parkings, Together("goals", goals, 1.1))
@@ -182,6 +188,7 @@ class App:
             # Loaded meanwhile: a client of a ready server need not wait for them.
             Part("the planners' first plans", self._wait_for_planners),
             *parkings.last_clients,
+            *self._cameras,
             BackgroundTask("memory", MemoryKeeper(self._collector, self._nothing_moves).run),
             # Ready without them: a first message may wait 20 ms for its type.
             BackgroundTask("message types", self.graph.message_types.compile_waiting),

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
+from robot.description.camera import Camera
 from robot.description.servo_table import MAX_SERVO_ID, HardwareKind
 from robot.errors import RobotFileError
 
@@ -19,12 +20,14 @@ FILE_NAME = "robot.toml"
 # More than any description names; bounds the work that a file can cause.
 MAX_JOINTS = 100
 MAX_BYTES = 1_000_000
+MAX_CAMERAS = 8
 
 LIKENESS = 0.6  # below this share of equal letters a proposal misleads
 
 Position: TypeAlias = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Rate: TypeAlias = Annotated[float, Field(gt=0.0, le=1e6)]
 Name: TypeAlias = Annotated[str, Field(min_length=1, max_length=200)]
+CameraName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]  # first part of names of topics
 
 
 class _Table(BaseModel):
@@ -136,6 +139,7 @@ class RobotFile(_Table):
     gripper: GripperTable | None = None
     joints: Annotated[dict[Name, JointTable], Field(max_length=MAX_JOINTS)] = {}
     held_joints: Annotated[dict[Name, Position], Field(max_length=MAX_JOINTS)] = {}
+    cameras: Annotated[dict[CameraName, Camera], Field(max_length=MAX_CAMERAS)] = {}
     hardware: HardwareSection = HardwareSection()
 
 
@@ -162,7 +166,7 @@ def _sentence(error: ErrorDetails) -> str:
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     if error["type"] == "extra_forbidden":
         names = [part for part in place[:-1] if isinstance(part, str)] or [""]
-        known = sorted((JointTable if names[0] == "joints" else _TABLES[names[-1]]).model_fields)
+        known = sorted((_NAMED_TABLES.get(names[0]) or _TABLES[names[-1]]).model_fields)
         nearest = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=LIKENESS)
         return f"{key}: there is no such key" + (
             f"; did you mean {nearest[0]}?" if nearest else f", but {', '.join(known)}"
@@ -174,7 +178,10 @@ def _sentence(error: ErrorDetails) -> str:
     return f"{key}: {message[:1].lower()}{message[1:]}{given}"
 
 
-# Tables by the last name of their place; the tables of joints have the joints' names.
+# Tables whose places end with a name of its own, such as a joint's.
+_NAMED_TABLES: Mapping[str, type[BaseModel]] = {"joints": JointTable, "cameras": Camera}
+
+# Other tables by the last name of their place.
 _TABLES: Mapping[str, type[_Table]] = {
     "": RobotFile,
     "robot": RobotTable,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import robot.arms
 from robot.description import model, robot_file
+from robot.description.camera import Camera
 from robot.description.model import Gripper, Hull, JointLimits, LinkSurface, RobotModel
 from robot.description.robot_file import HardwareSection, RobotFile, ServoTable
 from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ServoSpec, Zero, ZeroTick
@@ -96,6 +97,7 @@ class RobotFolder:
     model: RobotModel
     hardware: HardwareTable
     folder: Path
+    cameras: Mapping[str, Camera] = field(default_factory=dict)  # rendered cameras by name, each in the frame of a link
 
 
 def built_in_names() -> list[str]:
@@ -180,6 +182,16 @@ def load(
     arm = _read(problems, describe, None)
     if arm is None:
         raise RobotFileError(path, problems)
+    # Frames belong to the folder's URDF, as shapes do.
+    cameras = {
+        name: each.model_copy(update={"frame": each.frame or arm.root_link})
+        for name, each in (file.cameras if own else {}).items()
+    }
+    problems += [
+        f"cameras.{name}.frame: the URDF has no link {each.frame!r}"
+        for name, each in cameras.items()
+        if each.frame not in arm.links
+    ]
     problems += _unknown_names(file, replace(arm, **shapes))
     if problems:
         raise RobotFileError(path, problems)
@@ -194,9 +206,8 @@ def load(
         tip_link=file.planning.tip or arm.groups[group].tip_link,
         park_state=file.planning.park or arm.park_state,
     )
-    return RobotFolder(
-        folder.resolve().name, file.robot.title or folder.resolve().name, arm, _hardware(file, arm), folder
-    )
+    name = folder.resolve().name
+    return RobotFolder(name, file.robot.title or name, arm, _hardware(file, arm), folder, cameras)
 
 
 def _read(problems: list[str], read: Callable[[], Read], instead: Read) -> Read:

@@ -90,6 +90,10 @@ def with_prefix(description: Description, name: str) -> Description:
         robot=prefixed(description.robot, name),
         hardware=replace(hardware, servos=servos),
         calibration=None if calibration is None else _renamed(calibration, f"{name}_{{}}".format),
+        cameras={
+            camera: each.model_copy(update={"frame": f"{name}_{each.frame}"})
+            for camera, each in description.cameras.items()
+        },
     )
 
 

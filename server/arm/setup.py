@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from robot.calibration import Calibration, find_calibration
 from robot.description import model, robot_folder
+from robot.description.camera import Camera
 from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
@@ -40,6 +41,7 @@ class Description:
     hardware: HardwareTable
     calibration: Calibration | None
     calibration_file: Path | None = None
+    cameras: Mapping[str, Camera] = field(default_factory=dict)
 
     @classmethod
     def read(cls, settings: ArmSettings) -> Description:
@@ -69,13 +71,15 @@ class Description:
         hardware = found.hardware
         if hardware.kind == "ideal":
             _refuse_servo_settings(settings, found.title)
-            return cls(found.title, found.model, hardware, None)
+            return cls(found.title, found.model, hardware, None, cameras=found.cameras)
         named, file = settings.calibration, None
         if named is not None and str(named) != NOMINAL:
             file = find_calibration(str(named), hardware.calibrations, os.environ)
         read = Calibration.nominal(hardware.servos) if file is None else Calibration.load(file, hardware.servos)
         calibration = replace(read, measured=named is not None).with_zero_offsets(settings.zero_offset_rad)
-        return cls(found.title, within_calibration(found.model, calibration), hardware, calibration, file)
+        return cls(
+            found.title, within_calibration(found.model, calibration), hardware, calibration, file, found.cameras
+        )
 
 
 def arm_config(settings: Settings, description: Description) -> ArmConfig:

@@ -116,7 +116,7 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 def _render(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.datasets.camera import even
-    from server.datasets.rendered import RenderingClient, open_camera
+    from server.datasets.rendering_client import RenderingClient, open_camera
 
     robot, published = open_camera(
         options.robot,

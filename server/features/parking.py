@@ -358,7 +358,7 @@ class LastClient:
     def due(self) -> bool:
         """Return True, once, when the time has come: nobody has come back, and no goal moves any more."""
         if self._drivers:
-            self._present, self._left_s = True, None
+            self._present = True
             return False
         if self._present:
             self._present, self._left_s = False, self._clock()

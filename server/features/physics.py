@@ -101,6 +101,11 @@ class Physics(Feature):
             services.offer(node, f"/simulation/{name}", type_name, serve, rule=WORKING)
         self._scene.on_change(self._follow_scene)
 
+    @property
+    def body_states(self) -> Mapping[str, BodyState]:
+        """Latest states of the movable bodies, by object."""
+        return self._states
+
     async def start(self) -> None:
         """Send the objects of the run before."""
         self._follow_scene()

@@ -1,11 +1,13 @@
 """The world of a running server with physics, over a real socket: pause, steps, placed and dropped objects."""
 
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
 from harness.clients import ArmClient, FrameClient, arm_client, frame_client, goal_is
-from harness.server import RunningServer
+from harness.server import ROOT, RunningServer
 
 COLORS = [f"cube_{color}" for color in ("red", "green", "blue", "yellow")]
 CUBE = {"id": "cube", "primitives": [{"type": 1, "dimensions": [0.03, 0.03, 0.03]}], "pose": {"position": {"x": 0.3}}}
@@ -91,6 +93,12 @@ async def test_an_object_is_put_falls_step_by_step_and_comes_back(caller: ArmCli
     assert (await heights(caller))["cube"] == pytest.approx(0.5 - 0.5 * 9.81 * 0.2**2, abs=0.01)
     await caller.call("/simulation/reset")
     assert await heights(caller) == dict.fromkeys(COLORS, 0.016)
+
+
+def test_a_block_is_picked_and_placed_faster_than_time_without_a_server() -> None:
+    command = [sys.executable, "-m", "benchmarks.pick_and_place", "--count", "1", "--friction", "0.8"]
+    printed = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, cwd=ROOT).stdout
+    assert printed.startswith("friction 0.8, seed 1: 1 of 1 blocks picked and placed\n")
 
 
 def test_the_ready_line_names_the_physics_and_the_world(server: RunningServer) -> None:

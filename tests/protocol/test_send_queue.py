@@ -40,10 +40,10 @@ def free():
     return Subscription("/free")
 
 
-def test_replies_and_topic_data_leave_once_in_order_of_queuing(free):
+def test_requests_replies_and_topic_data_leave_once_in_order_of_queuing(free):
     box, other = send_queue(), Subscription("/other")
     box.put_topic_data(free, encoded(b"1"), 0.0)
-    box.put_reply(encoded(b"2"))
+    assert box.put_request(encoded(b"2"))
     box.put_topic_data(other, encoded(b"3"), 0.0)
     box.put_topic_data(free, encoded(b"4"), 0.0)
     box.put_reply(encoded(b"5"))
@@ -53,11 +53,12 @@ def test_replies_and_topic_data_leave_once_in_order_of_queuing(free):
     assert box.next_due(1.0) is None
 
 
-def test_beyond_the_bound_the_oldest_topic_data_is_dropped_whatever_its_topic(free):
-    box, other = send_queue(topic_frames=3), Subscription("/other")
+def test_beyond_the_bound_the_oldest_topic_data_is_dropped_whatever_its_topic_and_no_reply(free):
+    box, other = send_queue(topic_frames=4), Subscription("/other")
+    box.put_reply(encoded(b"reply"))
     put_all(box, other, frames(2))
     put_all(box, free, frames(3, start=2))
-    assert taken(box, 1.0) == frames(3, start=2)
+    assert taken(box, 1.0) == [b"reply", *frames(3, start=2)]
     assert box.dropped == 2
 
 
@@ -105,13 +106,6 @@ def test_messages_queued_for_a_closed_subscription_are_not_sent():
     assert box.next_due(5.0) == 5.0
     assert taken(box, 5.0) == []
     assert box.next_due(5.0) is None
-
-
-def test_topic_data_never_pushes_a_reply_out(free):
-    box = send_queue(topic_frames=2)
-    box.put_reply(encoded(b"reply"))
-    put_all(box, free, frames(50))
-    assert taken(box, 1.0) == [b"reply", *frames(1, start=49)]
 
 
 def test_replies_up_to_their_bound_are_kept_and_one_more_overflows():
@@ -192,15 +186,6 @@ def test_the_fragments_of_a_message_leave_together_whatever_the_budget_and_are_d
 
 
 # Requests
-
-
-def test_requests_leave_in_order_with_replies():
-    box = send_queue()
-    box.put_reply(encoded(b"1"))
-    assert box.put_request(encoded(b"2"))
-    box.put_reply(encoded(b"3"))
-    assert taken(box, 1.0) == [b"1", b"2", b"3"]
-    assert box.empty
 
 
 def test_requests_beyond_their_bound_are_refused_until_there_is_room():

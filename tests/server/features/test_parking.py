@@ -204,19 +204,16 @@ async def test_no_way_is_planned_unless_the_arm_holds(world: World, mode: Mode) 
     assert world.asked == []
 
 
-async def test_a_way_that_cannot_be_found_is_told_of_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
-    world.failure = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "a box is in the way")
-    await world.run()
-    assert len(world.asked) == 1
-    assert caplog.text.count("a box is in the way") == 1
-
-
-async def test_a_way_that_cannot_be_found_takes_the_one_before_back(world: World) -> None:
+async def test_a_way_that_cannot_be_found_takes_the_one_before_back_and_is_told_of_once(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
     await world.run()
     world.failure = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "a box is in the way")
     world.arm.put(shoulder_pan=0.5)
     await world.run()
     assert world.arm.kept[1:] == [None]
+    assert len(world.asked) == 2
+    assert caplog.text.count("a box is in the way") == 1
 
 
 async def test_a_way_above_the_limit_of_the_arm_is_reported(world: World, caplog: pytest.LogCaptureFixture) -> None:
@@ -336,19 +333,15 @@ class Leaving:
         assert not self.last.due()
 
 
-def test_the_arm_is_seen_to_once_the_delay_after_the_last_client() -> None:
-    leaving = Leaving()
-    leaving.come_and_go()
-    assert not leaving.due_after(4.9)
-    assert leaving.due_after(0.2)
-    assert not leaving.due_after(100.0)
-
-
-def test_a_client_that_comes_within_the_delay_keeps_the_arm_as_it_is() -> None:
+def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_unless_one_comes_within_it() -> None:
     leaving = Leaving()
     leaving.come_and_go()
     leaving.drivers.add(1)
     assert not leaving.due_after(6.0)
+    leaving.come_and_go()
+    assert not leaving.due_after(4.9)
+    assert leaving.due_after(0.2)
+    assert not leaving.due_after(100.0)
 
 
 def test_a_goal_that_moves_is_waited_for() -> None:

@@ -11,9 +11,6 @@ import pytest
 
 from protocol.registry import Registry
 from robot import files
-from robot.arm import Arm
-from robot.hardware.config import EmulatedConfig
-from robot.messages import ArmConfig, ArmState, Mode
 from server.errors import ServiceError
 from server.execution.monitors import CurrentState
 from server.graph.services import Response
@@ -29,14 +26,11 @@ from server.moveit.named_states import (
     default_path,
     offer_named_states,
 )
-from tests.helpers.arm_rig import reading
+from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.graph import called, listen
-from tests.helpers.robots import nominal_calibration, so101
 
-ROBOT = so101()
 BENT = {"elbow_flex": 0.4}
-
-JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
+ONE_NAME = {"joint_state": {"name": ["elbow_flex"], "position": []}}
 
 
 @pytest.fixture
@@ -198,7 +192,7 @@ def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytes
     ("environment", "directory"), [({"XDG_DATA_HOME": "/data"}, "/data"), ({"HOME": "/me"}, "/me/.local/share")]
 )
 def test_states_are_kept_in_the_users_data_directory(environment: dict[str, str], directory: str) -> None:
-    assert default_path("named_states", so101(), environment) == Path(directory, "armbridge", "named_states_so101.json")
+    assert default_path("named_states", ROBOT, environment) == Path(directory, "armbridge", "named_states_so101.json")
 
 
 class Office:
@@ -207,13 +201,9 @@ class Office:
     def __init__(self, states: NamedStates) -> None:
         self.graph = Graph(Registry.load())
         self.states = states
-        self.arm = Arm(ArmConfig(ROBOT, EmulatedConfig(nominal_calibration())), lambda _state: None)
+        self.arm = FakeArm(None)
         offer_named_states(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
         self.heard = listen(self.graph, NAMED_STATES_TOPIC)
-
-    def be_at(self, position_rad: float) -> None:
-        measured = reading([position_rad] * len(JOINTS))
-        self.arm.state = ArmState(0.0, Mode.RELAXED, JOINTS, position_rad=measured.position_rad)
 
     async def call(self, service: str, **request: Any) -> Response:
         return await called(self.graph, service, **request)
@@ -225,18 +215,12 @@ async def office(states: NamedStates) -> Office:
 
 
 async def test_the_present_positions_are_saved_and_published(office: Office) -> None:
-    office.be_at(0.25)
+    office.arm.put(**dict.fromkeys(JOINTS, 0.25))
     assert (await office.call("/save_robot_state", name="mine")).values == {"success": True}
     assert office.states.find("mine") == ("mine", dict.fromkeys(JOINTS, 0.25))
     told = json.loads(office.heard[-1]["data"])
     assert told["mine"] == {"saved": True, "joints": dict.fromkeys(JOINTS, 0.25)}
     assert not told["home"]["saved"]
-
-
-async def test_unknown_positions_cannot_be_saved(office: Office) -> None:
-    answer = await office.call("/save_robot_state", name="mine")
-    assert not answer.ok
-    assert "joint positions unknown" in answer.values
 
 
 async def test_a_state_in_the_request_is_saved_and_returned(office: Office) -> None:
@@ -246,36 +230,34 @@ async def test_a_state_in_the_request_is_saved_and_returned(office: Office) -> N
     assert (joints["name"], joints["position"]) == (["elbow_flex"], [0.4])
 
 
-async def test_a_state_with_more_names_than_positions_is_refused(office: Office) -> None:
-    state = {"joint_state": {"name": ["elbow_flex"], "position": []}}
-    assert "1 names and 0 positions" in (await office.call("/save_robot_state", name="mine", state=state)).values
-
-
 async def test_states_are_listed_by_pattern_renamed_and_deleted(office: Office) -> None:
-    office.be_at(0.1)
+    async def listed(**request: Any) -> Any:
+        return (await office.call("/list_robot_states", **request)).values["states"]
+
+    office.arm.put()
     await office.call("/save_robot_state", name="mine")
-    assert (await office.call("/list_robot_states")).values["states"] == ["extended", "home", "mine", "ready", "rest"]
+    assert await listed(robot="so101") == ["extended", "home", "mine", "ready", "rest"]
     assert (await office.call("/rename_robot_state", old_name="mine", new_name="rest two")).ok
-    assert (await office.call("/list_robot_states", regex="r.*")).values["states"] == ["ready", "rest", "rest two"]
+    assert await listed(regex="r.*") == ["ready", "rest", "rest two"]
     assert (await office.call("/has_robot_state", name="rest two")).values == {"exists": True}
     assert (await office.call("/delete_robot_state", name="rest two")).ok
     assert (await office.call("/has_robot_state", name="rest two")).values == {"exists": False}
 
 
-@pytest.mark.parametrize("pattern", ["[", "(a|a)*", "a*a*a*", "a" * 101])
-async def test_an_invalid_or_slow_pattern_is_refused(office: Office, pattern: str) -> None:
-    answer = await office.call("/list_robot_states", regex=pattern)
+@pytest.mark.parametrize(
+    ("service", "request_", "sentence"),
+    [
+        ("/save_robot_state", {"name": "mine"}, "joint positions unknown"),
+        ("/save_robot_state", {"name": "mine", "state": ONE_NAME}, "1 names and 0 positions"),
+        *[("/list_robot_states", {"regex": pattern}, "regex: ") for pattern in ["[", "(a|a)*", "a*a*a*", "a" * 101]],
+        ("/list_robot_states", {"robot": "panda"}, "'so101'"),
+        ("/get_robot_state", {"name": "nowhere"}, "extended, home"),
+        ("/delete_robot_state", {"name": "nowhere"}, "extended, home"),
+    ],
+)
+async def test_what_cannot_be_done_is_refused(
+    office: Office, service: str, request_: dict[str, Any], sentence: str
+) -> None:
+    answer = await office.call(service, **request_)
     assert not answer.ok
-    assert answer.values.startswith("regex: ")
-
-
-async def test_a_request_for_another_robot_is_refused(office: Office) -> None:
-    answer = await office.call("/list_robot_states", robot="panda")
-    assert not answer.ok
-    assert "'so101'" in answer.values
-    assert (await office.call("/list_robot_states", robot="so101")).ok
-
-
-@pytest.mark.parametrize("service", ["/get_robot_state", "/delete_robot_state"])
-async def test_a_missing_state_is_refused_with_the_known_ones(office: Office, service: str) -> None:
-    assert "extended, home" in (await office.call(service, name="nowhere")).values
+    assert sentence in answer.values

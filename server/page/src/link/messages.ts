@@ -198,7 +198,7 @@ export function valuesByJoint(names: readonly string[], values: readonly (number
   return Object.fromEntries(pairs.filter((pair): pair is [string, number] => Number.isFinite(pair[1])));
 }
 
-function keyValues(status: DiagnosticStatus): Record<string, string> {
+export function keyValues(status: DiagnosticStatus): Record<string, string> {
   return Object.fromEntries(status.values.map(({ key, value }) => [key, value]));
 }
 

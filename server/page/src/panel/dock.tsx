@@ -6,7 +6,7 @@ import { t } from "../texts/texts";
 import { Icon, Shown, SignButton, usePage } from "./ui";
 
 export interface Panel {
-  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "class" | "log" | "settings";
+  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "recording" | "class" | "log" | "settings";
   icon: string;
   place: "rail" | "more";
   sections: readonly ComponentType[];

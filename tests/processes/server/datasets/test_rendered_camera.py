@@ -7,16 +7,19 @@ import base64
 import contextlib
 import io
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from harness.clients import call, frame_client
+from harness.clients import arm_client, call
 from harness.server import ROOT, RunningServer
+from harness.waiting import wait_until
 from robot.description.camera import Camera
 from server.commands.publish import RENDERED
 from server.datasets.camera import IMAGE_TYPE
@@ -45,7 +48,7 @@ async def test_a_red_box_is_where_the_info_of_the_camera_has_it(server: RunningS
     box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.04] * 3}], "pose": {"position": position}}
     scene = {"is_diff": True, "world": {"collision_objects": [box]}, "object_colors": [{"id": "box", "color": RED}]}
     assert call(server.url, "/apply_planning_scene", {"scene": scene})["success"]
-    async with frame_client(server.url) as client:
+    async with arm_client(server.url) as client:
         for topic, type_name in ((TOPIC, IMAGE_TYPE), (INFO, INFO_TYPE), (DEPTH, DEPTH_TYPE)):
             await client.subscribe(topic, type_name)
         view = ",".join(map(str, VIEW))
@@ -67,6 +70,48 @@ async def test_a_red_box_is_where_the_info_of_the_camera_has_it(server: RunningS
     depth_mm = np.frombuffer(base64.b64decode(depth["data"]), "<u2").reshape(240, 320)
     column, row = expected.round().astype(int)
     assert depth_mm[row, column] == pytest.approx(1000 * in_camera_m[2], abs=30)
+
+
+def process_of_cameras(server: RunningServer) -> int | None:
+    """Return the id of the process that renders a server's cameras."""
+    pid = server.process.pid
+    for child in map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()):
+        if b"rendering_process" in Path(f"/proc/{child}/cmdline").read_bytes():
+            return child
+    return None
+
+
+@needs_egl
+async def test_the_arms_own_cameras_are_published_and_come_back_when_their_process_has_died(
+    server: RunningServer,
+) -> None:
+    front, wrist = "/front/image/compressed", "/wrist/image/compressed"
+    # The page asks for its tiles like this.
+    assert {front, wrist} <= set(call(server.url, "/rosapi/topics_for_type", {"type": IMAGE_TYPE})["topics"])
+    async with arm_client(server.url) as client:
+        for topic in (front, wrist):
+            await client.subscribe(topic, IMAGE_TYPE)
+        await client.subscribe("/front/camera_info", INFO_TYPE)
+        await client.subscribe("/front/depth/image", DEPTH_TYPE)
+        await client.until(wrist, bool, 60.0)
+        depth = (await client.until("/front/depth/image", bool, 60.0))[0]
+        assert depth["header"]["frame_id"] == "front_optical_frame"
+        stamps = [each["header"]["stamp"] for each in client.messages("/front/camera_info")]
+        assert depth["header"]["stamp"] in stamps
+        died = process_of_cameras(server)
+        assert died is not None
+        os.kill(died, signal.SIGKILL)
+        assert server.has_logged("the process of the cameras ended (SIGKILL); starting it again")
+        before = len(client.messages(front))
+        await client.until(front, lambda images: len(images) > before + 1, 60.0)
+        assert process_of_cameras(server) not in (None, died)
+
+
+def test_a_server_that_ends_takes_its_cameras_along() -> None:
+    with RunningServer("--port 0 --simulation physics") as running:
+        wait_until(lambda: process_of_cameras(running) is not None)
+        pid = process_of_cameras(running)
+    wait_until(lambda: not Path(f"/proc/{pid}").exists())
 
 
 def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> None:

@@ -22,7 +22,6 @@ from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.goal_runner import THERE
 from tests.helpers.moveit import ActionDesk, translator
 
-OUT_OF_REACH = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 2.0}}}
 POINT = {"header": {"frame_id": "base_link"}, "pose": {"position": {"x": 0.25, "y": 0.05, "z": 0.15}}}
 ELBOW = {"name": ["elbow_flex"], "position": [0.3]}
 

@@ -320,9 +320,6 @@ def test_fingers_arrive_together_wherever_each_of_them_is() -> None:
     share = (motion.positions_rad - motion.positions_rad[0]) / (motion.positions_rad[-1] - motion.positions_rad[0])
     np.testing.assert_allclose(share[:, 0], share[:, 1])
     assert np.abs(motion.velocities_rad_s).max() <= 0.1 + 1e-9
-
-
-def test_fingers_that_are_there_do_not_move() -> None:
     assert fingers_together(("a", "b"), np.array([0.05, 0.05]), 0.05, 0.1, 1.0).duration_s == 0.0
 
 

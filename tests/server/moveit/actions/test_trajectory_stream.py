@@ -21,13 +21,11 @@ from server.execution.goal import STREAM_PAUSE_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
 from tests.helpers import stage as stage_module
-from tests.helpers.arm_rig import NAMES
 from tests.helpers.stage import ARM_JOINTS, RecordedStage, inline_threads
 
 pytestmark = pytest.mark.stepped_time
 
 TOPIC = "/arm_controller/joint_trajectory"
-COLUMNS = [NAMES.index(name) for name in ARM_JOINTS]
 
 STREAM_HZ = 30.0
 AHEAD_S = 0.1

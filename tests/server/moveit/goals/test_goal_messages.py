@@ -18,7 +18,7 @@ from server.execution.motions import PlannedMotion
 from server.moveit.goals.goal_messages import GoalTranslator, suggestion
 from tests.helpers.fake_arm import HOME, FakeArm
 from tests.helpers.moveit import ROBOT, TRANSLATOR, rejection, translator
-from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF
+from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF
 
 REGISTRY = Registry.load()
 
@@ -116,7 +116,7 @@ def test_a_point_is_suggested_in_the_planning_frame(key: str) -> None:
     assert "(0.100, 0.200, 0.300) m" in found.words
 
 
-LIFTED, PAIR = model.parse(LIFTED_URDF, LIFTED_SRDF), model.parse(PAIR_URDF, PAIR_SRDF)
+LIFTED = model.parse(LIFTED_URDF, LIFTED_SRDF)
 # The arm of the other robots is not read: their frames are resolved at a goal's turn.
 UNREAD = FakeArm(None)
 LIFTED_HOME = {joint.name: 0.0 for joint in LIFTED.movable_joints}

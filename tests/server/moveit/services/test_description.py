@@ -33,7 +33,7 @@ from server.moveit.services.description import (
     TransformsTopics,
     offer_description,
 )
-from server.robot_files import RobotFiles, package_name, with_package_urls
+from server.robot_files import RobotFiles, with_package_urls
 from tests.helpers.gateway import InProcess
 from tests.helpers.graph import called, listen
 from tests.helpers.moveit import ROBOT
@@ -80,10 +80,6 @@ def files(tmp_path: Path) -> Path:
     return directory
 
 
-def test_the_package_has_a_name_in_the_style_of_ros() -> None:
-    assert package_name(ROBOT) == PACKAGE
-
-
 def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> None:
     served = with_package_urls(urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"), PACKAGE)
     names = [mesh.get("filename") for mesh in ET.fromstring(served).iter("mesh")]
@@ -92,9 +88,6 @@ def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> Non
         f"package://{PACKAGE}/assets/arm.stl",
         "package://other/a.stl",
     ]
-
-
-def test_a_description_without_mesh_paths_is_unchanged() -> None:
     assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
 
 
@@ -102,23 +95,17 @@ def files_in(directory: Path | None) -> RobotFiles:
     return RobotFiles(replace(ROBOT, mesh_directory=directory))
 
 
+NOT_BELOW = ["../secret.stl", f"package://{PACKAGE}/../secret.stl", "assets/out.stl", ".cache/a.png", "/etc/hosts"]
+NO_FILES = ["assets", "", "no", "\0", "a" * 999]
+NO_MESHES = ["id_rsa", f"package://{PACKAGE}/id_rsa", "arm.urdf"]
+
+
 @pytest.mark.parametrize(
-    "name",
-    [
-        "../secret.stl",
-        f"package://{PACKAGE}/../secret.stl",
-        "assets/out.stl",
-        ".cache/a.png",
-        "/etc/hosts",
-        "assets",
-        "",
-        "no",
-        "\0",
-        "a" * 999,
-    ],
+    ("name", "words"),
+    [(name, "name: ") for name in NOT_BELOW + NO_FILES] + [(name, "neither mesh nor texture") for name in NO_MESHES],
 )
-def test_only_files_below_the_description_are_served(files: Path, name: str) -> None:
-    with pytest.raises(ServiceError, match="name: "):
+def test_only_meshes_and_textures_below_the_description_are_served(files: Path, name: str, words: str) -> None:
+    with pytest.raises(ServiceError, match=words):
         files_in(files).read(name)
 
 
@@ -128,12 +115,6 @@ def test_files_too_large_or_of_no_description_are_refused(files: Path, monkeypat
         files_in(files).read("assets/base.stl")
     with pytest.raises(ServiceError, match="names no files"):
         files_in(None).read("assets/base.stl")
-
-
-@pytest.mark.parametrize("name", ["id_rsa", f"package://{PACKAGE}/id_rsa", "arm.urdf"])
-def test_only_meshes_and_textures_are_served(files: Path, name: str) -> None:
-    with pytest.raises(ServiceError, match="neither mesh nor texture"):
-        files_in(files).read(name)
 
 
 @pytest.mark.parametrize(

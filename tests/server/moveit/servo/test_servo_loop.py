@@ -42,16 +42,6 @@ UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0
 SPEEDS = ServoParameters(command_in_type="speed_units")
 STEERED_JOINTS = ("shoulder_pan", "elbow_flex")
 
-# Turned a quarter about z: its x is the root link's y.
-QUARTER = Pose((0.1, 0.0, 0.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
-
-
-def resolve(frame_id: str, _positions: object) -> Pose:
-    frames = {"": Pose(), "tool": QUARTER}
-    if frame_id not in frames:
-        raise refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, f"no frame {frame_id!r}")
-    return frames[frame_id]
-
 
 def message(type_name: str, values: dict[str, Any]) -> Any:
     return complete(REGISTRY, type_name, values, Stamp(0, 0))
@@ -175,14 +165,19 @@ async def test_a_command_is_followed_at_once_where_the_loop_is_made_for_that() -
     await rig.session.close()
 
 
-async def test_the_end_of_the_stream_ends_a_loop_whose_next_step_is_far_away() -> None:
+@pytest.mark.parametrize(
+    ("how", "interruptions"), [(Outcome.STOPPED, ["steering was ended: so"]), (Outcome.UNSTEERED, [])]
+)
+async def test_an_ended_stream_ends_a_loop_and_has_nobody_let_go_after_a_pause_of_the_servers_own(
+    how: Outcome, interruptions: list[str]
+) -> None:
     rig = Rig(period_s=1000.0)
     rig.session.set_command(NORTH)
     await rig.until_asked(1)
-    rig.arm.stop()
+    rig.arm.streams[0].ended.set_result(MotionEnded(0, how, "so"))
     await rig.until_let_go()
-    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: stopped")
-    assert rig.interruptions == ["steering was ended: stopped"]
+    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: so")
+    assert rig.interruptions == interruptions
 
 
 @pytest.mark.parametrize(("timeout_s", "lasts_s"), [(math.inf, TIMEOUT_S), (0.08, 0.08)])
@@ -265,15 +260,6 @@ async def test_letting_go_while_an_answer_is_late_brakes_without_it(rig: Rig) ->
     await until(lambda: len(rig.arm.setpoints) > before + 1)
     assert not any(setpoint.velocity_rad_s.any() for setpoint in rig.arm.setpoints[before:])
     await session.close()
-
-
-async def test_after_a_pause_of_the_servers_own_nobody_has_to_let_go(rig: Rig) -> None:
-    rig.session.set_command(NORTH)
-    await rig.until_asked(2)
-    rig.arm.streams[0].ended.set_result(MotionEnded(0, Outcome.UNSTEERED, "no setpoint came for 0.06 s"))
-    await rig.until_let_go()
-    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: no setpoint came for 0.06 s")
-    assert rig.interruptions == []
 
 
 async def test_an_unknown_frame_moves_nothing(rig: Rig) -> None:

@@ -1,0 +1,132 @@
+"""The client that renders the arm and the scene of a server elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import ServerConnection, serve
+
+from harness.waiting import wait_until
+from robot.physics import renderer
+from server.datasets import rendering_client
+from server.datasets.camera import CameraError
+from server.datasets.rendered import RenderedCameras, SeenScene
+from server.datasets.rendering_client import RenderingClient, open_camera
+from tests.helpers.rendering import needs_egl
+from tests.helpers.robots import so101
+from tests.server.datasets.test_rendered import CAMERA, VIEW
+
+
+@pytest.mark.parametrize(
+    ("settings", "refusal"),
+    [
+        ({"view": (0.0,) * 6}, "view: Value error, the camera must look at another point"),
+        ({"view": VIEW, "width": 4096}, "width: .*1280, not 4096"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_refused(settings: dict[str, object], refusal: str) -> None:
+    with pytest.raises(CameraError, match=refusal):
+        open_camera("so101", CAMERA.topic, 80, frame="", **settings)
+
+
+def received(connection: ServerConnection) -> str | bytes | None:
+    """Return the next frame; None when the client has left, by a close frame that names its error."""
+    with contextlib.suppress(ConnectionClosed):
+        return connection.recv()
+    return None
+
+
+@contextlib.contextmanager
+def serving(handler: Callable[[ServerConnection], None]) -> Iterator[str]:
+    """Serve connections by a handler, at a URL."""
+    with serve(handler, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
+
+
+@needs_egl
+def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_of_sending(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    images: list[dict[str, Any]] = []
+    goals = {"header": {"stamp": {"sec": 9, "nanosec": 0}}, "name": ["shoulder_pan"], "position": [0.0]}
+    around = {"robot_state": {"joint_state": goals, "attached_collision_objects": []}, "object_colors": []}
+    calls = 0
+
+    def answer(connection: ServerConnection) -> None:
+        nonlocal calls
+        for frame in iter(functools.partial(received, connection), None):
+            operation = json.loads(frame)
+            if operation["op"] == "publish" and operation["topic"] == CAMERA.topic:
+                images.append(operation["msg"])
+            elif operation["op"] == "call_service":
+                calls += 1
+                # A state that comes once is one image.
+                if calls in (2, 4):
+                    header = {"stamp": {"sec": calls, "nanosec": 7}}
+                    state = {"header": header, "name": ["shoulder_pan"], "position": [0.25 * calls]}
+                    connection.send(json.dumps({"op": "publish", "topic": "/joint_states", "msg": state}))
+                values = {"scene": {**around, "world": {"collision_objects": []}}}
+                connection.send(
+                    json.dumps({"op": "service_response", "id": "camera", "result": True, "values": values})
+                )
+
+    def wait(_duration_s: float) -> None:
+        if calls > 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(rendering_client.time, "sleep", wait)
+    with serving(answer) as url:
+        client = RenderingClient(url, None, so101(), CAMERA, lambda _: None)
+        with pytest.raises(KeyboardInterrupt):
+            client.run()
+        monkeypatch.undo()
+        wait_until(lambda: len(images) == 2)
+    assert client.published == 2
+    assert [image["header"]["stamp"] for image in images] == [{"sec": sec, "nanosec": 7} for sec in (2, 4)]
+    cameras = RenderedCameras(so101(), [CAMERA])
+    for image, angle_rad in zip(images, (0.5, 1.0), strict=True):
+        expected = cameras.messages(SeenScene(0, {"shoulder_pan": angle_rad}, [], {}), [CAMERA.topic])[0][1]["data"]
+        assert image["data"] == expected
+
+
+class NoRenderer:
+    def __init__(self, *_: object) -> None:
+        """Draw nothing."""
+
+
+def test_a_refused_camera_leaves_the_server_before_it_tries_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    here: set[ServerConnection] = set()
+    told: list[str] = []
+    tries = 0
+
+    def refuse(connection: ServerConnection) -> None:
+        here.add(connection)
+        for frame in iter(functools.partial(received, connection), None):
+            if json.loads(frame)["op"] == "call_service":
+                connection.send(json.dumps({"op": "status", "level": "error", "msg": "not you"}))
+                connection.send(json.dumps({"op": "service_response", "id": "camera", "result": False, "values": "no"}))
+        here.remove(connection)
+
+    def wait(_duration_s: float) -> None:
+        nonlocal tries
+        tries += 1
+        if tries == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(renderer, "ArmRenderer", NoRenderer)
+    monkeypatch.setattr(rendering_client.time, "sleep", wait)
+    with serving(refuse) as url:
+        client = RenderingClient(url, None, so101(), CAMERA, told.append)
+        with pytest.raises(KeyboardInterrupt):
+            client.run()
+        monkeypatch.undo()
+        wait_until(lambda: not here)
+    assert f"{url}: not you" in told

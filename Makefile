@@ -14,7 +14,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners lock release clean
+.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners judge lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -198,6 +198,10 @@ campaign-following: install-dev
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev
 	CAMPAIGN_SEEDS=$${CAMPAIGN_SEEDS:-200} $(PYTEST) tests/processes/test_campaign.py -k drawn -n 6 $(ARGS)
+
+# A thousand planned motions in random scenes, played in physics: no link touches anything.
+judge: install-dev
+	JUDGE_SCENES=$${JUDGE_SCENES:-250} $(PYTEST) tests/judge -n 2 $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

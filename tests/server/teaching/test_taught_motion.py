@@ -206,15 +206,6 @@ async def test_a_name_that_is_no_file_is_refused_with_the_limit(motions: MotionF
         await motions.rename("a", name)
 
 
-async def test_an_unknown_motion_is_refused_with_the_known_ones(motions: MotionFiles) -> None:
-    with pytest.raises(ServiceError, match="no motion is saved"):
-        await motions.load("wave")
-    await motions.save("a", WAVE)
-    for change in (motions.load("wave"), motions.delete("wave"), motions.rename("wave", "b")):
-        with pytest.raises(ServiceError, match="saved are: a"):
-            await change
-
-
 async def test_a_taken_name_is_neither_recorded_nor_renamed_to(motions: MotionFiles) -> None:
     for name in ("a", "b"):
         await motions.save(name, WAVE)

@@ -39,7 +39,7 @@ FLAGS = (
     "--disable-accelerated-2d-canvas",
 )
 
-PANELS = ("move", "drive", "sequence", "world", "plots", "goals", "arm", "cameras", "log", "settings")
+PANELS = ("move", "drive", "sequence", "world", "plots", "goals", "arm", "cameras", "recording", "log", "settings")
 
 DESKTOP = (1280, 800)
 PHONE = (390, 844)

@@ -43,6 +43,7 @@ class RobotFiles:
         )
 
     def read(self, name: str) -> bytes:
+        """Return the content of a file, named as for :meth:`find`; raises ServiceError."""
         path = self.find(name)
         try:
             return path.read_bytes()

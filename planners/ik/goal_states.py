@@ -219,7 +219,9 @@ class DescentResults:
         self._fruitless += 1
         if any(end.solves and self._apart_rad(q, end.q) < DISTINCT_RAD for end in self._ends):
             return
-        end = self._judged(q)
+        tight = self._collision is not None and self._collision.in_collision(q)
+        collides = tight and self._collision is not None and self._collision.collides(q)
+        end = _End(q, tight, collides, self._required.violation_m(q), self._preferred.violation_m(q))
         self._ends.append(end)
         if end.violation_m < self._least_violation_m - NEARER_M:
             self._least_violation_m, self._fruitless = end.violation_m, 0
@@ -247,11 +249,6 @@ class DescentResults:
         apart = np.abs(q - other_q)
         turns = np.where(self._turning, np.rint(apart / TURN_RAD), 0.0)
         return float(np.max(np.abs(apart - TURN_RAD * turns)))
-
-    def _judged(self, q: Vector) -> _End:
-        tight = self._collision is not None and self._collision.in_collision(q)
-        collides = tight and self._collision is not None and self._collision.collides(q)
-        return _End(q, tight, collides, self._required.violation_m(q), self._preferred.violation_m(q))
 
     def _pairs(self, end: _End | None) -> tuple[CollidingPair, ...]:
         return tuple(self._collision.colliding_pairs(end.q)) if self._collision is not None and end is not None else ()

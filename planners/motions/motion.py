@@ -65,7 +65,7 @@ SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most 
 # Trees grow fastest when edges are checked coarsely, and curves are shortened soonest when they are; where the
 # certificate then finds a contact, everything is checked more finely [m].
 SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
-CURVE_STEPS_M = (0.01, 0.005, 0.0025, 0.001)
+CURVE_STEPS_M = (0.02, 0.01, 0.005, 0.001)
 
 # Another path found as coarsely costs less than one found more finely, but where something is thin all are blocked.
 BLOCKED_PATHS_A_STEP = 3
@@ -272,10 +272,10 @@ class _Searching:
         if self._try_via_points:
             path = via_point(query, self._task.limits.velocity_rad_s, self._rng, self._enough)
             self._try_via_points = path is not None
-            path = self._without_detours(path)
+            path = self._without_detours(query, path)
             if path is not None:
                 return VIA_POINT, path
-        return self._name, self._without_detours(self._searched(query, number))
+        return self._name, self._without_detours(query, self._searched(query, number))
 
     def _searched(self, query: Query, number: int) -> Vector | None:
         """Let the search go on, or another once it has found a path, or nothing for long."""
@@ -287,10 +287,10 @@ class _Searching:
         self._search = self._search if path is None else None
         return path
 
-    def _without_detours(self, path: Vector | None) -> Vector | None:
+    def _without_detours(self, query: Query, path: Vector | None) -> Vector | None:
         if path is None:
             return None
-        shorter = without_detours(self._space, path, CURVE_STEPS_M[self._finer], self._budget.used_up)
+        shorter = without_detours(self._space, path, query.step_m, self._budget.used_up)
         self._blocked_paths += shorter is None
         return shorter
 

@@ -20,14 +20,15 @@ from ompl import geometric as og
 from ompl import util as ou
 
 from planners.budget import never
-from planners.geometry.joint_space import ALL_PAIRS, NO_CANDIDATES, CandidatePairs, JointSpace
+from planners.geometry.joint_space import JointSpace
 from planners.motions.curve import Curve
 from robot.trajectory import Vector
 
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000
 
-WIDEST_MARGIN_M = 0.05  # on longer pieces than this something is nearly always near: only their middle is checked
+CURVE_SAMPLES = 64  # points between which the travel of a curve is measured
+FIRST_SAMPLES = np.array([32, 16, 48, 8, 24, 40, 56])  # points that are checked first: most contacts are there
 
 # No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
 # is there, but past this most are blocked: SO-101, of 0.4 m, and arms of 1 m have the same best length.
@@ -45,7 +46,8 @@ STEP_RAD = 0.15
 
 LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
 STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
-DRAWN = 64  # points drawn at once, and compared with a tree in one numpy call
+DRAWN = 64  # points drawn at once
+COMPARED = 16_384  # distances to a tree computed at once: all of them at once took up to 3 ms, out of the cache
 DOMAIN_EDGES = 4.0  # edges from a blocked point within which it is still gone on from
 VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
 MOST_CHECKS = 100  # checks after which a tree finds a path sooner: no quick via point is free then as a rule
@@ -63,41 +65,25 @@ def coarse_first(pieces: int) -> Vector:
 
 def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: float) -> bool:
     """Return true if nothing touches in points of a line, a step apart at most; its start is taken to be free."""
-    travel_m = float(np.abs(end - start) @ space.travel_m_per_rad)
-    points = start + coarse_first(max(1, int(np.ceil(travel_m / step_m)))) * (end - start)
-    return all(space.free(point) for point in points)
+    if not space.free(end):  # as four of five edges of a tree in a narrow passage
+        return False
+    shares = coarse_first(max(1, math.ceil(np.abs(end - start) @ space.travel_m_per_rad / step_m)))[1:]
+    return all(space.free(point) for point in start + shares * (end - start))
 
 
 def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Callable[[], bool] = never) -> bool:
     """Return true if joints stay in range and nothing touches at steps along a curve; its ends are taken to be free."""
     if not curve.stays_within(space.lower_rad, space.upper_rad):
         return False
-    points = _evenly(space, curve, step_m)
-    half = len(points) // 2
-    middles = np.array([half])
-    candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
-    while half and len(middles):
-        here = points[middles]
-        joint_travel = np.maximum(np.abs(points[middles - half] - here), np.abs(points[middles + half] - here))
-        if np.max(joint_travel @ space.travel_m_per_rad) <= WIDEST_MARGIN_M:
-            candidate_pairs = space.candidate_pairs(here, joint_travel, candidate_pairs)
-            unsure = [i for i, candidates in enumerate(candidate_pairs) if candidates != NO_CANDIDATES]
-            middles, candidate_pairs = middles[unsure], [candidate_pairs[i] for i in unsure]
-        touching = (space.touches_any(points[i], near) for i, near in zip(middles, candidate_pairs, strict=True))
-        if should_stop() or any(touching):
-            return False
-        half //= 2
-        middles, candidate_pairs = np.concatenate((middles - half, middles + half)), candidate_pairs + candidate_pairs
-    return True
-
-
-def _evenly(space: JointSpace, curve: Curve, step_m: float) -> Vector:
-    """Return 2^k + 1 points on the curve, apart by the same travel of at most a step."""
-    ticks = curve.sample_ticks()
-    moved_m = np.abs(np.diff(curve.at(ticks)[0], axis=0)) @ space.travel_m_per_rad
+    ticks = np.linspace(0.0, curve.duration_ticks, CURVE_SAMPLES + 1)
+    samples = curve.at(ticks)[0]
+    if not all(space.free(point) for point in samples[FIRST_SAMPLES]):
+        return False
+    moved_m = np.abs(np.diff(samples, axis=0)) @ space.travel_m_per_rad
     travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
-    pieces = 1 << max(0, int(np.ceil(np.log2(max(travel_m[-1], step_m) / step_m))))
-    return curve.at(np.interp(np.linspace(0.0, travel_m[-1], pieces + 1), travel_m, ticks))[0]
+    shares = coarse_first(max(1, math.ceil(travel_m[-1] / step_m)))[1:, 0]
+    points = curve.at(np.interp(travel_m[-1] * shares, travel_m, ticks))[0]
+    return all(not should_stop() and space.free(point) for point in points)
 
 
 # The libraries' log would go to the worker's stderr; what matters is in the answer.
@@ -160,7 +146,7 @@ def without_detours(
     while kept[-1] < len(path) - 1:
         here = kept[-1]
         further = range(len(path) - 1, here, -1)
-        free = (i for i in further if not should_stop() and space.line_free(path[here], path[i], step_m))
+        free = (i for i in further if not should_stop() and line_free_sparsely(space, path[here], path[i], step_m))
         reached = next(free, None)
         if reached is None:
             return None
@@ -238,34 +224,51 @@ class _Tree:
     """Points, the point from which each was reached, and how far from each it may go on, in weighted distance."""
 
     def __init__(self, roots: Sequence[Vector], weights: Vector) -> None:
-        self.points = np.array(roots)  # shape (m, n) [rad]
-        self.reach = np.full(len(roots), np.inf)
         self._weights = weights
-        self._parents = [-1] * len(roots)
+        # A row for each point and room for more: the point, the weighted point, and the square of this.
+        self._rows = np.empty((0, 2 * len(weights) + 1))
+        self._parents: list[int] = []
+        self.reach: list[float] = []
+        for root in roots:
+            self.add(root, -1)
+
+    @property
+    def points(self) -> Vector:
+        """Points of the tree, shape (m, n) [rad]."""
+        return self._rows[: len(self._parents), : len(self._weights)]
 
     def nearest(self, point: Vector) -> int:
-        return int(np.argmin(np.sum(((self.points - point) * self._weights) ** 2, axis=1)))
+        return int(np.argmin(self._squares(point[np.newaxis])))
 
     def near(self, drawn: Vector) -> Iterator[tuple[int, Vector]]:
         """Yield the drawn points, shape (m, n), that are within reach of the tree's nearest point, and its index."""
-        points, weighted = self.points * self._weights, drawn * self._weights
-        squares = np.sum(points**2, axis=1) - 2.0 * (weighted @ points.T)
-        indices = np.argmin(squares, axis=1)
-        squares = squares[np.arange(len(drawn)), indices] + np.sum(weighted**2, axis=1)
-        for index, square, point in zip(indices.tolist(), squares.tolist(), drawn, strict=True):
-            if square <= self.reach[index] ** 2:
-                yield index, point
+        own, count = np.sum((drawn * self._weights) ** 2, axis=1), max(8, COMPARED // len(self._parents))
+        for first in range(0, len(drawn), count):
+            some = slice(first, first + count)
+            squares = self._squares(drawn[some])
+            away = (squares.min(axis=1) + own[some]).tolist()
+            for index, square, point in zip(squares.argmin(axis=1).tolist(), away, drawn[some], strict=True):
+                if square <= self.reach[index] ** 2:
+                    yield index, point
 
     def add(self, point: Vector, parent: int) -> int:
-        self.points = np.vstack((self.points, point))
-        self.reach = np.append(self.reach, np.inf)
+        index, weighted = len(self._parents), point * self._weights
+        if index == len(self._rows):
+            self._rows = np.concatenate((self._rows, np.empty((max(index, 64), self._rows.shape[1]))))
+        self._rows[index] = np.concatenate((point, weighted, [weighted @ weighted]))
         self._parents.append(parent)
-        return len(self._parents) - 1
+        self.reach.append(np.inf)
+        return index
 
     def to_root(self, index: int) -> Iterator[Vector]:
         while index >= 0:
-            yield self.points[index]
+            yield self._rows[index, : len(self._weights)]
             index = self._parents[index]
+
+    def _squares(self, points: Vector) -> Vector:
+        """Return the squared weighted distances of points to the tree's, (m, tree), less the points' own squares."""
+        rows, size = self._rows[: len(self._parents)], len(self._weights)
+        return np.asarray((-2.0 * self._weights * points) @ rows[:, size:-1].T + rows[:, -1])
 
 
 class _Grower:
@@ -296,7 +299,8 @@ class _Grower:
 
     def _stride(self, point: Vector, target: Vector) -> Vector | None:
         way = target - point
-        length = math.sqrt(np.sum((way * self._query.weights) ** 2))  # a third of the time of numpy's norm
+        weighted = way * self._query.weights
+        length = math.sqrt(weighted @ weighted)
         reached = target if length <= self._edge else point + way * (self._edge / length)
         return reached if line_free_sparsely(self._query.space, point, reached, self._query.step_m) else None
 

@@ -108,6 +108,7 @@ class FeetechServo(EmulatedServo[Register]):
     baudrates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
     duty_permille_per_nm = DUTY_PERMILLE_PER_NM
     stall_torque_nm = STALL_TORQUE_NM
+    backlash_ticks = 10.0  # 0.9 deg; 0.87 to 1.0 deg were measured (SO-ARM100, issue 134)
 
     def __init__(self, plant: Plant, eprom: Mapping[Register, int], *, joint: str = "", zero_ticks: int = 0) -> None:
         super().__init__(plant, joint, zero_ticks)

@@ -139,6 +139,7 @@ class EmulatedServo(ABC, Generic[RegisterT]):
     return_delay_s: float  # time that it waits before a reply [s]
     duty_permille_per_nm: float  # duty that a torque at the joint calls for [0.1 % per Nm]
     stall_torque_nm: float  # largest torque at the joint [Nm]
+    backlash_ticks: float = 0.0  # play of the gear, which physics has
     _drive: Drive
     _thresholds: Thresholds
 

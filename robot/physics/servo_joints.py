@@ -35,6 +35,7 @@ class ServoJoint:
         self.plant = servo.plant = DrivenPlant(before.position_ticks, before.lower_stop_ticks, before.upper_stop_ticks)
         self._calibrated = calibrated
         self._servo = servo
+        self._gear_ticks = 0.0  # gear before the joint, from the middle of the backlash
         self.face()
 
     def face(self) -> None:
@@ -63,8 +64,14 @@ class ServoJoint:
         if plant.drive.torque_permille > 0.0:
             net_permille = plant.duty_permille - plant.velocity_ticks_s / NO_LOAD_TICKS_S * FULL_DUTY_PERMILLE
             most_nm = plant.drive.torque_permille / FULL_DUTY_PERMILLE * servo.stall_torque_nm
-            torque_nm = max(-most_nm, min(most_nm, net_permille * nm_per_permille))
-            return torque_nm + plant.push_permille * nm_per_permille, 0.0
+            # Within the backlash the gear turns as fast as nothing loads it, and pushes the joint from a flank on.
+            way_ticks = net_permille / FULL_DUTY_PERMILLE * NO_LOAD_TICKS_S * TIMESTEP_S
+            half_ticks = 0.5 * servo.backlash_ticks
+            self._gear_ticks = max(-half_ticks, min(half_ticks, self._gear_ticks + way_ticks))
+            push_nm = plant.push_permille * nm_per_permille
+            if self._gear_ticks != math.copysign(half_ticks, net_permille):
+                return push_nm, abs(self.ticks_per_rad * nm_per_permille) / PUSH_TICKS_S_PER_PERMILLE
+            return push_nm + max(-most_nm, min(most_nm, net_permille * nm_per_permille)), 0.0
         eased = PUSH_TICKS_S_PER_PERMILLE / DROOP_TICKS_S_PER_PERMILLE
         damping = abs(self.ticks_per_rad * nm_per_permille) / DROOP_TICKS_S_PER_PERMILLE
         return plant.push_permille * eased * nm_per_permille, damping

@@ -57,7 +57,6 @@ class OneTimeTokens:
         if asker is None or wanted > asker.role:
             has = "none" if asker is None else asker.role.name.lower()
             raise ServiceError(f"field role: {wanted.name.lower()} is above the role of this client, {has}")
-        self._forget()
         waiting = [each for each in self._issued if not each.used]
         if len(waiting) >= MAX_WAITING:
             self._issued.remove(waiting[0])
@@ -86,16 +85,13 @@ class OneTimeTokens:
 
     def _find(self, presented: str) -> _Issued | None:
         """Return what was issued as this token; every one is compared, in constant time."""
-        self._forget()
+        now_s = self._clock()
+        self._issued = [each for each in self._issued if each.used or now_s < each.until_s]
         wanted, found = digest_of(presented), None
         for each in self._issued:
             if hmac.compare_digest(each.digest, wanted):
                 found = each
         return found
-
-    def _forget(self) -> None:
-        now_s = self._clock()
-        self._issued = [each for each in self._issued if each.used or now_s < each.until_s]
 
 
 def offer_one_time_tokens(

@@ -106,7 +106,7 @@ class Topic:
 
 
 class Graph:
-    """All topics, services and actions."""
+    """All topics, services and actions, by their fully qualified names."""
 
     def __init__(
         self,

@@ -83,6 +83,15 @@ def test_an_ended_goal_is_told_of_for_five_seconds(stage: Stage) -> None:
     assert stage.statuses() == []
 
 
+def test_of_very_many_goals_the_oldest_that_have_ended_are_not_kept(stage: Stage) -> None:
+    stage.send("runs")
+    for number in range(3 * MAX_GOALS):
+        stage.send(f"{number}")
+        stage.goals[-1].finish(GoalStatus.SUCCEEDED, {})
+    assert stage.statuses()[0] == ("runs", Status.ACTIVE)
+    assert [name for name, _ in stage.statuses()[1:]] == [f"{each}" for each in range(MAX_GOALS, 3 * MAX_GOALS)]
+
+
 def test_a_cancelled_goal_is_preempting_until_it_ends(stage: Stage) -> None:
     stage.send("one")
     stage.send("two")
@@ -92,6 +101,8 @@ def test_a_cancelled_goal_is_preempting_until_it_ends(stage: Stage) -> None:
     assert stage.statuses() == [("one", Status.ACTIVE), ("two", Status.PREEMPTING)]
     stage.goals[1].finish(GoalStatus.CANCELED, {"error_code": {"val": -7}})
     assert stage.results() == [("two", Status.PREEMPTED, "", -7)]
+    stage.cancel(id="two")
+    assert stage.statuses() == [("one", Status.ACTIVE), ("two", Status.PREEMPTED)]
 
 
 def test_a_goal_that_fails_without_a_result_is_answered_with_the_sentence(stage: Stage) -> None:

@@ -191,7 +191,19 @@ class Walled:
         return abs(point[0]) > 0.1 or self.gap[0] < point[1] < self.gap[1]
 
 
-WEST, EAST = np.array([-0.8, 0.0]), np.array([0.8, 0.0])
+WEST, MIDDLE, EAST = np.array([[-0.8, 0.0], [0.1, 0.0], [0.8, 0.0]])
+
+
+class Wire(Walled):
+    """A square with a wire in the way, thinner than the gaps between a curve's first samples."""
+
+    def free(self, point):
+        return abs(point[0] - 0.13) > 0.006
+
+
+@pytest.mark.parametrize(("end", "step_m", "is_free"), [(EAST, 0.01, False), (EAST, 0.5, True), (MIDDLE, 0.01, True)])
+def test_a_curve_is_free_if_it_is_at_steps(end, step_m, is_free):
+    assert curve_free(Wire(), line(WEST, end, RateLimits(np.ones(2), np.ones(2))), step_m) == is_free
 
 
 def query(space, *goals):

@@ -79,6 +79,27 @@ def test_droop_and_following_error_are_near_the_light_emulators(settings: dict[s
     assert physical.tick().load == pytest.approx(light.tick().load, abs=0.03)
 
 
+def test_a_load_that_changes_its_side_moves_the_joint_through_the_backlash() -> None:
+    way_ticks = {}
+    for backlash_ticks in (None, 0.0):
+        arm = driven(physics=True, start_rad={})
+        servo = arm.source.bus.servos[0]
+        if backlash_ticks is not None:
+            servo.backlash_ticks = backlash_ticks
+        ways = []
+        for push_permille in (30.0, -30.0):
+            servo.plant.push_permille = push_permille
+            before_ticks = servo.plant.position_ticks
+            for _ in range(80):
+                arm.tick()
+                ways.append(servo.plant.position_ticks - before_ticks)
+        way_ticks[backlash_ticks] = min(ways[80:]), ways[-1]
+    # The encoder is behind the gear, so the servo brings the joint back.
+    assert way_ticks[None][1] == pytest.approx(way_ticks[0.0][1], abs=1.5)
+    assert way_ticks[0.0][0] > -4.8
+    assert way_ticks[None][0] < -5.5
+
+
 def test_gravity_torques_are_pinocchios() -> None:
     robot = so101()
     model = pin.buildModelFromXML(robot.urdf)

@@ -102,11 +102,11 @@ def test_nobody_idles_while_a_goal_is_worked_on_nor_right_after(leased: Leased) 
     assert leased.lease.drive(leased.b, 70.0) is None
 
 
-def test_another_is_refused_while_a_goal_is_worked_on_however_late_the_beat(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
-    leased.busy = GOAL
-    assert leased.lease.drive(leased.b, 1000.0) is not None
-    assert leased.lease.holder is leased.a
+def test_an_idle_holder_of_one_arm_loses_it_to_a_client_that_drives_all() -> None:
+    access = Access(AccessSettings(control_idle_s=10.0), arms={"left": lambda: None, "right": lambda: None})
+    access.leases_of_arms["left"].drive(Node("a", remote=True), 0.0)
+    assert access.lease.drive(Node("b", remote=True), 9.9) is not None
+    assert access.lease.drive(Node("b", remote=True), 10.0) is None
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import { t } from "../texts/texts";
 import { Icon, Shown, SignButton, usePage } from "./ui";
 
 export interface Panel {
-  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "class" | "log" | "settings";
+  id: "move" | "drive" | "sequence" | "world" | "plots" | "goals" | "arm" | "cameras" | "recording" | "class" | "log" | "settings";
   icon: string;
   place: "rail" | "more";
   sections: readonly ComponentType[];
@@ -23,7 +23,6 @@ export function changeLayout(store: PageStore, layout: Layout): void {
   store.set({ layout: SMALL_SCREEN.matches ? { ...layout, pinned: "" } : layout });
 }
 
-/** Buttons of the panels; those of seldom used ones are in a menu. */
 export function Rail({ panels }: { panels: readonly Panel[] }): JSX.Element {
   const { layout, classroom } = usePage().store.state;
   const menu = useRef<HTMLDetailsElement>(null);

@@ -48,7 +48,7 @@ export function KeyboardSection(): JSX.Element {
 }
 
 /** Return true for an element that uses keys itself. */
-function isTyping(target: EventTarget | null): boolean {
+export function isTyping(target: EventTarget | null): boolean {
   if (!(target instanceof HTMLElement)) return false;
   if (target instanceof HTMLInputElement) return target.type !== "checkbox";
   return target.isContentEditable || target.matches("select, textarea, [role=tab]");

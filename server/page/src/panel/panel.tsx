@@ -17,6 +17,7 @@ import { Health } from "./health";
 import { LogPanel } from "./log";
 import { Motion } from "./motion";
 import { Plots } from "./plots";
+import { EpisodesSection, LeaderSection, PolicySection } from "./recording";
 import { ObjectsSection, SceneBar } from "./scene";
 import { AddObject } from "./scene-add";
 import { RegionSection } from "./scene-region";
@@ -33,7 +34,6 @@ import { Tour, TourStart } from "./tour";
 import { TransportBar } from "./transport";
 import { Page, usePage } from "./ui";
 
-/** Every panel with its sections, in the order in which they are offered. */
 const PANELS: readonly Panel[] = [
   { id: "move", place: "rail", icon: "M12 2v5M12 17v5M2 12h5M17 12h5M12 8a4 4 0 1 0 0 8 4 4 0 1 0 0-8", sections: [GroupChoice, Motion, Target, JointValuesSection, Gripper] },
   { id: "drive", place: "rail", icon: "M7 7h10a5 5 0 0 1 0 10c-2 0-2.5-2-5-2s-3 2-5 2A5 5 0 0 1 7 7zM8 10v4M6 12h4M15 12h.01M18 10h.01", sections: [Drive] },
@@ -43,6 +43,7 @@ const PANELS: readonly Panel[] = [
   { id: "goals", place: "more", icon: "M5 21V4h13l-3 4 3 4H5", sections: [ActiveGoals, GoalHistory] },
   { id: "arm", place: "more", icon: "M4 21h9M8 21v-5L5 10l7-5 5 3M17 8l4-2M17 8l3 4", sections: [ServosSection, Health, CommissioningSection] },
   { id: "cameras", place: "more", icon: "M3 7h4l2-3h6l2 3h4v13H3zM12 9a4 4 0 1 0 0 8 4 4 0 1 0 0-8", sections: [CamerasPanel] },
+  { id: "recording", place: "more", icon: "M12 4a8 8 0 1 0 0 16 8 8 0 1 0 0-16M12 9a3 3 0 1 0 0 6 3 3 0 1 0 0-6", sections: [EpisodesSection, LeaderSection, PolicySection] },
   { id: "class", place: "more", icon: "M3 4h7v7H3zM14 4h7v7h-7zM3 14h7v6H3zM14 14h7v6h-7z", sections: [ClassroomPanel] },
   { id: "log", place: "more", icon: "M5 4h14v16H5zM8 8h8M8 12h8M8 16h5", sections: [LogPanel] },
   { id: "settings", place: "more", icon: "M4 7h10M18 7h2M16 4v6M4 17h2M10 17h10M8 14v6", sections: [TourStart, Settings, Share] },

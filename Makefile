@@ -14,7 +14,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners lock release clean
+.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners judge lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -106,9 +106,9 @@ test-page: install-dev page
 	cd $(PAGE) && npm test
 	$(PYTEST) tests/page --ignore tests/page/test_pictures.py -n 2 --dist loadfile $(ARGS)
 
-# The pictures of README.md and docs/page.md, and the digest of the page that they show.
+# The pictures of README.md, docs/page.md and docs/simulation.md, and the digest of the page that they show.
 pictures: install-dev page
-	$(BIN)/python -m pytest tests/page/test_pictures.py -n 0
+	$(BIN)/python -m pytest tests/page/test_pictures.py tests/robot/physics/test_pictures.py -n 0
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
@@ -198,6 +198,10 @@ campaign-following: install-dev
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev
 	CAMPAIGN_SEEDS=$${CAMPAIGN_SEEDS:-200} $(PYTEST) tests/processes/test_campaign.py -k drawn -n 6 $(ARGS)
+
+# A thousand planned motions in random scenes, played in physics: no link touches anything.
+judge: install-dev
+	JUDGE_SCENES=$${JUDGE_SCENES:-250} $(PYTEST) tests/judge -n 2 $(ARGS)
 
 # The locks name no index: whoever installs them uses the index configured on the machine.
 lock: install-dev

@@ -28,7 +28,7 @@ from robot.trajectory import Vector
 NOMINAL_CHECKS_PER_S = 30_000
 
 CURVE_SAMPLES = 64  # points between which the travel of a curve is measured
-FIRST_SAMPLES = np.array([32, 16, 48, 8, 24, 40, 56])  # points that are checked first
+FIRST_SAMPLES = np.array([32, 16, 48, 8, 24, 40, 56])  # points that are checked first: most contacts are there
 
 # No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
 # is there, but past this most are blocked: SO-101, of 0.4 m, and arms of 1 m have the same best length.
@@ -65,9 +65,10 @@ def coarse_first(pieces: int) -> Vector:
 
 def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: float) -> bool:
     """Return true if nothing touches in points of a line, a step apart at most; its start is taken to be free."""
-    travel_m = float(np.abs(end - start) @ space.travel_m_per_rad)
-    points = start + coarse_first(max(1, math.ceil(travel_m / step_m))) * (end - start)
-    return all(space.free(point) for point in points)
+    if not space.free(end):  # as four of five edges of a tree in a narrow passage
+        return False
+    shares = coarse_first(max(1, math.ceil(np.abs(end - start) @ space.travel_m_per_rad / step_m)))[1:]
+    return all(space.free(point) for point in start + shares * (end - start))
 
 
 def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Callable[[], bool] = never) -> bool:
@@ -76,7 +77,6 @@ def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Call
         return False
     ticks = np.linspace(0.0, curve.duration_ticks, CURVE_SAMPLES + 1)
     samples = curve.at(ticks)[0]
-    # A few points find most contacts, before the others are known.
     if not all(space.free(point) for point in samples[FIRST_SAMPLES]):
         return False
     moved_m = np.abs(np.diff(samples, axis=0)) @ space.travel_m_per_rad
@@ -252,12 +252,10 @@ class _Tree:
                     yield index, point
 
     def add(self, point: Vector, parent: int) -> int:
-        index, size = len(self._parents), len(point)
+        index, weighted = len(self._parents), point * self._weights
         if index == len(self._rows):
-            self._rows = np.concatenate((self._rows, np.empty((max(index, 64), 2 * size + 1))))
-        weighted = point * self._weights
-        row = self._rows[index]
-        row[:size], row[size:-1], row[-1] = point, weighted, weighted @ weighted
+            self._rows = np.concatenate((self._rows, np.empty((max(index, 64), self._rows.shape[1]))))
+        self._rows[index] = np.concatenate((point, weighted, [weighted @ weighted]))
         self._parents.append(parent)
         self.reach.append(np.inf)
         return index
@@ -301,7 +299,8 @@ class _Grower:
 
     def _stride(self, point: Vector, target: Vector) -> Vector | None:
         way = target - point
-        length = math.sqrt(np.sum((way * self._query.weights) ** 2))  # a third of the time of numpy's norm
+        weighted = way * self._query.weights
+        length = math.sqrt(weighted @ weighted)
         reached = target if length <= self._edge else point + way * (self._edge / length)
         return reached if line_free_sparsely(self._query.space, point, reached, self._query.step_m) else None
 

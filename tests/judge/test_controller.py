@@ -1,0 +1,106 @@
+"""The controller's motions, stops and grips in physics beside the light emulation, whose claims they confirm."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache, partial
+
+import numpy as np
+import pytest
+
+from planners.goals import JointGoal
+from planners.pipeline import Planner
+from planners.problem import Plan, PlanningProblem
+from robot.messages import GuardLimits, Outcome
+from robot.physics.bodies import Body, BodyShape
+from robot.trajectory import Trajectory
+from tests.helpers.arm_rig import NAMES, ROBOT
+from tests.helpers.motions import smooth_move
+from tests.judge.physical_arm import ArmInWorld, Played
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+GRIPPER = NAMES.index("gripper")
+
+# Targets: far, loaded by the whole stretched arm, and back.
+TARGETS = (
+    {"shoulder_pan": 1.0, "shoulder_lift": 0.8, "elbow_flex": -0.5},
+    {"shoulder_pan": -0.5, "shoulder_lift": -1.0, "elbow_flex": 0.8, "wrist_flex": 0.5},
+    {"shoulder_lift": 0.9, "elbow_flex": -0.9, "wrist_roll": 1.0},
+)
+
+# Pointing down around a block, the fingers open.
+AROUND = {"shoulder_lift": -0.184, "elbow_flex": 0.628, "wrist_flex": 1.128, "wrist_roll": -1.52, "gripper": 1.0}
+BLOCK = Body(
+    "block",
+    (BodyShape("box", (0.0125, 0.0125, 0.025), (0.0, 0.0, 0.0), LEVEL),),
+    (0.2, -0.009, 0.025),
+    LEVEL,
+    True,
+    0.02,
+)
+
+
+@cache
+def planner() -> Planner:
+    return Planner(ROBOT, partial(next, itertools.count(0.0, 0.002)))
+
+
+def planned(start_rad: dict[str, float], **goal_rad: float) -> Trajectory:
+    plan = planner().plan(PlanningProblem("arm", start_rad, JointGoal(goal_rad)))
+    assert isinstance(plan, Plan)
+    return plan.trajectory
+
+
+def error_rad(motion: Played) -> np.ndarray:
+    """Following error of each tick, shape (ticks, joints) [rad]."""
+    return np.subtract(motion.goal_rad, motion.position_rad)
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=["far", "back", "stretched"])
+def test_following_error_droop_and_settling_are_near_the_light_emulations(target: dict[str, float]) -> None:
+    light, physical = (ArmInWorld(physics=physics) for physics in (False, True))
+    trajectory = planned(light.goals_rad, **target)
+    motions = [arm.play(trajectory) for arm in (light, physical)]
+    assert [each.outcome for each in motions] == [Outcome.REACHED] * 2
+    largest_rad = [np.abs(error_rad(each)).max(axis=0) for each in motions]
+    assert largest_rad[1] == pytest.approx(largest_rad[0], abs=0.05)
+    assert motions[1].position_rad[-1] == pytest.approx(motions[0].position_rad[-1], abs=0.006)
+    ticks = [len(each.position_rad) for each in motions]
+    assert ticks[1] == pytest.approx(ticks[0], abs=30)
+
+
+@pytest.mark.parametrize("after_s", [0.3, 0.6])
+def test_a_stop_ends_where_the_light_emulation_stops(after_s: float) -> None:
+    light, physical = (ArmInWorld(physics=physics) for physics in (False, True))
+    trajectory = planned(light.goals_rad, shoulder_pan=1.5, shoulder_lift=0.6)
+    motions = [arm.play(trajectory, stop_after_s=after_s) for arm in (light, physical)]
+    assert [each.outcome for each in motions] == [Outcome.STOPPED] * 2
+    stop = round(after_s / 0.01)
+    way_rad = [np.subtract(each.position_rad[-1], each.position_rad[stop]) for each in motions]
+    assert abs(way_rad[0]).max() > 0.02
+    assert way_rad[1] == pytest.approx(way_rad[0], abs=0.03)
+    past_rad = [
+        np.ptp(np.array(each.position_rad[stop:]), axis=0) - abs(way)
+        for each, way in zip(motions, way_rad, strict=True)
+    ]
+    assert np.max(past_rad) < 0.02, "an overshoot"
+
+
+def test_a_grip_ends_well_holds_the_block_and_is_as_strong_as_it_is_allowed_to_be() -> None:
+    depth_m, load = [], []
+    for share in (0.3, 1.0):
+        arm = ArmInWorld(BLOCK, **AROUND)
+        closing = smooth_move({"gripper": (arm.goals_rad["gripper"], -0.1)}, 2.0)
+        motion = arm.play(closing, gripping=True, torque_share=share)
+        assert motion.outcome is Outcome.GRIPPED, motion.message
+        states = arm.world.moved_bodies(every=True)
+        assert states is not None
+        assert states.bodies[0].held
+        depth_m.append(max(depth for pair, depth in motion.depth_m.items() if "object/block" in pair))
+        assert arm.state.load is not None
+        load.append(abs(float(arm.state.load[GRIPPER])))
+    # Of 25 mm between the fingers, whose contacts are as soft as rubber.
+    assert depth_m[0] < depth_m[1] < 0.004, "a block that is crushed"
+    limit = GuardLimits().gripper_torque_limit
+    assert load[0] == pytest.approx(0.3 * limit, abs=0.01)
+    assert load[0] < load[1] <= limit

@@ -106,9 +106,9 @@ test-page: install-dev page
 	cd $(PAGE) && npm test
 	$(PYTEST) tests/page --ignore tests/page/test_pictures.py -n 2 --dist loadfile $(ARGS)
 
-# The pictures of README.md and docs/page.md, and the digest of the page that they show.
+# The pictures of README.md, docs/page.md and docs/simulation.md, and the digest of the page that they show.
 pictures: install-dev page
-	$(BIN)/python -m pytest tests/page/test_pictures.py -n 0
+	$(BIN)/python -m pytest tests/page/test_pictures.py tests/robot/physics/test_pictures.py -n 0
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.

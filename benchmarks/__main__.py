@@ -20,6 +20,7 @@ BENCHMARKS = (
     "planning_passages",
     "busy_machine",
     "servo_loop",
+    "physics",
     "servo_stream",
     "joint_states",
     "page",

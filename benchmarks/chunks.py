@@ -13,18 +13,21 @@ from harness.server import FAST, RunningServer
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 CHUNKS, POINTS, HZ, EVERY_S = 60, 50, 30.0, 0.33
+# Chunks that move an arm at rest, and the distance at which its goal has changed [rad].
+CHANGES, CHANGED_RAD = 20, 1e-7
 STATE = "/arm_controller/controller_state"
 ANSWER = "/arm/chunks/answer"
 
 
 def run() -> None:
-    """Measure a stream of overlapping chunks."""
-    latencies_s, lags_s = asyncio.run(_measure())
+    """Measure a stream of overlapping chunks, and how soon the goals of the arm change after an answer."""
+    latencies_s, lags_s, changes_s = asyncio.run(_measure())
     print_table(
-        "Chunks of 50 targets, three a second, into the simulated arm's motion [ms]",
+        "Chunks of 50 targets into the simulated arm's motion [ms]",
         ["figure", "p50", "p95", "p99"],
         [
             ["from a chunk to its answer, checked whole", *percentiles(latencies_s, 50, 95, 99)],
+            ["from its answer to the first state, every 20 ms, of a changed goal", *percentiles(changes_s, 50, 95, 99)],
             ["goals behind the targets, at 0.6 rad/s", *percentiles(lags_s, 50, 95, 99)],
         ],
     )
@@ -35,7 +38,7 @@ def _targets(start_rad: dict[str, float], at_s: float) -> list[float]:
     return [start_rad[name] + (swing if name == "shoulder_pan" else 0.0) for name in JOINTS]
 
 
-async def _measure() -> tuple[list[float], list[float]]:
+async def _measure() -> tuple[list[float], list[float], list[float]]:
     with RunningServer(settings=FAST) as server:
         async with arm_client(server.url) as client:
             await client.say("subscribe", topic="/joint_states", type="sensor_msgs/JointState")
@@ -44,39 +47,63 @@ async def _measure() -> tuple[list[float], list[float]]:
             states = await client.until("/joint_states", bool, 30.0)
             start_rad = dict(zip(states[-1]["name"], states[-1]["position"], strict=True))
             await client.say("subscribe", topic=STATE, type="control_msgs/JointTrajectoryControllerState")
-            return await _stream(client, start_rad)
+            return *await _stream(client, start_rad), await _changes(client, start_rad)
+
+
+async def _send(client: ArmClient, name: str, targets: list[list[float]]) -> tuple[float, float]:
+    """Send a chunk; return the times of its sending and of its answer [s since the epoch]."""
+    points = [
+        {"positions": target, "time_from_start": _duration(index / HZ)} for index, target in enumerate(targets, 1)
+    ]
+    sent_s = time.time()
+    chunk = {"header": {"stamp": _duration(sent_s)}, "joint_names": list(JOINTS), "points": points}
+    await client.say("publish", topic="/arm/chunks", msg={"id": name, "trajectory": chunk})
+    answers = await client.until(ANSWER, lambda heard: heard[-1]["id"] == name, 30.0)
+    if answers[-1]["error_code"]["val"] != 1:
+        raise RuntimeError(answers[-1]["message"])
+    return sent_s, time.time()
 
 
 async def _stream(client: ArmClient, start_rad: dict[str, float]) -> tuple[list[float], list[float]]:
     latencies_s, began_s = [], time.time()
     for number in range(1, CHUNKS + 1):
         observed_s = time.time()
-        points = [
-            {
-                "positions": _targets(start_rad, observed_s - began_s + index / HZ),
-                "time_from_start": _duration(index / HZ),
-            }
-            for index in range(1, POINTS + 1)
-        ]
-        header = {"stamp": _duration(observed_s)}
-        chunk = {"header": header, "joint_names": list(JOINTS), "points": points}
-        await client.say("publish", topic="/arm/chunks", msg={"id": str(number), "trajectory": chunk})
-        sent_s = time.monotonic()
-        answers = await client.until(ANSWER, lambda heard: heard[-1]["id"] == str(number), 30.0)  # noqa: B023 - at once
-        latencies_s.append(time.monotonic() - sent_s)
-        if answers[-1]["error_code"]["val"] != 1:
-            raise RuntimeError(answers[-1]["message"])
+        times_s = [observed_s - began_s + index / HZ for index in range(1, POINTS + 1)]
+        sent_s, answered_s = await _send(client, str(number), [_targets(start_rad, at_s) for at_s in times_s])
+        latencies_s.append(answered_s - sent_s)
         await asyncio.sleep(max(EVERY_S - (time.time() - observed_s), 0.0))
-    column = JOINTS.index("shoulder_pan")
     lags_s = []
     for state in client.topics[STATE]:
-        stamp = state["header"]["stamp"]
-        at_s = stamp["sec"] + 1e-9 * stamp["nanosec"] - began_s
+        at_s = _stamp_s(state) - began_s
         speed = 0.6 * math.cos(1.5 * at_s)
         if at_s > 1.0 and abs(speed) > 0.3:
-            behind = _targets(start_rad, at_s)[column] - state["reference"]["positions"][0]
+            behind = _targets(start_rad, at_s)[0] - state["reference"]["positions"][0]
             lags_s.append(abs(behind / speed))
     return latencies_s, lags_s
+
+
+async def _changes(client: ArmClient, start_rad: dict[str, float]) -> list[float]:
+    """Return the times from the answer to a chunk that moves the arm, in a chunk at rest, to its first changed goal."""
+    found_s = []
+    await asyncio.sleep(POINTS / HZ)
+    for number in range(CHANGES):
+        held_rad = client.topics[STATE][-1]["reference"]["positions"][0]
+        others = [start_rad[name] for name in JOINTS[1:]]
+        step = 0.1 if number % 2 == 0 else -0.1
+        await _send(client, f"rest {number}", [[held_rad, *others]] * POINTS)
+        await asyncio.sleep(EVERY_S)
+        ramp = [[held_rad + step * index / POINTS, *others] for index in range(1, POINTS + 1)]
+        _, answered_s = await _send(client, f"ramp {number}", ramp)
+        await asyncio.sleep(POINTS / HZ + EVERY_S)
+        recent = [state for state in client.topics[STATE] if _stamp_s(state) > answered_s - EVERY_S]
+        moved = (each for each in recent if abs(each["reference"]["positions"][0] - held_rad) > CHANGED_RAD)
+        found_s.append(_stamp_s(next(moved)) - answered_s)
+    return found_s
+
+
+def _stamp_s(state: dict[str, Any]) -> float:
+    stamp = state["header"]["stamp"]
+    return float(stamp["sec"] + 1e-9 * stamp["nanosec"])
 
 
 def _duration(time_s: float) -> dict[str, Any]:

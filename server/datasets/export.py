@@ -100,6 +100,8 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
             wanted, found = (", ".join(each.cameras.values()) or "none" for each in (sources[0], source))
             raise ExportError(f"{path}: must have the cameras of the first recording, {wanted}, not {found}")
         sources.append(source)
+        for topic, encoding in samples.left_out.items() if options.video else ():
+            tell(f"{path}: {topic} is left out: its images are {encoding}")
         tell(f"{path}: {len(source.episodes)} episodes, {sum(each.count for each in source.episodes)} frames")
     arm = _arm_of(sources, joints, options)
     episodes = [each for source in sources for each in source.episodes]
@@ -150,8 +152,6 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
     next_state = Tracks(states_s - zero_s, states, None, None, image_times_s, NEXT_STATE)
     marks = [(at_s - zero_s, text) for at_s, text in samples.marks]
     episodes, notes = episodes_of(marks, 0.0, float(states_s[-1]) - zero_s)
-    if options.video:
-        notes += [f"{topic} is left out: its images are {name}" for topic, name in samples.left_out.items()]
     problems += [f"{path}: {note}" for note in notes]
     if samples.unreadable:
         problems.append(f"{path}: {samples.unreadable} messages do not fit their types and are left out")

@@ -102,10 +102,9 @@ SHARE_OF_ADDRESS = 0.8
 class ConnectionSlot:
     """Place of one connection, from its beginning to its end."""
 
-    __slots__ = ("_release", "address", "rejection")
+    __slots__ = ("_release", "rejection")
 
-    def __init__(self, address: str, rejection: HttpResponse | None, release: Callable[[], None]) -> None:
-        self.address = address
+    def __init__(self, rejection: HttpResponse | None, release: Callable[[], None]) -> None:
         self.rejection = rejection
         self._release: Callable[[], None] | None = release
 
@@ -158,7 +157,7 @@ class ConnectionLimiter:
             self._present[key] = known
             known.open_count += 1
             self.open_count += 1
-            return ConnectionSlot(address, None, lambda: self._leave(key, known))
+            return ConnectionSlot(None, lambda: self._leave(key, known))
         self.rejected_count += 1
         if not known.open_count:
             self._remember(key, known)
@@ -168,7 +167,7 @@ class ConnectionLimiter:
         status, sentence = rejection
         self._log.write(log, logging.WARNING, f"refused: {address}: {sentence}", address)
         answer = HttpResponse.of_text(status, sentence, {"Retry-After": str(RETRY_AFTER_S)})
-        return ConnectionSlot(address, answer, self._end_answer)
+        return ConnectionSlot(answer, self._end_answer)
 
     def _address(self, key: str) -> _Address:
         known = self._present.get(key) or self._absent.pop(key, None)

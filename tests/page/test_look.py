@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser
 
+from harness.clients import goal
 from harness.page import DESKTOP, PHONE, SHARED, OpenPage, opened
 from harness.server import RunningServer
 
@@ -91,3 +92,26 @@ def test_the_whole_arm_is_well_in_the_picture(browser: Browser, server: RunningS
             assert box["x"] < x < box["x"] + box["width"]
             assert box["y"] < y < box["y"] + box["height"]
         assert math.dist(foot, tool) > 0.3 * min(box["width"], box["height"])
+
+
+LATE_FRAMES = """
+const request = window.requestAnimationFrame;
+window.requestAnimationFrame = (draw) => setTimeout(() => request(draw), 100);
+window.least_pixels = Infinity;
+setInterval(() => {
+    const { width = Infinity, height = 1 } = document.querySelector("#view") ?? {};
+    window.least_pixels = Math.min(window.least_pixels, width * height);
+}, 20);
+"""
+
+
+def test_frames_that_come_late_have_fewer_pixels_until_the_arm_rests(browser: Browser, server: RunningServer) -> None:
+    with opened(browser) as page:
+        page.page.add_init_script(LATE_FRAMES)
+        page.open(server.port)
+        # Without the canvas that was not laid out yet.
+        page.page.evaluate("window.least_pixels = Infinity")
+        for pose in ("ready", "home"):
+            assert goal(server.url, "/moveit_goal_named", {"data": pose})["val"] == 1
+        page.until("window.least_pixels < 100_000")
+        page.until("document.querySelector('#view').width === document.querySelector('#view').clientWidth")

@@ -21,6 +21,6 @@ export function exposeToConsole(store: PageStore, view: SceneView | null): void 
     get drawn() {
       return view?.figures ?? NO_FRAMES;
     },
-    screen_of: (...position_m) => view?.screenOf(position_m) ?? [0, 0],
+    screen_of: (...position_m) => view?.viewer.screenOf(position_m) ?? [0, 0],
   };
 }

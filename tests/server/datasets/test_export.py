@@ -425,10 +425,14 @@ def test_a_bag_of_ros_2_with_raw_images_is_exported(
     twin = [raw_image(n / 10, "rgb8", [0, 0, 0], topic="/side/image_raw") for n in range(21)]
     depths = [raw_image(n / 10, "16UC1", [1, 1], topic="/depth/image_raw") for n in range(21)]
     entries = in_order([*states(2.0, topic="/robot/joint_states"), *pictures, *same, *twin, *depths])
-    done = exported(tmp_path / "data", bag(tmp_path / "run", storage, entries))
+    told: list[str] = []
+    done = export(
+        ExportOptions([bag(tmp_path / "run", storage, entries)], tmp_path / "data", FPS), REGISTRY, told.append
+    )
     assert done.cameras == ("observation.images.side", "observation.images.wrist")
     assert done.frames == 20
-    assert done.problems == (f"{tmp_path}/run: /depth/image_raw is left out: its images are 16UC1",)
+    assert told[0] == f"{tmp_path}/run: /depth/image_raw is left out: its images are 16UC1"
+    assert done.problems == ()
     statistics = json.loads((tmp_path / "data/meta/stats.json").read_text())["observation.images.wrist"]
     assert np.ravel(statistics["mean"]) * 255 == pytest.approx([200, 40, 90])
     assert column(tmp_path / "data", "observation.state")[:, 0] == pytest.approx(0.01 * np.arange(20), abs=1e-6)

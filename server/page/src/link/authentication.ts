@@ -27,7 +27,6 @@ const STORAGE_KEY = "armbridge-token";
 /** Token for browsers that refuse to store anything. */
 let unstored_token: string | null = null;
 
-/** Return the token of this page; null without one. */
 export function storedToken(): string | null {
   try {
     return sessionStorage.getItem(STORAGE_KEY) ?? unstored_token;
@@ -36,7 +35,6 @@ export function storedToken(): string | null {
   }
 }
 
-/** Store a token for this tab; null removes it. */
 export function storeToken(token: string | null): void {
   unstored_token = token;
   try {
@@ -80,7 +78,6 @@ export class Authentication {
     this.store.patch("token", { asked: true });
   }
 
-  /** Connect with a token; null for none. */
   authenticate(token: string | null): void {
     storeToken(token);
     this.reconnect();

@@ -113,7 +113,8 @@ export class StopCommand {
     // A later press shows its own answer.
     if (press !== this.presses) return;
     this.store.set({ stop });
-    if (stop.phase === "acknowledged") setTimeout(() => this.reset(press), ACKNOWLEDGEMENT_MS);
+    if (stop.phase !== "acknowledged") return;
+    setTimeout(() => press === this.presses && this.store.set({ stop: { phase: "ready", text: "" } }), ACKNOWLEDGEMENT_MS);
   }
 
   private async request(): Promise<State["stop"]> {
@@ -134,9 +135,5 @@ export class StopCommand {
     } finally {
       this.cancel();
     }
-  }
-
-  private reset(press: number): void {
-    if (press === this.presses) this.store.set({ stop: { phase: "ready", text: "" } });
   }
 }

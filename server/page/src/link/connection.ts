@@ -1,3 +1,4 @@
+import type { State } from "../state/state";
 import { t } from "../texts/texts";
 import type { Received } from "./messages";
 
@@ -44,17 +45,8 @@ export interface GoalHandle<Result> {
   cancel: () => void;
 }
 
-/** Reason of a response that says only that the service has not succeeded; empty for others. */
-export interface Refusable {
-  refusal: string;
-}
-
-export interface ConnectionStatus {
-  connected: boolean;
-  latency_ms: number | null;
-  /** Server's reason for rejecting the page; empty when it accepts it, or cannot be reached. */
-  refused: string;
-}
+/** Condition of the connection: its part of the state of the page. */
+export type ConnectionStatus = Omit<State["link"], "url">;
 
 /** Close code of RFC 6455, section 7.4.1, for a connection without a valid token. */
 const POLICY_VIOLATION = 1008;
@@ -157,13 +149,13 @@ export class Connection {
     this.send({ op: "publish", topic, msg });
   }
 
-  /** Call a service; reject with a ConnectionError on failure, timeout or loss of the connection. */
-  async call<Response>(service: string, args: unknown, timeout_s = 8): Promise<Response & Refusable> {
+  /** Call a service, also for its reason where it only says that it did not succeed; reject with a ConnectionError on failure, timeout or loss of the connection. */
+  async call<Response>(service: string, args: unknown, timeout_s = 8): Promise<Response & { refusal: string }> {
     this.requireConnection();
     const id = this.newId("call_service", service);
     const answered = this.request(id, service, timeout_s, (message, refusal) => {
       const { result, values } = message;
-      if (!result) throw new ConnectionError(`${service}: ${toText(values ?? "")}`);
+      if (!result) throw new ConnectionError(`${service}: ${typeof values === "string" ? values : JSON.stringify(values ?? "")}`);
       return { ...(values as Response), refusal: refusal.replace(/^call_service: service \S+: /, "") };
     });
     this.send({ op: "call_service", id, service, args });
@@ -339,8 +331,4 @@ function deliver({ listener }: Subscription, message: unknown): void {
   } catch (error) {
     reportError(error);
   }
-}
-
-function toText(reason: unknown): string {
-  return typeof reason === "string" ? reason : JSON.stringify(reason);
 }

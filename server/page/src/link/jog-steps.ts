@@ -7,15 +7,13 @@ import type { JointValues, Orientation, Point } from "../state/state";
 import { setNotice, type PageStore } from "../state/store";
 import type { ArmCommands } from "./commands";
 import type { Connection } from "./connection";
-import { HEADER, pose, SUCCESS, valuesByJoint, type JointState, type MoveItErrorCodes, type Pose } from "./messages";
+import { HEADER, pose, SUCCESS, valuesByJoint, type GetPositionFKResponse, type JointState, type MoveItErrorCodes, type Pose } from "./messages";
 import type { MoveGroupClient } from "./move-group";
 import type { JogSender } from "./servo-node";
 
 /** Share of the joints' speed limits of a step at the full speed of driving: that of planned motions. */
 const FULL_SPEED = 0.3;
 const LEAST_SPEED = 0.01;
-
-const NOTICE = "step";
 
 /** Steps of a chosen size, as goals: a step arrives however busy the machine is, and quick presses add up. */
 export class JogSteps {
@@ -40,13 +38,7 @@ export class JogSteps {
     });
   }
 
-  /**
-   * Move by a step.
-   *
-   * @param command - direction, with a velocity of 1 or -1.
-   * @param size - size of the step [m or rad, for the gripper a share of its range].
-   * @param share - share of the full speed, 0 to 1.
-   */
+  /** Move by a step of a size [m or rad, for the gripper a share of its range], at a share of the full speed, 0 to 1. */
   step(command: JogCommand, size: number, share: number): void {
     const { state } = this.store;
     if (this.jogSender.busy || !state.link.connected || denialReason("drive", state) !== "") return;
@@ -56,14 +48,14 @@ export class JogSteps {
         if (command.kind === "gripper") return this.moveGripper((command.velocity.opening ?? 0) * size, stops);
         const goal_rad = await this.goalAfter(command, size);
         if (stops !== this.stops) return;
-        setNotice(this.store, NOTICE, "");
+        setNotice(this.store, "step", "");
         this.goal_rad = goal_rad;
         // Not waited for: the next press replaces the motion.
         void this.moveGroup.moveTo(goal_rad, Math.max(LEAST_SPEED, share * FULL_SPEED)).then(() => {
           if (this.goal_rad === goal_rad) this.goal_rad = null;
         });
       } catch (error) {
-        setNotice(this.store, NOTICE, (error as Error).message);
+        setNotice(this.store, "step", (error as Error).message);
       }
     });
   }
@@ -84,7 +76,7 @@ export class JogSteps {
     const group = planningGroup(this.store.state);
     const robot_state = { joint_state: { name: Object.keys(start_rad), position: Object.values(start_rad) } };
     const request = { header: HEADER, fk_link_names: [group?.tip ?? ""], robot_state };
-    const { pose_stamped: [tip], error_code } = await this.connection.call<FkResponse>("/compute_fk", request);
+    const { pose_stamped: [tip], error_code } = await this.connection.call<GetPositionFKResponse>("/compute_fk", request);
     if (tip === undefined) throw new Error(error_code.message);
     const ik_request = { group_name: group?.name ?? "", robot_state, avoid_collisions: true, pose_stamped: { header: HEADER, pose: moved(tip.pose, axis, way, this.jogSender.frame === "tool") } };
     const answer = await this.connection.call<IkResponse>("/compute_ik", { ik_request });
@@ -104,17 +96,11 @@ export class JogSteps {
   }
 }
 
-interface FkResponse {
-  pose_stamped: { pose: Pose }[];
-  error_code: MoveItErrorCodes;
-}
-
 interface IkResponse {
   solution: { joint_state: JointState };
   error_code: MoveItErrorCodes;
 }
 
-/** Return a pose moved along or turned about an axis of the root link, or of its own. */
 function moved({ position, orientation: { x, y, z, w } }: Pose, axis: TipAxis, way: number, in_tool: boolean): object {
   const orientation = new Quaternion(x, y, z, w);
   const index = ["x", "y", "z", "roll", "pitch", "yaw"].indexOf(axis) % 3;

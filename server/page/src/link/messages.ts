@@ -96,8 +96,8 @@ export function positionConstraints(position_m: Point, radius_m: number): object
   return { position_constraints: [{ header: HEADER, link_name: "", constraint_region, weight: 1 }] };
 }
 
-/** Tolerance of a point goal [m], as for /moveit_goal_pose. */
-const POINT_TOLERANCE_M = 0.01;
+/** Distance of the tip from a point within which it counts as reached [m], as for /moveit_goal_pose. */
+export const POINT_TOLERANCE_M = 0.01;
 
 /** Tolerance of an orientation about each axis [rad]. */
 const ORIENTATION_TOLERANCE_RAD = 0.01;
@@ -148,13 +148,7 @@ export function gripperGoal(position: number): object {
   return { command: { position, max_effort: 0 } };
 }
 
-/**
- * Build geometry_msgs/TwistStamped.
- *
- * @param frame_id - frame of the axes; empty for the root link.
- * @param shares - velocities by axis, -1 to 1.
- * @param scales - linear and angular velocity of a share of 1.
- */
+/** Build geometry_msgs/TwistStamped of shares, -1 to 1, of a linear and an angular velocity; an empty frame is the root link. */
 export function twistStamped(frame_id: string, shares: TipVelocity, [linear, angular]: [number, number]): object {
   const vector = (scale: number, ...values: (number | undefined)[]): object => {
     const [x, y, z] = values.map((value) => (value ?? 0) * scale);

@@ -149,7 +149,6 @@ function point([x, y, z]: Point): object {
   return { x: rounded(x), y: rounded(y), z: rounded(z) };
 }
 
-/** Build moveit_msgs/CollisionObject MOVE to a pose in the root link. */
 export function moveObject(id: string, position_m: Point, orientation: Orientation): object {
   return { header: HEADER, id, pose: pose(position_m, orientation), operation: MOVE };
 }
@@ -188,7 +187,6 @@ export function sceneDiff({ world = [], attached = [], colors = {} }: SceneDiff)
   };
 }
 
-/** Return the parts of a difference; colours are told where there are any. */
 export function differenceMessage({ added, attached, detached, removed }: SceneDifference): SceneDiff {
   const held = attached.map((object) => ({
     link_name: object.frame,

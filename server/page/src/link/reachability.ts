@@ -1,7 +1,7 @@
 import type { Orientation, Point, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import type { Connection } from "./connection";
-import { checkGoalsRequest, valuesByJoint, type GoalCheck } from "./messages";
+import { checkGoalsRequest, POINT_TOLERANCE_M, valuesByJoint, type GoalCheck } from "./messages";
 
 /** Return a function that sends one request at a time, and after it only the newest of the requests made meanwhile. */
 export function latestOnly<Request>(send: (request: Request) => Promise<void>): (request: Request) => void {
@@ -24,9 +24,6 @@ export function latestOnly<Request>(send: (request: Request) => Promise<void>): 
 
 /** Time for an answer of /check_goals [s], which takes 5 ms: a server that needs longer is gone. */
 const CHECK_TIMEOUT_S = 3;
-
-/** Distance of the tip from a point within which the point counts as reached [m], as for /moveit_goal_pose. */
-const REACHED_TOLERANCE_M = 0.01;
 
 type CheckedPose = { position_m: Point; orientation: Orientation | null };
 
@@ -58,7 +55,7 @@ export function checkReachability(connection: Connection, store: PageStore): voi
 export function applyGoalCheck(state: State, checked_m: Point, check: GoalCheck): Partial<State> {
   const found = valuesByJoint(check.solution.name, check.solution.position);
   const joints_rad = Object.keys(found).length > 0 ? found : state.target.joints_rad;
-  const is_far = check.position_error_m > REACHED_TOLERANCE_M;
+  const is_far = check.position_error_m > POINT_TOLERANCE_M;
   const target = {
     ...state.target,
     joints_rad,

@@ -4,7 +4,7 @@ import type { Cell, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection } from "./connection";
-import { checkGoalsRequest, type GoalCheck } from "./messages";
+import { checkGoalsRequest, POINT_TOLERANCE_M, type GoalCheck } from "./messages";
 
 /** Points of one request: few, so that a motion that is asked for meanwhile need not wait. */
 const BATCH = 16;
@@ -21,9 +21,6 @@ const TIMEOUT_S = 10;
 
 /** Failures in a row after which the scan ends: a busy server answers later. */
 const MAX_FAILURES = 5;
-
-/** Distance of the tip from a point within which it counts as reached [m], as for /moveit_goal_pose. */
-const TOLERANCE_M = 0.01;
 
 /** Computation of the reachable region in the background, begun anew with every change of the scene. */
 export class RegionScan {
@@ -60,7 +57,7 @@ export class RegionScan {
     let failures = 0;
     for (let at = 0; at < points.length; ) {
       // Planning is more urgent than the picture.
-      do await pause(this.busy ? BUSY_PAUSE_MS : PAUSE_MS);
+      do await new Promise((resolve) => setTimeout(resolve, this.busy ? BUSY_PAUSE_MS : PAUSE_MS));
       while (this.busy && run === this.run);
       if (run !== this.run) return;
       const batch = points.slice(at, at + BATCH);
@@ -104,13 +101,9 @@ export class RegionScan {
       const result = results[index];
       if (result === undefined) return [];
       const key = point.point_m.join();
-      const reach = reachOf(result, TOLERANCE_M, this.free.has(key));
+      const reach = reachOf(result, POINT_TOLERANCE_M, this.free.has(key));
       if (reach === "free") this.free.add(key);
       return [{ ...point, reach }];
     });
   }
-}
-
-function pause(time_ms: number): Promise<void> {
-  return new Promise((resolve) => setTimeout(resolve, time_ms));
 }

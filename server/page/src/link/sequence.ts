@@ -5,7 +5,7 @@ import type { JointValues, State } from "../state/state";
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
-import { readPlan, SUCCESS, type CheckMotionResponse, type MoveItErrorCodes, type RobotTrajectory } from "./messages";
+import { readPlan, SUCCESS, type CheckMotionResponse, type GetMotionPlanResponse, type MotionResult } from "./messages";
 
 /** Time for the plan of a leg [s]: planners give up after allowed_planning_time, 5 s unless it is set. */
 const PLAN_TIMEOUT_S = 20;
@@ -22,14 +22,6 @@ const START_STEP = 0.02;
 const STATUS_SUCCEEDED = 4;
 
 const CHECKING: LegCheck = { verdict: "checking", message: "", duration_s: 0, end_rad: null, plan: null };
-
-interface PlanResponse {
-  motion_plan_response: { trajectory: RobotTrajectory; error_code: MoveItErrorCodes };
-}
-
-interface MotionResult {
-  error_code?: MoveItErrorCodes;
-}
 
 /** Checks the legs of the sequence while it is edited, and plays it. */
 export class SequencePlayer {
@@ -170,7 +162,7 @@ export class SequencePlayer {
     try {
       const to_start = { ...waypoint, joints_rad: motion?.start_rad ?? joints_rad, straight: motion === null && straight };
       const request = { motion_plan_request: legRequest(to_start, start_rad) };
-      const response = await this.connection.call<PlanResponse>("/plan_kinematic_path", request, PLAN_TIMEOUT_S);
+      const response = await this.connection.call<GetMotionPlanResponse>("/plan_kinematic_path", request, PLAN_TIMEOUT_S);
       let check = readCheck(response.motion_plan_response, is_first);
       if (motion !== null && check.verdict === "possible") check = await this.checkReplay(waypoint, motion.name, check.duration_s);
       // Edits of an hour must not be kept for ever.
@@ -196,7 +188,7 @@ const MAX_ANSWERS = 500;
 /** START_STATE_IN_COLLISION and START_STATE_INVALID of moveit_msgs/MoveItErrorCodes. */
 const BAD_START = [-10, -26];
 
-function readCheck({ error_code, trajectory }: PlanResponse["motion_plan_response"], is_first: boolean): LegCheck {
+function readCheck({ error_code, trajectory }: GetMotionPlanResponse["motion_plan_response"], is_first: boolean): LegCheck {
   const { val, message } = error_code;
   // The leg itself is not to blame: it would begin at a waypoint where the arm cannot be.
   if (!is_first && BAD_START.includes(val)) return { ...CHECKING, verdict: "unknown", message: t("sequence.bad_start") };

@@ -35,7 +35,6 @@ export class Teaching {
     );
   }
 
-  /** Choose a motion to edit, whose duration is asked for; null for none. */
   async edit(name: string | null): Promise<void> {
     this.store.patch("teaching", { edited: null });
     if (name === null) return;
@@ -70,7 +69,6 @@ export class Teaching {
     this.store.patch("teaching", { told: t(full ? "teaching.sequence_full" : "teaching.added", values) });
   }
 
-  /** Ask for a motion; null when there is none, of which the answer is told. */
   private async get(name: string): Promise<Plan | null> {
     const { success, message, trajectory } = await ask<MotionResponse>(this.connection, "/teach/get", { name }, WORK_TIMEOUT_S);
     const motion = success && trajectory ? readPlan({ joint_trajectory: trajectory }) : null;

@@ -29,11 +29,8 @@ export function unitOf(kind: JointKind, system: UnitSystem): Unit {
 
 /** Format a position without its unit; a dash where it is not finite. */
 export function positionText(value: number, unit: Unit): string {
-  return Number.isFinite(value) ? withoutNegativeZero((value * unit.scale).toFixed(unit.digits)) : "–";
-}
-
-function withoutNegativeZero(text: string): string {
-  return /^-0\.?0*$/.test(text) ? text.slice(1) : text;
+  // Without the sign of a negative zero.
+  return Number.isFinite(value) ? (value * unit.scale).toFixed(unit.digits).replace(/^-(?=0\.?0*$)/, "") : "–";
 }
 
 /** Format a distance to the millimetre, as "123 mm" or "0.123 m"; one that is there is never 0. */
@@ -76,7 +73,7 @@ export function parseNumber(text: string, range: NumberRange): ParsedNumber {
   const typed = text.trim().replace(",", ".").replace("−", "-");
   const value = /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,3})?$/i.test(typed) ? Number(typed) : Number.NaN;
   if (!Number.isFinite(value)) {
-    return { value: null, message: t("number.none", { name: range.name, text: truncated(text) }) };
+    return { value: null, message: t("number.none", { name: range.name, text: text.length > 20 ? `${text.slice(0, 20)}…` : text }) };
   }
   if (value < range.lower) return atLimit(value, range.lower, range);
   if (value > range.upper) return atLimit(value, range.upper, range);
@@ -87,8 +84,4 @@ function atLimit(value: number, limit: number, range: NumberRange): ParsedNumber
   const format = (number: number): string => `${Number(number.toFixed(range.digits))}${range.unit}`;
   const [typed, lower, upper] = [format(value), format(range.lower), format(range.upper)];
   return { value: limit, message: t("number.outside", { name: range.name, value: typed, lower, upper }) };
-}
-
-function truncated(text: string): string {
-  return text.length > 20 ? `${text.slice(0, 20)}…` : text;
 }

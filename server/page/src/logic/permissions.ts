@@ -28,20 +28,14 @@ export function controlHolder({ identity, control }: PermissionState): "nobody" 
   return identity?.address === control.address ? "mine" : "another";
 }
 
-/** Return the sentence about control of the arm; empty where all clients share it. */
 export function controlText(state: PermissionState): string {
   const { identity, control } = state;
   const sentences = {
     nobody: t("control.nobody"),
     mine: t("control.mine"),
-    another: heldByAnother(control),
+    another: control.free_in_s === null ? t("control.another", { name: control.holder }) : t("control.another_until", { name: control.holder, seconds: control.free_in_s }),
   };
   const sentence = control.policy === "shared" ? "" : sentences[controlHolder(state)];
   if (identity?.role !== "view" && identity?.role !== "propose") return sentence;
   return `${t("control.read_only")} ${sentence}`.trim();
-}
-
-function heldByAnother({ holder: name, free_in_s }: State["control"]): string {
-  if (free_in_s === null) return t("control.another", { name });
-  return t("control.another_until", { name, seconds: free_in_s });
 }

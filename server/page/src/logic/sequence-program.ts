@@ -9,12 +9,7 @@ export interface Program {
 
 export type ProgramLanguage = "python" | "javascript";
 
-/**
- * Return a program that plays a sequence over rosbridge.
- *
- * @param url - WebSocket address of the server, which an argument of the program replaces.
- * @param gripper_action - action of the gripper; null for an arm without one.
- */
+/** Return a program that plays a sequence over rosbridge; an argument of the program replaces the WebSocket address. */
 export function sequenceProgram(
   language: ProgramLanguage,
   waypoints: readonly Waypoint[],

@@ -18,7 +18,6 @@ interface PhoneAccess {
   urls: string[];
 }
 
-/** Button that shows a code with which one device opens the page in a role. */
 export function AccessCode({ name, role, text }: { name: "phone" | "share"; role: string; text: string }): JSX.Element {
   const { connection } = usePage();
   const [note, setNote] = useState("");
@@ -60,7 +59,6 @@ function noteOf({ success, message, token, expires_in_s, encrypted }: PhoneAcces
   return is_encrypted ? opens : `${opens} ${t("phone.not_encrypted")}`;
 }
 
-/** Code and text of an address, with a choice where the server has several. */
 function Address({ name, urls, token }: { name: string; urls: readonly string[]; token: string }): JSX.Element | null {
   const [url, choose] = useState(urls[0] ?? "");
   const [code, setCode] = useState({ path: "", count: 0 });

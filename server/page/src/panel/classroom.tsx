@@ -6,7 +6,6 @@ import { t } from "../texts/texts";
 import { statePill } from "./status";
 import { Button, Gate, Shown, usePage } from "./ui";
 
-/** Wall of a class: a tile for each student's arm, with its picture, state, STOP and reset. */
 export function ClassroomPanel(): JSX.Element {
   const { classroom, store: { state } } = usePage();
   const shown = useContext(Shown);

@@ -24,7 +24,6 @@ export function ProcedureBar(): JSX.Element {
   );
 }
 
-/** Calibration and verification of the arm; hidden where the server offers neither. */
 export function CommissioningSection(): JSX.Element {
   const { store } = usePage();
   const { commissioning } = store.state;

@@ -23,7 +23,6 @@ export function changeLayout(store: PageStore, layout: Layout): void {
   store.set({ layout: SMALL_SCREEN.matches ? { ...layout, pinned: "" } : layout });
 }
 
-/** Buttons of the panels; those of seldom used ones are in a menu. */
 export function Rail({ panels }: { panels: readonly Panel[] }): JSX.Element {
   const { layout, classroom } = usePage().store.state;
   const menu = useRef<HTMLDetailsElement>(null);

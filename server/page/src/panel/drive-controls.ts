@@ -20,7 +20,6 @@ export function axisText(axis: TipAxis): string {
   return t(`drive.axis.${axis}`);
 }
 
-/** Return a choice among values that the browser stores, and the function that changes it. */
 export function useStored<Value extends string>(key: string, values: readonly Value[]): [Value, (value: string) => void] {
   const known = (value: string): Value => values.find((each) => each === value) ?? (values[0] as Value);
   const [chosen, choose] = useState(() => known(loadPreference(key, "")));
@@ -31,7 +30,6 @@ export function useStored<Value extends string>(key: string, values: readonly Va
   return [chosen, change];
 }
 
-/** Return a number that the browser stores, and the function that changes it. */
 export function useStoredNumber(key: string, initial: number): [number, (value: number) => void] {
   const [chosen, choose] = useState(() => Number(loadPreference(key, String(initial))));
   const change = (value: number): void => {

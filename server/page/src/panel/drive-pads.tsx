@@ -58,8 +58,8 @@ export function PadsSection({ lying }: { lying: boolean }): JSX.Element {
 /** Pad for one thumb, whose way counts from where it has landed. */
 class ThumbPad {
   axes: PadAxes = LEFT_PAD;
-  /** Place in the pad where the thumb has landed, and its way from there [px]. */
-  readonly thumb: Signal<{ x: number; y: number; right: number; down: number }> = signal({ x: 0, y: 0, right: 0, down: 0 });
+  /** Place in the pad where the thumb has landed, the middle before that, and its way from there [px]. */
+  readonly thumb: Signal<{ at?: { left: string; top: string }; right: number; down: number }> = signal({ right: 0, down: 0 });
   private landed = false;
 
   constructor(
@@ -90,10 +90,10 @@ class ThumbPad {
         move(0, 0);
         this.jogSender.release(this.testid);
       },
-      ({ clientX: x, clientY: y }) => {
+      ({ clientX, clientY }) => {
         const { left, top } = element.getBoundingClientRect();
         this.landed = true;
-        this.thumb.value = { x: x - left, y: y - top, right: 0, down: 0 };
+        this.thumb.value = { at: { left: `${clientX - left}px`, top: `${clientY - top}px` }, right: 0, down: 0 };
       },
     );
   }
@@ -102,10 +102,10 @@ class ThumbPad {
 function Pad({ pad, label, caption }: { pad: ThumbPad; label: string; caption: string }): JSX.Element {
   const element = useRef<HTMLDivElement>(null);
   useLayoutEffect(() => void (element.current && pad.listen(element.current)), []);
-  const { x, y, right, down } = pad.thumb.value;
+  const { at, right, down } = pad.thumb.value;
   return (
     <div ref={element} class="pad" data-testid={pad.testid} role="img" aria-label={label}>
-      <i style={{ left: `${x}px`, top: `${y}px`, transform: `translate(${right}px, ${down}px)` }} />
+      <i style={{ ...at, transform: `translate(${right}px, ${down}px)` }} />
       <span>{caption}</span>
     </div>
   );

@@ -22,7 +22,6 @@ const STEPS = [
 /** A phone on its side: the pads stand left and right of the picture, and the rest is folded (drive.css). */
 const LYING = matchMedia("(max-height: 500px) and (pointer: coarse)");
 
-/** Panel of driving by hand: settings, the servo node's status, and a section for each kind of input. */
 export function Drive(): JSX.Element {
   const { store, jogSender, jogSteps } = usePage();
   const [lying, lie] = useState(LYING.matches);
@@ -121,7 +120,6 @@ function StatusLine(): JSX.Element {
   return <p class="drive-status" data-testid="drive-status" role="status" data-code={code}>{isOneArm(state) ? text : t("drive.one_arm")}</p>;
 }
 
-/** Row of buttons that move the arm: along an axis of the tip, by a joint, or by the gripper. */
 interface JogRow {
   id: string;
   name: string;
@@ -165,7 +163,6 @@ function JogGrid({ rows, kind = "" }: { rows: readonly JogRow[]; kind?: string }
   );
 }
 
-/** Button that moves the arm while a finger, pen, mouse button or key holds it. */
 function HoldButton({ text, label, testid, command }: { text: string; label: string; testid: string; command: JogCommand }): JSX.Element {
   const controls = useControls();
   const button = useHold<HTMLButtonElement>(() => controls.press(testid, command), () => controls.release(testid));

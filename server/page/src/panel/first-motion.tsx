@@ -7,7 +7,6 @@ import { selectGoal } from "../state/store";
 import { t } from "../texts/texts";
 import { Button, Gate, SignButton, usePage, useSlowState } from "./ui";
 
-/** Preference that the arm has been moved from this browser, or the offer put away. */
 const SEEN = "first-motion-seen";
 
 /** Offer of a first motion, which goes for good once the arm has moved or it is put away. */

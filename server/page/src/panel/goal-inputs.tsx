@@ -11,7 +11,6 @@ import { Button, Gate, Line, NumberField, Problems, Section, Select, Slider, use
 /** Limit of typed coordinates [m], beyond the reach of any arm on a table or a mobile base. */
 const MAX_COORDINATE_M = 5;
 
-/** Choice of the joint group that goals are for, which is hidden where there is one alone. */
 export function GroupChoice(): JSX.Element {
   const { store: { state }, commands } = usePage();
   const names = (state.robot?.groups ?? []).map(({ name }) => name);
@@ -137,7 +136,6 @@ function JointRow({ name, state }: { name: string; state: State }): JSX.Element 
 /** Positions between the ends of a gripper that its slider distinguishes. */
 const GRIPPER_STEPS = 1000;
 
-/** The gripper: a slider that moves it on release, and buttons for its ends. */
 export function Gripper(): JSX.Element {
   const { commands } = usePage();
   const state = useSlowState();

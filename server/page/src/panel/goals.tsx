@@ -35,7 +35,6 @@ function ActiveItem({ id, name, state }: ActiveGoal): JSX.Element {
   );
 }
 
-/** Timeline of goals, newest first, each of which opens its record. */
 export function GoalHistory(): JSX.Element {
   const { connection, store } = usePage();
   const history = useSlowPart((state) => state.goal_history);
@@ -67,7 +66,6 @@ function keyOf({ goal, began_s }: GoalEntry): string {
   return `${goal.id} ${goal.source} ${began_s}`;
 }
 
-/** Goal of the timeline with its record, which is fetched when it is opened. */
 function GoalItem({ entry: { goal, began_s }, place }: { entry: GoalEntry; place: string }): JSX.Element {
   const { connection } = usePage();
   const [open, setOpen] = useState(false);
@@ -90,7 +88,6 @@ function GoalItem({ entry: { goal, began_s }, place }: { entry: GoalEntry; place
   );
 }
 
-/** Request, plan and answer of a goal; a text in place of the record is the server's reason for having none. */
 function Facts({ goal, record }: { goal: GoalState; record: GoalRecord | string }): JSX.Element {
   const { store, commands } = usePage();
   const { suggestion } = goal;

@@ -6,7 +6,6 @@ import { t } from "../texts/texts";
 import { nextStep } from "./transport";
 import { Button, DeleteButton, Gate, NameForm, Section, Slider, usePage } from "./ui";
 
-/** Choice of where to go and how fast; the button at the picture plans and starts the motion. */
 export function Motion(): JSX.Element {
   const { store: { state }, moveGroup, commands } = usePage();
   const is_ready = state.link.connected && state.selection.kind !== "none";

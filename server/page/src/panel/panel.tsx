@@ -34,7 +34,6 @@ import { Tour, TourStart } from "./tour";
 import { TransportBar } from "./transport";
 import { Page, usePage } from "./ui";
 
-/** Every panel with its sections, in the order in which they are offered. */
 const PANELS: readonly Panel[] = [
   { id: "move", place: "rail", icon: "M12 2v5M12 17v5M2 12h5M17 12h5M12 8a4 4 0 1 0 0 8 4 4 0 1 0 0-8", sections: [GroupChoice, Motion, Target, JointValuesSection, Gripper] },
   { id: "drive", place: "rail", icon: "M7 7h10a5 5 0 0 1 0 10c-2 0-2.5-2-5-2s-3 2-5 2A5 5 0 0 1 7 7zM8 10v4M6 12h4M15 12h.01M18 10h.01", sections: [Drive] },

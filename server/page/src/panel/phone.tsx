@@ -25,7 +25,6 @@ const PAD_PX = 80;
 const MODES = ["tilt", "turn"] as const;
 type Mode = (typeof MODES)[number];
 
-/** A phone as a controller: the code to scan, and the controls on the phone itself. */
 export function PhoneSection(): JSX.Element {
   const code = <AccessCode name="phone" role="" text={t("phone.show_code")} />;
   return (
@@ -38,7 +37,6 @@ export function PhoneSection(): JSX.Element {
   );
 }
 
-/** Controls with which the phone that shows them moves the tip. */
 function PhoneController(): JSX.Element {
   const { store, jogSender } = usePage();
   const [driver] = useState(() => new PhoneDriver(store, jogSender));

@@ -12,8 +12,8 @@ const RATE = "rate_hz.";
 /** As the server's. */
 const MAX_TASK_CHARACTERS = 300;
 
-/** Joint states that are the server's own, and no leader's. */
-const OWN_STATES = /^\/(\w+\/)?(teleop\/leader_)?joint_states$/;
+/** Joint states that are the server's own or goals, and no leader's. */
+const OWN_STATES = /^\/joint_states$|\/(teleop\/leader_joint_states|moveit_goal_joints)$/;
 
 /** Return the newest message of a topic while the panel is shown, and a function that calls a service and its answer. */
 function useTopic<Type extends keyof Received>(topic: string, type: Type): [Received[Type] | undefined, (service: string, request?: object) => void, string] {
@@ -82,7 +82,7 @@ export function LeaderSection(): JSX.Element {
   const { connected } = store.state.link;
   const look = (): void => {
     const request = { type: "sensor_msgs/JointState" };
-    void connection.call<{ topics: string[] }>("/rosapi/topics_for_type", request).then(({ topics }) => setLeaders(topics.filter((topic) => !OWN_STATES.test(topic) || /^\/leader\//.test(topic))), () => undefined);
+    void connection.call<{ topics: string[] }>("/rosapi/topics_for_type", request).then(({ topics }) => setLeaders(topics.filter((topic) => !OWN_STATES.test(topic))), () => undefined);
   };
   useEffect(() => void (shown && connected && look()), [shown, connected]);
   const leader = leaders.includes(chosen) ? chosen : (leaders[0] ?? "");

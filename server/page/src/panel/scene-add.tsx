@@ -16,7 +16,6 @@ const INITIAL_PLACE_M: Point = [0.3, 0.15, 0.04];
 const KINDS = [...SIZED_KINDS, "mesh"] as const;
 type Kind = (typeof KINDS)[number];
 
-/** Form of a new object: shape and sizes first, then the place by a click or by numbers. */
 export function AddObject(): JSX.Element {
   const { store, sceneEditor } = usePage();
   const [kind, choose] = useState<Kind>("box");

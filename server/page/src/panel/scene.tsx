@@ -1,16 +1,17 @@
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
+import { Color as ThreeColor, SRGBColorSpace } from "three";
 import { AXES, quaternionOf, rollPitchYawOf, ROTATIONS, type RollPitchYaw } from "../logic/rotations";
 import { planningGroup } from "../logic/robot-info";
 import { MAX_NAME_LENGTH, MAX_PLACE_M, MAX_SIZE_M, MIN_SIZE_M, nameProblem, sizesOf, withSize } from "../logic/scene-objects";
 import type { Color, Point, SceneObject } from "../state/state";
 import { t } from "../texts/texts";
+import { srgb } from "../view/flat-material";
 import { Button, Gate, Line, MeasureField, MeasureLine, Radios, Section, TextField, Tick, usePage } from "./ui";
 
 /** Colour of the field while an object has none of its own: that of the theme's objects. */
 const THEME_COLOR = "#6f9a5c";
 
-/** Line that stays above the sections: undo, and the server's answer to the last change. */
 export function SceneBar(): JSX.Element {
   const { store, sceneEditor } = usePage();
   const { history, result } = store.state.editing;
@@ -55,7 +56,7 @@ function ObjectEditor({ object }: { object: SceneObject }): JSX.Element {
       {/* What is held moves with its link. */}
       {!attached && <Dimensions object={object} />}
       <Line text={t("world.color")}>
-        <input type="color" data-testid="object-color" aria-label={t("world.color")} value={color === null ? THEME_COLOR : hexOf(color)} onChange={({ currentTarget }) => void sceneEditor.paint(id, colorOf(currentTarget.value))} />
+        <input type="color" data-testid="object-color" aria-label={t("world.color")} value={color === null ? THEME_COLOR : hexOf(color)} onChange={({ currentTarget }) => void sceneEditor.paint(id, [...srgb(currentTarget.value), 1])} />
       </Line>
       <div class="buttons">
         {attached
@@ -126,12 +127,6 @@ function Dimensions({ object }: { object: SceneObject }): JSX.Element {
   );
 }
 
-function hexOf(color: Color): string {
-  const two = (part: number): string => Math.round(Math.min(Math.max(part, 0), 1) * 255).toString(16).padStart(2, "0");
-  return `#${color.slice(0, 3).map(two).join("")}`;
-}
-
-function colorOf(hex: string): Color {
-  const part = (at: number): number => Number.parseInt(hex.slice(at, at + 2), 16) / 255;
-  return [part(1), part(3), part(5), 1];
+function hexOf([red, green, blue]: Color): string {
+  return `#${new ThreeColor().setRGB(red, green, blue, SRGBColorSpace).getHexString()}`;
 }

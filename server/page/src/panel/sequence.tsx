@@ -65,7 +65,6 @@ function ofGroup(state: State, values: JointValues): JointValues | null {
   return names.length > 0 && pairs.length === names.length ? Object.fromEntries(pairs) : null;
 }
 
-/** Type of what is dragged, so that nothing else can be dropped. */
 const DRAGGED = "application/x-waypoint";
 
 function WaypointRow({ waypoint, index }: { waypoint: Waypoint; index: number }): JSX.Element {

@@ -70,7 +70,6 @@ function conditionText({ values }: ServoState): string {
   return [...measured.filter(Boolean), t("servos.of_torque", { torque: torque ?? t("servos.unknown") })].join(", ");
 }
 
-/** Curves of the last minutes, and the events behind what stands between them. */
 function HistoryLines({ name, children }: { name: string; children: JSX.Element[] }): JSX.Element {
   const { connection, store } = usePage();
   const shown = useContext(Shown);

@@ -12,7 +12,6 @@ const FRAMES_PER_S = 25;
 /** Kind of the film, which not every browser records. */
 const FILM_TYPE = "video/webm";
 
-/** Showing the arm to others: a code for a page that may only look, and a film of the last seconds. */
 export function Share(): JSX.Element {
   return (
     <Section name="share" title={t("share.title")}>

@@ -23,7 +23,7 @@ function stateName({ link, arm, goal, pending_request }: StatusInput): [string, 
   if (isBeingChecked(arm)) return ["checking", "off"];
   if (arm.mode === "fault") return ["fault", "fault"];
   if (arm.mode === "disconnected") return ["no_arm", "fault"];
-  if (goal.state === "executing" || arm.mode === "moving") return [courseName(arm.course), "busy"];
+  if (goal.state === "executing" || arm.mode === "moving") return [{ paused: "paused", back: "back" }[arm.course] ?? "executing", "busy"];
   if (isAwaitingConfirmation(goal)) return ["waiting", "busy"];
   if (goal.state === "planning" || pending_request === "plan") return ["planning", "busy"];
   if (arm.mode === "relaxed") return ["relaxed", "off"];
@@ -39,10 +39,6 @@ export function isAwaitingConfirmation({ id, state }: GoalState): boolean {
 /** Return true before the server has told the arm's mode, and while it starts and checks the arm, which is no fault. */
 function isBeingChecked({ mode, reason }: State["arm"]): boolean {
   return mode === "" || mode === "connected" || (mode === "disconnected" && reason.includes("is starting"));
-}
-
-function courseName(course: string): string {
-  return { paused: "paused", back: "back" }[course] ?? "executing";
 }
 
 /** Return the sentence beside the pill: what is the matter and what to do, else the state or result of the goal. */
@@ -74,7 +70,6 @@ function sentence(text: string): string {
   return text === "" || /[.!?…]$/.test(text) ? capitalized(text) : `${capitalized(text)}.`;
 }
 
-/** The arm's state in a word and in a sentence, and the button that helps: the only one for its cause. */
 export function StatusBar(): JSX.Element {
   const { store, commands } = usePage();
   const { state } = store;

@@ -17,7 +17,6 @@ export interface PrimaryStep {
 
 const OPERATIONS: Record<PrimaryStep["action"], Operation> = { plan: "work", go: "drive", pause: "work", resume: "drive" };
 
-/** Return the step towards a motion, or within one. */
 export function primaryStep(state: State): PrimaryStep {
   const { arm, plan: { trajectory, executable }, selection, goal } = state;
   const step = (action: PrimaryStep["action"], label: string, reason = ""): PrimaryStep => {
@@ -38,13 +37,11 @@ export function nextStep(state: State): string {
   return primaryStep(state).reason || t("move.step.plan");
 }
 
-/** Return the done part of a motion and its time left, as "34 % · 1.2 s left". */
 function progressText({ fraction, seconds_left }: State["goal"]): string {
   const percent = `${Math.round(fraction * 100)} %`;
   return seconds_left === null ? percent : `${percent} · ${t("bar.left", { seconds: seconds_left.toFixed(1) })}`;
 }
 
-/** Bar below the picture: one button that plans, starts and pauses, and the time on the motion. */
 export function TransportBar(): JSX.Element {
   const { store, commands } = usePage();
   const { state } = store;
@@ -72,7 +69,6 @@ export function TransportBar(): JSX.Element {
   );
 }
 
-/** Button that takes the next step: Plan, then Go, then Pause and Resume. */
 function PrimaryButton(): JSX.Element {
   const { store, moveGroup, commands } = usePage();
   const actions: Record<PrimaryStep["action"], () => void> = {

@@ -36,15 +36,10 @@ export function useSlowPart<Part>(select: (state: State) => Part): Part {
   return part;
 }
 
-/** Reason for which an operation is not possible at the moment; empty when it is. */
-export function useDenial(operation: Operation): string {
-  const { state } = usePage().store;
-  return state.link.connected ? denialReason(operation, state) : t("bar.offline.disabled");
-}
-
 /** Controls that are disabled while the server would deny their operation. */
 export function Gate({ to, hidden, children }: { to: Operation; hidden?: boolean; children: ComponentChildren }): JSX.Element {
-  const reason = useDenial(to);
+  const { state } = usePage().store;
+  const reason = state.link.connected ? denialReason(to, state) : t("bar.offline.disabled");
   return <fieldset class="gate" disabled={reason !== ""} title={reason} hidden={hidden}>{children}</fieldset>;
 }
 

@@ -23,7 +23,6 @@ export interface ConnectionState {
   refused: string;
 }
 
-/** Identity of this page among the server's clients, from /arm/who_am_i. */
 export interface Identity {
   /** IP address and port of the connection, which are unique to it. */
   address: string;
@@ -74,7 +73,6 @@ export interface ArmState {
   last_stop: string;
 }
 
-/** Goal that the server suggests in place of one that it rejected, ready to be published. */
 export interface SuggestedGoal {
   topic: string;
   type: string;
@@ -99,10 +97,8 @@ export interface StopState {
   text: string;
 }
 
-/** Request of this page that has no answer yet. */
 export type PendingRequest = "nothing" | "plan" | "move";
 
-/** Settings of the user that apply to every request of this page. */
 export interface Settings {
   units: "deg" | "rad";
   /** Fraction of the joints' speed limits, above 0 and up to 1. */
@@ -209,7 +205,6 @@ export interface ActiveGoal {
   state: string;
 }
 
-/** Message to the user that stays until its cause is gone. */
 export interface Notice {
   /** Unique: a newer notice with the same key replaces this one. */
   key: string;
@@ -243,7 +238,6 @@ export interface SceneObject {
 /** Red, green, blue, alpha, 0 to 1. */
 export type Color = [number, number, number, number];
 
-/** Object that the user is about to add: a shape, and the start of its name. */
 export interface NewObject {
   name: string;
   shape: Shape;
@@ -317,7 +311,6 @@ export interface SequenceState {
   saved: Record<string, readonly Waypoint[]>;
 }
 
-/** Motions that a hand has shown, and the one that is recorded. */
 export interface TeachingState {
   /** The recording in progress; null for none. */
   recording: { name: string; duration_s: number } | null;
@@ -386,7 +379,6 @@ export interface State {
   /** Joint that is being moved by hand, with the sign of its angle against its servo's ticks; null while none is. */
   joint_in_hand: { joint: string; direction: 1 | -1 } | null;
   active_goals: ActiveGoal[];
-  /** Last goals of all clients, oldest first. */
   goal_history: GoalEntry[];
   notices: Notice[];
   servo_node: ServoNodeState;
@@ -395,18 +387,14 @@ export interface State {
   stop: StopState;
   pending_request: PendingRequest;
   settings: Settings;
-  /** Arrangement of the panels. */
   layout: Layout;
   /** Commanded joint positions of the moment; empty while the server publishes none. */
   commanded_rad: JointValues;
-  /** Position of the drawn tool, which the view computes; null without an arm. */
   tool_m: Point | null;
-  /** Orientation of the drawn tool; null without an arm. */
   tool_orientation: Orientation | null;
   collision_shapes: boolean;
   /** Id of the selected object of the planning scene, which the user can drag. */
   selected_object: string | null;
-  /** Colours of objects by their id, as the server keeps them. */
   object_colors: Record<string, Color>;
   editing: SceneEditing;
   region: Region;

@@ -1,6 +1,6 @@
 import type { WebGLRenderer } from "three";
 import { looksEqual } from "../logic/joints";
-import type { Joints, Point, State } from "../state/state";
+import type { Joints, State } from "../state/state";
 import { setNotice, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import { currentTheme, Environment, Materials, watchTheme } from "./appearance";
@@ -47,7 +47,7 @@ export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: Ob
 }
 
 export class SceneView {
-  private readonly viewer: Viewer;
+  readonly viewer: Viewer;
   private readonly robot: Robot;
   private readonly target: TargetMarker;
   private readonly reach: ReachHint;
@@ -90,15 +90,11 @@ export class SceneView {
     this.thumbnails = new Thumbnails(viewer, this.robot, store, this.environment.sky);
     this.components = [this.robot, arm, path, ghost, this.target, objects, markers, swept, region];
     this.applyTheme();
-    this.watchGraphics(canvas);
+    canvas.addEventListener("webglcontextlost", () => setNotice(store, "view:graphics", t("picture.lost")));
+    canvas.addEventListener("webglcontextrestored", () => setNotice(store, "view:graphics", ""));
     canvas.addEventListener("dblclick", () => this.resetCamera());
     watchTheme(() => this.applyTheme());
     this.watchState();
-  }
-
-  /** Return the place of a point of the root link's frame, in pixels from the page's upper left corner. */
-  screenOf(point_m: Point): [number, number] {
-    return this.viewer.screenOf(point_m);
   }
 
   private resetCamera(): void {
@@ -115,11 +111,6 @@ export class SceneView {
       return commissioning?.procedure === "verify" ? `verify ${commissioning.step}` : "";
     };
     store.subscribe(compared, (step) => step !== "" && this.resetCamera());
-  }
-
-  private watchGraphics(canvas: HTMLCanvasElement): void {
-    canvas.addEventListener("webglcontextlost", () => setNotice(this.store, "view:graphics", t("picture.lost")));
-    canvas.addEventListener("webglcontextrestored", () => setNotice(this.store, "view:graphics", ""));
   }
 
   private jointsReceived(joints: Joints): void {

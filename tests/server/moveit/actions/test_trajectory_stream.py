@@ -35,7 +35,7 @@ AMPLITUDE_RAD = np.array([0.5, 0.25, 0.3, 0.4, 0.5])
 RATE_RAD_S = np.array([1.2, 1.5, 1.4, 1.6, 1.8])
 
 # The arm follows the points later than their times by this at most: planners of the stage take 0.02 s for a check.
-LAG_S = 0.08
+LAG_S = 0.04
 
 
 def sine(at_s: float) -> tuple[Vector, Vector]:

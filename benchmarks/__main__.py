@@ -25,7 +25,6 @@ BENCHMARKS = (
     "joint_states",
     "page",
     "page_jog",
-    "event_loop",
     "gateway",
     "recording",
     "start",

@@ -86,11 +86,10 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     for joint in spec.joints:
         joint.armature = ARMATURE_KG_M2
-    gripper = gripper_links(robot)
     massless = []
     for body in spec.bodies:
-        if body.name in gripper and body.name in robot.parts:
-            # The URDF's boxes enclose the fingers, and would fill the space between them.
+        if body.name in robot.parts:
+            # The planners' shapes: the URDF's boxes are larger, and would fill the space between the fingers.
             for geom in list(body.geoms):
                 spec.delete(geom)
             for index, vertices in enumerate(robot.parts[body.name]):

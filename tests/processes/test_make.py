@@ -44,6 +44,9 @@ class Checkout:
             shutil.copy(ROOT / name, self.folder)
         for name in ("index.html", "package.json", "package-lock.json", "node_version.mjs"):
             shutil.copy(ROOT / "server" / "page" / name, page)
+        types = Path("protocol", "interfaces", "ros2.json")
+        (self.folder / types).parent.mkdir(parents=True)
+        shutil.copy(ROOT / types, self.folder / types)
         self.program("python3", PYTHON)
         for name in ("sh", "make", "mkdir", "cp", "touch", "chmod", "rm", "find", "env"):
             found = shutil.which(name)

@@ -195,6 +195,7 @@ async def test_the_calibration_of_a_swept_arm_is_used_at_once(arm: ServerOnBus, 
         limits = (await client.until("/arm/joint_limits", bool))[-1]["limits"]
         upper = next(each["max_position"] for each in limits if each["joint_name"] == "elbow_flex")
         assert upper < elbow.upper_rad
+        arm.emulator.command(hand={"3": None})
 
 
 async def test_nothing_moves_before_yes_and_a_verified_arm_says_how_far_it_hangs(arm: ServerOnBus) -> None:

@@ -1,7 +1,7 @@
 """Planned motions in random scenes, played in physics: no link touches anything where the plan is free of collisions.
 
-``JUDGE_SCENES`` sets the number of scenes: ``make judge`` plays 1,000 motions. In the scenes 0 to 39 one of 160 motions is
-blocked, by a following error of 0.14 rad beside a path that is free (scene 38). The scenes up to 11 have none.
+``JUDGE_SCENES`` sets the number of scenes: ``make judge`` plays 1,000 motions. In the scenes 0 to 39 one of 160 motions
+is blocked, by a following error of 0.14 rad beside a path that is free (scene 38). The scenes up to 11 have none.
 """
 
 from __future__ import annotations

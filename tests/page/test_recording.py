@@ -121,9 +121,9 @@ def test_a_leader_is_followed_and_let_go(panel: OpenPage, server: RunningServer,
         return [each["phase"] for each in recorded(recording, "/teleop/state") if each["leader"] == LEADER]
 
     def press(button: str) -> bool:
-        # On a starved machine the leader may be silent for too long, and must be followed again. In one step: the button
-        # is hidden as soon as the following begins.
-        return panel.part(button).evaluate("each => !each.hidden && !each.disabled && (each.click(), true)")
+        # On a starved machine the leader may be silent for too long, and must be followed again. In one step, since the
+        # button is hidden as soon as the following begins.
+        return bool(panel.part(button).evaluate("each => !each.hidden && !each.disabled && (each.click(), true)"))
 
     with published(server, LEADER, "sensor_msgs/JointState", 0.03):
         panel.wait(lambda: [press("leader-look")] and panel.part("leader-on").is_enabled())

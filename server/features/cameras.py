@@ -74,7 +74,7 @@ class Cameras(Feature):
         self._ready = False  # True while the process waits for a scene
         self._ordered_at_s = 0.0
         self._failures = 0
-        self._closing = False
+        self._over = False  # True from the stop on, and where no image can come
         self._restart: asyncio.Task[None] | None = None
         self._restart_delay = RestartDelay()
         for camera in cameras:
@@ -98,7 +98,7 @@ class Cameras(Feature):
 
     async def stop(self) -> None:
         """End the process."""
-        self._closing = True
+        self._over = True
         if (restart := self._restart) is not None:
             restart.cancel()
             await asyncio.wait([restart])
@@ -111,7 +111,7 @@ class Cameras(Feature):
 
     def on_state(self, arm: str, state: ArmState) -> None:
         """Order the images that are due."""
-        if arm or state.position_rad is None or self._child is None or self._restart is not None:
+        if arm or state.position_rad is None or self._child is None or self._over or self._restart is not None:
             return
         if not self._ready:
             if time.monotonic() - self._ordered_at_s > SILENT_S:
@@ -176,7 +176,7 @@ class Cameras(Feature):
     def _received(self, message: CannotRender | Rendered) -> None:
         if isinstance(message, CannotRender):
             log.error("the cameras show nothing: %s", message.reason)
-            self._closing = True
+            self._over = True
             return
         for topic, each in message.messages:
             self._failures = 0
@@ -185,7 +185,7 @@ class Cameras(Feature):
 
     def _exited(self) -> None:
         self._ready = False
-        if not self._closing and self._restart is None and self._child is not None:
+        if not self._over and self._restart is None and self._child is not None:
             self._restart = asyncio.create_task(self._start_again(self._child), name="restart cameras")
 
     async def _start_again(self, ended: Child) -> None:
@@ -196,7 +196,7 @@ class Cameras(Feature):
                 self._failures += 1
                 if self._failures >= MAX_FAILURES:
                     log.error("the cameras show nothing: their process has ended %d times in a row", MAX_FAILURES)
-                    self._closing = True
+                    self._over = True
                     return
                 log.warning("the process of the cameras ended (%s); starting it again", ended.ending)
                 await asyncio.sleep(self._restart_delay.after(ran_s))

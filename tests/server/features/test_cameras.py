@@ -186,11 +186,14 @@ async def test_an_image_makes_the_ends_before_it_forgotten(stage: Stage) -> None
         await asyncio.sleep(0)
 
 
+@pytest.mark.stepped_time
 async def test_a_machine_that_cannot_render_gets_one_sentence(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.ERROR):
+    with caplog.at_level(logging.WARNING):
         stage.children[0].answer(CannotRender("images need OpenGL off screen"))
         stage.children[0].exit()
+        stage.now_s = SILENT_S + 1.0
         stage.state(1.0)
+        await asyncio.sleep(100.0)
     assert [each.message for each in caplog.records] == ["the cameras show nothing: images need OpenGL off screen"]
     assert len(stage.children) == 1
 
@@ -207,9 +210,14 @@ async def test_a_silent_process_is_replaced(stage: Stage) -> None:
 
 
 @pytest.mark.stepped_time
-async def test_a_stop_during_a_restart_starts_no_process(stage: Stage) -> None:
-    stage.children[0].exit()
+@pytest.mark.parametrize("silent_s", [0.0, SILENT_S + 1.0], ids=["in a restart", "after a rest"])
+async def test_after_a_stop_no_process_is_started(stage: Stage, silent_s: float) -> None:
+    if not silent_s:
+        stage.children[0].exit()
     await stage.cameras.stop()
+    # The arm sends states until it is stopped, after the cameras.
+    stage.now_s = silent_s
+    stage.state(1.0)
     await asyncio.sleep(100.0)
     assert len(stage.children) == 1
 

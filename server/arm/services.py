@@ -28,6 +28,9 @@ EMERGENCY_STOP_TOPIC = "/emergency_stop"
 # Braking takes a second at most.
 STOP_TIMEOUT_S = 2.0
 
+# The timeout is by the arm's clock, which a paused simulation stops: interval of looks at that [s].
+PAUSE_LOOK_S = 0.1
+
 Response = dict[str, Any]
 
 
@@ -73,7 +76,15 @@ def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str]
 
 
 async def _standstill(arm: AnyArm) -> CommandDone:
-    done = await arm.rest(STOP_TIMEOUT_S)
+    resting = asyncio.ensure_future(arm.rest(STOP_TIMEOUT_S))
+    try:
+        while not (await asyncio.wait([resting], timeout=PAUSE_LOOK_S))[0]:
+            if arm.state.stepped_ticks is not None:
+                text = "the arm does not move: its time stands still, and it brakes when time passes"
+                return CommandDone(0, done=True, message=text)
+        done = resting.result()
+    finally:
+        resting.cancel()
     text = "the arm does not move" if done else f"the arm still moves after {STOP_TIMEOUT_S:g} s"
     return CommandDone(0, done=done, message=text)
 

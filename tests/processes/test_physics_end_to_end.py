@@ -72,6 +72,23 @@ async def test_a_stop_of_a_paused_arm_ends_its_goal_as_soon_as_time_passes(
     assert results[0]["val"] == -7
 
 
+async def test_a_stop_of_a_paused_arm_is_answered_while_time_stands_still(
+    client: FrameClient, caller: ArmClient
+) -> None:
+    await client.publish("/moveit_goal_named", {"data": "home"})
+    await client.until("/moveit_goal_status", goal_is("executing"))
+    await caller.call("/simulation/pause", data=True)
+    before = await client.positions()
+    answer = await caller.call("/arm/stop")
+    assert answer["success"]
+    assert answer["message"] == "the arm does not move: its time stands still, and it brakes when time passes"
+    assert await client.positions() == before
+    await caller.call("/simulation/pause", data=False)
+    results = await client.until("/moveit_goal_result", lambda all_: len(all_) > 0)
+    assert results[0]["val"] == -7
+    assert (await caller.call("/arm/stop"))["message"] == "the arm does not move"
+
+
 async def test_an_emergency_stop_of_a_paused_arm_is_answered(caller: ArmClient) -> None:
     await caller.call("/simulation/pause", data=True)
     stopped = await caller.call("/arm/emergency_stop")

@@ -32,8 +32,8 @@ from server.moveit.actions.move_group import (
 )
 from server.moveit.goals.goal_checks import offer_goal_checks
 from server.moveit.goals.goal_history import GoalHistory
-from server.moveit.goals.goal_topics import GoalStatusTopics, offer_goal_topics
-from server.moveit.named_states import default_path, offer_named_states
+from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics
+from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named_scenes
@@ -103,7 +103,7 @@ class MoveGroup(Feature):
         publish_groups(graph, robot, several or {"": robot}, context.whole.parameters)
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
-        offer_named_states(graph, robot, goals.named_states, planning.current)
+        NamedStatesServices(graph, robot, goals.named_states, planning.current)
         offer_goal_checks(graph, context.whole.translator, planning)
         offer_planning_actions(graph, planning, goals.queue)
         offer_execute_trajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
@@ -141,7 +141,7 @@ class _GoalsOfArm:
         graph, goals, planning = arm.graph, arm.goals, arm.planning
         self._arm = arm
         self._status = GoalStatusTopics(graph, arm.node, planning.robot)
-        offer_goal_topics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
+        GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
         GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)

@@ -257,22 +257,42 @@ class NamedStatesFile:
             return {}
 
 
-def offer_named_states(graph: Graph, robot: RobotModel, states: NamedStates, current: CurrentState) -> None:
-    """Offer MoveIt's warehouse services, and publish the latched topic ``/named_states``."""
-    node = Node("named states")
-    graph.advertise(node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
+class NamedStatesServices:
+    """MoveIt's warehouse services, and the latched topic ``/named_states``."""
 
-    def publish() -> None:
-        shown = {
-            **{name: {"saved": False, "joints": state} for name, state in states.described.items()},
-            **{name: {"saved": True, "joints": state} for name, state in states.saved.items()},
+    def __init__(self, graph: Graph, robot: RobotModel, states: NamedStates, current: CurrentState) -> None:
+        self._graph = graph
+        self._robot = robot
+        self._states = states
+        self._current = current
+        self._node = Node("named states")
+        self._graph.advertise(self._node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
+        self._publish()
+        self._states.on_change(self._publish)
+        self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
+        self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save, CONFIGURING)
+        self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get, LOOKING)
+        has = "/has_robot_state", "CheckIfRobotStateExistsInWarehouse"
+        self._offer(*has, lambda request: {"exists": states.find(request["name"]) is not None}, LOOKING)
+        self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename, CONFIGURING)
+        self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
+
+    def _offer(self, name: str, type_name: str, function: ServiceFunction, rule: Rule) -> None:
+        def serve(request: Request) -> Answered | Awaitable[Answered]:
+            if request["robot"] not in ("", self._robot.name):
+                raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {self._robot.name!r}")
+            return function(request)
+
+        self._graph.services.offer(self._node, name, f"moveit_msgs/{type_name}", serve, rule=rule)
+
+    def _publish(self) -> None:
+        states = {
+            **{name: {"saved": False, "joints": state} for name, state in self._states.described.items()},
+            **{name: {"saved": True, "joints": state} for name, state in self._states.saved.items()},
         }
-        graph.publish(node, NAMED_STATES_TOPIC, {"data": json.dumps(shown)})
+        self._graph.publish(self._node, NAMED_STATES_TOPIC, {"data": json.dumps(states)})
 
-    publish()
-    states.on_change(publish)
-
-    def list_names(request: Request) -> Request:
+    def _list(self, request: Request) -> Request:
         pattern = request["regex"]
         repeats = sum(map(pattern.count, "*+?{"))
         if len(pattern) > MAX_PATTERN_LENGTH or repeats > MAX_REPEATS or "(" in pattern:
@@ -282,46 +302,32 @@ def offer_named_states(graph: Graph, robot: RobotModel, states: NamedStates, cur
             wanted = re.compile(pattern or ".*")
         except re.error as error:
             raise ServiceError(f"regex: {pattern!r} is no regular expression: {error}") from error
-        return {"states": [name for name in states.names() if wanted.fullmatch(name)]}
+        return {"states": [name for name in self._states.names() if wanted.fullmatch(name)]}
 
-    async def save(request: Request) -> Request:
+    async def _save(self, request: Request) -> Request:
         """Save the state in the request; without joints, the present positions of the arm."""
         given = request["state"]["joint_state"]
         names, positions = given["name"], given["position"]
         if len(names) != len(positions):
             raise ServiceError(f"state.joint_state: {len(names)} names and {len(positions)} positions")
-        positions_rad: Positions | None = dict(zip(names, positions, strict=True)) or current.positions_rad()
+        positions_rad: Positions | None = dict(zip(names, positions, strict=True)) or self._current.positions_rad()
         if positions_rad is None:
             raise ServiceError("state: has no joints, and joint positions unknown: the arm is not connected")
-        await states.save(request["name"], positions_rad)
+        await self._states.save(request["name"], positions_rad)
         return {"success": True}
 
-    def get(request: Request) -> Request:
-        found = states.find(request["name"])
+    def _get(self, request: Request) -> Request:
+        found = self._states.find(request["name"])
         if found is None:
-            raise ServiceError(f"name: there is no state {request['name']!r}; known are: {', '.join(states.names())}")
-        return {"state": state_message(dict(found[1]), robot.root_link, time.time())}
+            raise ServiceError(
+                f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names())}"
+            )
+        return {"state": state_message(dict(found[1]), self._robot.root_link, time.time())}
 
-    async def rename(request: Request) -> Request:
-        await states.rename(request["old_name"], request["new_name"])
+    async def _rename(self, request: Request) -> Request:
+        await self._states.rename(request["old_name"], request["new_name"])
         return {}
 
-    async def delete(request: Request) -> Request:
-        await states.delete(request["name"])
+    async def _delete(self, request: Request) -> Request:
+        await self._states.delete(request["name"])
         return {}
-
-    def offer(name: str, type_name: str, function: ServiceFunction, rule: Rule) -> None:
-        def serve(request: Request) -> Answered | Awaitable[Answered]:
-            if request["robot"] not in ("", robot.name):
-                raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {robot.name!r}")
-            return function(request)
-
-        graph.services.offer(node, name, f"moveit_msgs/{type_name}", serve, rule=rule)
-
-    offer("/list_robot_states", "ListRobotStatesInWarehouse", list_names, LOOKING)
-    offer("/save_robot_state", "SaveRobotStateToWarehouse", save, CONFIGURING)
-    offer("/get_robot_state", "GetRobotStateFromWarehouse", get, LOOKING)
-    has = "/has_robot_state", "CheckIfRobotStateExistsInWarehouse"
-    offer(*has, lambda request: {"exists": states.find(request["name"]) is not None}, LOOKING)
-    offer("/rename_robot_state", "RenameRobotStateInWarehouse", rename, CONFIGURING)
-    offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", delete, CONFIGURING)

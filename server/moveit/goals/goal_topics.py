@@ -229,75 +229,84 @@ def details_as_json(answer: Answer) -> dict[str, str]:
     return {name: json.dumps(value, default=str) for name, value in answer.details.items()}
 
 
-def offer_goal_topics(
-    graph: LocalGraph,
-    node: Node,
-    queue: GoalQueue,
-    translator: GoalTranslator,
-    confirmation: Confirmation,
-    joints: Joints | None = None,
-) -> None:
-    """Take goals, the choice of their group, and their end from topics; a stop is for some joints, None for all."""
+class GoalTopics:
+    """Topics by which goals are sent, their group is chosen, and they are cancelled or, of some joints, stopped."""
 
-    def take_goals(topic: str, type_name: str, translate: Translate) -> None:
-        source = graph.resolve(topic)
+    def __init__(
+        self,
+        graph: LocalGraph,
+        node: Node,
+        queue: GoalQueue,
+        translator: GoalTranslator,
+        confirmation: Confirmation,
+        joints: Joints | None = None,
+    ) -> None:
+        self._graph = graph
+        self._node = node
+        self._queue = queue
+        self._translator = translator
+        self._confirmation = confirmation
+        self._joints = joints
+        self._take_goals(NAMED_TOPIC, NAMED_TYPE, self._translator.named)
+        self._take_goals(JOINTS_TOPIC, JOINTS_TYPE, self._translator.joints)
+        self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
+        self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
+        self._publish_group()
+        # The driving client chooses the group.
+        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
+        self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
+        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
+        self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
+
+    def _take_goals(self, topic: str, type_name: str, translate: Translate) -> None:
+        source = self._graph.resolve(topic)
 
         def deliver(published: PublishedMessage) -> None:
             message = published.msg
             try:
                 motion = translate(message)
             except RefusedError as error:
-                queue.reject(GoalRequest(source, message=message), error.failure)
+                self._queue.reject(GoalRequest(source, message=message), error.failure)
                 return
             for warning in motion.warnings:
                 log.warning("%s: %s", source, warning)
-            motion = replace(motion, confirm=confirmation.enabled)
-            queue.submit(GoalRequest(source, motion, message, published.publisher))
+            motion = replace(motion, confirm=self._confirmation.enabled)
+            self._queue.submit(GoalRequest(source, motion, message, published.publisher))
 
         def reject_invalid(error: MessageError) -> None:
             failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, str(error))
-            queue.reject(GoalRequest(source), failure)
+            self._queue.reject(GoalRequest(source), failure)
 
         def reject_unauthorized(message: Message, sender: Node, reason: str) -> None:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
-            queue.reject(GoalRequest(source, message=message, only_for=sender), failure)
+            self._queue.reject(GoalRequest(source, message=message, only_for=sender), failure)
 
         subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized, rule=GOAL)
-        graph.subscribe(node, topic, type_name, subscriber)
+        self._graph.subscribe(self._node, topic, type_name, subscriber)
 
-    def publish_group() -> None:
-        graph.publish(node, GROUP_TOPIC, {"data": translator.group.name})
-
-    def select_group(published: PublishedMessage) -> None:
+    def _select_group(self, published: PublishedMessage) -> None:
         """Choose the group of goals to come; publish the present one after a name that is none."""
-        if published.publisher is node:
+        if published.publisher is self._node:
             return
         try:
-            translator.select_group(published.msg["data"])
+            self._translator.select_group(published.msg["data"])
         except RefusedError as error:
-            queue.reject(GoalRequest(graph.resolve(GROUP_TOPIC), message=published.msg), error.failure)
-        publish_group()
+            request = GoalRequest(self._graph.resolve(GROUP_TOPIC), message=published.msg)
+            self._queue.reject(request, error.failure)
+        self._publish_group()
 
-    def cancel(published: PublishedMessage) -> None:
-        queue.cancel(published.msg["data"], f"cancelled by {graph.resolve(CANCEL_TOPIC)}")
+    def _publish_group(self) -> None:
+        self._graph.publish(self._node, GROUP_TOPIC, {"data": self._translator.group.name})
 
-    def stop(_published: PublishedMessage) -> None:
-        queue.stop(f"stopped by {graph.resolve(STOP_TOPIC)}", joints)
+    def _cancel(self, published: PublishedMessage) -> None:
+        self._queue.cancel(published.msg["data"], f"cancelled by {self._graph.resolve(CANCEL_TOPIC)}")
 
-    def on_event(published: PublishedMessage) -> None:
+    def _stop(self, _published: PublishedMessage) -> None:
+        self._queue.stop(f"stopped by {self._graph.resolve(STOP_TOPIC)}", self._joints)
+
+    def _on_event(self, published: PublishedMessage) -> None:
         event = published.msg["data"]
         if event == "stop":
-            queue.stop(f"stopped by {graph.resolve(EVENT_TOPIC)}", joints)
+            self._queue.stop(f"stopped by {self._graph.resolve(EVENT_TOPIC)}", self._joints)
         else:
             log.warning("%s: ignored the event %r; only 'stop' is known", EVENT_TOPIC, event)
-
-    take_goals(NAMED_TOPIC, NAMED_TYPE, translator.named)
-    take_goals(JOINTS_TOPIC, JOINTS_TYPE, translator.joints)
-    take_goals(POSE_TOPIC, POSE_TYPE, translator.pose)
-    graph.advertise(node, GROUP_TOPIC, GROUP_TYPE, latch=True)
-    publish_group()
-    # The driving client chooses the group.
-    graph.subscribe(node, GROUP_TOPIC, GROUP_TYPE, Subscriber(select_group, rule=SWITCHING))
-    graph.subscribe(node, CANCEL_TOPIC, "std_msgs/String", Subscriber(cancel, rule=CANCELLING))
-    graph.subscribe(node, STOP_TOPIC, "std_msgs/Empty", Subscriber(stop, rule=STOPPING))
-    graph.subscribe(node, EVENT_TOPIC, "std_msgs/String", Subscriber(on_event, rule=STOP_EVENT))

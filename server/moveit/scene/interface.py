@@ -253,32 +253,47 @@ class MonitoredScenePublisher:
         )
 
 
-def offer_scene_services(
-    graph: Graph, node: Node, state: SceneState, assumed: AssumedStates, current: CurrentState
-) -> None:
-    """Offer ``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``."""
+class SceneServices:
+    """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``."""
 
-    def respond(call: Call) -> None:
-        positions_rad = assumed.completed(assumed.of(call.caller), current.positions_rad()) or {}
-        assumed.note_sent(call.caller, positions_rad)
-        robot_state = state_message(positions_rad, state.robot.root_link, time.time())
-        components = call.request["components"]["components"]
-        call.succeed_prevalidated({"scene": scene_message(state.contents, state.robot, robot_state, components)})
+    def __init__(
+        self, graph: Graph, node: Node, state: SceneState, assumed: AssumedStates, current: CurrentState
+    ) -> None:
+        self._state = state
+        self._assumed = assumed
+        self._current = current
+        services = graph.services
+        services.offer_calls(
+            node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS, rule=LOOKING
+        )
+        services.offer_calls(
+            node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS, rule=WORKING
+        )
+        # The scene has no octomap, so there is nothing to clear.
+        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
 
-    async def respond_settled(call: Call) -> None:
-        await state.settled()
-        respond(call)
+    def _get(self, call: Call) -> None:
+        async def get_settled() -> None:
+            await self._state.settled()
+            self._respond(call)
 
-    def get(call: Call) -> None:
-        if state.pending:
+        if self._state.pending:
             # As if the changes that have been sent before were quick.
-            task = asyncio.ensure_future(respond_settled(call))
+            task = asyncio.ensure_future(get_settled())
             call.when_ended(lambda _response: task.cancel())
         else:
-            respond(call)
+            self._respond(call)
 
-    def apply(call: Call) -> None:
-        scene, caller = call.request["scene"], call.caller
+    def _respond(self, call: Call) -> None:
+        assumed = self._assumed
+        positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
+        assumed.note_sent(call.caller, positions_rad)
+        state = state_message(positions_rad, self._state.robot.root_link, time.time())
+        components = call.request["components"]["components"]
+        call.succeed_prevalidated({"scene": scene_message(self._state.contents, self._state.robot, state, components)})
+
+    def _apply(self, call: Call) -> None:
+        scene, caller, assumed = call.request["scene"], call.caller, self._assumed
 
         def end(refusal: RefusedError | None) -> None:
             if refusal is None:
@@ -296,15 +311,9 @@ def offer_scene_services(
         except RefusedError as error:
             end(error)
             return
-        positions_rad = assumed.completed(assumed_rad, current.positions_rad())
+        positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
         # A client that has left got no failure as an answer: its change is made all the same.
-        state.submit(state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
-
-    offer = functools.partial(graph.services.offer_calls, node, limits=SCENE_LIMITS)
-    offer(GET, "moveit_msgs/srv/GetPlanningScene", get, rule=LOOKING)
-    offer(APPLY, "moveit_msgs/srv/ApplyPlanningScene", apply, rule=WORKING)
-    # The scene has no octomap, so there is nothing to clear.
-    graph.services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
+        self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
 
 
 class SceneInterface:
@@ -321,7 +330,7 @@ class SceneInterface:
         node = Node("planning_scene")
         self._state = state
         _subscribe_to_scene_topics(graph, node, state, current)
-        offer_scene_services(graph, node, state, assumed, current)
+        SceneServices(graph, node, state, assumed, current)
         offer_geometry_files(graph, node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
         self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)

@@ -21,10 +21,10 @@ from server.moveit.named_states import (
     NAMED_STATES_TOPIC,
     NamedStates,
     NamedStatesFile,
+    NamedStatesServices,
     Positions,
     States,
     default_path,
-    offer_named_states,
 )
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.graph import called, listen
@@ -202,7 +202,7 @@ class Office:
         self.graph = Graph(Registry.load())
         self.states = states
         self.arm = FakeArm(None)
-        offer_named_states(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
+        NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
         self.heard = listen(self.graph, NAMED_STATES_TOPIC)
 
     async def call(self, service: str, **request: Any) -> Response:

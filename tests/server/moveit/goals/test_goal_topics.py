@@ -26,7 +26,7 @@ from server.moveit.goals.goal_topics import (
     STATUS_TOPIC,
     Confirmation,
     GoalStatusTopics,
-    offer_goal_topics,
+    GoalTopics,
 )
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
@@ -71,7 +71,7 @@ class Desk:
             self.runner, GoalPolicy.QUEUE, 4, status.publish_progress, status.publish_answer
         )
         self.queue.start()
-        offer_goal_topics(LocalGraph(self.graph), node, self.queue, translator(), self.confirmation)
+        GoalTopics(LocalGraph(self.graph), node, self.queue, translator(), self.confirmation)
         self.heard = {topic: listen(self.graph, topic) for topic in (RESULT_TOPIC, STATUS_TOPIC)}
 
     async def publish(self, topic: str, message: dict[str, Any]) -> None:

@@ -32,7 +32,7 @@ from server.moveit.scene.interface import (
     TRANSFORMS,
     MonitoredScenePublisher,
     SceneInterface,
-    offer_scene_services,
+    SceneServices,
     scene_diff,
     scene_message,
 )
@@ -101,7 +101,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        offer_scene_services(self.graph, Node("scene"), self.state, self.assumed, current_state())
+        SceneServices(self.graph, Node("scene"), self.state, self.assumed, current_state())
 
     def another(self):
         other = copy(self)

@@ -1,10 +1,11 @@
-"""Servers of several arms, and a notifier of systemd."""
+"""Servers of several arms, a client that sees goals and joints, and a notifier of systemd."""
 
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import pytest
 
+from harness.clients import FrameClient, frame_client
 from harness.server import RunningServer
 from tests.helpers.systemd import Systemd
 
@@ -21,6 +22,14 @@ def server(folder: Path, request: pytest.FixtureRequest) -> Iterator[RunningServ
     config.write_text(request.module.CONFIG.format(folder=folder))
     with RunningServer(f"--config {config}") as running:
         yield running
+
+
+@pytest.fixture
+async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
+    async with frame_client(server.url) as connected:
+        await connected.open_goals()
+        await connected.subscribe("/joint_states", "sensor_msgs/JointState")
+        yield connected
 
 
 @pytest.fixture(scope="module")

@@ -3,11 +3,11 @@
 The servos of the Koch v1.1 are Dynamixel's; the links of the SO-101 with physics move by MuJoCo.
 """
 
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 
 import pytest
 
-from harness.clients import FrameClient, arm_client, frame_client
+from harness.clients import FrameClient, arm_client
 from harness.server import RunningServer
 from robot.description.model import RobotModel
 from tests.helpers.dynamixel import KOCH
@@ -34,14 +34,6 @@ def server(option: str) -> Iterator[RunningServer]:
 @pytest.fixture
 def robot(option: str) -> RobotModel:
     return ARMS[option]
-
-
-@pytest.fixture
-async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
-    async with frame_client(server.url) as connected:
-        await connected.open_goals()
-        await connected.subscribe("/joint_states", "sensor_msgs/JointState")
-        yield connected
 
 
 @pytest.mark.parametrize("name", ["ready", "rest", "extended", "home"])

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
-from harness.clients import ArmClient, FrameClient, arm_client, frame_client, goal_is
+from harness.clients import ArmClient, FrameClient, arm_client, goal_is
 from harness.server import ROOT, RunningServer
 
 COLORS = [f"cube_{color}" for color in ("red", "green", "blue", "yellow")]
@@ -17,14 +17,6 @@ CUBE = {"id": "cube", "primitives": [{"type": 1, "dimensions": [0.03, 0.03, 0.03
 def server() -> Iterator[RunningServer]:
     with RunningServer("--port 0 --simulation physics --world cubes") as running:
         yield running
-
-
-@pytest.fixture
-async def client(server: RunningServer) -> AsyncIterator[FrameClient]:
-    async with frame_client(server.url) as connected:
-        await connected.open_goals()
-        await connected.subscribe("/joint_states", "sensor_msgs/JointState")
-        yield connected
 
 
 @pytest.fixture

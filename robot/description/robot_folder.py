@@ -183,15 +183,7 @@ def load(
     if arm is None:
         raise RobotFileError(path, problems)
     # Frames belong to the folder's URDF, as shapes do.
-    cameras = {
-        name: each.model_copy(update={"frame": each.frame or arm.root_link})
-        for name, each in (file.cameras if own else {}).items()
-    }
-    problems += [
-        f"cameras.{name}.frame: the URDF has no link {each.frame!r}"
-        for name, each in cameras.items()
-        if each.frame not in arm.links
-    ]
+    cameras = _cameras(file, arm, problems) if own else {}
     problems += _unknown_names(file, replace(arm, **shapes))
     if problems:
         raise RobotFileError(path, problems)
@@ -208,6 +200,17 @@ def load(
     )
     name = folder.resolve().name
     return RobotFolder(name, file.robot.title or name, arm, _hardware(file, arm), folder, cameras)
+
+
+def _cameras(file: RobotFile, arm: RobotModel, problems: list[str]) -> dict[str, Camera]:
+    """Return the cameras, each in the frame of a link; a link that is none is a problem."""
+    named = {name: each.frame or arm.root_link for name, each in file.cameras.items()}
+    problems += [
+        f"cameras.{name}.frame: the URDF has no link {frame!r}"
+        for name, frame in named.items()
+        if frame not in arm.links
+    ]
+    return {name: each.model_copy(update={"frame": named[name]}) for name, each in file.cameras.items()}
 
 
 def _read(problems: list[str], read: Callable[[], Read], instead: Read) -> Read:

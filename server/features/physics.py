@@ -279,7 +279,9 @@ class Physics(Feature):
 
     async def _pause(self, request: dict[str, Any]) -> Message:
         paused = request["data"]
-        self._arm.simulate(PauseSimulation(paused))
+        # Steps in progress are a pause already, and are not cut short.
+        if not (paused and self._stepping):
+            self._arm.simulate(PauseSimulation(paused))
         if not await self._reaches(lambda state: (_ticks(state) >= 0) == paused, ANSWER_TIMEOUT_S):
             return {"success": False, "message": f"the arm process did not answer within {ANSWER_TIMEOUT_S:g} s"}
         return {"success": True, "message": f"the time of the simulation {'stands still' if paused else 'passes'}"}

@@ -1,5 +1,6 @@
 """The world of a running server with physics, over a real socket: pause, steps, placed and dropped objects."""
 
+import asyncio
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
@@ -79,6 +80,15 @@ async def test_a_stop_of_a_paused_arm_is_answered_while_time_stands_still(
     results = await client.until("/moveit_goal_result", lambda all_: len(all_) > 0)
     assert results[0]["val"] == -7
     assert (await caller.call("/arm/stop"))["message"] == "the arm does not move"
+
+
+async def test_a_pause_by_another_client_cuts_no_steps_short(server: RunningServer, caller: ArmClient) -> None:
+    await caller.call("/simulation/pause", data=True)
+    async with arm_client(server.url) as other:
+        steps = asyncio.create_task(caller.call("/simulation/step", steps=300))
+        await caller.until("/joint_states", bool)
+        assert (await other.call("/simulation/pause", data=True))["success"]
+        assert (await steps)["message"] == "300 of 300 steps are done"
 
 
 async def test_an_emergency_stop_of_a_paused_arm_is_answered(caller: ArmClient) -> None:

@@ -25,7 +25,6 @@ _SECRET = (
 
 
 def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
-    """Read the settings, as :func:`load_with_sources`."""
     return load_with_sources(file, overrides)[0]
 
 

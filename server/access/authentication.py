@@ -105,9 +105,6 @@ class RosauthVerifier:
         if owner is None:
             return "field mac: it was made with an invalid token"
         # Not by rand: fields stand in the text without a sign between them, and so could lend one another characters.
-        return self._once(mac, now_s) or owner
-
-    def _once(self, mac: str, now_s: float) -> str | None:
         while self._seen and next(iter(self._seen.values())) < now_s:
             self._seen.popitem(last=False)
         if mac in self._seen:
@@ -115,7 +112,7 @@ class RosauthVerifier:
         if len(self._seen) >= MAX_KEPT:
             return f"field mac: {MAX_KEPT} proofs were used within {2 * GOOD_FOR_S:g} s, the limit; try again later"
         self._seen[mac] = now_s + 2 * GOOD_FOR_S
-        return None
+        return owner
 
 
 class AuthThrottle:

@@ -185,7 +185,6 @@ class Commissioning:
             self._procedure.take_health(health)
 
     async def close(self) -> None:
-        """End the procedure in progress."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])

@@ -160,18 +160,19 @@ class _Conversation:
         self._terminal.ask(f"{step.instruction}{prompt(step.answers)}")
         while (line := self._terminal.line_typed()) is None:
             if step.name != HOLD:
-                self._follow()
+                frames = self._bus.sync_read(self._ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+                self._session.take(
+                    {servo: parse_telemetry(frame.data).position_ticks for servo, frame in frames.items()}
+                )
+                rows = [
+                    (each.joint, each.lowest, each.present, each.highest, each.note) for each in self._session.ranges()
+                ]
+                self._terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
             time.sleep(SWEEP_PERIOD_S)
         answer = chosen(line, step.answers)
         if step.name == HOLD and answer not in step.answers:
             raise CalibrationError("answer", answer, "the arm was not relaxed")
         return answer
-
-    def _follow(self) -> None:
-        frames = self._bus.sync_read(self._ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
-        self._session.take({servo: parse_telemetry(frame.data).position_ticks for servo, frame in frames.items()})
-        rows = [(each.joint, each.lowest, each.present, each.highest, each.note) for each in self._session.ranges()]
-        self._terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
 
     def _write(self) -> None:
         session, terminal = self._session, self._terminal

@@ -46,7 +46,6 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def add_camera_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "camera",
@@ -142,7 +141,6 @@ DEFAULT_RATE_HZ, MAX_RATE_HZ = 100, 100
 
 
 def add_leader_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "leader",

@@ -156,23 +156,21 @@ class GoalExecutor:
 
     async def run(self, goal: Goal) -> Answer:
         """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
-        if isinstance(goal.request.motion, PlannedMotion):
-            return await self._plan_and_play(goal, goal.request.motion)
-        if goal.request.motion is None:
+        motion = goal.request.motion
+        if isinstance(motion, PlannedMotion):
+            answer = await self._replace_outgoing(goal, motion) or await _answered(self._attempt(goal, motion))
+            for _ in range(motion.attempts - 1):
+                if goal.reason or answer.code not in REPLANNED:
+                    break
+                goal.report(Progress(GoalState.PLANNING, f"planning again: {answer.message}"))
+                await goal.unless_cancelled(asyncio.sleep(motion.delay_s))
+                answer = await _answered(self._attempt(goal, motion))
+            return answer
+        if motion is None:
             raise AssertionError("a rejected goal was queued")
-        return await self._play_given(goal, goal.request.motion)
+        return await self._play_given(goal, motion)
 
     # Attempts: from a motion to an answer.
-
-    async def _plan_and_play(self, goal: Goal, request: PlannedMotion) -> Answer:
-        answer = await self._replace_outgoing(goal, request) or await _answered(self._attempt(goal, request))
-        for _ in range(request.attempts - 1):
-            if goal.reason or answer.code not in REPLANNED:
-                break
-            goal.report(Progress(GoalState.PLANNING, f"planning again: {answer.message}"))
-            await goal.unless_cancelled(asyncio.sleep(request.delay_s))
-            answer = await _answered(self._attempt(goal, request))
-        return answer
 
     async def _replace_outgoing(self, goal: Goal, request: PlannedMotion) -> Answer | None:
         """Replace the motion of a preempted goal without a stop; None where that is impossible."""
@@ -490,7 +488,6 @@ class GoalExecutors:
         self._executors: dict[Joints, GoalExecutor] = {}
 
     def executor(self, joints: Joints) -> GoalExecutor:
-        """Return the executor of motions of some joints."""
         if joints not in self._executors:
             self._executors[joints] = GoalExecutor(self._arm.part(joints), self._context, self.in_progress)
         return self._executors[joints]

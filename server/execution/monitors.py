@@ -193,7 +193,6 @@ class SceneMonitor:
         self._on_change()
 
     def stop(self) -> None:
-        """Stop the monitor."""
         self._questions = None
         if self._task is not None:
             self._task.cancel()

@@ -73,7 +73,6 @@ class ExecutionDeadline:
         self._allowed_s, self._used_s = self.limits.allowed_s(duration_s), 0.0
 
     def pass_time(self, elapsed_s: float, pace: Pace) -> None:
-        """Count time."""
         if pace.direction is PlaybackDirection.FORWARD and pace.speed_factor >= MIN_SPEED_FACTOR:
             self._used_s += elapsed_s * pace.speed_factor
             return

@@ -111,7 +111,6 @@ class ArmContext:
 
     @property
     def robot(self) -> RobotModel:
-        """Description of the arm."""
         return self.served.robot
 
     @cached_property
@@ -192,7 +191,6 @@ class ServerContext:
 def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
-    """Return the context of a server."""
     whole_arm, single_arms = arms
     moveit, robot = settings.moveit, whole_arm.robot
     scene = SceneState(robot)

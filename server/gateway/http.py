@@ -209,15 +209,12 @@ class FileCache:
             self._kept.move_to_end(key)
             return self._kept[key]
         file = StoredFile.of(path.read_bytes(), gzipped=gzipped)
-        self._keep(key, file)
-        return file
-
-    def _keep(self, key: _Key, file: StoredFile) -> None:
         self._kept[key] = file
         self._kept_bytes += len(file.octets)
         while self._kept_bytes > self._limit_bytes:
             _, dropped = self._kept.popitem(last=False)
             self._kept_bytes -= len(dropped.octets)
+        return file
 
 
 def media_type(name: str) -> str:

@@ -82,7 +82,10 @@ class Tls:
 
     def _read(self) -> ssl.SSLContext:
         for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
-            _check_readable(setting, file)
+            try:
+                file.open("rb").close()
+            except OSError as error:
+                raise ConfigurationError(f"{setting}: {file} cannot be read: {error.strerror or error}") from error
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.set_alpn_protocols(["http/1.1"])
@@ -122,13 +125,6 @@ def _handshakes(on_plain_text: Callable[[], None]) -> type[ssl.SSLObject]:
                 raise
 
     return Handshake
-
-
-def _check_readable(setting: str, file: Path) -> None:
-    try:
-        file.open("rb").close()
-    except OSError as error:
-        raise ConfigurationError(f"{setting}: {file} cannot be read: {error.strerror or error}") from error
 
 
 COUNT_TOPIC = "/client_count"

@@ -272,7 +272,9 @@ class Graph:
         """
         topic = self._topic(name)
         if node.remote and node not in topic.publishers:
-            self._check_publications(node, name)
+            count = self.publications.count(node)
+            if count >= MAX_TOPICS_OF_PUBLISHER:
+                raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
         received = self.message_types.now()
         try:
             completed: Any = message if prevalidated else self._completed(topic, message, received)
@@ -335,11 +337,6 @@ class Graph:
         if lifespan_s > 0:
             self._latched_messages.keep(published, self._clock(), lifespan_s)
         return None
-
-    def _check_publications(self, node: Node, name: str) -> None:
-        count = self.publications.count(node)
-        if count >= MAX_TOPICS_OF_PUBLISHER:
-            raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
 
     def reject_unauthorized(self, node: Node, name: str, message: object, reason: str) -> None:
         """Report a message whose sender may not publish it to the subscribers that answer such messages."""

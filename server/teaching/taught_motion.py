@@ -301,7 +301,6 @@ class MotionFiles(NamedFiles):
         self._robot = robot
 
     async def load(self, name: str) -> TaughtMotion:
-        """Return a motion."""
         return await self.read(name, self._read)
 
     async def save(self, name: str, motion: TaughtMotion) -> None:

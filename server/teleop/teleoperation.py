@@ -149,7 +149,13 @@ class Teleoperation(Feature):
 
     def _offer_below(self, below: str, names: Sequence[str]) -> None:
         async def start(request: Message) -> dict[str, Any]:
-            return await self._start(request, names)
+            follower = self._chosen_follower(request["follower"], names)
+            self._check_idle(follower)
+            self._starting.add(follower.name)
+            try:
+                return await self._begin(request, follower)
+            finally:
+                self._starting.discard(follower.name)
 
         async def stop(_request: Message) -> dict[str, Any]:
             ended = self._stop(names)
@@ -189,20 +195,12 @@ class Teleoperation(Feature):
 
     # Services.
 
-    async def _start(self, request: Message, names: Sequence[str]) -> dict[str, Any]:
-        follower = self._chosen_follower(request["follower"], names)
-        self._check_idle(follower)
-        self._starting.add(follower.name)
-        try:
-            return await self._begin(request, follower)
-        finally:
-            self._starting.discard(follower.name)
-
     async def _begin(self, request: Message, follower: Follower) -> dict[str, Any]:
         self._check_not_stopped(follower)
         name = request["leader"]
         self._queue.take_over(follower.joints, f"the leader {name[:80]}")
-        await self._until_unused(follower)
+        # The way to the leader of a following that has just ended may brake.
+        await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
         if not name.startswith("/") and name not in self._leaders:
             known = ", ".join(sorted(self._leaders)) or "none"
             raise ServiceError(
@@ -215,7 +213,8 @@ class Teleoperation(Feature):
         following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
         try:
             self._listen(following)
-            await self._first_sample(follower, leader)
+            silence = f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s"
+            await self._wait(follower, FIRST_SAMPLE_S, lambda: "" if leader.joint_names else silence)
             joints = joint_map(
                 follower.robot,
                 follower.prefix,
@@ -266,12 +265,16 @@ class Teleoperation(Feature):
             session.end("stopped by a client")
         return [*running, *starting]
 
-    async def _until_unused(self, follower: Follower) -> None:
-        """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake."""
-        until_s = self._clock() + BRAKING_S
-        while busy := self._queue.busy(follower.joints):
+    def _in_use(self, follower: Follower) -> str:
+        busy = self._queue.busy(follower.joints)
+        return f"{follower.name} cannot follow: it is in use: {busy}" if busy else ""
+
+    async def _wait(self, follower: Follower, limit_s: float, obstacle: Callable[[], str]) -> None:
+        """Wait until a start has no obstacle any more, or raise ServiceError with it after the limit [s]."""
+        until_s = self._clock() + limit_s
+        while text := obstacle():
             if self._clock() > until_s:
-                raise ServiceError(f"{follower.name} cannot follow: it is in use: {busy}")
+                raise ServiceError(text)
             await asyncio.sleep(POLL_S)
             self._check_not_stopped(follower)
 
@@ -313,14 +316,6 @@ class Teleoperation(Feature):
             self._graph.subscribe(following.node, leader.name, JOINT_STATE, Subscriber(leader.take_message, refused))
         except MessageError as error:
             raise ServiceError(f"leader: {error}") from error
-
-    async def _first_sample(self, follower: Follower, leader: Leader) -> None:
-        until_s = self._clock() + FIRST_SAMPLE_S
-        while not leader.joint_names:
-            if self._clock() > until_s:
-                raise ServiceError(f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s")
-            await asyncio.sleep(POLL_S)
-            self._check_not_stopped(follower)
 
     def _forget(self, follower: Follower, following: _Following) -> None:
         if self._followings.get(follower.name) is not following:

@@ -252,14 +252,11 @@ class CalledServices:
                 self._services.pop(name).close()
         for name, endpoint in wanted.items():
             if name not in self._services and len(self._services) < MAX_SHARED:
-                self._offer(name, endpoint)
-
-    def _offer(self, name: str, endpoint: Endpoint) -> None:
-        made, _, part = name.partition(ACTION_PARTS)
-        try:
-            self._services[name] = (CalledAction if part else CalledService)(self._network, made, endpoint)
-        except GraphError as error:
-            self._network.warn(f"{endpoint.name} cannot be called: {error}")
+                made, _, part = name.partition(ACTION_PARTS)
+                try:
+                    self._services[name] = (CalledAction if part else CalledService)(self._network, made, endpoint)
+                except GraphError as error:
+                    self._network.warn(f"{endpoint.name} cannot be called: {error}")
 
     def _endpoints(self, entities: Iterable[Entity]) -> dict[str, Endpoint]:
         network, found = self._network, dict[str, Endpoint]()

@@ -79,7 +79,14 @@ class GoalCalls:
 
     def _start(self, goal: Goal) -> None:
         def report(progress: Progress) -> None:
-            goal.feedback(_feedback(progress))
+            goal.feedback(
+                {
+                    "state": progress.state.value,
+                    "message": progress.message,
+                    "fraction": progress.fraction,
+                    "seconds_left": progress.remaining_s,
+                }
+            )
 
         def end(values: Mapping[str, Any]) -> None:
             report(Progress(GoalState.DONE, values["message"], 1.0 if values["success"] else 0.0))
@@ -180,12 +187,3 @@ def _duration_s(answer: Answer) -> float:
     performed = answer.performed or Performed({})
     motions = performed.planned if performed.executed is None else (performed.executed,)
     return sum(motion.duration_s for motion in motions)
-
-
-def _feedback(progress: Progress) -> dict[str, Any]:
-    return {
-        "state": progress.state.value,
-        "message": progress.message,
-        "fraction": progress.fraction,
-        "seconds_left": progress.remaining_s,
-    }

@@ -271,7 +271,6 @@ class GripperCommandMessages:
         return _checked_command(self._joints, message["position"], message["max_effort"], 0.0, self._sliding_fingers)
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
-        """Return the result message."""
         mean = sum(reading.positions) / len(reading.positions)
         return {
             "position": self._sliding_fingers * mean,
@@ -311,11 +310,9 @@ class ParallelGripperCommandMessages:
         return _checked_command(self._joints, positions[0], bounds["effort"], bounds["velocity"])
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
-        """Return the result message."""
         return {**self.feedback(reading), "stalled": stalled, "reached_goal": reached}
 
     def feedback(self, reading: GripperReading) -> Message:
-        """Return the feedback message."""
         return {
             "state": {
                 "name": self._names,
@@ -346,8 +343,6 @@ def _checked_command(
 
 
 def offer_gripper(graph: LocalGraph, gripper: Gripper) -> None:
-    """Offer the gripper's actions."""
-
     def start(messages: ActionMessages, goal: Goal) -> None:
         try:
             command = messages.command(goal.request["command"])

@@ -269,7 +269,6 @@ class TrajectoryGoal:
         self._settling: tuple[Answer, Positions, float] | None = None
 
     def take_state(self, state: ArmState, cancel: Callable[[str], None]) -> None:
-        """Check the tolerances against a state of the arm."""
         if self._settling is not None:
             self._end_when_settled(state, *self._settling)
         elif self.executing and not self._path_violation and state.goal_rad is not None:
@@ -403,7 +402,6 @@ def follow_code(answer: Answer) -> FollowCode:
 
 
 def result(code: FollowCode, message: str) -> Message:
-    """Write the result message."""
     return {"error_code": int(code), "error_string": message}
 
 

@@ -115,7 +115,6 @@ def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[st
 
 
 def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
-    """Offer MoveGroup and MoveGroupSequence."""
     node = Node("move group")
 
     def offer(

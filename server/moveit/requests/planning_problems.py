@@ -136,7 +136,11 @@ class ProblemBuilder:
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
         """Build the problem of a moveit_msgs/MotionPlanRequest; its start state is read before."""
         pipeline = check_pipeline(request["pipeline_id"])
-        _check_unread(request)
+        # Refuse values that are no numbers in fields that have no effect, or not always one.
+        if math.isnan(request["max_cartesian_speed"]):
+            raise invalid("max_cartesian_speed must be a number, not nan")
+        for corner in ("min_corner", "max_corner"):
+            check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
         group = self.group(request["group_name"])
         parameters = self._parameters.of(group.name, request["planner_id"])
         context = RequestContext(self._robot, group, self._frames, start_rad, parameters)
@@ -256,7 +260,6 @@ class RequestStep(Step):
     request: Message
 
     def problem(self, start_rad: Positions) -> PlanningProblem | CartesianProblem:
-        """Build the problem of the request."""
         return self.problems.motion_plan(self.request, start_rad).problem
 
 
@@ -374,14 +377,6 @@ def _beyond_center(center: Vector, start: Vector, end: Vector) -> Point:
 
 def _names_arc(constraints: Message) -> bool:
     return constraints["name"] in (INTERIM, CENTER)
-
-
-def _check_unread(request: Message) -> None:
-    """Refuse values that are no numbers in fields that have no effect, or not always one."""
-    if math.isnan(request["max_cartesian_speed"]):
-        raise invalid("max_cartesian_speed must be a number, not nan")
-    for corner in ("min_corner", "max_corner"):
-        check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
 
 
 def _allowed_time_s(requested_s: float, parameters: MoveItParameters, warnings: list[str]) -> float:

@@ -355,7 +355,6 @@ SERVICES: Mapping[str, MoveGroupService] = {
 
 
 def offer_services(graph: Graph, context: PlanningContext) -> None:
-    """Offer all services of move_group."""
     node = Node("moveit services")
     for name, service in SERVICES.items():
         type_name, start = f"moveit_msgs/srv/{service.type_name}", _start_call(service, context)

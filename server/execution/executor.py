@@ -218,21 +218,18 @@ class GoalExecutor:
 
     async def _attempt(self, goal: Goal, request: PlannedMotion) -> Answer:
         try:
-            return await self._plan_and_play_once(goal, request)
+            await self._until_ready(goal)
+            goal.report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
+            version = self._scene.scene.version
+            planned = await self._plan(goal, request)
+            if planned.failure is not None:
+                return Answer.of(planned.failure, planned.performed)
+            goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
+            self._show_soon(planned)
+            discarded = await self._confirmed(goal, planned) if request.confirm else None
+            return discarded or await self._play(goal, planned, version)
         finally:
             self._in_progress.withdraw(request.joints)
-
-    async def _plan_and_play_once(self, goal: Goal, request: PlannedMotion) -> Answer:
-        await self._until_ready(goal)
-        goal.report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
-        version = self._scene.scene.version
-        planned = await self._plan(goal, request)
-        if planned.failure is not None:
-            return Answer.of(planned.failure, planned.performed)
-        goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
-        self._show_soon(planned)
-        discarded = await self._confirmed(goal, planned) if request.confirm else None
-        return discarded or await self._play(goal, planned, version)
 
     async def _splice_external(self, goal: Goal, request: ExternalTrajectory) -> Answer | None:
         """Have a trajectory take over from the setpoints of the motion of a preempted goal; None if that is impossible.

@@ -210,7 +210,11 @@ class Player:
             progress = await watch.step(PROGRESS_PERIOD_S)
             if goal.reason and self._end is None:
                 if goal.replaced and not ended.done():
-                    return self._hand_over(goal, motion, ended)
+                    path_time = self._path_time(motion.trajectory, ended)
+                    self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + OUTGOING_S - SENDING_S)
+                    # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
+                    asyncio.get_running_loop().call_later(OUTGOING_S, self._arm.stop, ended)
+                    return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
                 self._end = Answer(MoveItErrorCode.PREEMPTED, goal.reason)
             if progress is not None:
                 left_s = progress.remaining_s + to_come_s
@@ -219,13 +223,6 @@ class Player:
             lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
             self._end = self._end or Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}")
         return self._answer(await watch.end())
-
-    def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
-        path_time = self._path_time(motion.trajectory, ended)
-        self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + OUTGOING_S - SENDING_S)
-        # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
-        asyncio.get_running_loop().call_later(OUTGOING_S, self._arm.stop, ended)
-        return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
 
     def _path_time(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> PathTime:
         """Return the time on the path by the arm's latest state, or since the beginning, which it does not show yet."""

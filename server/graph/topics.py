@@ -387,7 +387,11 @@ class Graph:
 
     def _topic(self, name: str, type_name: str | None = None, node: Node | None = None) -> Topic:
         """The topic, made for a node when it is new and ``type_name`` says what it carries."""
-        self._forget_old()
+        for _ in range(FORGOTTEN_AT_ONCE):
+            if not self._unused or not self._outlived(oldest := next(iter(self._unused.values()))):
+                break
+            self._forget(oldest)
+        self._latched_messages.give_up_old(self._clock())
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
@@ -422,13 +426,6 @@ class Graph:
             raise GraphError("topic", name, problem)
         if len(self._topics) >= MAX_TOPICS:
             self._forget(next(iter(self._unused.values())))
-
-    def _forget_old(self) -> None:
-        for _ in range(FORGOTTEN_AT_ONCE):
-            if not self._unused or not self._outlived(topic := next(iter(self._unused.values()))):
-                break
-            self._forget(topic)
-        self._latched_messages.give_up_old(self._clock())
 
     def _forget(self, topic: Topic) -> None:
         del self._topics[topic.name], self._unused[topic.name]

@@ -244,22 +244,19 @@ class ReplayServer:
             # After the listener: recorded topics are not mixed with its own.
             self._player.advertise(summary.topics)
             log.info("%s", self._start_message(summary))
-            await self._play_until(ending)
+            playing = asyncio.create_task(self._play())
+            ended = asyncio.create_task(ending.wait())
+            try:
+                await asyncio.wait([playing, ended], return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                ended.cancel()
+                playing.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await playing
         finally:
             await self._listener.close()
         player = self._player
         log.info("replay ended: %d messages published, %d could not be read", player.published, player.unreadable)
-
-    async def _play_until(self, ending: asyncio.Event) -> None:
-        playing = asyncio.create_task(self._play())
-        ended = asyncio.create_task(ending.wait())
-        try:
-            await asyncio.wait([playing, ended], return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            ended.cancel()
-            playing.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await playing
 
     async def _play(self) -> None:
         await asyncio.sleep(self._options.delay_s)

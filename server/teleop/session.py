@@ -233,7 +233,13 @@ class FollowingSession:
             case Act.FOLLOW:
                 self._follow(now_s)
             case Act.BRAKE:
-                self._brake()
+                self._servo.release()
+                if self._ramp is not None:
+                    ramp, self._ramp = self._ramp, None
+                    self._queue.cancel(ramp.goal_id, self.following.message)
+                if self._gripper is not None:
+                    self._gripper.end(self.following.message)
+                self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
     def _begin_ramp(self, now_s: float) -> None:
         pose = self._samples.pose(now_s)
@@ -295,15 +301,6 @@ class FollowingSession:
             self._gripper.go_on()
         self._read_at_s = now_s - pose.latency_s
         self._show_targets(targets)
-
-    def _brake(self) -> None:
-        self._servo.release()
-        if self._ramp is not None:
-            ramp, self._ramp = self._ramp, None
-            self._queue.cancel(ramp.goal_id, self.following.message)
-        if self._gripper is not None:
-            self._gripper.end(self.following.message)
-        self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
     async def _asked(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
         read_at_s = self._read_at_s

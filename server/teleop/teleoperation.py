@@ -150,7 +150,14 @@ class Teleoperation(Feature):
     def _offer_below(self, below: str, names: Sequence[str]) -> None:
         async def start(request: Message) -> dict[str, Any]:
             follower = self._chosen_follower(request["follower"], names)
-            self._check_idle(follower)
+            if (other := self._followings.get(follower.name)) is not None:
+                raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
+            if follower.name in self._starting:
+                raise ServiceError(f"{follower.name} is starting to follow: call {STOP} first")
+            try:
+                check_ready(follower.arm)
+            except RefusedError as error:
+                raise ServiceError(f"{follower.name} cannot follow: {error}") from error
             self._starting.add(follower.name)
             try:
                 return await self._begin(request, follower)
@@ -158,7 +165,13 @@ class Teleoperation(Feature):
                 self._starting.discard(follower.name)
 
         async def stop(_request: Message) -> dict[str, Any]:
-            ended = self._stop(names)
+            epoch = STOP_EPOCHS.begin()
+            self._last_stops.update((name, epoch) for name in names)
+            starting = [name for name in names if name in self._starting]
+            running = {} if starting and not self._sessions(names) else self._running(names)
+            for session in running.values():
+                session.end("stopped by a client")
+            ended = [*running, *starting]
             return {"success": True, "message": f"{_and(ended)} {_verb(ended, 'follow')} no more"}
 
         async def set_clutch(request: Message) -> dict[str, Any]:
@@ -240,30 +253,10 @@ class Teleoperation(Feature):
         log.info("%s follows %s", follower.name, name)
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
 
-    def _check_idle(self, follower: Follower) -> None:
-        if (other := self._followings.get(follower.name)) is not None:
-            raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
-        if follower.name in self._starting:
-            raise ServiceError(f"{follower.name} is starting to follow: call {STOP} first")
-        try:
-            check_ready(follower.arm)
-        except RefusedError as error:
-            raise ServiceError(f"{follower.name} cannot follow: {error}") from error
-
     def _check_not_stopped(self, follower: Follower) -> None:
         """Refuse a start that a stop of the arm, or of its following, has overtaken."""
         if is_stopped(max(follower.arm.last_stop, self._last_stops.get(follower.name, 0))):
             raise ServiceError(f"{follower.name} does not follow: a stop came after {START} was called")
-
-    def _stop(self, names: Sequence[str]) -> list[str]:
-        """End the followings of some followers, those that are just starting as well; return the followers."""
-        epoch = STOP_EPOCHS.begin()
-        self._last_stops.update((name, epoch) for name in names)
-        starting = [name for name in names if name in self._starting]
-        running = {} if starting and not self._sessions(names) else self._running(names)
-        for session in running.values():
-            session.end("stopped by a client")
-        return [*running, *starting]
 
     def _in_use(self, follower: Follower) -> str:
         busy = self._queue.busy(follower.joints)

@@ -403,15 +403,11 @@ def _rejection(
 
 
 def _response(service: MoveGroupService, call: Call, response: Message) -> Answered:
-    _log_error_message(call.service, response)
-    return CompleteResponse(response) if service.complete else response
-
-
-def _log_error_message(service: str, response: Mapping[str, Any]) -> None:
-    """Log the message of a response's error code, which ROS 1 has no field for."""
+    # ROS 1 has no field for the message of an error code, so it is logged.
     inner = next((response[name] for name in ("motion_plan_response", "response") if name in response), response)
     code = inner.get("error_code")
     if code is not None and code["message"]:
         name = MoveItErrorCode(code["val"]).name
         level = logging.INFO if code["val"] == MoveItErrorCode.SUCCESS else logging.WARNING
-        log.log(level, "%s: %s: %s", service, name, code["message"])
+        log.log(level, "%s: %s: %s", call.service, name, code["message"])
+    return CompleteResponse(response) if service.complete else response

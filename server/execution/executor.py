@@ -25,7 +25,7 @@ from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
 from server.execution.failures import FailedGoals, with_nearest_goal
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalState, Progress, TimeLimits
 from server.execution.monitors import (
     ARM_START_TIMEOUT_S,
     CurrentState,
@@ -57,7 +57,6 @@ from server.execution.player import (
     Player,
     meeting_question,
 )
-from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")
 

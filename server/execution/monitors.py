@@ -9,13 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any, Protocol, TypeAlias
 
 from planners.interface import Planners
-from planners.problem import (
-    ConcurrencyQuestion,
-    MoveItErrorCode,
-    PlanningFailure,
-    RecheckAnswer,
-    RecheckQuestion,
-)
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.arm_group import AnyArm, ArmGroup, states_of
@@ -70,13 +64,7 @@ def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -
             "velocity": [],
             "effort": [],
         },
-        "multi_dof_joint_state": {
-            "header": header,
-            "joint_names": [],
-            "transforms": [],
-            "twist": [],
-            "wrench": [],
-        },
+        "multi_dof_joint_state": {"header": header, "joint_names": [], "transforms": [], "twist": [], "wrench": []},
         "attached_collision_objects": [],
         "is_diff": False,
     }
@@ -145,11 +133,7 @@ class SceneMonitor:
     """
 
     def __init__(
-        self,
-        pool: Planners,
-        source: SceneSource,
-        retry_for_s: float = 0.0,
-        clock: Callable[[], float] = time.monotonic,
+        self, pool: Planners, source: SceneSource, retry_for_s: float = 0.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._pool = pool
         self._source = source

@@ -19,10 +19,9 @@ from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
-from server.execution.goal import Answer, CancelScope, Goal, GoalState, Progress
+from server.execution.goal import Answer, ArmClock, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
 from server.execution.motions import OUTGOING_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
-from server.execution.time_limits import ArmClock
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
 BRAKING_TIMEOUT_S = 2.0

@@ -18,9 +18,8 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.stop_epochs import STOPPED_SINCE
 from server.arrival import is_stopped
 from server.execution.executor import GoalExecutors
-from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, ExecutionDeadline, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints
-from server.execution.time_limits import ExecutionDeadline
 
 log = logging.getLogger("armbridge.goals")
 

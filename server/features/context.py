@@ -19,11 +19,10 @@ from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
-from server.execution.goal import Answer, Goal, GoalRequest, Progress
+from server.execution.goal import Answer, Goal, GoalRequest, Progress, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue, RunningGoal
-from server.execution.time_limits import TimeLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph

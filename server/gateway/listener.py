@@ -21,12 +21,7 @@ from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
 from server.access.rate_limits import is_loopback
 from server.errors import ConfigurationError, StartError
-from server.gateway.admission import (
-    AdmissionPolicy,
-    ConnectionLimiter,
-    check_exposure,
-    host_addresses,
-)
+from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, check_exposure, host_addresses
 from server.gateway.client_context import Gateway
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler

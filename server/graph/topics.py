@@ -290,14 +290,7 @@ class Graph:
             (message.cost_bytes, message.light) if isinstance(message, ReceivedMessage) else (None, False)
         )
         published = PublishedMessage(
-            topic.name,
-            topic.type_name,
-            completed,
-            self.message_types.registry,
-            received,
-            node,
-            cost_bytes,
-            light=light,
+            topic.name, topic.type_name, completed, self.message_types.registry, received, node, cost_bytes, light=light
         )
         return self._distribute(topic, published, node, lifespan_s)
 

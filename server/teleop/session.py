@@ -23,14 +23,7 @@ from server.execution.queue import GoalQueue
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
-from server.teleop.following import (
-    STALE_S,
-    Act,
-    Following,
-    Phase,
-    TrackingLimits,
-    tracking_velocities,
-)
+from server.teleop.following import STALE_S, Act, Following, Phase, TrackingLimits, tracking_velocities
 from server.teleop.gripper_following import GripperFollowing
 from server.teleop.leader import JitterBuffer, JointMap
 

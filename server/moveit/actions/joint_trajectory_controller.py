@@ -22,10 +22,9 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.errors import GraphError, RefusedError, refused
-from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
-from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node

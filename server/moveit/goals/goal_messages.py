@@ -61,11 +61,7 @@ class GoalTranslator:
     """Translator of goal messages for one robot, or for one of several arms: ``only``, which is None for all."""
 
     def __init__(
-        self,
-        planning: PlanningContext,
-        parameters: MoveItParameters,
-        states: NamedStates,
-        only: OneArm | None = None,
+        self, planning: PlanningContext, parameters: MoveItParameters, states: NamedStates, only: OneArm | None = None
     ) -> None:
         self._only = only
         self._robot = planning.robot
@@ -202,12 +198,7 @@ class GoalTranslator:
         return frame
 
     def _motion(
-        self,
-        group: Group,
-        goal: Goal,
-        options: GoalOptions,
-        frame: str | None = None,
-        warnings: tuple[str, ...] = (),
+        self, group: Group, goal: Goal, options: GoalOptions, frame: str | None = None, warnings: tuple[str, ...] = ()
     ) -> PlannedMotion:
         self._check_own(group)
         step = GoalStep(self._problems, group, goal, options.parameters, frame)

@@ -113,11 +113,7 @@ class ProblemBuilder:
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
     def goal(
-        self,
-        group: Group,
-        goal: Goal,
-        start_rad: Positions,
-        parameters: MoveItParameters | None = None,
+        self, group: Group, goal: Goal, start_rad: Positions, parameters: MoveItParameters | None = None
     ) -> PlanningProblem:
         """Build the problem of a goal that comes with nothing else, by parameters of its own or the configured ones."""
         parameters = parameters or self._parameters.configured

@@ -340,10 +340,7 @@ SERVICES: Mapping[str, MoveGroupService] = {
     "/compute_cartesian_path": MoveGroupService("GetCartesianPath", compute_cartesian_path, complete=True),
     "/check_state_validity": MoveGroupService("GetStateValidity", check_state_validity, _invalid_state, complete=True),
     "/plan_sequence_path": MoveGroupService(
-        "GetMotionSequence",
-        plan_sequence_path,
-        lambda failure: {"response": _error_response(failure)},
-        complete=True,
+        "GetMotionSequence", plan_sequence_path, lambda failure: {"response": _error_response(failure)}, complete=True
     ),
     "/query_planner_interface": MoveGroupService(
         "QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING

@@ -70,10 +70,6 @@ def known_keys() -> list[str]:
     return keys + sorted(sections)
 
 
-def _keys_of_arm(name: str) -> list[str]:
-    return [f"arms.{name}.{key}" for key, _, _ in every_field(NamedArmSettings)]
-
-
 def _stray_variables() -> list[str]:
     known = known_keys()
     tables = tuple(f"{key}." for key, _, field in every_field(Settings) if is_table(field))
@@ -120,7 +116,9 @@ def _place(key: str, places: dict[str, str]) -> str:
 def _sentence(problem: Any, places: dict[str, str]) -> str:
     key = _key(problem)
     if problem["type"] == "extra_forbidden":
-        return unknown(key, _keys_of_arm(problem["loc"][1]) if key.startswith("arms.") else known_keys())
+        arm = f"arms.{problem['loc'][1]}." if key.startswith("arms.") else ""
+        known = [f"{arm}{each}" for each, _, _ in every_field(NamedArmSettings)] if arm else known_keys()
+        return unknown(key, known)
     value = problem.get("input")
     place = _place(key, places)
     source = f", from the {place}" if place else ""

@@ -167,7 +167,19 @@ class GoalExecutor:
             return answer
         if motion is None:
             raise AssertionError("a rejected goal was queued")
-        return await self._play_given(goal, motion)
+        # An external trajectory is played up to a first contact where it may be cut.
+        while True:
+            answer = await _answered(self._play_external(goal, motion))
+            if goal.reason or motion.cut is None:
+                break
+            shorter = motion.cut(PlanningFailure(answer.code, answer.message, answer.details))
+            if shorter is None:
+                break
+            motion = shorter
+        if answer.code is not MoveItErrorCode.SUCCESS and not goal.replaced:
+            # Nothing takes the place of the motion before.
+            await self._player.stop_outgoing()
+        return answer
 
     # Attempts: from a motion to an answer.
 
@@ -272,23 +284,6 @@ class GoalExecutor:
         whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
         goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         return whole, point, leaves_s
-
-    async def _play_given(self, goal: Goal, motion: ExternalTrajectory) -> Answer:
-        """Play a trajectory, up to a first contact where it may be cut."""
-        while True:
-            answer = await _answered(self._play_external(goal, motion))
-            shorter = (
-                None
-                if goal.reason or motion.cut is None
-                else motion.cut(PlanningFailure(answer.code, answer.message, answer.details))
-            )
-            if shorter is None:
-                break
-            motion = shorter
-        if answer.code is not MoveItErrorCode.SUCCESS and not goal.replaced:
-            # Nothing takes the place of the motion before.
-            await self._player.stop_outgoing()
-        return answer
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         if (answer := await self._splice_external(goal, request)) is not None:

@@ -221,7 +221,12 @@ class Player:
         if not ended.done():
             lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
             self._end = self._end or Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}")
-        return self._answer(await watch.end())
+        end = await watch.end()
+        if end.outcome is not Outcome.STOPPED:
+            return Answer(CODE_OF_OUTCOME[end.outcome], end.message, {"outcome": end.outcome.value})
+        if self._end is None:
+            return Answer(MoveItErrorCode.PREEMPTED, end.message)
+        return Answer(self._end.code, f"{self._end.message}; {end.message}", self._end.details)
 
     def _path_time(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> PathTime:
         """Return the time on the path by the arm's latest state, or since the beginning, which it does not show yet."""
@@ -231,13 +236,6 @@ class Player:
             return PathTime(now_s, self._begun.at(now_s), min(rate, self._begun.rate))
         rate = min(rate, progress.rate)
         return PathTime(now_s, progress.fraction * trajectory.duration_s + self._arm.state_age_s * rate, rate)
-
-    def _answer(self, ended: MotionEnded) -> Answer:
-        if ended.outcome is not Outcome.STOPPED:
-            return Answer(CODE_OF_OUTCOME[ended.outcome], ended.message, {"outcome": ended.outcome.value})
-        if self._end is None:
-            return Answer(MoveItErrorCode.PREEMPTED, ended.message)
-        return Answer(self._end.code, f"{self._end.message}; {ended.message}", self._end.details)
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:

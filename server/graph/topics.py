@@ -398,7 +398,14 @@ class Graph:
             canonical = self._canonical(name, type_name)
             if topic is not None:
                 self._forget(topic)
-            self._make_room(name, node)
+            # Topics that nobody uses any more are only kept while there is room.
+            in_use, of_viewer = len(self.topic_names), node is not None and node.is_viewer
+            limit, whose = (MAX_TOPICS_FOR_VIEWERS, " for the role view") if of_viewer else (MAX_TOPICS, "")
+            if in_use >= limit:
+                full = f"cannot be added: there are {in_use} topics already, the limit{whose} is {limit}"
+                raise GraphError("topic", name, full)
+            if len(self._topics) >= MAX_TOPICS:
+                self._forget(next(iter(self._unused.values())))
             topic = self._topics[name] = Topic(name, canonical, self._clock())
         elif type_name is not None and self._canonical(name, type_name) != topic.type_name:
             raise GraphError("topic", name, f"is already established with type {topic.type_name}, not {type_name}")
@@ -409,16 +416,6 @@ class Graph:
             return self.message_types.canonical(type_name, "msg")
         except InterfaceError as error:
             raise GraphError("topic", name, str(error)) from error
-
-    def _make_room(self, name: str, node: Node | None) -> None:
-        """See that one more topic fits; those that nobody uses any more are only kept while there is room."""
-        in_use, of_viewer = len(self.topic_names), node is not None and node.is_viewer
-        limit, whose = (MAX_TOPICS_FOR_VIEWERS, " for the role view") if of_viewer else (MAX_TOPICS, "")
-        if in_use >= limit:
-            problem = f"cannot be added: there are {in_use} topics already, the limit{whose} is {limit}"
-            raise GraphError("topic", name, problem)
-        if len(self._topics) >= MAX_TOPICS:
-            self._forget(next(iter(self._unused.values())))
 
     def _forget(self, topic: Topic) -> None:
         del self._topics[topic.name], self._unused[topic.name]

@@ -123,7 +123,15 @@ class McapFile:
     def add(self, message: RecordedMessage) -> None:
         channel = self._channels.get((message.topic, message.type_name))
         if channel is None:
-            channel = self._channels[message.topic, message.type_name] = [self._register(message), 0]
+            schema = self._schemas.get(message.type_name)
+            if schema is None:
+                text = type_descriptions.full_text(self._registry, message.type_name)
+                schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
+                self._schemas[message.type_name] = schema
+            durability, depth = ("transient_local", 1) if message.latched else ("volatile", 10)
+            qos = {QOS_KEY: _QOS_PROFILE.format(durability=durability, depth=depth, never=_NEVER)}
+            number = self._writer.register_channel(message.topic, "cdr", schema, qos)
+            channel = self._channels[message.topic, message.type_name] = [number, 0]
         channel[1] += 1
         self._writer.add_message(channel[0], message.log_time_ns, message.octets, message.publish_time_ns, channel[1])
 
@@ -137,14 +145,6 @@ class McapFile:
             self._writer.add_metadata(METADATA_NAME, facts)
         self._writer.finish()
         self._stream.close()
-
-    def _register(self, message: RecordedMessage) -> int:
-        schema = self._schemas.get(message.type_name)
-        if schema is None:
-            text = type_descriptions.full_text(self._registry, message.type_name)
-            schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
-            self._schemas[message.type_name] = schema
-        return self._writer.register_channel(message.topic, "cdr", schema, channel_metadata(message.latched))
 
 
 class RecordingSeries:
@@ -214,12 +214,6 @@ class RecordingSeries:
             with contextlib.suppress(FileExistsError):
                 return path.open("xb"), path
         raise FileExistsError(f"{self._path} and {MAX_NUMBER - 1} files numbered after it exist already")
-
-
-def channel_metadata(latched: bool) -> dict[str, str]:
-    """Return the metadata of a topic's channel: its quality of service, as rosbag2 writes it."""
-    durability, depth = ("transient_local", 1) if latched else ("volatile", 10)
-    return {QOS_KEY: _QOS_PROFILE.format(durability=durability, depth=depth, never=_NEVER)}
 
 
 def is_latched(metadata: Mapping[str, str]) -> bool:

@@ -191,7 +191,24 @@ class WriterThread:
         # Once more after the stop, for messages that came until then.
         while not stopping:
             stopping = self._stopping.wait(POLL_PERIOD_S)
-            self._write_queued(files)
+            for number in range(len(self._queue)):
+                if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
+                    time.sleep(PAUSE_S)
+                message = self._queue.popleft()
+                published = message.published
+                octets = cdr.serialize(self._registry, published.type_name, published.msg)
+                publish_time_ns = published.received.sec * 1_000_000_000 + published.received.nanosec
+                files.add(
+                    RecordedMessage(
+                        published.topic,
+                        published.type_name,
+                        message.latched,
+                        message.log_time_ns,
+                        publish_time_ns,
+                        octets,
+                    )
+                )
+                self._written_bytes += message.size_bytes
             if self._clock() >= flush_at_s:
                 files.flush()
                 flush_at_s = self._clock() + FLUSH_PERIOD_S
@@ -202,19 +219,3 @@ class WriterThread:
                     self.dropped - self._dropped_logged,
                 )
                 self._dropped_logged, self._drops_logged_at_s = self.dropped, now_s
-
-    def _write_queued(self, files: RecordingSeries) -> None:
-        """Write the messages that are in the queue now; later ones are left to the next call."""
-        for number in range(len(self._queue)):
-            if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
-                time.sleep(PAUSE_S)
-            message = self._queue.popleft()
-            published = message.published
-            octets = cdr.serialize(self._registry, published.type_name, published.msg)
-            publish_time_ns = published.received.sec * 1_000_000_000 + published.received.nanosec
-            files.add(
-                RecordedMessage(
-                    published.topic, published.type_name, message.latched, message.log_time_ns, publish_time_ns, octets
-                )
-            )
-            self._written_bytes += message.size_bytes

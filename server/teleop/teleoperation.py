@@ -172,14 +172,14 @@ class Teleoperation(Feature):
             for session in running.values():
                 session.end("stopped by a client")
             ended = [*running, *starting]
-            return {"success": True, "message": f"{_and(ended)} {_verb(ended, 'follow')} no more"}
+            return {"success": True, "message": f"{' and '.join(ended)} {_verb(ended, 'follow')} no more"}
 
         async def set_clutch(request: Message) -> dict[str, Any]:
             followings = self._running(names)
             for following in followings.values():
                 following.set_clutch(closed=request["data"])
             does = f"{_verb(followings, 'go')} to where the leader is" if request["data"] else _verb(followings, "hold")
-            return {"success": True, "message": f"{_and(followings)} {does}"}
+            return {"success": True, "message": f"{' and '.join(followings)} {does}"}
 
         self._graph.advertise(self._node, below + STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
         self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start, SWITCHING)
@@ -362,10 +362,6 @@ def _state_message(follower: str, leader: str, state: FollowingState) -> dict[st
         "lag_rad": state.lag_rad,
         "speed_scale": state.speed_scale,
     }
-
-
-def _and(names: Collection[str]) -> str:
-    return " and ".join(names)
 
 
 def _verb(names: Collection[str], verb: str) -> str:

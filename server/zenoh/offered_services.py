@@ -226,7 +226,8 @@ class OfferedServices:
         if is_accepted:
             call_in_loop(self._network.loop, self._call, call)
         else:
-            self._fail(call, f"{call.service.max_calls} calls are on their way already")
+            full = f"Service {call.service.name}: {call.service.max_calls} calls are on their way already"
+            self._network.thread.submit_call(lambda _session: call.service.reply(call, Response(ok=False, values=full)))
 
     def _call(self, call: IncomingCall) -> None:
         network, name = self._network, call.service.name
@@ -257,7 +258,3 @@ class OfferedServices:
                     network.graph.services.call(network.node, name, request, respond)
 
         network.decode(f"{call.service.endpoint.type_name}_Request", call.octets, take)
-
-    def _fail(self, call: IncomingCall, reason: str) -> None:
-        response = Response(ok=False, values=f"Service {call.service.name}: {reason}")
-        self._network.thread.submit_call(lambda _session: call.service.reply(call, response))

@@ -9,7 +9,7 @@ https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -37,7 +37,6 @@ from planners.problem import (
 )
 from planners.scene import Point, Pose
 from robot.description.model import Group, RobotModel
-from robot.trajectory import Vector
 from server.errors import RefusedError, invalid, refused
 from server.execution.motions import Joints, Positions, Step
 from server.graph.list_limits import ListLimits
@@ -356,12 +355,9 @@ def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point
     if arc["name"] == INTERIM:
         return point
     start = np.array(context.frames.resolve(link, context.start_rad).position_m)
-    return _beyond_center(np.array(point), start, np.array(end.position_m))
-
-
-def _beyond_center(center: Vector, start: Vector, end: Vector) -> Point:
-    """Return the middle of the shorter arc around a center [m]."""
-    to_start, to_end = start - center, end - center
+    # The middle of the shorter arc around the center [m].
+    center = np.array(point)
+    to_start, to_end = start - center, np.array(end.position_m) - center
     radius = float(np.linalg.norm(to_start))
     across = to_start + to_end
     length = float(np.linalg.norm(across))
@@ -441,7 +437,16 @@ def _ik_goal(request: Message, context: RequestContext) -> Goal:
     if len(poses) > 1 or len(links) > 1:
         if len(links) != len(poses):
             raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
-        return _goal_of_links(links, poses, context)
+        placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
+        positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
+        if not chooses_orientation(context.group):
+            context.warnings.append("the orientations of several links are ignored")
+            return ConstraintGoal(Constraints(positions=positions))
+        turned = tuple(
+            OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3)
+            for link, pose in placed
+        )
+        return ConstraintGoal(Constraints(positions=positions, orientations=turned))
     link = request["ik_link_name"] or (links[0] if links else "")
     pose = _stamped_pose(poses[0] if poses else request["pose_stamped"], context)
     return PoseGoal(
@@ -451,19 +456,6 @@ def _ik_goal(request: Message, context: RequestContext) -> Goal:
         (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3,
         strict=chooses_orientation(context.group),
     )
-
-
-def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: RequestContext) -> ConstraintGoal:
-    """Make the goal of several links at once: only their positions if the group has few joints."""
-    placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
-    positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
-    if not chooses_orientation(context.group):
-        context.warnings.append("the orientations of several links are ignored")
-        return ConstraintGoal(Constraints(positions=positions))
-    turned = tuple(
-        OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3) for link, pose in placed
-    )
-    return ConstraintGoal(Constraints(positions=positions, orientations=turned))
 
 
 def _stamped_pose(stamped: Message, context: RequestContext) -> Pose:

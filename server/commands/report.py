@@ -73,7 +73,6 @@ def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
-    # Imported when it is needed: --help answers without the server's libraries.
     from server.access.authentication import Tokens
     from server.monitoring.report import Redactor, Report, RunningServer, add_faults, add_machine, add_settings
     from server.moveit.named_states import data_directory

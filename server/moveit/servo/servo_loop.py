@@ -301,7 +301,7 @@ class ServoSession:
         """Return the command to follow now, in the root link; a halt if the last command has expired or is zero."""
         command: ServoInput | ServoCommand = self._input
         if isinstance(command, TwistCommand):
-            # A twist turns with its frame; one that cannot be found is refused, also when the command has expired.
+            # A twist turns with its frame. An unknown frame is refused, also when the command has expired.
             rotation = matrix_of(self._resolve(command.frame_id, positions_rad))[:3, :3]
             command = TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
         return JointVelocities({}) if self._halted else command

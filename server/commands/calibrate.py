@@ -180,8 +180,12 @@ class _Conversation:
         if calibration is None:
             raise CalibrationError(str(self._path), "", "there is no result")
         changes = differences(calibration, scan(self._bus, self._ids).registers)
-        if session.recentre:
-            _write_changes(self._bus, changes, terminal)
+        if session.recentre and changes:
+            terminal.say("writing to the servos:")
+            terminal.say(_differences_table(changes))
+            run_to_end(write_to_servos(self._bus, changes))
+        elif session.recentre:
+            terminal.say("the servos hold these values already")
         elif changes:
             terminal.say("the servos' angle limits stay as they are (--write-servos would change them):")
             terminal.say(_differences_table(changes))
@@ -189,15 +193,6 @@ class _Conversation:
         session.finish()
         terminal.tell(_calibration_table(calibration))
         terminal.say(f"written to {self._path}; armbridge verify has a running server compare the arm with it")
-
-
-def _write_changes(bus: Bus, changes: list[Difference], terminal: Terminal) -> None:
-    if not changes:
-        terminal.say("the servos hold these values already")
-        return
-    terminal.say("writing to the servos:")
-    terminal.say(_differences_table(changes))
-    run_to_end(write_to_servos(bus, changes))
 
 
 def _calibration_table(calibration: Calibration) -> str:

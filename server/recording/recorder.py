@@ -191,6 +191,7 @@ class WriterThread:
         # Once more after the stop, for messages that came until then.
         while not stopping:
             stopping = self._stopping.wait(POLL_PERIOD_S)
+            # The messages that are in the queue now; later ones have the next round.
             for number in range(len(self._queue)):
                 if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
                     time.sleep(PAUSE_S)
@@ -198,16 +199,8 @@ class WriterThread:
                 published = message.published
                 octets = cdr.serialize(self._registry, published.type_name, published.msg)
                 publish_time_ns = published.received.sec * 1_000_000_000 + published.received.nanosec
-                files.add(
-                    RecordedMessage(
-                        published.topic,
-                        published.type_name,
-                        message.latched,
-                        message.log_time_ns,
-                        publish_time_ns,
-                        octets,
-                    )
-                )
+                times = message.log_time_ns, publish_time_ns
+                files.add(RecordedMessage(published.topic, published.type_name, message.latched, *times, octets))
                 self._written_bytes += message.size_bytes
             if self._clock() >= flush_at_s:
                 files.flush()

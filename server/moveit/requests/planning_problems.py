@@ -9,7 +9,7 @@ https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -437,16 +437,7 @@ def _ik_goal(request: Message, context: RequestContext) -> Goal:
     if len(poses) > 1 or len(links) > 1:
         if len(links) != len(poses):
             raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
-        placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
-        positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
-        if not chooses_orientation(context.group):
-            context.warnings.append("the orientations of several links are ignored")
-            return ConstraintGoal(Constraints(positions=positions))
-        turned = tuple(
-            OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3)
-            for link, pose in placed
-        )
-        return ConstraintGoal(Constraints(positions=positions, orientations=turned))
+        return _goal_of_links(links, poses, context)
     link = request["ik_link_name"] or (links[0] if links else "")
     pose = _stamped_pose(poses[0] if poses else request["pose_stamped"], context)
     return PoseGoal(
@@ -456,6 +447,19 @@ def _ik_goal(request: Message, context: RequestContext) -> Goal:
         (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3,
         strict=chooses_orientation(context.group),
     )
+
+
+def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: RequestContext) -> ConstraintGoal:
+    """Make the goal of several links at once: only their positions if the group has few joints."""
+    placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
+    positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
+    if not chooses_orientation(context.group):
+        context.warnings.append("the orientations of several links are ignored")
+        return ConstraintGoal(Constraints(positions=positions))
+    turned = tuple(
+        OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3) for link, pose in placed
+    )
+    return ConstraintGoal(Constraints(positions=positions, orientations=turned))
 
 
 def _stamped_pose(stamped: Message, context: RequestContext) -> Pose:

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from robot.processes import StartedChild
 from server.arm.arms import Arms, ServedArm, StateFeed, read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.setup import Description, check_parameters
-from server.config import Settings
+from server.config import Settings, SimulationSettings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.features.arms import (
@@ -36,6 +37,7 @@ from server.features.monitoring import Logs, Monitoring, Recording
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
 from server.features.physics import physics_of
+from server.features.simulated_time import SimulatedTime
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
 from server.installation import PAGE_DIRECTORY
@@ -113,8 +115,11 @@ class App:
         files = read_arms(settings, None if inherited is None else inherited.description)
         if recalibrated is not None:
             files = resumed(files, recalibrated)
+        # An arm whose clock is faster than the machine's gives the time of all stamps.
+        simulated = settings.simulation.rate != 1.0
         self.graph = Graph(
             load_registry(settings.server.interfaces),
+            wall_clock=(lambda: self._arms.whole.arm.state.stamp_s) if simulated else time.time,
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
@@ -140,6 +145,7 @@ class App:
         shared = inherited is not None
         commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
+        self._simulated_time = [SimulatedTime(context)] if simulated else []
         self._physics = physics_of(context)
         self._cameras: list[Feature] = []
         if self._physics:
@@ -170,6 +176,7 @@ class App:
             *([] if zenoh is None else [Part("other machines", stop=zenoh.stop, deadline_s=0.4)]),
             # Restored before anybody can see it, and written when nobody can change it any more.
             PlanningScene(self._context),
+            *self._simulated_time,
             *self._physics,
             ArmControl(self._context),
             # The port before the processes: when the port is taken, no process and no arm is needed.
@@ -244,7 +251,8 @@ class App:
         return not self._context.goals.queue.busy() and not moves(self._arms.whole.arm)
 
     def _what_runs_where(self) -> str:
-        arms = "; ".join(map(_what_arm_runs, self._arms.each))
+        simulation = self._context.settings.simulation
+        arms = "; ".join(_what_arm_runs(each, simulation) for each in self._arms.each)
         listener = self._clients.listener
         page = f"{listener.page_url} (page), " if page_is_built(PAGE_DIRECTORY) else ""
         raw_tcp = f"{listener.tcp_url} (rosbridge over TCP), " if listener.tcp_url is not None else ""
@@ -254,13 +262,13 @@ class App:
         )
 
 
-def _what_arm_runs(served: ServedArm) -> str:
+def _what_arm_runs(served: ServedArm, simulation: SimulationSettings) -> str:
     arm, settings, description = served.arm, served.settings, served.description
     bus = f"on {settings.serial}" if settings.serial is not None else "simulated"
-    world = [] if settings.world is None else [f"world {settings.world}"]
-    ideal = ["ideal"] if description.calibration is None else []
-    kinds = [*ideal, *(["physics", *world] if settings.simulation == "physics" else [])]
-    if kinds:
+    kinds = ["ideal"] if description.calibration is None else []
+    if simulation.kind == "physics":
+        kinds += ["physics", *([] if simulation.world is None else [f"world {simulation.world}"])]
+    if kinds and settings.serial is None:
         bus += f" ({', '.join(kinds)})"
     if arm.state.mode is Mode.DISCONNECTED:
         bus += f", NOT CONNECTED ({arm.state.reason})"

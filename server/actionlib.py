@@ -116,7 +116,11 @@ class BridgedAction:
         self._goals: dict[str, Tracked] = {}
         self._count = 0
         # ROS 1's results and feedback lack fields that ROS 2 added.
-        self._fields = {part: self._fields_of(part) for part in ("Result", "Feedback")}
+        registry = graph.message_types.registry
+        self._fields = {
+            part: [field.name for field in registry.message(_message_type(type_name, part)).fields]
+            for part in ("Result", "Feedback")
+        }
         for part in ("Result", "Feedback"):
             graph.advertise(self._node, f"{name}/{part.lower()}", _message_type(type_name, f"Action{part}"))
         graph.advertise(self._node, f"{name}/status", STATUS_ARRAY)
@@ -127,13 +131,7 @@ class BridgedAction:
 
     def publish_status(self) -> None:
         """Tell how all goals are, if anybody listens."""
-        self._forget()
-        topic = f"{self._name}/status"
-        if self._graph.subscribers(topic):
-            self._graph.publish(self._node, topic, {"status_list": self._messages()})
-
-    def _forget(self) -> None:
-        """Drop what ended long ago, and of very many goals the oldest that have ended."""
+        # Drop what ended long ago, and of very many goals the oldest that have ended.
         now_s = self._clock()
         self._goals = {
             key: goal
@@ -143,6 +141,9 @@ class BridgedAction:
         for key in list(self._goals)[: -2 * MAX_GOALS]:
             if self._goals[key].ended_s is not None:
                 del self._goals[key]
+        topic = f"{self._name}/status"
+        if self._graph.subscribers(topic):
+            self._graph.publish(self._node, topic, {"status_list": self._messages()})
 
     def _messages(self) -> list[dict[str, Any]]:
         return [goal.message() for goal in self._goals.values()]
@@ -225,10 +226,6 @@ class BridgedAction:
         known = {name: values[name] for name in self._fields[part] if name in values}
         message = {"status": goal.message(), part.lower(): known}
         self._graph.publish(self._node, f"{self._name}/{part.lower()}", message)
-
-    def _fields_of(self, part: str) -> tuple[str, ...]:
-        message_type = self._graph.message_types.registry.message(_message_type(self._type_name, part))
-        return tuple(field.name for field in message_type.fields)
 
 
 def _message_type(type_name: str, part: str) -> str:

@@ -153,11 +153,7 @@ def _range(field: FieldInfo) -> str:
         return ", ".join(str(value) for value in get_args(kind))
     if isinstance(kind, type) and issubclass(kind, Enum):
         return ", ".join(str(member.value) for member in kind)
-    return _limits(field.metadata)
-
-
-def _limits(metadata: Sequence[Any]) -> str:
-    found = {name: getattr(limit, name) for name in _LIMITS for limit in metadata if hasattr(limit, name)}
+    found = {name: getattr(limit, name) for name in _LIMITS for limit in field.metadata if hasattr(limit, name)}
     if {"ge", "le"} <= found.keys():
         return f"{_number(found['ge'])} to {_number(found['le'])}"
     return ", ".join(f"{_LIMITS[name]} {_number(value)}" for name, value in found.items())

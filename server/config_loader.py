@@ -25,7 +25,6 @@ _SECRET = (
 
 
 def load(file: Path | None, overrides: dict[str, Any]) -> Settings:
-    """Read the settings, as :func:`load_with_sources`."""
     return load_with_sources(file, overrides)[0]
 
 
@@ -69,10 +68,6 @@ def known_keys() -> list[str]:
     keys = [key for key, _, _ in every_field(Settings)]
     sections = {key.rpartition(".")[0] for key in keys}
     return keys + sorted(sections)
-
-
-def _keys_of_arm(name: str) -> list[str]:
-    return [f"arms.{name}.{key}" for key, _, _ in every_field(NamedArmSettings)]
 
 
 def _stray_variables() -> list[str]:
@@ -121,7 +116,9 @@ def _place(key: str, places: dict[str, str]) -> str:
 def _sentence(problem: Any, places: dict[str, str]) -> str:
     key = _key(problem)
     if problem["type"] == "extra_forbidden":
-        return unknown(key, _keys_of_arm(problem["loc"][1]) if key.startswith("arms.") else known_keys())
+        arm = f"arms.{problem['loc'][1]}." if key.startswith("arms.") else ""
+        known = [f"{arm}{each}" for each, _, _ in every_field(NamedArmSettings)] if arm else known_keys()
+        return unknown(key, known)
     value = problem.get("input")
     place = _place(key, places)
     source = f", from the {place}" if place else ""

@@ -249,9 +249,12 @@ class Parameters:
         self.handlers: Handlers = {
             "set_param": ("rosapi_msgs/srv/SetParam", self._set_param),
             "get_param": ("rosapi_msgs/srv/GetParam", self._get_param),
-            "has_param": ("rosapi_msgs/srv/HasParam", self._has_param),
+            "has_param": (
+                "rosapi_msgs/srv/HasParam",
+                lambda request: {"exists": self._allowed_name(request) in self._values},
+            ),
             "delete_param": ("rosapi_msgs/srv/DeleteParam", self._delete_param),
-            "get_param_names": ("rosapi_msgs/srv/GetParamNames", self._get_param_names),
+            "get_param_names": ("rosapi_msgs/srv/GetParamNames", lambda _: {"names": sorted(self._open)}),
             # In ROS 1 only.
             "search_param": ("rosapi/srv/SearchParam", self._search_param),
         }
@@ -289,9 +292,6 @@ class Parameters:
             return {"value": _as_json(default), **DONE}
         return {"value": NO_PARAMETER, "successful": False, "reason": f"there is no parameter {name}"}
 
-    def _has_param(self, request: Request) -> dict[str, Any]:
-        return {"exists": self._allowed_name(request) in self._values}
-
     def _delete_param(self, request: Request) -> dict[str, Any]:
         name = self._allowed_name(request)
         self._size_bytes -= self._stored_bytes(name)
@@ -303,9 +303,6 @@ class Parameters:
         """Return the name itself if it exists: there are no namespaces to search upwards."""
         name = self._allowed_name(request)
         return {"global_name": name if name in self._values else ""}
-
-    def _get_param_names(self, _request: Request) -> dict[str, Any]:
-        return {"names": sorted(self._open)}
 
     def _allowed_name(self, request: Request) -> str:
         name: str = request.values["name"]

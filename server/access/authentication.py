@@ -68,7 +68,17 @@ class Tokens:
                 )
         if len(found) > MAX_TOKENS:
             raise ConfigurationError(f"access: there are {len(found)} tokens, the limit is {MAX_TOKENS}")
-        return cls(found, _anonymous(settings, any_tokens=bool(found)))
+        chosen = settings.without_token
+        if chosen == "auto":
+            chosen = "none" if found else "admin"
+        if chosen != "none":
+            return cls(found, Identity("", Role[chosen.upper()]))
+        if not found:
+            raise ConfigurationError(
+                "access.without_token: none lets nobody in while there are no tokens; set access.token or one of "
+                f"{', '.join(_ROLES)}"
+            )
+        return cls(found, None)
 
     def identify(self, presented: str) -> Identity | None:
         """Return the owner of a token, None for a wrong one; takes equally long for every text."""
@@ -105,9 +115,6 @@ class RosauthVerifier:
         if owner is None:
             return "field mac: it was made with an invalid token"
         # Not by rand: fields stand in the text without a sign between them, and so could lend one another characters.
-        return self._once(mac, now_s) or owner
-
-    def _once(self, mac: str, now_s: float) -> str | None:
         while self._seen and next(iter(self._seen.values())) < now_s:
             self._seen.popitem(last=False)
         if mac in self._seen:
@@ -115,7 +122,7 @@ class RosauthVerifier:
         if len(self._seen) >= MAX_KEPT:
             return f"field mac: {MAX_KEPT} proofs were used within {2 * GOOD_FOR_S:g} s, the limit; try again later"
         self._seen[mac] = now_s + 2 * GOOD_FOR_S
-        return None
+        return owner
 
 
 class AuthThrottle:
@@ -170,20 +177,6 @@ def _identities(settings: AccessSettings) -> Iterator[tuple[str, Identity]]:
     for key, role in _ROLES.items():
         for name, token in getattr(settings, key).items():
             yield token.get_secret_value(), Identity(name, role)
-
-
-def _anonymous(settings: AccessSettings, *, any_tokens: bool) -> Identity | None:
-    chosen = settings.without_token
-    if chosen == "auto":
-        chosen = "none" if any_tokens else "admin"
-    if chosen != "none":
-        return Identity("", Role[chosen.upper()])
-    if not any_tokens:
-        raise ConfigurationError(
-            "access.without_token: none lets nobody in while there are no tokens; set access.token or one of "
-            f"{', '.join(_ROLES)}"
-        )
-    return None
 
 
 def _read(file: Path) -> AccessSettings:

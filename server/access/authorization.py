@@ -172,7 +172,6 @@ class Authorizer:
             self._access.give_back(self._node)
 
     def leave(self) -> None:
-        """Free the control of a client that has left."""
         self._access.drivers.discard(self._node)
         self._access.give_back(self._node)
 
@@ -232,7 +231,7 @@ class Authorizer:
         proposes = self._node.is_viewer and rule.role is Role.PROPOSE
         if not rule.drives or proposes or plans_only(rule, goal):
             return None
-        refusal = self._access.lease_of(rule).drive(self._node, self._access.clock())
+        refusal = self._access.leases_of_arms.get(rule.arm, self._access.lease).drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"
 
 
@@ -272,12 +271,7 @@ class Access:
         self._wall_clock = wall_clock
         self._rosauth = RosauthVerifier(self.tokens)
 
-    def lease_of(self, rule: Rule) -> ControlLease:
-        """Return the control that a name needs: control of its arm, or of all arms."""
-        return self.leases_of_arms.get(rule.arm, self.lease)
-
     def give_back(self, node: Node) -> None:
-        """Free every control that a client has."""
         for lease in (self.lease, *self.leases_of_arms.values()):
             lease.leave(node)
 

@@ -76,8 +76,11 @@ class ControlLease:
                 other.tick(now_s)
                 if other.holder is not None and other.holder is not node:
                     return other.refusal(other.holder, now_s)
-            if (reserved := self._reservation(node, now_s)) is not None:
-                return reserved
+            # The first to take the arm ends the reservation.
+            if self._reserved is not None and self._reserved[0] is not node:
+                first, until_s = self._reserved
+                return f"{first} has taken control from another; it is free in {math.ceil(until_s - now_s)} s"
+            self._reserved = None
         self._heard_s = now_s
         self._set(node)
         return None
@@ -126,15 +129,6 @@ class ControlLease:
         if goal is not None:
             return self._idle_limit_s + (goal.remaining_s or 0.0)
         return self._idle_limit_s - self.idle_s(now_s)
-
-    def _reservation(self, node: Node, now_s: float) -> str | None:
-        """Return the reason why the free arm is not for this client yet; the first to take it ends the reservation."""
-        if self._reserved is not None:
-            first, until_s = self._reserved
-            if node is not first and now_s < until_s:
-                return f"{first} has taken control from another; it is free in {math.ceil(until_s - now_s)} s"
-            self._reserved = None
-        return None
 
     def _set(self, holder: Node | None) -> None:
         if holder is self.holder:

@@ -80,7 +80,6 @@ class OneTimeTokens:
         return Identity(found.identity.name, Role.VIEW) if found is not None and found.used else None
 
     def release(self, identity: Identity | None) -> None:
-        """Forget the token of a connection that has ended."""
         self._issued = [each for each in self._issued if not (each.used and each.identity == identity)]
 
     def _find(self, presented: str) -> _Issued | None:

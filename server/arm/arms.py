@@ -41,7 +41,6 @@ class ArmFiles:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Its joints."""
         return tuple(joint.name for joint in self.description.robot.movable_joints)
 
     @property
@@ -136,12 +135,10 @@ class StateFeed:
         return states_are_observed(self._graph) or any(feature.observes_states for feature in self._features)
 
     def take_state(self, arm: str, state: ArmState) -> None:
-        """Pass a state on."""
         for feature in self._features:
             feature.on_state(arm, state)
 
     def take_health(self, arm: str, health: ArmHealth) -> None:
-        """Pass a report on."""
         for feature in self._features:
             feature.on_health(arm, health)
 
@@ -158,7 +155,6 @@ class ServedArm:
 
     @property
     def robot(self) -> RobotModel:
-        """Its description."""
         return self.description.robot
 
     @property

@@ -79,7 +79,6 @@ class CalibrationProcedure:
         self._reservation.enter_context(reserved(self._file, overwrite=self._in_use))
 
     async def run(self, dialogue: Dialogue) -> str:
-        """Carry the calibration out."""
         session = self._session
         while session.step is not None:
             dialogue.progress = session.progress

@@ -12,7 +12,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol, TypeVar
 
 from robot.commissioning.session import Step, SweptRange
@@ -185,7 +185,6 @@ class Commissioning:
             self._procedure.take_health(health)
 
     async def close(self) -> None:
-        """End the procedure in progress."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])
@@ -258,17 +257,7 @@ class Commissioning:
             "answers": list(dialogue.step.answers),
             "progress": dialogue.progress,
             "joints": [
-                {
-                    "joint": each.joint,
-                    "lowest": each.lowest,
-                    "present": each.present,
-                    "highest": each.highest,
-                    "expected_width": each.expected_width,
-                    "done": each.done,
-                    "note": each.note,
-                    "droop_rad": dialogue.droops_rad.get(each.joint, math.nan),
-                }
-                for each in dialogue.ranges
+                {**asdict(each), "droop_rad": dialogue.droops_rad.get(each.joint, math.nan)} for each in dialogue.ranges
             ],
             "findings": list(dialogue.findings),
             "result": "",

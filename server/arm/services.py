@@ -68,7 +68,7 @@ def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str]
     offer(RESET_FAULT, SWITCHING, lambda: arm.order(Order.RESET_FAULT, epoch=arrival_epoch()))
 
     def on_emergency_stop(_message: object) -> None:
-        _log_end(emergency_stop(EMERGENCY_STOP_TOPIC))
+        emergency_stop(EMERGENCY_STOP_TOPIC).add_done_callback(_log_end)
 
     # A message to this topic means that the arm must stop, valid or not.
     stopper = Subscriber(on_emergency_stop, on_emergency_stop, rule=STOPPING)
@@ -97,13 +97,9 @@ async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
 
 def _log_end(answered: asyncio.Future[CommandDone]) -> None:
     """Log the answer to an emergency stop that no client waits for."""
-
-    def tell(future: asyncio.Future[CommandDone]) -> None:
-        if not future.cancelled():
-            done = future.result()
-            log.log(logging.WARNING if done.done else logging.ERROR, "emergency stop: %s", done.message)
-
-    answered.add_done_callback(tell)
+    if not answered.cancelled():
+        done = answered.result()
+        log.log(logging.WARNING if done.done else logging.ERROR, "emergency stop: %s", done.message)
 
 
 SPEED_FACTOR_TOPIC = "/arm/speed_factor"

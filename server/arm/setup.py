@@ -130,18 +130,13 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     return EmulatedConfig(
         description.calibration,
         kind=kind,
-        drop=emulator.drop,
-        corrupt=emulator.corrupt,
-        seed=emulator.seed,
         profile=profile,
-        population=emulator.population,
-        write_log=emulator.write_log,
-        control=emulator.control,
         # Nothing can jump or fall when it is switched on: the half second that this takes is for real arms.
         driven=settings.arm.start_enabled,
         physics=physics,
         rate=rate,
         since_s=since_s,
+        **emulator.model_dump(),
     )
 
 

@@ -81,7 +81,6 @@ class VerificationProcedure:
         self._seen: list[tuple[str, frozenset[str]]] = []
 
     async def run(self, dialogue: Dialogue) -> str:
-        """Carry the verification out."""
         dialogue.ranges = tuple(SweptRange(joint, 0, 0, 0, 0, done=False, note="") for joint in self._joints)
         question = (
             "The arm will hold itself and move slowly to three poses, and then open its gripper. Clear its way, keep "

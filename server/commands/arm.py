@@ -79,19 +79,14 @@ def _scan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
             result = scan(bus, tuple(names))
         if result.servos:
             terminal.tell(table(HEADINGS, [_row(servo, names) for servo in result.servos]))
-        complaints += _complaints(result, servos, baudrate)
+        if baudrate == BAUDRATES[0]:
+            complaints += explain_missing(result, servos)
+        else:
+            remedy = f"set it to {BAUDRATES[0]} (armbridge setup)"
+            complaints += [f"servo {each} listens at {baudrate} baud: {remedy}" for each in sorted(result.ids)]
     for complaint in complaints:
         terminal.say(complaint)
     return ExitCode.PROBLEMS if complaints else ExitCode.DONE
-
-
-def _complaints(result: ScanResult, servos: Sequence[ServoSpec], baudrate: int) -> list[str]:
-    if baudrate == BAUDRATES[0]:
-        return explain_missing(result, servos)
-    return [
-        f"servo {servo_id} listens at {baudrate} baud: set it to {BAUDRATES[0]} (armbridge setup)"
-        for servo_id in sorted(result.ids)
-    ]
 
 
 def _row(servo: ServoRegisters, names: Mapping[int, str]) -> list[object]:
@@ -158,16 +153,12 @@ def examine_bus(
     findings = judge_scan(result, servos, calibration)
     present = tuple(servo.servo_id for servo in result.servos)
     if present:
-        findings += _measure(bus, present, cycles, terminal)
+        terminal.say(f"measuring {cycles} cycles at 100 Hz ...")
+        findings += judge_cycles(measure_cycles(bus, present, cycles))
+        attempts = 5  # a single reply may get lost
+        silent = [i for i in present if not measure_reads(bus, i, LONG_READ_ADDRESS, LONG_READ_BYTES, attempts)]
+        findings.append(judge_long_reads(LONG_READ_ADDRESS, LONG_READ_BYTES, silent))
     return result, findings
-
-
-def _measure(bus: Bus, ids: tuple[int, ...], cycles: int, terminal: Terminal) -> list[Finding]:
-    terminal.say(f"measuring {cycles} cycles at 100 Hz ...")
-    findings = judge_cycles(measure_cycles(bus, ids, cycles))
-    attempts = 5  # a single reply may get lost
-    silent = [i for i in ids if not measure_reads(bus, i, LONG_READ_ADDRESS, LONG_READ_BYTES, attempts)]
-    return [*findings, judge_long_reads(LONG_READ_ADDRESS, LONG_READ_BYTES, silent)]
 
 
 def as_json(findings: list[Finding]) -> str:

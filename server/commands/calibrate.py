@@ -160,18 +160,19 @@ class _Conversation:
         self._terminal.ask(f"{step.instruction}{prompt(step.answers)}")
         while (line := self._terminal.line_typed()) is None:
             if step.name != HOLD:
-                self._follow()
+                frames = self._bus.sync_read(self._ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+                self._session.take(
+                    {servo: parse_telemetry(frame.data).position_ticks for servo, frame in frames.items()}
+                )
+                rows = [
+                    (each.joint, each.lowest, each.present, each.highest, each.note) for each in self._session.ranges()
+                ]
+                self._terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
             time.sleep(SWEEP_PERIOD_S)
         answer = chosen(line, step.answers)
         if step.name == HOLD and answer not in step.answers:
             raise CalibrationError("answer", answer, "the arm was not relaxed")
         return answer
-
-    def _follow(self) -> None:
-        frames = self._bus.sync_read(self._ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
-        self._session.take({servo: parse_telemetry(frame.data).position_ticks for servo, frame in frames.items()})
-        rows = [(each.joint, each.lowest, each.present, each.highest, each.note) for each in self._session.ranges()]
-        self._terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
 
     def _write(self) -> None:
         session, terminal = self._session, self._terminal
@@ -179,8 +180,12 @@ class _Conversation:
         if calibration is None:
             raise CalibrationError(str(self._path), "", "there is no result")
         changes = differences(calibration, scan(self._bus, self._ids).registers)
-        if session.recentre:
-            _write_changes(self._bus, changes, terminal)
+        if session.recentre and changes:
+            terminal.say("writing to the servos:")
+            terminal.say(_differences_table(changes))
+            run_to_end(write_to_servos(self._bus, changes))
+        elif session.recentre:
+            terminal.say("the servos hold these values already")
         elif changes:
             terminal.say("the servos' angle limits stay as they are (--write-servos would change them):")
             terminal.say(_differences_table(changes))
@@ -188,15 +193,6 @@ class _Conversation:
         session.finish()
         terminal.tell(_calibration_table(calibration))
         terminal.say(f"written to {self._path}; armbridge verify has a running server compare the arm with it")
-
-
-def _write_changes(bus: Bus, changes: list[Difference], terminal: Terminal) -> None:
-    if not changes:
-        terminal.say("the servos hold these values already")
-        return
-    terminal.say("writing to the servos:")
-    terminal.say(_differences_table(changes))
-    run_to_end(write_to_servos(bus, changes))
 
 
 def _calibration_table(calibration: Calibration) -> str:

@@ -46,7 +46,6 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 def add_camera_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "camera",
@@ -114,7 +113,6 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _render(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    # Imported when it is needed: --help answers without the server's libraries.
     from server.datasets.camera import even
     from server.datasets.rendering_client import RenderingClient, open_camera
 
@@ -142,7 +140,6 @@ DEFAULT_RATE_HZ, MAX_RATE_HZ = 100, 100
 
 
 def add_leader_parser(subparsers: Subparsers) -> None:
-    """Describe the command."""
     parser = add_command(
         subparsers,
         "leader",
@@ -171,7 +168,6 @@ def add_leader_parser(subparsers: Subparsers) -> None:
 
 
 def _leader(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    # Imported when it is needed: --help answers without the server's libraries.
     from server.config_loader import load
     from server.publishing_client import PublishedTopic
     from server.teleop.leader_client import publish_leader

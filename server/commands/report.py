@@ -73,7 +73,6 @@ def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
-    # Imported when it is needed: --help answers without the server's libraries.
     from server.access.authentication import Tokens
     from server.monitoring.report import Redactor, Report, RunningServer, add_faults, add_machine, add_settings
     from server.moveit.named_states import data_directory
@@ -96,7 +95,11 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
         add_settings(report, settings, sources)
     add_machine(report)
     with report.part("arm"):
-        _add_arm(report, settings)
+        folder = robot_folder.find(settings.arm.robot or DEFAULT_ROBOT)
+        report.add_file("arm/robot.toml", folder / "robot.toml")
+        file = Description.read(settings.arm).calibration_file
+        if file is not None:
+            report.add_file("arm/calibration.json", file)
     faults = {settings.diagnostics.directory(data_directory(os.environ))}
     terminal.say("looking for a running server ...")
     runs = False
@@ -124,14 +127,6 @@ def _secrets(settings: Settings) -> Iterator[str]:
     for name, value in os.environ.items():
         if name.upper().startswith(PREFIX) and "TOKEN" in name.upper():
             yield value
-
-
-def _add_arm(report: Report, settings: Settings) -> None:
-    folder = robot_folder.find(settings.arm.robot or DEFAULT_ROBOT)
-    report.add_file("arm/robot.toml", folder / "robot.toml")
-    file = Description.read(settings.arm).calibration_file
-    if file is not None:
-        report.add_file("arm/calibration.json", file)
 
 
 def _add_bus(report: Report, settings: Settings, terminal: Terminal) -> None:

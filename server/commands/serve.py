@@ -85,7 +85,6 @@ def add_replay_parser(subparsers: Subparsers) -> None:
 
 
 def _replay(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
-    # Imported when it is needed: --help answers without the server's libraries.
     from server.recording.replay import ReplayOptions, replay
 
     settings, _ = read_settings(options)
@@ -135,7 +134,6 @@ def add_classroom_parser(subparsers: Subparsers) -> None:
 def _classroom(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     settings, _ = read_settings(options)
     configure_logs(settings)
-    # Imported when it is needed: --help answers without the server's libraries.
     from server.classroom.classroom import run_classroom
 
     run_classroom(settings, options.students, options.planners, options.data)

@@ -3,7 +3,7 @@
 import argparse
 import contextlib
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -132,7 +132,15 @@ class _Visit:
         self._terminal.say("looking at the servos ...")
         present = self._present()
         if self._options.registers or all(joint.servo_id in present for joint in self._arm):
-            self._set_up_together(present)
+            if missing := [f"{each.servo_id} ({each.joint})" for each in self._chosen if each.servo_id not in present]:
+                self._complain(f"no answer from servo {', '.join(missing)}: armbridge scan looks for the cause")
+            there = [(joint, present[joint.servo_id]) for joint in self._chosen if joint.servo_id in present]
+            if there:
+                profile = self._profile(there)
+                self._terminal.say(
+                    f"the servos have their ids; their settings are compared with the profile {profile.name}"
+                )
+                self._carry_out([self._work(joint, servo, profile) for joint, servo in there])
         else:
             self._terminal.say(
                 f"New servos all have the id {FACTORY_ID}: connect one at a time. Those that got another id may stay "
@@ -186,17 +194,6 @@ class _Visit:
                 return found
         raise StartupError(NO_ANSWER)
 
-    def _set_up_together(self, present: Mapping[int, ServoRegisters]) -> None:
-        if missing := [f"{each.servo_id} ({each.joint})" for each in self._chosen if each.servo_id not in present]:
-            self._complain(f"no answer from servo {', '.join(missing)}: armbridge scan looks for the cause")
-        there = [(joint, present[joint.servo_id]) for joint in self._chosen if joint.servo_id in present]
-        if there:
-            profile = self._profile(there)
-            self._terminal.say(
-                f"the servos have their ids; their settings are compared with the profile {profile.name}"
-            )
-            self._carry_out([self._work(joint, servo, profile) for joint, servo in there])
-
     def _set_up_one(self, joint: ServoSpec, servo: ServoRegisters | None) -> None:
         """Set up the servo of a joint, which is asked for unless it is there; until it works or is declined."""
         while True:
@@ -238,7 +235,10 @@ class _Visit:
         if not self._options.yes and not self._terminal.confirm("The servos go limp: support the arm. Write this?"):
             self._complain(f"left as they are: {', '.join(each.joint for each in pending)}")
             return
-        self._relax(pending)
+        # Lower the torque of servos that hold an arm, so that it sinks; writing switches it off at once.
+        ids = {each.servo.servo_id for each in pending if each.servo.registers[Register.TORQUE_ENABLE]}
+        if holding := [joint for joint in self._arm if joint.servo_id in ids]:
+            relax_arm(self._line.at(pending[0].servo.baudrate), holding, self._terminal)
         for number, each in enumerate(pending, start=1):
             self._backup.save(each.saved, datetime.now(UTC))
             after = write(self._line, each.servo, each.changes)
@@ -246,12 +246,6 @@ class _Visit:
             names = ", ".join(change.register.name for change in each.changes)
             written = f"written and read back {names}; " if names else ""
             self._terminal.say(f"{which}{each.joint} (id {after.servo_id}): {written}EPROM locked")
-
-    def _relax(self, work: Sequence[_Work]) -> None:
-        """Lower the torque of servos that hold an arm, so that it sinks; writing switches it off at once."""
-        ids = {each.servo.servo_id for each in work if each.servo.registers[Register.TORQUE_ENABLE]}
-        if holding := [joint for joint in self._arm if joint.servo_id in ids]:
-            relax_arm(self._line.at(work[0].servo.baudrate), holding, self._terminal)
 
     def _complain(self, text: str) -> None:
         self._problems = True

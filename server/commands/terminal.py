@@ -43,7 +43,6 @@ class Terminal:
         self._live_lines = 0
 
     def tell(self, text: str) -> None:
-        """Print a result."""
         print(text, flush=True)  # noqa: T201 - the command's own output
 
     def say(self, text: str) -> None:

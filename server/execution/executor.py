@@ -25,7 +25,7 @@ from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
 from server.execution.failures import FailedGoals, with_nearest_goal
-from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalState, Progress, TimeLimits
 from server.execution.monitors import (
     ARM_START_TIMEOUT_S,
     CurrentState,
@@ -57,7 +57,6 @@ from server.execution.player import (
     Player,
     meeting_question,
 )
-from server.execution.time_limits import TimeLimits
 
 log = logging.getLogger("armbridge.execution")
 
@@ -156,23 +155,33 @@ class GoalExecutor:
 
     async def run(self, goal: Goal) -> Answer:
         """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
-        if isinstance(goal.request.motion, PlannedMotion):
-            return await self._plan_and_play(goal, goal.request.motion)
-        if goal.request.motion is None:
+        motion = goal.request.motion
+        if isinstance(motion, PlannedMotion):
+            answer = await self._replace_outgoing(goal, motion) or await _answered(self._attempt(goal, motion))
+            for _ in range(motion.attempts - 1):
+                if goal.reason or answer.code not in REPLANNED:
+                    break
+                goal.report(Progress(GoalState.PLANNING, f"planning again: {answer.message}"))
+                await goal.unless_cancelled(asyncio.sleep(motion.delay_s))
+                answer = await _answered(self._attempt(goal, motion))
+            return answer
+        if motion is None:
             raise AssertionError("a rejected goal was queued")
-        return await self._play_given(goal, goal.request.motion)
+        # An external trajectory is played up to a first contact where it may be cut.
+        while True:
+            answer = await _answered(self._play_external(goal, motion))
+            if goal.reason or motion.cut is None:
+                break
+            shorter = motion.cut(PlanningFailure(answer.code, answer.message, answer.details))
+            if shorter is None:
+                break
+            motion = shorter
+        if answer.code is not MoveItErrorCode.SUCCESS and not goal.replaced:
+            # Nothing takes the place of the motion before.
+            await self._player.stop_outgoing()
+        return answer
 
     # Attempts: from a motion to an answer.
-
-    async def _plan_and_play(self, goal: Goal, request: PlannedMotion) -> Answer:
-        answer = await self._replace_outgoing(goal, request) or await _answered(self._attempt(goal, request))
-        for _ in range(request.attempts - 1):
-            if goal.reason or answer.code not in REPLANNED:
-                break
-            goal.report(Progress(GoalState.PLANNING, f"planning again: {answer.message}"))
-            await goal.unless_cancelled(asyncio.sleep(request.delay_s))
-            answer = await _answered(self._attempt(goal, request))
-        return answer
 
     async def _replace_outgoing(self, goal: Goal, request: PlannedMotion) -> Answer | None:
         """Replace the motion of a preempted goal without a stop; None where that is impossible."""
@@ -220,21 +229,18 @@ class GoalExecutor:
 
     async def _attempt(self, goal: Goal, request: PlannedMotion) -> Answer:
         try:
-            return await self._plan_and_play_once(goal, request)
+            await self._until_ready(goal)
+            goal.report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
+            version = self._scene.scene.version
+            planned = await self._plan(goal, request)
+            if planned.failure is not None:
+                return Answer.of(planned.failure, planned.performed)
+            goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
+            self._show_soon(planned)
+            discarded = await self._confirmed(goal, planned) if request.confirm else None
+            return discarded or await self._play(goal, planned, version)
         finally:
             self._in_progress.withdraw(request.joints)
-
-    async def _plan_and_play_once(self, goal: Goal, request: PlannedMotion) -> Answer:
-        await self._until_ready(goal)
-        goal.report(Progress(GoalState.PLANNING, "; ".join(("planning", *request.warnings))))
-        version = self._scene.scene.version
-        planned = await self._plan(goal, request)
-        if planned.failure is not None:
-            return Answer.of(planned.failure, planned.performed)
-        goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
-        self._show_soon(planned)
-        discarded = await self._confirmed(goal, planned) if request.confirm else None
-        return discarded or await self._play(goal, planned, version)
 
     async def _splice_external(self, goal: Goal, request: ExternalTrajectory) -> Answer | None:
         """Have a trajectory take over from the setpoints of the motion of a preempted goal; None if that is impossible.
@@ -278,23 +284,6 @@ class GoalExecutor:
         whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
         goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         return whole, point, leaves_s
-
-    async def _play_given(self, goal: Goal, motion: ExternalTrajectory) -> Answer:
-        """Play a trajectory, up to a first contact where it may be cut."""
-        while True:
-            answer = await _answered(self._play_external(goal, motion))
-            shorter = (
-                None
-                if goal.reason or motion.cut is None
-                else motion.cut(PlanningFailure(answer.code, answer.message, answer.details))
-            )
-            if shorter is None:
-                break
-            motion = shorter
-        if answer.code is not MoveItErrorCode.SUCCESS and not goal.replaced:
-            # Nothing takes the place of the motion before.
-            await self._player.stop_outgoing()
-        return answer
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         if (answer := await self._splice_external(goal, request)) is not None:
@@ -490,7 +479,6 @@ class GoalExecutors:
         self._executors: dict[Joints, GoalExecutor] = {}
 
     def executor(self, joints: Joints) -> GoalExecutor:
-        """Return the executor of motions of some joints."""
         if joints not in self._executors:
             self._executors[joints] = GoalExecutor(self._arm.part(joints), self._context, self.in_progress)
         return self._executors[joints]

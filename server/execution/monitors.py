@@ -9,18 +9,12 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any, Protocol, TypeAlias
 
 from planners.interface import Planners
-from planners.problem import (
-    ConcurrencyQuestion,
-    MoveItErrorCode,
-    PlanningFailure,
-    RecheckAnswer,
-    RecheckQuestion,
-)
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.arm_group import AnyArm, ArmGroup, states_of
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Mode
+from robot.messages import Mode
 from server.errors import RefusedError, refused
 
 # Services that refusals name as the remedy.
@@ -70,13 +64,7 @@ def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -
             "velocity": [],
             "effort": [],
         },
-        "multi_dof_joint_state": {
-            "header": header,
-            "joint_names": [],
-            "transforms": [],
-            "twist": [],
-            "wrench": [],
-        },
+        "multi_dof_joint_state": {"header": header, "joint_names": [], "transforms": [], "twist": [], "wrench": []},
         "attached_collision_objects": [],
         "is_diff": False,
     }
@@ -98,20 +86,16 @@ def check_ready(arm: AnyArm) -> None:
     for name, state in states.items():
         # While a leader is relaxed, it keeps no other arm from moving.
         if name not in leaders or state.mode is not Mode.RELAXED:
-            _check_state(name, state)
-
-
-def _check_state(name: str, state: ArmState) -> None:
-    title, prefix = title_of(name), name and f"/{name}"
-    if state.fault is not None:
-        message = f"{title} has a fault: {state.fault} The service that resets it is {prefix}{RESET_FAULT}."
-        raise refused(MoveItErrorCode.CONTROL_FAILED, message)
-    if state.mode is Mode.CONNECTED or state.goal_rad is None:
-        reason = state.reason or "its servos are being checked"
-        raise refused(MoveItErrorCode.COMMUNICATION_FAILURE, f"{title} is not ready: {reason}")
-    if state.mode is Mode.RELAXED:
-        message = f"{title} is relaxed: enable it by the service {prefix}{ENABLE} first"
-        raise refused(MoveItErrorCode.CONTROL_FAILED, message)
+            title, prefix = title_of(name), name and f"/{name}"
+            if state.fault is not None:
+                text = f"{title} has a fault: {state.fault} The service that resets it is {prefix}{RESET_FAULT}."
+                raise refused(MoveItErrorCode.CONTROL_FAILED, text)
+            if state.mode is Mode.CONNECTED or state.goal_rad is None:
+                reason = state.reason or "its servos are being checked"
+                raise refused(MoveItErrorCode.COMMUNICATION_FAILURE, f"{title} is not ready: {reason}")
+            if state.mode is Mode.RELAXED:
+                text = f"{title} is relaxed: enable it by the service {prefix}{ENABLE} first"
+                raise refused(MoveItErrorCode.CONTROL_FAILED, text)
 
 
 def title_of(name: str) -> str:
@@ -145,11 +129,7 @@ class SceneMonitor:
     """
 
     def __init__(
-        self,
-        pool: Planners,
-        source: SceneSource,
-        retry_for_s: float = 0.0,
-        clock: Callable[[], float] = time.monotonic,
+        self, pool: Planners, source: SceneSource, retry_for_s: float = 0.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._pool = pool
         self._source = source
@@ -166,7 +146,11 @@ class SceneMonitor:
         until_s = self._clock() + self._retry_for_s
         while True:
             scene = self._source.scene
-            answer = await self._ask(questions(), scene)
+            answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
+            for question in questions():
+                answer = await self._pool.ask(question, scene)
+                if isinstance(answer, PlanningFailure) or answer.contact is not None:
+                    break
             late = isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT
             if not late or self._clock() >= until_s:
                 break
@@ -177,14 +161,6 @@ class SceneMonitor:
         if answer.contact is not None:
             raise RefusedError(answer.contact)
 
-    async def _ask(self, questions: Questions, scene: Scene) -> RecheckAnswer | PlanningFailure:
-        answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
-        for question in questions:
-            answer = await self._pool.ask(question, scene)
-            if isinstance(answer, PlanningFailure) or answer.contact is not None:
-                break
-        return answer
-
     def start(
         self, version: int, questions: Callable[[], Questions], on_contact: Callable[[PlanningFailure], None]
     ) -> None:
@@ -193,7 +169,6 @@ class SceneMonitor:
         self._on_change()
 
     def stop(self) -> None:
-        """Stop the monitor."""
         self._questions = None
         if self._task is not None:
             self._task.cancel()

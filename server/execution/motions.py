@@ -291,7 +291,13 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
         )
     if away[worst] <= SAME_START_RAD:
         return motion
-    lead_s = _lead_in_s(motion.joint_names, away, robot)
+    # In this time every joint moves so far, from rest, at a share of its limits [s].
+    joints = [robot.joints[name] for name in motion.joint_names]
+    velocity = LEAD_IN_SCALING * np.array([joint.max_velocity for joint in joints])
+    acceleration = LEAD_IN_SCALING * np.array([joint.max_acceleration for joint in joints])
+    by_velocity = CUBIC_PEAK_VELOCITY * away / velocity
+    by_acceleration = np.sqrt(CUBIC_PEAK_ACCELERATION * away / acceleration)
+    lead_s = float(np.max(np.maximum(by_velocity, by_acceleration)))
     still = np.zeros((1, len(held)))
     return Trajectory(
         motion.joint_names,
@@ -309,16 +315,6 @@ def _between(motion: Trajectory, from_s: float, to_s: float) -> Trajectory:
     columns = [np.vstack((first[i], array[inside], last[i])) for i, array in enumerate(arrays)]
     time_s = np.concatenate(([0.0], motion.time_s[inside] - from_s, [to_s - from_s]))
     return Trajectory(motion.joint_names, time_s, *columns)
-
-
-def _lead_in_s(joint_names: tuple[str, ...], way_rad: np.ndarray, robot: RobotModel) -> float:
-    """Return the time in which every joint moves so far, from rest, at a share of its limits [s]."""
-    joints = [robot.joints[name] for name in joint_names]
-    velocity = LEAD_IN_SCALING * np.array([joint.max_velocity for joint in joints])
-    acceleration = LEAD_IN_SCALING * np.array([joint.max_acceleration for joint in joints])
-    by_velocity = CUBIC_PEAK_VELOCITY * way_rad / velocity
-    by_acceleration = np.sqrt(CUBIC_PEAK_ACCELERATION * way_rad / acceleration)
-    return float(np.max(np.maximum(by_velocity, by_acceleration)))
 
 
 # Smaller deviations are within what a servo arm reaches anyway [m], [rad].

@@ -19,10 +19,9 @@ from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
-from server.execution.goal import Answer, CancelScope, Goal, GoalState, Progress
+from server.execution.goal import Answer, ArmClock, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
 from server.execution.motions import OUTGOING_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
-from server.execution.time_limits import ArmClock
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
 BRAKING_TIMEOUT_S = 2.0
@@ -210,7 +209,11 @@ class Player:
             progress = await watch.step(PROGRESS_PERIOD_S)
             if goal.reason and self._end is None:
                 if goal.replaced and not ended.done():
-                    return self._hand_over(goal, motion, ended)
+                    path_time = self._path_time(motion.trajectory, ended)
+                    self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + OUTGOING_S - SENDING_S)
+                    # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
+                    asyncio.get_running_loop().call_later(OUTGOING_S, self._arm.stop, ended)
+                    return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
                 self._end = Answer(MoveItErrorCode.PREEMPTED, goal.reason)
             if progress is not None:
                 left_s = progress.remaining_s + to_come_s
@@ -218,14 +221,12 @@ class Player:
         if not ended.done():
             lag = _greatest_lag(self._arm.state, motion.trajectory.joint_names, self._robot)
             self._end = self._end or Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}")
-        return self._answer(await watch.end())
-
-    def _hand_over(self, goal: Goal, motion: CheckedMotion, ended: asyncio.Future[MotionEnded]) -> Answer:
-        path_time = self._path_time(motion.trajectory, ended)
-        self.outgoing = OutgoingMotion(motion, ended, path_time, self._clock() + OUTGOING_S - SENDING_S)
-        # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
-        asyncio.get_running_loop().call_later(OUTGOING_S, self._arm.stop, ended)
-        return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
+        end = await watch.end()
+        if end.outcome is not Outcome.STOPPED:
+            return Answer(CODE_OF_OUTCOME[end.outcome], end.message, {"outcome": end.outcome.value})
+        if self._end is None:
+            return Answer(MoveItErrorCode.PREEMPTED, end.message)
+        return Answer(self._end.code, f"{self._end.message}; {end.message}", self._end.details)
 
     def _path_time(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> PathTime:
         """Return the time on the path by the arm's latest state, or since the beginning, which it does not show yet."""
@@ -235,13 +236,6 @@ class Player:
             return PathTime(now_s, self._begun.at(now_s), min(rate, self._begun.rate))
         rate = min(rate, self._arm.rate * progress.rate)
         return PathTime(now_s, progress.fraction * trajectory.duration_s + self._arm.state_age_s * rate, rate)
-
-    def _answer(self, ended: MotionEnded) -> Answer:
-        if ended.outcome is not Outcome.STOPPED:
-            return Answer(CODE_OF_OUTCOME[ended.outcome], ended.message, {"outcome": ended.outcome.value})
-        if self._end is None:
-            return Answer(MoveItErrorCode.PREEMPTED, ended.message)
-        return Answer(self._end.code, f"{self._end.message}; {ended.message}", self._end.details)
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:

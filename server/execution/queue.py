@@ -18,9 +18,8 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.stop_epochs import STOPPED_SINCE
 from server.arrival import is_stopped
 from server.execution.executor import GoalExecutors
-from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, ExecutionDeadline, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints
-from server.execution.time_limits import ExecutionDeadline
 
 log = logging.getLogger("armbridge.goals")
 
@@ -60,7 +59,6 @@ class GoalQueue:
         self._started = False
 
     def start(self) -> None:
-        """Start to execute goals."""
         self._started = True
         self._begin_soon()
 
@@ -103,12 +101,10 @@ class GoalQueue:
 
     @property
     def active_count(self) -> int:
-        """Number of active goals."""
         return len(self._active)
 
     @property
     def waiting_count(self) -> int:
-        """Number of goals that wait for their turn."""
         return len(self._waiting)
 
     def submit(self, request: GoalRequest) -> Goal:
@@ -142,7 +138,11 @@ class GoalQueue:
 
     def _goal(self, request: GoalRequest) -> Goal:
         def report(progress: Progress) -> None:
-            self._report(goal, progress)
+            goal.progress = progress
+            with _contained(goal):
+                self._on_progress(goal, progress)
+            with _contained(goal):
+                goal.request.on_progress(progress)
 
         deadline = ExecutionDeadline(self._executors.time_limits)
         goal = Goal(next(self._ids), request, report, deadline=deadline)
@@ -218,13 +218,6 @@ class GoalQueue:
         if not self._active:
             self._idle.set()
         self._begin_soon()
-
-    def _report(self, goal: Goal, progress: Progress) -> None:
-        goal.progress = progress
-        with _contained(goal):
-            self._on_progress(goal, progress)
-        with _contained(goal):
-            goal.request.on_progress(progress)
 
     def _finish(self, goal: Goal, answer: Answer) -> None:
         with _contained(goal):

@@ -89,12 +89,7 @@ class CommissioningOfArms(Feature):
     name = "commissioning"
 
     def __init__(
-        self,
-        context: ServerContext,
-        restart: Restart,
-        recalibrated: Recalibrated | None,
-        *,
-        shared_calibration: bool,
+        self, context: ServerContext, restart: Restart, recalibrated: Recalibrated | None, *, shared_calibration: bool
     ) -> None:
         self._restart = restart
         self._shared_calibration = shared_calibration

@@ -134,11 +134,7 @@ def _arm(arm: ArmContext) -> dict[str, Any]:
 
 
 def _names(
-    types: Mapping[str, str],
-    rule_of: Callable[[str, Graph], Rule],
-    graph: Graph,
-    allowed: NameFilter,
-    kind: str,
+    types: Mapping[str, str], rule_of: Callable[[str, Graph], Rule], graph: Graph, allowed: NameFilter, kind: str
 ) -> dict[str, dict[str, Any]]:
     """Return type and rule of the names that no setting hides; the rule of a topic is the rule of publishing on it."""
     rules = {name: rule_of(name, graph) for name in sorted(types)}

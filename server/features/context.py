@@ -19,11 +19,10 @@ from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
-from server.execution.goal import Answer, Goal, GoalRequest, Progress
+from server.execution.goal import Answer, Goal, GoalRequest, Progress, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue, RunningGoal
-from server.execution.time_limits import TimeLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -111,7 +110,6 @@ class ArmContext:
 
     @property
     def robot(self) -> RobotModel:
-        """Description of the arm."""
         return self.served.robot
 
     @cached_property
@@ -192,7 +190,6 @@ class ServerContext:
 def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
-    """Return the context of a server."""
     whole_arm, single_arms = arms
     moveit, robot = settings.moveit, whole_arm.robot
     scene = SceneState(robot)

@@ -116,7 +116,6 @@ class Recording(Feature):
         self._looking = BackgroundTask("episodes", EpisodeServices(context.graph, self._records).run)
 
     async def open_file(self) -> None:
-        """Open the file."""
         if self.recorder is not None:
             self.recorder.start()
         await self._looking.start()

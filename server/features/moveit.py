@@ -19,10 +19,7 @@ from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
 from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
 from server.moveit.actions.gripper import offer_gripper
-from server.moveit.actions.joint_trajectory_controller import (
-    JointTrajectoryController,
-    TrajectoryContext,
-)
+from server.moveit.actions.joint_trajectory_controller import JointTrajectoryController, TrajectoryContext
 from server.moveit.actions.move_group import (
     EXECUTE_ACTION,
     MOVE_ACTIONS,
@@ -38,9 +35,8 @@ from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named_scenes
 from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
-from server.moveit.services.description import TransformRepublisher, TransformsTopics, offer_description
+from server.moveit.services.description import TransformRepublisher, TransformsTopics, offer_description, publish_groups
 from server.moveit.services.move_group_services import offer_services
-from server.moveit.services.robot_groups import publish_groups
 from server.moveit.servo.servo_node import ServoNode
 from server.timers import call_later
 

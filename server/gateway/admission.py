@@ -49,7 +49,9 @@ _IPV6_FIELDS = 6
 
 def host_addresses() -> Sequence[str]:
     """Return the addresses at which other machines may reach this one: IPv4 first, no loopback or link-local."""
-    return [*_ipv4_addresses(), *_ipv6_addresses(_read_table())]
+    lines = [line.split() for line in _read_table().splitlines()]
+    found = [fields[0] for fields in lines if len(fields) == _IPV6_FIELDS and fields[3] == _GLOBAL_SCOPE]
+    return [*_ipv4_addresses(), *(str(IPv6Address(bytes.fromhex(digits))) for digits in found)]
 
 
 def _ipv4_addresses() -> list[str]:
@@ -72,12 +74,6 @@ def _read_table() -> str:
     except OSError:
         # A kernel without IPv6.
         return ""
-
-
-def _ipv6_addresses(table: str) -> list[str]:
-    lines = [line.split() for line in table.splitlines()]
-    found = [fields[0] for fields in lines if len(fields) == _IPV6_FIELDS and fields[3] == _GLOBAL_SCOPE]
-    return [str(IPv6Address(bytes.fromhex(digits))) for digits in found]
 
 
 log = logging.getLogger("armbridge.gateway")
@@ -360,7 +356,8 @@ class AdmissionPolicy:
 
     def check(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
         """Return the identity of a sender, None before it has authenticated, or the answer that refuses it."""
-        area = _first_part(request.path)
+        # Decoded as :mod:`server.gateway.http` decodes it.
+        area = unquote(request.path.partition("?")[0]).removeprefix("/").partition("/")[0]
         host = self._host(request.headers)
         if isinstance(host, HttpResponse):
             return host
@@ -478,8 +475,3 @@ def _query(path: str) -> str:
         return urlsplit(path).query
     except ValueError:
         return path.partition("?")[2]
-
-
-def _first_part(path: str) -> str:
-    """Return the first part of a path, decoded as :mod:`server.gateway.http` decodes it."""
-    return unquote(path.partition("?")[0]).removeprefix("/").partition("/")[0]

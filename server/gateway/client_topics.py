@@ -1,7 +1,6 @@
 """Topics of one client: its publications, and its subscriptions with their deliveries."""
 
 import re
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from protocol.errors import OperationError, ProtocolError
@@ -98,12 +97,9 @@ class ClientTopics:
         if lost is not None:
             self._client.status.tell("warning", operation, lost)
         if not operation.latch:
-            self._remember(operation.topic, topic)
-
-    def _remember(self, spelled_topic: str, name: str) -> None:
-        reader = self._graph.strict_reader(self._node, name)
-        if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
-            self._strict_topics[spelled_topic] = StrictTopic(spelled_topic, name, self._graph.revision, reader)
+            reader = self._graph.strict_reader(self._node, topic)
+            if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
+                self._strict_topics[operation.topic] = StrictTopic(operation.topic, topic, self._graph.revision, reader)
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
         """Read a message on a topic that the client has published on; None for a frame to be read the general way."""
@@ -158,7 +154,13 @@ class ClientTopics:
                 self._graph.unsubscribe(self._node, topic)
             raise
         if first:
-            self._deliver_earlier(topic, earlier)
+            subscription = self._session.subscriptions.get(topic)
+            # Under a throttle that drops, one message gets through: the newest.
+            newest_only = self._session.newest_only or (subscription is not None and subscription.skips)
+            queued = [self._queue(published) for published in (earlier[-1:] if newest_only else earlier)]
+            # Not before all are there: of the messages that wait for a throttle, only the last are sent.
+            if any(queued):
+                self._client.wake()
             self._doubt_misspelt(operation, topic)
         elif (latched := self._graph.latched(topic)) is not None:
             self._deliver(latched)
@@ -166,15 +168,6 @@ class ClientTopics:
     def unsubscribe(self, operation: Unsubscribe) -> None:
         if self._session.subscriptions.remove(operation.topic, operation.id):
             self._graph.unsubscribe(self._node, qualify(operation.topic))
-
-    def _deliver_earlier(self, topic: str, earlier: Sequence[PublishedMessage]) -> None:
-        subscription = self._session.subscriptions.get(topic)
-        # Under a throttle that drops, one message gets through: the newest.
-        newest_only = self._session.newest_only or (subscription is not None and subscription.skips)
-        queued = [self._queue(published) for published in (earlier[-1:] if newest_only else earlier)]
-        # Not before all are there: of the messages that wait for a throttle, only the last are sent.
-        if any(queued):
-            self._client.wake()
 
     def _deliver(self, published: PublishedMessage) -> None:
         if self._queue(published):

@@ -115,7 +115,12 @@ class Connection:
         try:
             self._transport.start_delivery(self._client)
             await self._read()
-            await self._finish_work()
+            # Carry out what a client that leaves has sent before, unless it would have to read its replies first.
+            ends_s = time.monotonic() + LEAVE_TIMEOUT_S
+            inbox, session = self._client.inbox, self._client.session
+            # Polled: nearly every client has nothing waiting when it leaves.
+            while not inbox.empty and not session.congested and time.monotonic() < ends_s:  # noqa: ASYNC110
+                await asyncio.sleep(LEAVE_POLL_S)
         finally:
             if waiting is not None:
                 waiting.cancel()
@@ -129,14 +134,6 @@ class Connection:
                     await self._writer
             self._client.leave()
             self._client.session.send_queue.close()
-
-    async def _finish_work(self) -> None:
-        """Carry out what a client that leaves has sent before, unless it would have to read its replies first."""
-        ends_s = time.monotonic() + LEAVE_TIMEOUT_S
-        inbox, session = self._client.inbox, self._client.session
-        # Polled: nearly every client has nothing waiting when it leaves.
-        while not inbox.empty and not session.congested and time.monotonic() < ends_s:  # noqa: ASYNC110
-            await asyncio.sleep(LEAVE_POLL_S)
 
     async def _read(self) -> None:
         try:
@@ -160,7 +157,10 @@ class Connection:
             await self._transport.drain()
             # What the socket had is no longer held.
             self._flush()
-            await self._until_something_is_due(wake)
+            now_s = time.monotonic()
+            due_s = self._client.session.send_queue.next_due(now_s)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(wake.wait(), None if due_s is None else due_s - now_s)
 
     def wake(self) -> None:
         """Send the messages that are due, or wake the writer; disconnect a client that does not read its replies."""
@@ -240,15 +240,6 @@ class Connection:
                 return
             self._transport.send_all(messages)
             self._client.inbox.resume()
-
-    async def _until_something_is_due(self, wake: asyncio.Event) -> None:
-        now_s = time.monotonic()
-        due_s = self._client.session.send_queue.next_due(now_s)
-        if due_s is None:
-            await wake.wait()
-            return
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(wake.wait(), due_s - now_s)
 
 
 class Traffic:

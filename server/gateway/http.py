@@ -209,15 +209,12 @@ class FileCache:
             self._kept.move_to_end(key)
             return self._kept[key]
         file = StoredFile.of(path.read_bytes(), gzipped=gzipped)
-        self._keep(key, file)
-        return file
-
-    def _keep(self, key: _Key, file: StoredFile) -> None:
         self._kept[key] = file
         self._kept_bytes += len(file.octets)
         while self._kept_bytes > self._limit_bytes:
             _, dropped = self._kept.popitem(last=False)
             self._kept_bytes -= len(dropped.octets)
+        return file
 
 
 def media_type(name: str) -> str:
@@ -326,12 +323,6 @@ def accepts_gzip(headers: Headers) -> bool:
     return False
 
 
-def _policy_reaching(ports: Iterable[int]) -> str:
-    """Return the policy of a page that connects to other ports of any host: browsers know no pattern for its own."""
-    sources = "".join(f" ws://*:{port} wss://*:{port}" for port in ports)
-    return POLICY.replace("connect-src 'self'", f"connect-src 'self'{sources}")
-
-
 class HttpHandler:
     """Handler of requests over HTTP; routes, by path without its first slash, come before the page's files."""
 
@@ -348,7 +339,9 @@ class HttpHandler:
         self._routes = {} if routes is None else routes
         self._post_routes = {} if post_routes is None else post_routes
         self._page_directory = page_directory
-        self._policy = _policy_reaching(classroom_ports)
+        # Browsers know no pattern for other ports of the page's own host.
+        sources = "".join(f" ws://*:{port} wss://*:{port}" for port in classroom_ports)
+        self._policy = POLICY.replace("connect-src 'self'", f"connect-src 'self'{sources}")
         self._docs_directory = docs_directory
         # Large meshes do not put the page out, nor does their disk hold it up.
         self._page_files = FileCache()

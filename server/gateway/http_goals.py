@@ -134,7 +134,12 @@ class HttpGoals:
             raise _RefusedError(refusal, HTTPStatus.CONFLICT)
 
     def _read(self, body: bytes) -> CallService | SendActionGoal:
-        request = _json_object(body)
+        try:
+            request = orjson.loads(body)
+        except orjson.JSONDecodeError as error:
+            raise _RefusedError(f"the body is no JSON: {one_line(shorten(str(error)))}") from None
+        if not isinstance(request, dict):
+            raise _RefusedError(f"the body must be a JSON object, not {describe(request)}")
         arm = request.pop("arm", "")
         if not isinstance(arm, str) or arm not in ("", *self._arms):
             known = ", ".join(self._arms) or "none, this server has one arm"
@@ -160,16 +165,6 @@ class HttpGoals:
             )
         _check_fields(request, (*MOTIONS, *OPTIONS), "")
         return CallService(service=f"{prefix}{GOAL_SERVICE}", args=request)
-
-
-def _json_object(body: bytes) -> dict[str, Any]:
-    try:
-        request = orjson.loads(body)
-    except orjson.JSONDecodeError as error:
-        raise _RefusedError(f"the body is no JSON: {one_line(shorten(str(error)))}") from None
-    if not isinstance(request, dict):
-        raise _RefusedError(f"the body must be a JSON object, not {describe(request)}")
-    return request
 
 
 def _check_fields(given: Mapping[str, Any], known: Collection[str], place: str) -> None:

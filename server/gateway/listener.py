@@ -21,12 +21,7 @@ from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
 from server.access.rate_limits import is_loopback
 from server.errors import ConfigurationError, StartError
-from server.gateway.admission import (
-    AdmissionPolicy,
-    ConnectionLimiter,
-    check_exposure,
-    host_addresses,
-)
+from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, check_exposure, host_addresses
 from server.gateway.client_context import Gateway
 from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
@@ -82,7 +77,10 @@ class Tls:
 
     def _read(self) -> ssl.SSLContext:
         for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
-            _check_readable(setting, file)
+            try:
+                file.open("rb").close()
+            except OSError as error:
+                raise ConfigurationError(f"{setting}: {file} cannot be read: {error.strerror or error}") from error
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.set_alpn_protocols(["http/1.1"])
@@ -122,13 +120,6 @@ def _handshakes(on_plain_text: Callable[[], None]) -> type[ssl.SSLObject]:
                 raise
 
     return Handshake
-
-
-def _check_readable(setting: str, file: Path) -> None:
-    try:
-        file.open("rb").close()
-    except OSError as error:
-        raise ConfigurationError(f"{setting}: {file} cannot be read: {error.strerror or error}") from error
 
 
 COUNT_TOPIC = "/client_count"

@@ -360,13 +360,6 @@ class WebSocket(Transport):
         self._flush()
         self._call_later(self._settings.ping_timeout_s, self._end_silent)
 
-    def _receive_pong(self, data: bytes) -> None:
-        """Let the next ping follow at its time; a pong that answers none is ignored (RFC 6455, 5.5.3)."""
-        if self._ping_data and data == self._ping_data:
-            self._ping_data = b""
-            latency_s = asyncio.get_running_loop().time() - self._pinged_s
-            self._call_later(max(0.0, self._settings.ping_interval_s - latency_s), self._ping)
-
     def _end_silent(self) -> None:
         self._fail(CloseCode.INTERNAL_ERROR, "keepalive ping timeout")
 
@@ -426,7 +419,11 @@ class WebSocket(Transport):
         for event in self._protocol.events_received():
             frame = cast(Frame, event)
             if frame.opcode is _PONG:
-                self._receive_pong(bytes(frame.data))
+                # Let the next ping follow at its time; a pong that answers none is ignored (RFC 6455, 5.5.3).
+                if self._ping_data and bytes(frame.data) == self._ping_data:
+                    self._ping_data = b""
+                    latency_s = asyncio.get_running_loop().time() - self._pinged_s
+                    self._call_later(max(0.0, self._settings.ping_interval_s - latency_s), self._ping)
             elif frame.opcode is _TEXT or frame.opcode is _BINARY or frame.opcode is _CONT:
                 message = self._assemble(frame)
         self._flush()

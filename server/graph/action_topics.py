@@ -98,7 +98,10 @@ class ActionTopics:
         goals = self._goals.get(action)
         if goals is None or not self._is_open(node, action + STATUS, STATUS_TYPE):
             return
-        self._forget_ended(goals)
+        ended = {goal: each.ended_s for goal, each in goals.items() if each.ended_s is not None}
+        for place, (goal, ended_s) in enumerate(ended.items()):
+            if ended_s <= self._clock() - ENDED_KEPT_S or place < len(ended) - MAX_PUBLISHED:
+                del goals[goal]
         newest = list(goals.values())[-MAX_PUBLISHED:]
         statuses = [{"goal_info": each.goal_info, "status": each.status} for each in newest]
         self._topics.publish(node, action + STATUS, {"status_list": statuses}, prevalidated=True)
@@ -106,9 +109,3 @@ class ActionTopics:
     def _is_open(self, node: Node, topic: str, type_name: str) -> bool:
         """Return True for a topic of the node's action; a client that offers one may have made its own of this name."""
         return self._topics.topic_type(topic) == type_name and node in self._topics.publishers(topic)
-
-    def _forget_ended(self, goals: dict[Goal, _TrackedStatus]) -> None:
-        ended = {goal: each.ended_s for goal, each in goals.items() if each.ended_s is not None}
-        for place, (goal, ended_s) in enumerate(ended.items()):
-            if ended_s <= self._clock() - ENDED_KEPT_S or place < len(ended) - MAX_PUBLISHED:
-                del goals[goal]

@@ -199,7 +199,15 @@ class Actions(Providers[Goal]):
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
         goal = Goal((name, offer.type_name), request, self._message_types, sender, on_feedback, goal_id)
-        self._start(goal, offer, on_result)
+        limit_s, key = offer.limit_s, b64encode(goal.goal_id).decode()
+        self._keep(goal, offer, key, goal.sender, limit_s, f"Action {goal.action} took more than {limit_s:g} s")
+        self._topics.follow(offer.node, goal)
+        goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
+        try:
+            offer.start(goal)
+        except Exception as error:  # a bug in an action must not leave its client waiting
+            log.exception("action %s failed", goal.action)
+            goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
         return goal
 
     def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
@@ -218,17 +226,6 @@ class Actions(Providers[Goal]):
         if goal_id is not None and b64encode(goal_id).decode() in offer.requests:
             raise GraphError("action", name, f"has a goal of the id {goal_id.hex()} already")
         return offer
-
-    def _start(self, goal: Goal, offer: Provider[Goal], on_result: Callable[[Result], None]) -> None:
-        limit_s, key = offer.limit_s, b64encode(goal.goal_id).decode()
-        self._keep(goal, offer, key, goal.sender, limit_s, f"Action {goal.action} took more than {limit_s:g} s")
-        self._topics.follow(offer.node, goal)
-        goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
-        try:
-            offer.start(goal)
-        except Exception as error:  # a bug in an action must not leave its client waiting
-            log.exception("action %s failed", goal.action)
-            goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
 
     def _end_requests(self, offer: Provider[Goal]) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))

@@ -89,11 +89,7 @@ class MessageTypes:
     """Types and messages of publishers and callers."""
 
     def __init__(
-        self,
-        registry: Registry,
-        wall_clock: Callable[[], float] = time.time,
-        *,
-        relay_unknown_types: bool = False,
+        self, registry: Registry, wall_clock: Callable[[], float] = time.time, *, relay_unknown_types: bool = False
     ) -> None:
         self.registry = registry
         self.wall_clock = wall_clock

@@ -272,7 +272,9 @@ class Graph:
         """
         topic = self._topic(name)
         if node.remote and node not in topic.publishers:
-            self._check_publications(node, name)
+            count = self.publications.count(node)
+            if count >= MAX_TOPICS_OF_PUBLISHER:
+                raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
         received = self.message_types.now()
         try:
             completed: Any = message if prevalidated else self._completed(topic, message, received)
@@ -288,14 +290,7 @@ class Graph:
             (message.cost_bytes, message.light) if isinstance(message, ReceivedMessage) else (None, False)
         )
         published = PublishedMessage(
-            topic.name,
-            topic.type_name,
-            completed,
-            self.message_types.registry,
-            received,
-            node,
-            cost_bytes,
-            light=light,
+            topic.name, topic.type_name, completed, self.message_types.registry, received, node, cost_bytes, light=light
         )
         return self._distribute(topic, published, node, lifespan_s)
 
@@ -335,11 +330,6 @@ class Graph:
         if lifespan_s > 0:
             self._latched_messages.keep(published, self._clock(), lifespan_s)
         return None
-
-    def _check_publications(self, node: Node, name: str) -> None:
-        count = self.publications.count(node)
-        if count >= MAX_TOPICS_OF_PUBLISHER:
-            raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
 
     def reject_unauthorized(self, node: Node, name: str, message: object, reason: str) -> None:
         """Report a message whose sender may not publish it to the subscribers that answer such messages."""
@@ -390,7 +380,11 @@ class Graph:
 
     def _topic(self, name: str, type_name: str | None = None, node: Node | None = None) -> Topic:
         """The topic, made for a node when it is new and ``type_name`` says what it carries."""
-        self._forget_old()
+        for _ in range(FORGOTTEN_AT_ONCE):
+            if not self._unused or not self._outlived(oldest := next(iter(self._unused.values()))):
+                break
+            self._forget(oldest)
+        self._latched_messages.give_up_old(self._clock())
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
@@ -404,7 +398,14 @@ class Graph:
             canonical = self._canonical(name, type_name)
             if topic is not None:
                 self._forget(topic)
-            self._make_room(name, node)
+            # Topics that nobody uses any more are only kept while there is room.
+            in_use, of_viewer = len(self.topic_names), node is not None and node.is_viewer
+            limit, whose = (MAX_TOPICS_FOR_VIEWERS, " for the role view") if of_viewer else (MAX_TOPICS, "")
+            if in_use >= limit:
+                full = f"cannot be added: there are {in_use} topics already, the limit{whose} is {limit}"
+                raise GraphError("topic", name, full)
+            if len(self._topics) >= MAX_TOPICS:
+                self._forget(next(iter(self._unused.values())))
             topic = self._topics[name] = Topic(name, canonical, self._clock())
         elif type_name is not None and self._canonical(name, type_name) != topic.type_name:
             raise GraphError("topic", name, f"is already established with type {topic.type_name}, not {type_name}")
@@ -415,23 +416,6 @@ class Graph:
             return self.message_types.canonical(type_name, "msg")
         except InterfaceError as error:
             raise GraphError("topic", name, str(error)) from error
-
-    def _make_room(self, name: str, node: Node | None) -> None:
-        """See that one more topic fits; those that nobody uses any more are only kept while there is room."""
-        in_use, of_viewer = len(self.topic_names), node is not None and node.is_viewer
-        limit, whose = (MAX_TOPICS_FOR_VIEWERS, " for the role view") if of_viewer else (MAX_TOPICS, "")
-        if in_use >= limit:
-            problem = f"cannot be added: there are {in_use} topics already, the limit{whose} is {limit}"
-            raise GraphError("topic", name, problem)
-        if len(self._topics) >= MAX_TOPICS:
-            self._forget(next(iter(self._unused.values())))
-
-    def _forget_old(self) -> None:
-        for _ in range(FORGOTTEN_AT_ONCE):
-            if not self._unused or not self._outlived(topic := next(iter(self._unused.values()))):
-                break
-            self._forget(topic)
-        self._latched_messages.give_up_old(self._clock())
 
     def _forget(self, topic: Topic) -> None:
         del self._topics[topic.name], self._unused[topic.name]

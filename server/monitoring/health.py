@@ -83,28 +83,20 @@ def _reasons_not_ready(sources: Sources) -> Iterator[str]:
     if not sources.started:
         yield "the server is starting"
     if sources.arm is not None:
-        yield from _reasons_arm_is_not_ready(sources.arm)
+        state = sources.arm.state
+        if state.fault is not None:
+            yield f"the arm has a fault: {state.fault.code.value}"
+        if state.mode is Mode.DISCONNECTED:
+            yield "the arm is not connected"
+        elif state.mode is Mode.CONNECTED:
+            yield "the servos are being checked, or were refused"
+        elif sources.arm.state_age_s > (stale_s := max(ARM_STALE_S, sources.arm.state_max_age_s)):
+            yield f"the last state of the arm is older than {stale_s:g} s"
     if sources.planners is not None:
-        yield from _reasons_planners_are_not_ready(sources.planners)
-
-
-def _reasons_arm_is_not_ready(arm: AnyArm) -> Iterator[str]:
-    state = arm.state
-    if state.fault is not None:
-        yield f"the arm has a fault: {state.fault.code.value}"
-    if state.mode is Mode.DISCONNECTED:
-        yield "the arm is not connected"
-    elif state.mode is Mode.CONNECTED:
-        yield "the servos are being checked, or were refused"
-    elif arm.state_age_s > (stale_s := max(ARM_STALE_S, arm.state_max_age_s)):
-        yield f"the last state of the arm is older than {stale_s:g} s"
-
-
-def _reasons_planners_are_not_ready(planners: Planners) -> Iterator[str]:
-    if planners.load_failure is not None:
-        yield "the planners cannot be started"
-    elif planners.loaded_count == 0:
-        yield "the planners are loading"
+        if sources.planners.load_failure is not None:
+            yield "the planners cannot be started"
+        elif sources.planners.loaded_count == 0:
+            yield "the planners are loading"
 
 
 def _warnings(sources: Sources) -> Iterator[str]:

@@ -149,13 +149,10 @@ class MemoryKeeper:
             self._next_collection_s = now_s + FULL_COLLECTION_PERIOD_S
             self._collector.collect_all()
         if resident - self._lowest_bytes >= EXCESS_BYTES and now_s >= self._next_trim_s:
-            await self._give_back(resident, now_s)
-
-    async def _give_back(self, resident: int, now_s: float) -> None:
-        await asyncio.to_thread(self._trim)
-        self._latest_bytes = self._read_bytes()
-        gain = resident - self._latest_bytes
-        self._wait_s = FIRST_TRIM_S if gain >= GAIN_BYTES else min(2.0 * self._wait_s, LONGEST_TRIM_S)
-        self._next_trim_s = now_s + self._wait_s
-        if gain >= GAIN_BYTES:
-            log.debug("%.0f MB of memory given back", gain / 1e6)
+            await asyncio.to_thread(self._trim)
+            self._latest_bytes = self._read_bytes()
+            gain = resident - self._latest_bytes
+            self._wait_s = FIRST_TRIM_S if gain >= GAIN_BYTES else min(2.0 * self._wait_s, LONGEST_TRIM_S)
+            self._next_trim_s = now_s + self._wait_s
+            if gain >= GAIN_BYTES:
+                log.debug("%.0f MB of memory given back", gain / 1e6)

@@ -33,7 +33,7 @@ from prometheus_client.registry import Collector
 from websockets.http11 import Request
 
 from robot.faults import FaultCode
-from robot.messages import ArmHealth, BusCounters, JointHealth, Mode
+from robot.messages import ArmHealth, JointHealth, Mode
 from server.execution.goal import Answer
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
@@ -264,7 +264,14 @@ def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
 
 def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
     if health.bus is not None:
-        yield from _bus_metrics(health.bus)
+        for name, meaning, count in (
+            ("instructions", "Instructions written to the bus.", health.bus.sent),
+            ("replies", "Valid replies of servos.", health.bus.replies),
+            ("timeouts", "Replies that did not come, or not soundly.", health.bus.timeouts),
+            ("discarded_bytes", "Bytes that belonged to no valid reply.", health.bus.discarded_bytes),
+            ("retries", "Instructions that were repeated.", health.bus.retries),
+        ):
+            yield CounterMetricFamily(f"armbridge_bus_{name}", f"{meaning} Since the bus was opened.", count)
         yield _statistics("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
     yield _statistics(
         "armbridge_arm_loop_lateness_seconds", "Start of the loop's ticks after their deadlines.", health.lateness_s
@@ -282,17 +289,6 @@ def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
     silent = ((joint.joint, joint.silent_cycles) for joint in health.joints)
     meaning = "Cycles in which a servo did not answer."
     yield _by_label(CounterMetricFamily, "armbridge_servo_silent_cycles", meaning, "joint", silent)
-
-
-def _bus_metrics(bus: BusCounters) -> Iterator[Metric]:
-    for name, meaning, value in (
-        ("instructions", "Instructions written to the bus.", bus.sent),
-        ("replies", "Valid replies of servos.", bus.replies),
-        ("timeouts", "Replies that did not come, or not soundly.", bus.timeouts),
-        ("discarded_bytes", "Bytes that belonged to no valid reply.", bus.discarded_bytes),
-        ("retries", "Instructions that were repeated.", bus.retries),
-    ):
-        yield CounterMetricFamily(f"armbridge_bus_{name}", f"{meaning} Since the bus was opened.", value)
 
 
 def _statistics(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:

@@ -125,20 +125,17 @@ class Report:
         """Return the archive of all members, with a list of them."""
         if self._problems:
             self.add(PROBLEMS, "".join(f"{problem}\n" for problem in self._problems))
-        self.add(README, self._readme())
-        packed = io.BytesIO()
-        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, content in self._members.items():
-                archive.writestr(name, content)
-        return packed.getvalue()
-
-    def _readme(self) -> str:
         there = [
             f"{name}: {content}."
             for name, content in CONTENTS.items()
             if any(member.startswith(name) for member in self._members)
         ]
-        return "\n".join(("Report of armbridge, made by armbridge report.", "", *there, ""))
+        self.add(README, "\n".join(("Report of armbridge, made by armbridge report.", "", *there, "")))
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in self._members.items():
+                archive.writestr(name, content)
+        return packed.getvalue()
 
 
 def add_settings(report: Report, settings: Settings, sources: Mapping[str, str]) -> None:
@@ -162,7 +159,6 @@ def add_machine(report: Report) -> None:
 
 
 def add_faults(report: Report, directory: Path) -> None:
-    """Add the newest files about faults."""
     left = MAX_FAULT_BYTES
     for path in sorted(directory.glob(f"{PREFIX}*.jsonl"), reverse=True)[:MAX_FAULT_FILES]:
         with report.part(f"faults/{path.name}"):
@@ -311,17 +307,14 @@ class RunningServer:
                 heard[_TOPICS[operation["topic"]][0]] = operation["msg"]
             elif operation["op"] == "service_response":
                 answered = True
-                self._add_log(report, operation)
+                if operation["result"]:
+                    report.add("server/log.txt", operation["values"]["message"] + "\n")
+                else:
+                    report.note(f"server: its log is not returned: {operation['values']}")
             if answered and len(heard) == len(_TOPICS):
                 return heard
         report.note(f"server: {', '.join(_TOPICS)} and its log were not all heard in {DIAGNOSTICS_TIMEOUT_S:g} s")
         return heard
-
-    def _add_log(self, report: Report, answer: dict[str, Any]) -> None:
-        if answer["result"]:
-            report.add("server/log.txt", answer["values"]["message"] + "\n")
-        else:
-            report.note(f"server: its log is not returned: {answer['values']}")
 
 
 def _histories(client: ClientConnection, diagnostics: dict[str, Any]) -> dict[str, Any]:

@@ -312,7 +312,9 @@ def _set_levels(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _level(name: str) -> int:
-    return logging.getLogger(name).getEffectiveLevel() if _exists(name) else 0
+    # A request for the level of a logger must not create it.
+    exists = _OURS.fullmatch(name) and name in logging.root.manager.loggerDict
+    return logging.getLogger(name).getEffectiveLevel() if exists else 0
 
 
 def _change(name: str, level: int) -> str:
@@ -324,8 +326,3 @@ def _change(name: str, level: int) -> str:
         return f"name: the levels of {MAX_CHANGED_LOGGERS} loggers have been changed already, the limit"
     log.warning("the level of %s is %s now", name, LEVELS[level])
     return ""
-
-
-def _exists(name: str) -> bool:
-    """Return True for an existing logger of the server; a request for its level must not create it."""
-    return bool(_OURS.fullmatch(name)) and name in logging.root.manager.loggerDict

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robot.faults import ServoAlert
-from robot.messages import ArmHealth, ArmState, JointHealth, Mode
+from robot.messages import ArmHealth, ArmState, Mode
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
@@ -73,25 +73,19 @@ class ServoHistory:
         for joint in health.joints:
             samples = self._samples.setdefault(joint.joint, deque(maxlen=MAX_SAMPLES))
             samples.append((now_s, *(getattr(joint, quantity) for quantity in QUANTITIES)))
-            self._compare_warnings(joint)
-            self._compare_errors(joint)
-
-    def _compare_warnings(self, joint: JointHealth) -> None:
-        warnings = {(each.alert, each.register): each.sentence for each in joint.warnings}
-        before = self._warnings.get(joint.joint, {})
-        for kind in warnings.keys() - before.keys():
-            self._add(joint.joint, f"warning: {warnings[kind]}")
-        for kind in before.keys() - warnings.keys():
-            self._add(joint.joint, f"no longer: {before[kind]}")
-        self._warnings[joint.joint] = warnings
-
-    def _compare_errors(self, joint: JointHealth) -> None:
-        before = self._errors.get(joint.joint, {})
-        for kind, count in joint.errors.items():
-            # Opened again, the hardware counts from zero.
-            if count > before.get(kind, 0):
-                self._add(joint.joint, f"error {kind}, {count} since the servo was connected")
-        self._errors[joint.joint] = joint.errors
+            warnings = {(each.alert, each.register): each.sentence for each in joint.warnings}
+            before = self._warnings.get(joint.joint, {})
+            for kind in warnings.keys() - before.keys():
+                self._add(joint.joint, f"warning: {warnings[kind]}")
+            for kind in before.keys() - warnings.keys():
+                self._add(joint.joint, f"no longer: {before[kind]}")
+            self._warnings[joint.joint] = warnings
+            counted = self._errors.get(joint.joint, {})
+            for error, count in joint.errors.items():
+                # Opened again, the hardware counts from zero.
+                if count > counted.get(error, 0):
+                    self._add(joint.joint, f"error {error}, {count} since the servo was connected")
+            self._errors[joint.joint] = joint.errors
 
     def _add(self, joint: str, sentence: str) -> None:
         self._events.append(Event(self._clock(), joint, sentence))

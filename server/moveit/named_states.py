@@ -113,8 +113,6 @@ class NamedStates:
         await self._change(add)
 
     async def delete(self, name: str) -> None:
-        """Delete a state."""
-
         def remove(states: States) -> States:
             spelled = self._own(name, states)
             return {known: state for known, state in states.items() if known != spelled}
@@ -122,7 +120,6 @@ class NamedStates:
         await self._change(remove)
 
     async def rename(self, old_name: str, new_name: str) -> None:
-        """Rename a state."""
         new = " ".join(new_name.split())
 
         def rename(states: States) -> States:

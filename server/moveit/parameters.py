@@ -82,7 +82,6 @@ class ServoParameters(SettingsSection):
 
     @property
     def limits(self) -> ServoLimits:
-        """The limits as planners take them."""
         return ServoLimits(
             linear_m_s=self.linear_scale,
             angular_rad_s=self.rotational_scale,

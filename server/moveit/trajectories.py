@@ -243,7 +243,10 @@ def read_points(
         raise _invalid("points: positions must be given")
     velocities = _array(points, "velocities", len(names))
     accelerations = _array(points, "accelerations", len(names))
-    kept = _kept(time_s, positions)
+    # A point that repeats time and positions of the one before is left out.
+    same_time = np.abs(np.diff(time_s)) <= SAME_TIME_S
+    same_positions = np.all(np.abs(np.diff(positions, axis=0)) <= SAME_POSITION_RAD, axis=1)
+    kept = np.concatenate(([0], 1 + np.flatnonzero(~(same_time & same_positions))))
     _check_times(time_s, kept)
     time_s, positions = time_s[kept], positions[kept]
     velocities, accelerations = (None if array is None else array[kept] for array in (velocities, accelerations))
@@ -290,13 +293,6 @@ def _times_s(points: list[Message]) -> Vector:
         found = f"must be below {NANOSECONDS_PER_S}, not {durations[index]['nanosec']}"
         raise _invalid(f"points[{index}].time_from_start.nanosec {found}", index=index)
     return seconds + 1e-9 * nanoseconds
-
-
-def _kept(time_s: Vector, positions: Vector) -> Vector:
-    """Return the indices of the points that do not repeat time and positions of the one before."""
-    same_time = np.abs(np.diff(time_s)) <= SAME_TIME_S
-    same_positions = np.all(np.abs(np.diff(positions, axis=0)) <= SAME_POSITION_RAD, axis=1)
-    return np.concatenate(([0], 1 + np.flatnonzero(~(same_time & same_positions))))
 
 
 def _check_times(time_s: Vector, kept: Vector) -> None:

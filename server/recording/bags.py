@@ -28,7 +28,15 @@ def messages(path: Path) -> Iterator[RecordedMessage]:
     """Yield the messages of a file or bag in their order; raises RecordingError."""
     for file in _files(path) if path.is_dir() else [path]:
         if file.suffix == SQLITE:
-            yield from _sqlite_messages(file)
+            if not file.is_file():
+                raise RecordingError(file, "cannot be read: No such file")
+            try:
+                with contextlib.closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
+                    for topic, type_name, qos, log_time_ns, octets in database.execute(_MESSAGES):
+                        latched = is_latched({QOS_KEY: str(qos)})
+                        yield RecordedMessage(topic, type_name, latched, log_time_ns, log_time_ns, octets)
+            except sqlite3.Error as error:
+                raise RecordingError(file, f"is no SQLite file of rosbag2: {error}") from error
         else:
             for chunk in Recording(file).chunks():
                 yield from chunk
@@ -47,15 +55,3 @@ def _files(bag: Path) -> list[Path]:
     if described.get("compression_mode"):
         raise RecordingError(bag, "is compressed by rosbag2; ros2 bag convert writes it without compression")
     return files
-
-
-def _sqlite_messages(path: Path) -> Iterator[RecordedMessage]:
-    if not path.is_file():
-        raise RecordingError(path, "cannot be read: No such file")
-    try:
-        with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            for topic, type_name, qos, log_time_ns, octets in database.execute(_MESSAGES):
-                latched = is_latched({QOS_KEY: str(qos)})
-                yield RecordedMessage(topic, type_name, latched, log_time_ns, log_time_ns, octets)
-    except sqlite3.Error as error:
-        raise RecordingError(path, f"is no SQLite file of rosbag2: {error}") from error

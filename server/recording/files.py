@@ -121,10 +121,17 @@ class McapFile:
         return self._stream.tell()
 
     def add(self, message: RecordedMessage) -> None:
-        """Append a message."""
         channel = self._channels.get((message.topic, message.type_name))
         if channel is None:
-            channel = self._channels[message.topic, message.type_name] = [self._register(message), 0]
+            schema = self._schemas.get(message.type_name)
+            if schema is None:
+                text = type_descriptions.full_text(self._registry, message.type_name)
+                schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
+                self._schemas[message.type_name] = schema
+            durability, depth = ("transient_local", 1) if message.latched else ("volatile", 10)
+            qos = {QOS_KEY: _QOS_PROFILE.format(durability=durability, depth=depth, never=_NEVER)}
+            number = self._writer.register_channel(message.topic, "cdr", schema, qos)
+            channel = self._channels[message.topic, message.type_name] = [number, 0]
         channel[1] += 1
         self._writer.add_message(channel[0], message.log_time_ns, message.octets, message.publish_time_ns, channel[1])
 
@@ -133,20 +140,11 @@ class McapFile:
         self._writer.flush()
 
     def end(self, facts: dict[str, str]) -> None:
-        """Write the index, and close the file."""
         self._writer.flush()
         if facts:
             self._writer.add_metadata(METADATA_NAME, facts)
         self._writer.finish()
         self._stream.close()
-
-    def _register(self, message: RecordedMessage) -> int:
-        schema = self._schemas.get(message.type_name)
-        if schema is None:
-            text = type_descriptions.full_text(self._registry, message.type_name)
-            schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
-            self._schemas[message.type_name] = schema
-        return self._writer.register_channel(message.topic, "cdr", schema, channel_metadata(message.latched))
 
 
 class RecordingSeries:
@@ -168,26 +166,27 @@ class RecordingSeries:
 
     @property
     def path(self) -> Path:
-        """File that is being written."""
         return self._paths[-1]
 
     def add(self, message: RecordedMessage) -> None:
-        """Append a message."""
         if self._limit_bytes is not None:
             if self._file.size_bytes >= self._limit_bytes:
                 self._file.end({})
                 self._file = self._begin()
-                self._repeat_latched(message.log_time_ns)
+                for latched in self._latched.values():
+                    self._file.add(latched._replace(log_time_ns=message.log_time_ns))
             if message.latched:
-                self._keep_latched(message)
+                previous = self._latched.pop(message.topic, None)
+                self._latched_bytes -= 0 if previous is None else len(previous.octets)
+                if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
+                    self._latched[message.topic] = message
+                    self._latched_bytes += len(message.octets)
         self._file.add(message)
 
     def flush(self) -> None:
-        """Write everything to the file."""
         self._file.flush()
 
     def end(self, facts: dict[str, str]) -> None:
-        """End the last file."""
         self._file.end(facts)
 
     def abandon(self) -> None:
@@ -215,23 +214,6 @@ class RecordingSeries:
             with contextlib.suppress(FileExistsError):
                 return path.open("xb"), path
         raise FileExistsError(f"{self._path} and {MAX_NUMBER - 1} files numbered after it exist already")
-
-    def _keep_latched(self, message: RecordedMessage) -> None:
-        previous = self._latched.pop(message.topic, None)
-        self._latched_bytes -= 0 if previous is None else len(previous.octets)
-        if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
-            self._latched[message.topic] = message
-            self._latched_bytes += len(message.octets)
-
-    def _repeat_latched(self, now_ns: int) -> None:
-        for message in self._latched.values():
-            self._file.add(message._replace(log_time_ns=now_ns))
-
-
-def channel_metadata(latched: bool) -> dict[str, str]:
-    """Return the metadata of a topic's channel: its quality of service, as rosbag2 writes it."""
-    durability, depth = ("transient_local", 1) if latched else ("volatile", 10)
-    return {QOS_KEY: _QOS_PROFILE.format(durability=durability, depth=depth, never=_NEVER)}
 
 
 def is_latched(metadata: Mapping[str, str]) -> bool:

@@ -149,7 +149,6 @@ class WriterThread:
         return self._ended.is_set()
 
     def start(self, files: RecordingSeries) -> None:
-        """Start the thread."""
         self._thread = threading.Thread(target=self._run, args=(files,), name="recording", daemon=True)
         self._thread.start()
 
@@ -192,34 +191,24 @@ class WriterThread:
         # Once more after the stop, for messages that came until then.
         while not stopping:
             stopping = self._stopping.wait(POLL_PERIOD_S)
-            self._write_queued(files)
+            # The messages that are in the queue now; later ones have the next round.
+            for number in range(len(self._queue)):
+                if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
+                    time.sleep(PAUSE_S)
+                message = self._queue.popleft()
+                published = message.published
+                octets = cdr.serialize(self._registry, published.type_name, published.msg)
+                publish_time_ns = published.received.sec * 1_000_000_000 + published.received.nanosec
+                times = message.log_time_ns, publish_time_ns
+                files.add(RecordedMessage(published.topic, published.type_name, message.latched, *times, octets))
+                self._written_bytes += message.size_bytes
             if self._clock() >= flush_at_s:
                 files.flush()
                 flush_at_s = self._clock() + FLUSH_PERIOD_S
-            self._log_drops()
-
-    def _write_queued(self, files: RecordingSeries) -> None:
-        """Write the messages that are in the queue now; later ones are left to the next call."""
-        for number in range(len(self._queue)):
-            if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
-                time.sleep(PAUSE_S)
-            message = self._queue.popleft()
-            files.add(self._recorded(message))
-            self._written_bytes += message.size_bytes
-
-    def _recorded(self, message: QueuedMessage) -> RecordedMessage:
-        published = message.published
-        octets = cdr.serialize(self._registry, published.type_name, published.msg)
-        publish_time_ns = published.received.sec * 1_000_000_000 + published.received.nanosec
-        return RecordedMessage(
-            published.topic, published.type_name, message.latched, message.log_time_ns, publish_time_ns, octets
-        )
-
-    def _log_drops(self) -> None:
-        now_s = self._clock()
-        if self.dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
-            log.warning(
-                "recording: %d messages were dropped, the disk or the processor is too slow",
-                self.dropped - self._dropped_logged,
-            )
-            self._dropped_logged, self._drops_logged_at_s = self.dropped, now_s
+            now_s = self._clock()
+            if self.dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
+                log.warning(
+                    "recording: %d messages were dropped, the disk or the processor is too slow",
+                    self.dropped - self._dropped_logged,
+                )
+                self._dropped_logged, self._drops_logged_at_s = self.dropped, now_s

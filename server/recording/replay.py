@@ -243,23 +243,27 @@ class ReplayServer:
             await self._listener.open()
             # After the listener: recorded topics are not mixed with its own.
             self._player.advertise(summary.topics)
-            log.info("%s", self._start_message(summary))
-            await self._play_until(ending)
+            incomplete = (
+                "" if summary.complete else "; the file was not ended in good order, what can be read of it is played"
+            )
+            log.info(
+                "%s",
+                f"armbridge.recordings {self._options.path}: {self._listener.url} (rosbridge), "
+                f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}",
+            )
+            playing = asyncio.create_task(self._play())
+            ended = asyncio.create_task(ending.wait())
+            try:
+                await asyncio.wait([playing, ended], return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                ended.cancel()
+                playing.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await playing
         finally:
             await self._listener.close()
         player = self._player
         log.info("replay ended: %d messages published, %d could not be read", player.published, player.unreadable)
-
-    async def _play_until(self, ending: asyncio.Event) -> None:
-        playing = asyncio.create_task(self._play())
-        ended = asyncio.create_task(ending.wait())
-        try:
-            await asyncio.wait([playing, ended], return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            ended.cancel()
-            playing.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await playing
 
     async def _play(self) -> None:
         await asyncio.sleep(self._options.delay_s)
@@ -267,15 +271,6 @@ class ReplayServer:
         while self._options.loop:
             await asyncio.sleep(LOOP_PAUSE_S)
             await self._player.play()
-
-    def _start_message(self, summary: Summary) -> str:
-        incomplete = (
-            "" if summary.complete else "; the file was not ended in good order, what can be read of it is played"
-        )
-        return (
-            f"armbridge.recordings {self._options.path}: {self._listener.url} (rosbridge), "
-            f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}"
-        )
 
 
 class RecordingPlayer:

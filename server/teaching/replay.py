@@ -119,7 +119,6 @@ def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:
 
 
 def feedback(progress: Progress) -> Message:
-    """Write the feedback of some progress."""
     return {"state": progress.state.value, "fraction": progress.fraction, "remaining_s": progress.remaining_s}
 
 

@@ -301,7 +301,6 @@ class MotionFiles(NamedFiles):
         self._robot = robot
 
     async def load(self, name: str) -> TaughtMotion:
-        """Return a motion."""
         return await self.read(name, self._read)
 
     async def save(self, name: str, motion: TaughtMotion) -> None:
@@ -327,9 +326,6 @@ class MotionFiles(NamedFiles):
             content = _Content.model_validate_json(text)
         except ValidationError as error:
             raise ValueError(f"{path} holds no motion: {error.errors()[0]['msg']}") from None
-        return self._motion(path, content)
-
-    def _motion(self, path: Path, content: _Content) -> TaughtMotion:
         movable = {joint.name for joint in self._robot.movable_joints}
         names = tuple(content.joint_names)
         if not set(names) <= movable or len(set(names)) < len(names):

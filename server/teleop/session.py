@@ -23,16 +23,9 @@ from server.execution.queue import GoalQueue
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
-from server.teleop.following import (
-    STALE_S,
-    Act,
-    Following,
-    Phase,
-    TrackingLimits,
-    tracking_velocities,
-)
+from server.teleop.following import STALE_S, Act, Following, Phase, TrackingLimits, tracking_velocities
 from server.teleop.gripper_following import GripperFollowing
-from server.teleop.leader import JitterBuffer, JointMap, LeaderPose
+from server.teleop.leader import JitterBuffer, JointMap
 
 log = logging.getLogger("armbridge.teleop")
 
@@ -161,7 +154,6 @@ class FollowingSession:
         self._came.set()
 
     def set_clutch(self, *, closed: bool) -> None:
-        """Open or close the clutch."""
         self._carry_out(self.following.set_clutch(closed=closed), self._clock())
         self._tell()
 
@@ -234,7 +226,13 @@ class FollowingSession:
             case Act.FOLLOW:
                 self._follow(now_s)
             case Act.BRAKE:
-                self._brake()
+                self._servo.release()
+                if self._ramp is not None:
+                    ramp, self._ramp = self._ramp, None
+                    self._queue.cancel(ramp.goal_id, self.following.message)
+                if self._gripper is not None:
+                    self._gripper.end(self.following.message)
+                self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
     def _begin_ramp(self, now_s: float) -> None:
         pose = self._samples.pose(now_s)
@@ -282,37 +280,20 @@ class FollowingSession:
                 "there by a planned motion"
             )
             return
-        leader_rad_s = self._velocities(pose)
+        leader_rad_s = {}
+        for link in self._joints.links:
+            target_rad = link.scale * pose.positions_rad.get(link.leader, 0.0)
+            # A target that a limit holds has no velocity.
+            held = not link.lower_rad < target_rad < link.upper_rad
+            leader_rad_s[link.follower] = 0.0 if held else link.scale * pose.velocity_rad_s.get(link.leader, 0.0)
         velocities = tracking_velocities(goals, steered, leader_rad_s, self._limits, self._servo.latency_s)
         self._servo.set_command(JointVelocities(velocities), STALE_S)
-        self._follow_with_gripper(targets, leader_rad_s)
+        gripper = self._follower.gripper
+        if self._gripper is not None and gripper is not None and (joint := gripper.joints[0].name) in targets:
+            self._gripper_lead = targets[joint], leader_rad_s.get(joint, 0.0)
+            self._gripper.go_on()
         self._read_at_s = now_s - pose.latency_s
         self._show_targets(targets)
-
-    def _velocities(self, pose: LeaderPose) -> dict[str, float]:
-        """Return the velocities of the targets [rad/s]; a target that a limit holds has none."""
-        found = {}
-        for link in self._joints.links:
-            velocity = link.scale * pose.velocity_rad_s.get(link.leader, 0.0)
-            target = link.scale * pose.positions_rad.get(link.leader, 0.0)
-            found[link.follower] = velocity if link.lower_rad < target < link.upper_rad else 0.0
-        return found
-
-    def _follow_with_gripper(self, targets: Mapping[str, float], leader_rad_s: Mapping[str, float]) -> None:
-        gripper = self._follower.gripper
-        name = "" if gripper is None else gripper.joints[0].name
-        if self._gripper is not None and name in targets:
-            self._gripper_lead = targets[name], leader_rad_s.get(name, 0.0)
-            self._gripper.go_on()
-
-    def _brake(self) -> None:
-        self._servo.release()
-        if self._ramp is not None:
-            ramp, self._ramp = self._ramp, None
-            self._queue.cancel(ramp.goal_id, self.following.message)
-        if self._gripper is not None:
-            self._gripper.end(self.following.message)
-        self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
     async def _asked(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
         read_at_s = self._read_at_s

@@ -149,18 +149,37 @@ class Teleoperation(Feature):
 
     def _offer_below(self, below: str, names: Sequence[str]) -> None:
         async def start(request: Message) -> dict[str, Any]:
-            return await self._start(request, names)
+            follower = self._chosen_follower(request["follower"], names)
+            if (other := self._followings.get(follower.name)) is not None:
+                raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
+            if follower.name in self._starting:
+                raise ServiceError(f"{follower.name} is starting to follow: call {STOP} first")
+            try:
+                check_ready(follower.arm)
+            except RefusedError as error:
+                raise ServiceError(f"{follower.name} cannot follow: {error}") from error
+            self._starting.add(follower.name)
+            try:
+                return await self._begin(request, follower)
+            finally:
+                self._starting.discard(follower.name)
 
         async def stop(_request: Message) -> dict[str, Any]:
-            ended = self._stop(names)
-            return {"success": True, "message": f"{_and(ended)} {_verb(ended, 'follow')} no more"}
+            epoch = STOP_EPOCHS.begin()
+            self._last_stops.update((name, epoch) for name in names)
+            starting = [name for name in names if name in self._starting]
+            running = {} if starting and not self._sessions(names) else self._running(names)
+            for session in running.values():
+                session.end("stopped by a client")
+            ended = [*running, *starting]
+            return {"success": True, "message": f"{' and '.join(ended)} {_verb(ended, 'follow')} no more"}
 
         async def set_clutch(request: Message) -> dict[str, Any]:
             followings = self._running(names)
             for following in followings.values():
                 following.set_clutch(closed=request["data"])
             does = f"{_verb(followings, 'go')} to where the leader is" if request["data"] else _verb(followings, "hold")
-            return {"success": True, "message": f"{_and(followings)} {does}"}
+            return {"success": True, "message": f"{' and '.join(followings)} {does}"}
 
         self._graph.advertise(self._node, below + STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
         self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start, SWITCHING)
@@ -189,20 +208,12 @@ class Teleoperation(Feature):
 
     # Services.
 
-    async def _start(self, request: Message, names: Sequence[str]) -> dict[str, Any]:
-        follower = self._chosen_follower(request["follower"], names)
-        self._check_idle(follower)
-        self._starting.add(follower.name)
-        try:
-            return await self._begin(request, follower)
-        finally:
-            self._starting.discard(follower.name)
-
     async def _begin(self, request: Message, follower: Follower) -> dict[str, Any]:
         self._check_not_stopped(follower)
         name = request["leader"]
         self._queue.take_over(follower.joints, f"the leader {name[:80]}")
-        await self._until_unused(follower)
+        # The way to the leader of a following that has just ended may brake.
+        await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
         if not name.startswith("/") and name not in self._leaders:
             known = ", ".join(sorted(self._leaders)) or "none"
             raise ServiceError(
@@ -215,7 +226,8 @@ class Teleoperation(Feature):
         following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
         try:
             self._listen(following)
-            await self._first_sample(follower, leader)
+            silence = f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s"
+            await self._wait(follower, FIRST_SAMPLE_S, lambda: "" if leader.joint_names else silence)
             joints = joint_map(
                 follower.robot,
                 follower.prefix,
@@ -241,37 +253,21 @@ class Teleoperation(Feature):
         log.info("%s follows %s", follower.name, name)
         return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
 
-    def _check_idle(self, follower: Follower) -> None:
-        if (other := self._followings.get(follower.name)) is not None:
-            raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
-        if follower.name in self._starting:
-            raise ServiceError(f"{follower.name} is starting to follow: call {STOP} first")
-        try:
-            check_ready(follower.arm)
-        except RefusedError as error:
-            raise ServiceError(f"{follower.name} cannot follow: {error}") from error
-
     def _check_not_stopped(self, follower: Follower) -> None:
         """Refuse a start that a stop of the arm, or of its following, has overtaken."""
         if is_stopped(max(follower.arm.last_stop, self._last_stops.get(follower.name, 0))):
             raise ServiceError(f"{follower.name} does not follow: a stop came after {START} was called")
 
-    def _stop(self, names: Sequence[str]) -> list[str]:
-        """End the followings of some followers, those that are just starting as well; return the followers."""
-        epoch = STOP_EPOCHS.begin()
-        self._last_stops.update((name, epoch) for name in names)
-        starting = [name for name in names if name in self._starting]
-        running = {} if starting and not self._sessions(names) else self._running(names)
-        for session in running.values():
-            session.end("stopped by a client")
-        return [*running, *starting]
+    def _in_use(self, follower: Follower) -> str:
+        busy = self._queue.busy(follower.joints)
+        return f"{follower.name} cannot follow: it is in use: {busy}" if busy else ""
 
-    async def _until_unused(self, follower: Follower) -> None:
-        """Wait until no goal moves a follower: the way to the leader of a following that has just ended may brake."""
-        until_s = self._clock() + BRAKING_S
-        while busy := self._queue.busy(follower.joints):
+    async def _wait(self, follower: Follower, limit_s: float, obstacle: Callable[[], str]) -> None:
+        """Wait until a start has no obstacle any more, or raise ServiceError with it after the limit [s]."""
+        until_s = self._clock() + limit_s
+        while text := obstacle():
             if self._clock() > until_s:
-                raise ServiceError(f"{follower.name} cannot follow: it is in use: {busy}")
+                raise ServiceError(text)
             await asyncio.sleep(POLL_S)
             self._check_not_stopped(follower)
 
@@ -313,14 +309,6 @@ class Teleoperation(Feature):
             self._graph.subscribe(following.node, leader.name, JOINT_STATE, Subscriber(leader.take_message, refused))
         except MessageError as error:
             raise ServiceError(f"leader: {error}") from error
-
-    async def _first_sample(self, follower: Follower, leader: Leader) -> None:
-        until_s = self._clock() + FIRST_SAMPLE_S
-        while not leader.joint_names:
-            if self._clock() > until_s:
-                raise ServiceError(f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s")
-            await asyncio.sleep(POLL_S)
-            self._check_not_stopped(follower)
 
     def _forget(self, follower: Follower, following: _Following) -> None:
         if self._followings.get(follower.name) is not following:
@@ -374,10 +362,6 @@ def _state_message(follower: str, leader: str, state: FollowingState) -> dict[st
         "lag_rad": state.lag_rad,
         "speed_scale": state.speed_scale,
     }
-
-
-def _and(names: Collection[str]) -> str:
-    return " and ".join(names)
 
 
 def _verb(names: Collection[str], verb: str) -> str:

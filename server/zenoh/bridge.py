@@ -14,10 +14,9 @@ from server.gateway.turns import Threads
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
 from server.graph.topics import Graph
-from server.zenoh.called_services import CalledServices
 from server.zenoh.network import ACTION_PARTS, Network, SharedNames
-from server.zenoh.offered_services import OfferedServices
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
+from server.zenoh.services import CalledServices, OfferedServices
 from server.zenoh.session import SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
 from server.zenoh.topics import IncomingTopics, OutgoingTopics

@@ -91,7 +91,7 @@ class LivelinessTokens:
         self.session = session
         self.namespace = namespace
         self._prefix = f"{ADMIN_SPACE}/{domain_id}/{session}/0"
-        self._node = f"%/{_mangled(namespace or '/')}/{NODE_NAME}"
+        self._node = f"%/{(namespace or '/').replace('/', '%')}/{NODE_NAME}"
         self._entities = 0
 
     def node(self) -> str:
@@ -100,7 +100,7 @@ class LivelinessTokens:
     def entity(self, kind: EntityKind, endpoint: Endpoint, *, latched: bool = False) -> str:
         self._entities += 1
         qos = _QOS_LATCHED if latched else _QOS_VOLATILE
-        spelled = f"{_mangled(endpoint.name)}/{dds_type(endpoint.type_name)}/{endpoint.type_hash}/{qos}"
+        spelled = f"{endpoint.name.replace('/', '%')}/{dds_type(endpoint.type_name)}/{endpoint.type_hash}/{qos}"
         return f"{self._prefix}/{self._entities}/{kind.value}/{self._node}/{spelled}"
 
 
@@ -137,7 +137,3 @@ def dds_type(type_name: str) -> str:
     """Spell a canonical type name as DDS does: ``std_msgs/msg/String`` as ``std_msgs::msg::dds_::String_``."""
     package, kind, name = type_name.split("/")
     return f"{package}::{kind}::dds_::{name}_"
-
-
-def _mangled(name: str) -> str:
-    return name.replace("/", "%")

@@ -124,7 +124,10 @@ class OutgoingTopics:
             if not self._names.matches(name):
                 kept.append(name)
             else:
-                endpoint = self._endpoint(name, type_name, foreign)
+                # A client may publish to another server's topic, by its name there.
+                is_foreign = name in foreign and not self._network.is_own_publication(name)
+                network_name = name if is_foreign else self._network.to_network(name)
+                endpoint = self._network.endpoint(network_name, type_name, "msg")
                 if endpoint is not None:
                     found[name] = endpoint, graph.is_latched(name)
         # In the log, and to each client that publishes there.
@@ -139,12 +142,6 @@ class OutgoingTopics:
         """Return True for a topic that this server itself neither publishes nor subscribes to."""
         is_own = self._network.is_own_publication(name) or self._network.is_own_subscription(name)
         return is_name(name) and ACTION_PARTS not in name and not is_own
-
-    def _endpoint(self, name: str, type_name: str, foreign: frozenset[str]) -> Endpoint | None:
-        # A client may publish to another server's topic, by its name there.
-        is_foreign = name in foreign and not self._network.is_own_publication(name)
-        network_name = name if is_foreign else self._network.to_network(name)
-        return self._network.endpoint(network_name, type_name, "msg")
 
 
 class Source(NamedTuple):
@@ -256,13 +253,10 @@ class IncomingTopics:
                 self._topics.pop(name).close()
         for name, source in wanted.items():
             if name not in self._topics and len(self._topics) < MAX_SHARED:
-                self._subscribe(name, source)
-
-    def _subscribe(self, name: str, source: Source) -> None:
-        try:
-            self._topics[name] = IncomingTopic(self._network, name, source, self._received)
-        except GraphError as error:
-            self._network.warn(f"{source.endpoint.name} does not come in: {error}")
+                try:
+                    self._topics[name] = IncomingTopic(self._network, name, source, self._received)
+                except GraphError as error:
+                    self._network.warn(f"{source.endpoint.name} does not come in: {error}")
 
     def _wanted(self) -> dict[str, Source]:
         network, found = self._network, dict[str, Source]()

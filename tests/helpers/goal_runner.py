@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, Self
 
 from planners.problem import MoveItErrorCode
-from server.execution.goal import Answer, Goal, Progress
-from server.execution.time_limits import TimeLimits
+from server.execution.goal import Answer, Goal, Progress, TimeLimits
 
 THERE = Answer(MoveItErrorCode.SUCCESS, "the arm is there")
 

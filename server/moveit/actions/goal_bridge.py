@@ -81,7 +81,6 @@ def reject_goal(goal: Goal, queue: GoalQueue, failure: PlanningFailure, result: 
 
 
 def finish_goal(goal: Goal, answer: Answer, result: Callable[[Answer], Message]) -> None:
-    """End a goal with its result."""
     goal.finish(goal_status(answer.code), result(answer))
 
 

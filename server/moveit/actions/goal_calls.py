@@ -79,7 +79,14 @@ class GoalCalls:
 
     def _start(self, goal: Goal) -> None:
         def report(progress: Progress) -> None:
-            goal.feedback(_feedback(progress))
+            goal.feedback(
+                {
+                    "state": progress.state.value,
+                    "message": progress.message,
+                    "fraction": progress.fraction,
+                    "seconds_left": progress.remaining_s,
+                }
+            )
 
         def end(values: Mapping[str, Any]) -> None:
             report(Progress(GoalState.DONE, values["message"], 1.0 if values["success"] else 0.0))
@@ -156,13 +163,15 @@ class GoalCalls:
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
         instead = suggestion(message, answer.details, self._context.robot)
+        performed = answer.performed or Performed({})
+        motions = performed.planned if performed.executed is None else (performed.executed,)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,
             "code": int(answer.code),
             "code_name": answer.code.name,
             "message": answer.message if instead is None else instead.added_to(answer.message),
             "goal_id": number,
-            "duration_s": _duration_s(answer),
+            "duration_s": sum(motion.duration_s for motion in motions),
             "suggested": {} if instead is None else instead.as_target(),
             "details": key_values(details_as_json(answer)),
         }
@@ -173,19 +182,3 @@ def _is_given(pose: Message) -> bool:
     place, turn = pose["pose"]["position"], pose["pose"]["orientation"]
     turned = any(turn[axis] for axis in "xyz") or turn["w"] not in (0.0, 1.0)
     return bool(pose["header"]["frame_id"]) or turned or any(place[axis] for axis in "xyz")
-
-
-def _duration_s(answer: Answer) -> float:
-    """Return the duration of the motion as it was executed, or else as planned [s]; 0 without one."""
-    performed = answer.performed or Performed({})
-    motions = performed.planned if performed.executed is None else (performed.executed,)
-    return sum(motion.duration_s for motion in motions)
-
-
-def _feedback(progress: Progress) -> dict[str, Any]:
-    return {
-        "state": progress.state.value,
-        "message": progress.message,
-        "fraction": progress.fraction,
-        "seconds_left": progress.remaining_s,
-    }

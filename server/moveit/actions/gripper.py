@@ -25,10 +25,9 @@ from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import is_stopped
 from server.errors import RefusedError, invalid
-from server.execution.goal import CancelScope
+from server.execution.goal import CancelScope, ExecutionDeadline, TimeLimits
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress, MotionWatch
-from server.execution.time_limits import ExecutionDeadline, TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
@@ -271,7 +270,6 @@ class GripperCommandMessages:
         return _checked_command(self._joints, message["position"], message["max_effort"], 0.0, self._sliding_fingers)
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
-        """Return the result message."""
         mean = sum(reading.positions) / len(reading.positions)
         return {
             "position": self._sliding_fingers * mean,
@@ -311,11 +309,9 @@ class ParallelGripperCommandMessages:
         return _checked_command(self._joints, positions[0], bounds["effort"], bounds["velocity"])
 
     def result(self, reading: GripperReading, *, stalled: bool, reached: bool) -> Message:
-        """Return the result message."""
         return {**self.feedback(reading), "stalled": stalled, "reached_goal": reached}
 
     def feedback(self, reading: GripperReading) -> Message:
-        """Return the feedback message."""
         return {
             "state": {
                 "name": self._names,
@@ -346,8 +342,6 @@ def _checked_command(
 
 
 def offer_gripper(graph: LocalGraph, gripper: Gripper) -> None:
-    """Offer the gripper's actions."""
-
     def start(messages: ActionMessages, goal: Goal) -> None:
         try:
             command = messages.command(goal.request["command"])

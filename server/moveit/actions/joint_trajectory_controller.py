@@ -22,10 +22,9 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.errors import GraphError, RefusedError, refused
-from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
-from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -269,7 +268,6 @@ class TrajectoryGoal:
         self._settling: tuple[Answer, Positions, float] | None = None
 
     def take_state(self, state: ArmState, cancel: Callable[[str], None]) -> None:
-        """Check the tolerances against a state of the arm."""
         if self._settling is not None:
             self._end_when_settled(state, *self._settling)
         elif self.executing and not self._path_violation and state.goal_rad is not None:
@@ -403,7 +401,6 @@ def follow_code(answer: Answer) -> FollowCode:
 
 
 def result(code: FollowCode, message: str) -> Message:
-    """Write the result message."""
     return {"error_code": int(code), "error_string": message}
 
 

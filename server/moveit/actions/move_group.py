@@ -47,11 +47,7 @@ MAX_ATTEMPTS = 100
 MAX_DELAY_S = 10.0
 
 # MoveIt's names of states (MoveGroupState in move_group); a goal that waits in the queue has none.
-MOVE_GROUP_STATES = {
-    GoalState.PLANNING: "PLANNING",
-    GoalState.EXECUTING: "MONITOR",
-    GoalState.DONE: "IDLE",
-}
+MOVE_GROUP_STATES = {GoalState.PLANNING: "PLANNING", GoalState.EXECUTING: "MONITOR", GoalState.DONE: "IDLE"}
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,6 @@ def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[st
 
 
 def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
-    """Offer MoveGroup and MoveGroupSequence."""
     node = Node("move group")
 
     def offer(

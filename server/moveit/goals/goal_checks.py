@@ -137,11 +137,7 @@ async def _find(
 
 
 def goal_check(
-    planning: PlanningContext,
-    start_rad: Positions,
-    answer: IkAnswer | PlanningFailure,
-    tip: str,
-    desired: Pose | None,
+    planning: PlanningContext, start_rad: Positions, answer: IkAnswer | PlanningFailure, tip: str, desired: Pose | None
 ) -> dict[str, Any]:
     """Return the armbridge_msgs/GoalCheck of one goal; its pose is in the root link, and None for a joint goal."""
     if isinstance(answer, PlanningFailure):

@@ -92,17 +92,15 @@ class GoalHistory:
         )
         while len(self._records) > MAX_GOALS:
             self._records.popitem(last=False)
-        self._forget_scenes()
-
-    def _forget_scenes(self) -> None:
+        # The scenes of the newest goals alone are kept.
         newest: set[int] = set()
-        for goal_id, record in reversed(self._records.items()):
-            if record.scene is None:
+        for kept_id, kept in reversed(self._records.items()):
+            if kept.scene is None:
                 continue
-            newest.add(id(record.scene))
+            newest.add(id(kept.scene))
             if len(newest) > MAX_SCENES:
-                newest.discard(id(record.scene))
-                self._records[goal_id] = replace(record, scene=None)
+                newest.discard(id(kept.scene))
+                self._records[kept_id] = replace(kept, scene=None)
 
     def _history(self, _request: dict[str, Any]) -> dict[str, Any]:
         records = self._records.values()

@@ -61,11 +61,7 @@ class GoalTranslator:
     """Translator of goal messages for one robot, or for one of several arms: ``only``, which is None for all."""
 
     def __init__(
-        self,
-        planning: PlanningContext,
-        parameters: MoveItParameters,
-        states: NamedStates,
-        only: OneArm | None = None,
+        self, planning: PlanningContext, parameters: MoveItParameters, states: NamedStates, only: OneArm | None = None
     ) -> None:
         self._only = only
         self._robot = planning.robot
@@ -202,12 +198,7 @@ class GoalTranslator:
         return frame
 
     def _motion(
-        self,
-        group: Group,
-        goal: Goal,
-        options: GoalOptions,
-        frame: str | None = None,
-        warnings: tuple[str, ...] = (),
+        self, group: Group, goal: Goal, options: GoalOptions, frame: str | None = None, warnings: tuple[str, ...] = ()
     ) -> PlannedMotion:
         self._check_own(group)
         step = GoalStep(self._problems, group, goal, options.parameters, frame)
@@ -261,7 +252,12 @@ def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) 
     if "nearest_m" in details:
         return _point(details["nearest_m"], message, robot.root_link, "the nearest point")
     if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in message.get("name", ()):
-        return _within_limits(message, robot)
+        named = zip(message["name"], message["position"], strict=True)
+        known = {name: value for name, value in named if name in robot.joints}
+        limits = {name: (robot.joints[name].lower, robot.joints[name].upper) for name in known}
+        return _joints(
+            {name: min(max(known[name], low), high) for name, (low, high) in limits.items()}, robot, "within the limits"
+        )
     return None
 
 
@@ -292,12 +288,3 @@ def _joints(positions_rad: Mapping[str, float], robot: RobotModel, what: str) ->
     )
     unit = f" {units.pop()}" if len(units) == 1 else ""
     return Suggestion(JOINTS_TOPIC, JOINTS_TYPE, msg, f"{what}, {listed}{unit}")
-
-
-def _within_limits(message: Message, robot: RobotModel) -> Suggestion:
-    named = zip(message["name"], message["position"], strict=True)
-    known = {name: value for name, value in named if name in robot.joints}
-    limits = {name: (robot.joints[name].lower, robot.joints[name].upper) for name in known}
-    return _joints(
-        {name: min(max(known[name], low), high) for name, (low, high) in limits.items()}, robot, "within the limits"
-    )

@@ -171,11 +171,7 @@ class GoalStatusTopics:
         level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
         # A goal without permission is logged where the permission is checked.
         if goal.request.only_for is None and not logged and not goal.unlogged:
-            fields = {
-                "goal": goal.goal_id,
-                "client": str(goal.request.client),
-                "code": answer.code.name,
-            }
+            fields = {"goal": goal.goal_id, "client": str(goal.request.client), "code": answer.code.name}
             sentence = "goal %s from %s: %s: %s"
             values = goal.goal_id, goal.request.source, answer.code.name, status["message"]
             log.log(level, sentence, *values, extra=fields)

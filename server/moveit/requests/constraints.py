@@ -302,7 +302,20 @@ def _goals(message: Message, context: RequestContext, where: str, most: int) -> 
     ranges, choices, turned = _read_parts(message, context, where)
     if not (ranges or choices or turned):
         raise invalid(f"{where} is empty: give joint, position or orientation constraints")
-    ranges = _of_group(ranges, context, where)
+    # Joints of other groups do not move: constraints on them must hold at the start.
+    for one in ranges:
+        if one.joint in context.group.joints:
+            continue
+        away = context.start_rad[one.joint] - one.position_rad
+        least = context.parameters.joint_tolerance
+        if not -max(one.below_rad, least) <= away <= max(one.above_rad, least):
+            known = ", ".join(context.group.joints)
+            raise invalid(
+                f"{where}: group {context.group.name!r} does not move joint {one.joint!r}; it moves: {known}",
+                joint=one.joint,
+            )
+        context.warnings.append(f"joint {one.joint} is not in group {context.group.name} and stays where it is")
+    ranges = tuple(one for one in ranges if one.joint in context.group.joints)
     count = math.prod(len(choice) for choice in choices)
     if count > most:
         raise invalid(f"{where} and those before it have more than {MAX_ALTERNATIVES} alternatives of regions")
@@ -348,23 +361,6 @@ def _link_goal(
     pose = Pose(at.region.position_m, turned[0].orientation)
     tolerance_rad = turned[0].tolerance_rad
     return PoseGoal(at.link, pose, within_m, tolerance_rad, strict=is_binding(tolerance_rad, context))
-
-
-def _of_group(ranges: tuple[JointConstraint, ...], context: RequestContext, where: str) -> tuple[JointConstraint, ...]:
-    """Return the constraints on the group's joints; those on others, which do not move, must hold at the start."""
-    for one in ranges:
-        if one.joint in context.group.joints:
-            continue
-        away = context.start_rad[one.joint] - one.position_rad
-        least = context.parameters.joint_tolerance
-        if not -max(one.below_rad, least) <= away <= max(one.above_rad, least):
-            known = ", ".join(context.group.joints)
-            raise invalid(
-                f"{where}: group {context.group.name!r} does not move joint {one.joint!r}; it moves: {known}",
-                joint=one.joint,
-            )
-        context.warnings.append(f"joint {one.joint} is not in group {context.group.name} and stays where it is")
-    return tuple(one for one in ranges if one.joint in context.group.joints)
 
 
 def _read_parts(

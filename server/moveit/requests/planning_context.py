@@ -120,7 +120,6 @@ class PlanningContext:
 
     @cached_property
     def problems(self) -> ProblemBuilder:
-        """The builder of planning problems."""
         return ProblemBuilder(self.robot, self.frames, self.parameters, self.current.speed_limit)
 
     async def ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:

@@ -37,7 +37,6 @@ from planners.problem import (
 )
 from planners.scene import Point, Pose
 from robot.description.model import Group, RobotModel
-from robot.trajectory import Vector
 from server.errors import RefusedError, invalid, refused
 from server.execution.motions import Joints, Positions, Step
 from server.graph.list_limits import ListLimits
@@ -113,11 +112,7 @@ class ProblemBuilder:
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
     def goal(
-        self,
-        group: Group,
-        goal: Goal,
-        start_rad: Positions,
-        parameters: MoveItParameters | None = None,
+        self, group: Group, goal: Goal, start_rad: Positions, parameters: MoveItParameters | None = None
     ) -> PlanningProblem:
         """Build the problem of a goal that comes with nothing else, by parameters of its own or the configured ones."""
         parameters = parameters or self._parameters.configured
@@ -136,7 +131,11 @@ class ProblemBuilder:
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
         """Build the problem of a moveit_msgs/MotionPlanRequest; its start state is read before."""
         pipeline = check_pipeline(request["pipeline_id"])
-        _check_unread(request)
+        # Refuse values that are no numbers in fields that have no effect, or not always one.
+        if math.isnan(request["max_cartesian_speed"]):
+            raise invalid("max_cartesian_speed must be a number, not nan")
+        for corner in ("min_corner", "max_corner"):
+            check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
         group = self.group(request["group_name"])
         parameters = self._parameters.of(group.name, request["planner_id"])
         context = RequestContext(self._robot, group, self._frames, start_rad, parameters)
@@ -256,7 +255,6 @@ class RequestStep(Step):
     request: Message
 
     def problem(self, start_rad: Positions) -> PlanningProblem | CartesianProblem:
-        """Build the problem of the request."""
         return self.problems.motion_plan(self.request, start_rad).problem
 
 
@@ -357,12 +355,9 @@ def _via_m(arc: Message, link: str, end: Pose, context: RequestContext) -> Point
     if arc["name"] == INTERIM:
         return point
     start = np.array(context.frames.resolve(link, context.start_rad).position_m)
-    return _beyond_center(np.array(point), start, np.array(end.position_m))
-
-
-def _beyond_center(center: Vector, start: Vector, end: Vector) -> Point:
-    """Return the middle of the shorter arc around a center [m]."""
-    to_start, to_end = start - center, end - center
+    # The middle of the shorter arc around the center [m].
+    center = np.array(point)
+    to_start, to_end = start - center, np.array(end.position_m) - center
     radius = float(np.linalg.norm(to_start))
     across = to_start + to_end
     length = float(np.linalg.norm(across))
@@ -374,14 +369,6 @@ def _beyond_center(center: Vector, start: Vector, end: Vector) -> Point:
 
 def _names_arc(constraints: Message) -> bool:
     return constraints["name"] in (INTERIM, CENTER)
-
-
-def _check_unread(request: Message) -> None:
-    """Refuse values that are no numbers in fields that have no effect, or not always one."""
-    if math.isnan(request["max_cartesian_speed"]):
-        raise invalid("max_cartesian_speed must be a number, not nan")
-    for corner in ("min_corner", "max_corner"):
-        check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
 
 
 def _allowed_time_s(requested_s: float, parameters: MoveItParameters, warnings: list[str]) -> float:

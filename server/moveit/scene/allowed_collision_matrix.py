@@ -38,7 +38,6 @@ class AllowedCollisionMatrix:
 
     @classmethod
     def of_robot(cls, robot: RobotModel) -> AllowedCollisionMatrix:
-        """Return the matrix of the SRDF."""
         return cls(robot.links, disabled_collisions(robot), {})
 
     @cached_property

@@ -101,7 +101,18 @@ def read_primitive(message: Message, where: str) -> Shape:
     if len(sizes_m) < DIMENSIONS[kind]:
         raise invalid(f"{where}.dimensions of a {NAMES[kind]} are {DIMENSIONS[kind]}, not {len(sizes_m)}")
     if kind == PRISM:
-        return _read_prism(message, where)
+        height_m = message["dimensions"][0]
+        polygon = [(point["x"], point["y"]) for point in message["polygon"]["points"]]
+        if not 3 <= len(polygon) <= MAX_PRISM_CORNERS:
+            raise invalid(f"{where}.polygon has {len(polygon)} points, not 3 to {MAX_PRISM_CORNERS}")
+        if not (math.isfinite(height_m) and height_m > 0.0):
+            raise invalid(f"{where}.dimensions[0], the height of a prism, must be above 0, not {height_m:g}")
+        if not all(math.isfinite(x) and math.isfinite(y) for x, y in polygon):
+            raise invalid(f"{where}.polygon has a point that is not finite")
+        surface = prism_mesh(polygon, height_m)
+        if surface is None:
+            raise invalid(f"{where}.polygon crosses itself or has no area")
+        return _checked(surface, where)
     shape: Shape
     if kind == BOX:
         shape = Box((sizes_m[0], sizes_m[1], sizes_m[2]))
@@ -139,21 +150,6 @@ def read_plane(message: Message, where: str) -> Shape:
     if not (math.isfinite(length) and length > 0.0):
         raise invalid(f"{where}.coef has no normal: {[a, b, c, d]}")
     return _checked(Plane((a / length, b / length, c / length), -d / length), where)
-
-
-def _read_prism(message: Message, where: str) -> Shape:
-    height_m = message["dimensions"][0]
-    polygon = [(point["x"], point["y"]) for point in message["polygon"]["points"]]
-    if not 3 <= len(polygon) <= MAX_PRISM_CORNERS:
-        raise invalid(f"{where}.polygon has {len(polygon)} points, not 3 to {MAX_PRISM_CORNERS}")
-    if not (math.isfinite(height_m) and height_m > 0.0):
-        raise invalid(f"{where}.dimensions[0], the height of a prism, must be above 0, not {height_m:g}")
-    if not all(math.isfinite(x) and math.isfinite(y) for x, y in polygon):
-        raise invalid(f"{where}.polygon has a point that is not finite")
-    surface = prism_mesh(polygon, height_m)
-    if surface is None:
-        raise invalid(f"{where}.polygon crosses itself or has no area")
-    return _checked(surface, where)
 
 
 def _checked(shape: Shape, where: str) -> Shape:

@@ -221,7 +221,10 @@ def offer_geometry_files(
             raise invalid(f"{path} cannot be written: {error}") from error
 
     def read_world(path: Path) -> Message:
-        objects = {"collision_objects": _read_bounded(path, state.frame)}
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise invalid(f"{path} has {size} bytes, more than {MAX_FILE_BYTES}")
+        objects = {"collision_objects": read_geometry(path.read_text(), state.frame)}
         return graph.message_types.complete("moveit_msgs/msg/PlanningSceneWorld", objects)
 
     async def load(path: Path) -> None:
@@ -270,10 +273,3 @@ def _write_bounded(path: Path, contents: SceneContents) -> None:
         raise invalid(f"the scene has {len(text)} characters as text, more than {MAX_FILE_BYTES}")
     with files.locked(path):
         files.replace(path, text.encode())
-
-
-def _read_bounded(path: Path, frame: str) -> list[dict[str, Any]]:
-    size = path.stat().st_size
-    if size > MAX_FILE_BYTES:
-        raise invalid(f"{path} has {size} bytes, more than {MAX_FILE_BYTES}")
-    return read_geometry(path.read_text(), frame)

@@ -134,10 +134,24 @@ def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -
         OBJECT_COLORS: before.colors != after.colors,
     }
     components = SCENE_SETTINGS + sum(component for component, changed in changes.items() if changed)
+    # Detached first: an object must be in the world to be removed from it.
+    detached = [
+        {**NO_ATTACHED_OBJECT, "link_name": held.link, "object": {**NO_OBJECT, "id": name, "operation": REMOVE}}
+        for name, held in before.attached.items()
+        if name not in after.attached
+    ]
+    attached = [held.message for name, held in after.attached.items() if before.attached.get(name) is not held]
+    # Attaching an object removes it from the world.
+    known = {*after.objects, *after.attached}
+    removed = [name for name in (*before.objects, *before.attached) if name not in known]
+    put = [each.message for name, each in after.objects.items() if before.objects.get(name) is not each]
     return {
         **scene_message(after, robot, NO_STATE, components),
-        "robot_state": {**NO_STATE, "attached_collision_objects": _changed_attached(before, after), "is_diff": True},
-        "world": {"collision_objects": _changed_objects(before, after), "octomap": NO_OCTOMAP},
+        "robot_state": {**NO_STATE, "attached_collision_objects": [*detached, *attached], "is_diff": True},
+        "world": {
+            "collision_objects": [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in removed), *put],
+            "octomap": NO_OCTOMAP,
+        },
         "is_diff": True,
     }
 
@@ -157,25 +171,6 @@ def _objects(contents: SceneContents, robot: RobotModel, requested: int) -> list
             {**NO_OBJECT, "header": header, "id": name, "type": each.type} for name, each in contents.objects.items()
         ]
     return []
-
-
-def _changed_objects(before: SceneContents, after: SceneContents) -> list[Message]:
-    # Attaching an object removes it from the world.
-    known = {*after.objects, *after.attached}
-    removed = [name for name in (*before.objects, *before.attached) if name not in known]
-    changed = [each.message for name, each in after.objects.items() if before.objects.get(name) is not each]
-    return [*({**NO_OBJECT, "id": name, "operation": REMOVE} for name in removed), *changed]
-
-
-def _changed_attached(before: SceneContents, after: SceneContents) -> list[Message]:
-    # Detached first: an object must be in the world to be removed from it.
-    detached = [
-        {**NO_ATTACHED_OBJECT, "link_name": held.link, "object": {**NO_OBJECT, "id": name, "operation": REMOVE}}
-        for name, held in before.attached.items()
-        if name not in after.attached
-    ]
-    attached = [held.message for name, held in after.attached.items() if before.attached.get(name) is not held]
-    return [*detached, *attached]
 
 
 def _subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:

@@ -122,7 +122,6 @@ class SceneDraft:
         self.fixed_frames: dict[str, Pose] = dict(contents.fixed_frames)
 
     def contents(self) -> SceneContents:
-        """Return the changed contents."""
         return SceneContents(
             self.allowed_collisions,
             self.name,
@@ -176,7 +175,11 @@ def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> N
     elif operation == MOVE:
         _move(draft, message, where)
     elif operation == REMOVE:
-        _remove(draft, name, where)
+        if name and name not in draft.objects:
+            raise _unknown(draft, name, where)
+        for each in [name] if name else list(draft.objects):
+            del draft.objects[each]
+            draft.forget(each)
     else:
         known = ", ".join(f"{number} ({word})" for number, word in OPERATIONS.items())
         raise invalid(f"{where}.operation of {name!r} must be one of {known}, not {operation}", object=name)
@@ -237,14 +240,6 @@ def _move(draft: SceneDraft, message: Message, where: str) -> None:
         draft.objects[present.name] = replace(present, pose=pose, shapes=shapes)
 
 
-def _remove(draft: SceneDraft, name: str, where: str) -> None:
-    if name and name not in draft.objects:
-        raise _unknown(draft, name, where)
-    for each in [name] if name else list(draft.objects):
-        del draft.objects[each]
-        draft.forget(each)
-
-
 def _unknown(draft: SceneDraft, name: str, where: str) -> RefusedError:
     held = draft.attached.get(name)
     if held is not None:
@@ -265,21 +260,16 @@ def apply_attached_object(draft: SceneDraft, message: Message, where: str) -> No
     if operation == REMOVE:
         _detach(draft, name, link, where)
     elif operation in (ADD, APPEND):
-        _attach(draft, message, where)
+        # An object that equals its state before the change stays the same object.
+        held = draft.before.attached.get(name)
+        if held is None or not held.equals_message(message):
+            attached = _read_attached(draft, message, where)
+            held = held if held is not None and held.message == attached.message else attached
+        draft.objects.pop(name, None)
+        draft.attached[name] = held
     else:
         text = f"{where}.object.operation of {name!r} must be 0 (ADD), 1 (REMOVE) or 2 (APPEND), not {operation}"
         raise invalid(text, object=name)
-
-
-def _attach(draft: SceneDraft, message: Message, where: str) -> None:
-    """Attach an object to a link; an object that equals its state before the change stays the same object."""
-    name = message["object"]["id"]
-    known = draft.before.attached.get(name)
-    if known is None or not known.equals_message(message):
-        attached = _read_attached(draft, message, where)
-        known = known if known is not None and known.message == attached.message else attached
-    draft.objects.pop(name, None)
-    draft.attached[name] = known
 
 
 def _read_attached(draft: SceneDraft, message: Message, where: str) -> AttachedCollisionObject:
@@ -343,7 +333,12 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
         draft.allowed_collisions = read_allowed_collision_matrix(matrix, "allowed_collision_matrix")
     _apply_link_values(draft, draft.padding_m, scene, "padding", NO_PADDING_M)
     _apply_link_values(draft, draft.scale, scene, "scale", NO_SCALE)
-    _apply_colors(draft, scene["object_colors"])
+    for i, entry in enumerate(scene["object_colors"]):
+        if not all(math.isfinite(value) for value in entry["color"].values()):
+            raise invalid(f"object_colors[{i}].color of {entry['id']!r} is not finite: {entry['color']}")
+        draft.colors[entry["id"]] = entry["color"]
+    if len(draft.colors) > MAX_COLORS:
+        raise invalid(f"object_colors would name {len(draft.colors)} objects, more than {MAX_COLORS}")
     apply_world(draft, scene["world"], "world")
 
 
@@ -395,15 +390,6 @@ def _apply_link_values(draft: SceneDraft, values: dict[str, float], scene: Messa
         values.pop(link, None)
         if value != default:
             values[link] = value
-
-
-def _apply_colors(draft: SceneDraft, messages: Sequence[Message]) -> None:
-    for i, entry in enumerate(messages):
-        if not all(math.isfinite(value) for value in entry["color"].values()):
-            raise invalid(f"object_colors[{i}].color of {entry['id']!r} is not finite: {entry['color']}")
-        draft.colors[entry["id"]] = entry["color"]
-    if len(draft.colors) > MAX_COLORS:
-        raise invalid(f"object_colors would name {len(draft.colors)} objects, more than {MAX_COLORS}")
 
 
 def _apply_fixed_frames(draft: SceneDraft, messages: Sequence[Message]) -> None:

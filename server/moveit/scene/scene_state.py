@@ -82,7 +82,6 @@ class SceneState:
         self.scene = EMPTY_SCENE
 
     def on_change(self, callback: Callable[[], None]) -> None:
-        """Call a function after every change."""
         self._callbacks.append(callback)
 
     def diff(self, message: Message) -> SceneChange:

@@ -5,6 +5,7 @@ MoveIt's clients read the URDF and SRDF from latched topics (ROS 2) or parameter
 by HTTP are answered by :mod:`server.gateway.http`. Viewers in a browser get transforms between chosen frames as
 tf2_web_republisher sends them: ros3djs and roslib's TFClients ask by an action, whose feedback has the transforms, or
 by a service, which names a topic. A transform is sent again once it has moved beyond the viewer's thresholds.
+``/armbridge/robot`` has the joint groups as JSON, for a page that reads neither URDF nor SRDF for them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from typing import Any
 from planners.scene import Pose
 from protocol.messages import Stamp
 from robot.description.forward_kinematics import ForwardPlacements
+from robot.description.joined import chain_lengths_m
 from robot.description.model import RobotModel
+from robot.description.srdf import Group
 from robot.messages import ArmState
 from server.errors import RefusedError, ServiceError
 from server.graph.actions import Goal, GoalStatus
@@ -31,7 +34,10 @@ from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
+from server.moveit.actions.gripper import GRIPPER_ACTION
 from server.moveit.messages import Message, pose_of, write_transform
+from server.moveit.parameters import MoveItParameters
+from server.moveit.requests.constraints import planning_group, tip_link
 from server.moveit.scene.frames import Frames, seen_from
 from server.robot_files import RobotFiles, package_name, with_package_urls
 
@@ -242,3 +248,63 @@ class TransformRepublisher:
                 del self._topics[name]
             if topic.subscribers > before:
                 topic.sent.clear()
+
+
+ROBOT_TOPIC = "/armbridge/robot"
+
+
+def publish_groups(
+    graph: Graph, robot: RobotModel, arms: Mapping[str, RobotModel], parameters: MoveItParameters
+) -> None:
+    """Publish the groups, latched, of one arm with an empty name or of several arms by their names."""
+    node = Node("robot groups")
+    graph.advertise(node, ROBOT_TOPIC, "std_msgs/String", latch=True)
+    graph.publish(node, ROBOT_TOPIC, {"data": json.dumps(groups_document(robot, arms, parameters))})
+
+
+def groups_document(robot: RobotModel, arms: Mapping[str, RobotModel], parameters: MoveItParameters) -> dict[str, Any]:
+    """Return the joints with their types, the groups without grippers, and a bound of the tips' reach [m]."""
+    grippers = {joint for arm in arms.values() if arm.gripper for joint in arm.gripper.joints}
+    groups = [group for group in robot.groups.values() if not grippers.issuperset(group.joints)]
+    return {
+        "joints": {joint.name: joint.type for joint in robot.movable_joints},
+        "default_group": planning_group(robot, "", parameters).name,
+        "groups": [_group(group, robot, arms, tip_link(robot, group, parameters)) for group in groups],
+        "reach_m": max(chain_lengths_m(robot).values()),
+    }
+
+
+def _group(group: Group, robot: RobotModel, arms: Mapping[str, RobotModel], tip: str) -> dict[str, Any]:
+    # A group with joints of several arms is driven by no arm's servo node, and has no gripper of its own.
+    name = next((name for name, arm in arms.items() if arm.joints.keys() >= set(group.joints)), None)
+    namespace = None if name is None else f"/{name}" if name else ""
+    gripper = None if name is None else arms[name].gripper
+    return {
+        "name": group.name,
+        "joints": group.joints,
+        "tip": tip or None,
+        "touch_links": _carried_by(tip, robot) if tip else [],
+        "namespace": namespace,
+        "gripper": gripper
+        and {
+            "joints": gripper.joints,
+            "open": gripper.open,
+            "closed": gripper.closed,
+            "action": f"{namespace}{GRIPPER_ACTION}",
+        },
+    }
+
+
+def _carried_by(tip: str, robot: RobotModel) -> list[str]:
+    """Return the links that an object at the tip may touch: the tip's rigid body, and all that it carries."""
+    above = {joint.child: joint for joint in robot.joints.values()}
+    body = tip
+    while body in above and not above[body].moves:
+        body = above[body].parent
+
+    def is_carried(link: str) -> bool:
+        while link != body and link in above:
+            link = above[link].parent
+        return link == body
+
+    return [link for link in robot.links if is_carried(link)]

@@ -340,10 +340,7 @@ SERVICES: Mapping[str, MoveGroupService] = {
     "/compute_cartesian_path": MoveGroupService("GetCartesianPath", compute_cartesian_path, complete=True),
     "/check_state_validity": MoveGroupService("GetStateValidity", check_state_validity, _invalid_state, complete=True),
     "/plan_sequence_path": MoveGroupService(
-        "GetMotionSequence",
-        plan_sequence_path,
-        lambda failure: {"response": _error_response(failure)},
-        complete=True,
+        "GetMotionSequence", plan_sequence_path, lambda failure: {"response": _error_response(failure)}, complete=True
     ),
     "/query_planner_interface": MoveGroupService(
         "QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING
@@ -355,7 +352,6 @@ SERVICES: Mapping[str, MoveGroupService] = {
 
 
 def offer_services(graph: Graph, context: PlanningContext) -> None:
-    """Offer all services of move_group."""
     node = Node("moveit services")
     for name, service in SERVICES.items():
         type_name, start = f"moveit_msgs/srv/{service.type_name}", _start_call(service, context)
@@ -404,15 +400,11 @@ def _rejection(
 
 
 def _response(service: MoveGroupService, call: Call, response: Message) -> Answered:
-    _log_error_message(call.service, response)
-    return CompleteResponse(response) if service.complete else response
-
-
-def _log_error_message(service: str, response: Mapping[str, Any]) -> None:
-    """Log the message of a response's error code, which ROS 1 has no field for."""
+    # ROS 1 has no field for the message of an error code, so it is logged.
     inner = next((response[name] for name in ("motion_plan_response", "response") if name in response), response)
     code = inner.get("error_code")
     if code is not None and code["message"]:
         name = MoveItErrorCode(code["val"]).name
         level = logging.INFO if code["val"] == MoveItErrorCode.SUCCESS else logging.WARNING
-        log.log(level, "%s: %s: %s", service, name, code["message"])
+        log.log(level, "%s: %s: %s", call.service, name, code["message"])
+    return CompleteResponse(response) if service.complete else response

@@ -132,14 +132,6 @@ def read_pose_target(message: Message, resolve: Resolve, positions_rad: Position
     return TipTarget(composed(resolve(message["header"]["frame_id"], positions_rad), pose))
 
 
-def to_planning_frame(command: ServoInput, resolve: Resolve, positions_rad: Positions) -> ServoCommand:
-    """Transform a command into the root link, as planners take it; a twist turns with its frame."""
-    if not isinstance(command, TwistCommand):
-        return command
-    rotation = matrix_of(resolve(command.frame_id, positions_rad))[:3, :3]
-    return TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
-
-
 def _with_clearance(limits: ServoLimits, clearance_m: float) -> ServoLimits:
     own_m, scene_m = limits.self_distance_m, limits.scene_distance_m
     return replace(
@@ -307,7 +299,11 @@ class ServoSession:
 
     def _command(self, positions_rad: Positions) -> ServoCommand:
         """Return the command to follow now, in the root link; a halt if the last command has expired or is zero."""
-        command = to_planning_frame(self._input, self._resolve, positions_rad)
+        command: ServoInput | ServoCommand = self._input
+        if isinstance(command, TwistCommand):
+            # A twist turns with its frame. An unknown frame is refused, also when the command has expired.
+            rotation = matrix_of(self._resolve(command.frame_id, positions_rad))[:3, :3]
+            command = TipTwist(_rotated(rotation, command.linear_m_s), _rotated(rotation, command.angular_rad_s))
         return JointVelocities({}) if self._halted else command
 
     @property

@@ -115,18 +115,15 @@ class StatusPublisher:
     def publish(self, status: ServoStatus, message: str) -> None:
         """Publish a status; an error is logged as well, once in `LOGGED_AGAIN_S` while it is repeated."""
         if status is ServoStatus.INVALID:
-            self._log(message)
+            now_s = self._clock()
+            if message != self._logged or now_s - self._logged_at_s > LOGGED_AGAIN_S:
+                self._logged, self._logged_at_s = message, now_s
+                log.warning("servo: %s", message)
         if self._type_name == INT8:
             values: dict[str, object] = {"data": HUMBLE_NUMBERS.get(status, int(status))}
         else:
             values = {"code": int(status), "message": message}
         self._graph.publish(self._node, STATUS_TOPIC, values)
-
-    def _log(self, message: str) -> None:
-        now_s = self._clock()
-        if message != self._logged or now_s - self._logged_at_s > LOGGED_AGAIN_S:
-            self._logged, self._logged_at_s = message, now_s
-            log.warning("servo: %s", message)
 
 
 class CommandGate:
@@ -255,7 +252,6 @@ class ServoNode:
         self._offer()
 
     async def close(self) -> None:
-        """Release the arm."""
         await self._session.close()
 
     def _subscribe(self, topic: str, type_name: str, take: Callable[[PublishedMessage], None]) -> None:

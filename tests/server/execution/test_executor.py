@@ -37,11 +37,10 @@ from robot.messages import ArmConfig, ArmState, Mode, MotionEnded, Outcome
 from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
-from server.execution.goal import Goal, GoalRequest, GoalState, Progress
+from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions, SplicePoint
 from server.execution.player import MotionsInProgress
-from server.execution.time_limits import ExecutionDeadline, TimeLimits
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, settle

@@ -13,11 +13,10 @@ from planners.scene import EMPTY_SCENE
 from robot.messages import Outcome, Pace, PlaybackDirection
 from server.execution import player
 from server.execution import player as player_module
-from server.execution.goal import Answer, Goal, GoalRequest, Progress
+from server.execution.goal import Answer, ExecutionDeadline, Goal, GoalRequest, Progress, TimeLimits
 from server.execution.monitors import Questions
 from server.execution.motions import HORIZON_S
 from server.execution.player import CODE_OF_OUTCOME, CheckedMotion, MotionsInProgress, Player
-from server.execution.time_limits import ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, FakeArm, StubbornArm, settle
 from tests.helpers.motions import smooth_move

@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.queue import GoalQueue, RunningGoal
-from server.execution.time_limits import TimeLimits
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
 

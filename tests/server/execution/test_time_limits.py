@@ -6,7 +6,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.messages import Pace, PlaybackDirection
-from server.execution.time_limits import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
+from server.execution.goal import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.moveit import rejection

@@ -13,7 +13,7 @@ from robot.description.servo_table import HardwareTable
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
-from server.execution.time_limits import TimeLimits
+from server.execution.goal import TimeLimits
 from server.features.context import ServerContext, context_of
 from server.features.moveit import MoveGroup, PlanningScene, slow_to_brake
 from server.graph.topics import Graph

@@ -17,7 +17,7 @@ from server.arrival import arrival_epoch
 from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
-from server.zenoh import network, offered_services
+from server.zenoh import network, services
 from tests.helpers.zenoh_network import REGISTRY, STORE, RosMachine, Site, attached, networked
 
 GRIPPER, GRIP = "control_msgs/action/GripperCommand", "/grip"
@@ -182,8 +182,8 @@ async def test_a_client_with_another_version_of_the_action_is_warned_of_once(cap
 
 
 async def test_results_are_kept_for_a_while_and_in_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(offered_services, "MAX_GOALS", 1)
-    monkeypatch.setattr(offered_services, "ENDED_KEPT_S", 0.0)
+    monkeypatch.setattr(services, "MAX_GOALS", 1)
+    monkeypatch.setattr(services, "ENDED_KEPT_S", 0.0)
     async with networked(offer=(GRIP,)) as (site, machine):
         goals, client = offered(site), ActionClient(machine)
         assert await client.send()

@@ -7,7 +7,7 @@ import zenoh
 from harness.waiting import until
 from server.access.settings import AccessSettings
 from server.errors import ServiceError
-from server.zenoh import called_services, offered_services
+from server.zenoh import services
 from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, networked
 
 TRIGGER = "std_srvs/srv/Trigger"
@@ -111,8 +111,8 @@ async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
 
 
 async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(offered_services, "MAX_INCOMING_CALLS", 2)
-    monkeypatch.setattr(offered_services, "MAX_INCOMING_STOPS", 1)
+    monkeypatch.setattr(services, "MAX_INCOMING_CALLS", 2)
+    monkeypatch.setattr(services, "MAX_INCOMING_STOPS", 1)
     enable = "/arm/enable"
     go_on = asyncio.Event()
 
@@ -242,7 +242,7 @@ async def test_services_that_fit_no_pattern_are_not_there() -> None:
 
 
 async def test_of_too_many_calls_at_a_time_those_beyond_fail_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(called_services, "MAX_OUTGOING_CALLS", 1)
+    monkeypatch.setattr(services, "MAX_OUTGOING_CALLS", 1)
     async with networked(call=("/lamp/*",)) as (site, machine):
         offering = Offering(machine, response=None)
         await found_by(site)

@@ -16,8 +16,8 @@ from robot.description.urdf import Joint
 from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, MotionEnded, MotionProgress, Outcome
 from server.errors import RefusedError
+from server.execution.goal import TimeLimits
 from server.execution.player import BRAKING_TIMEOUT_S
-from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node

@@ -16,9 +16,8 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.registry import Registry
 from robot.messages import ArmState, Outcome
 from server.errors import GraphError, RefusedError
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Performed
-from server.execution.time_limits import TimeLimits
 from server.graph.actions import Goal, GoalStatus, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.message_types import MessageTypes

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningProblem
-from server.execution.goal import Answer, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.motions import Performed, PlannedMotion
-from server.execution.time_limits import TimeLimits
 from server.graph.actions import GoalStatus
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.actions.move_group import (

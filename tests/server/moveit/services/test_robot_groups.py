@@ -9,7 +9,7 @@ from robot.description import model
 from robot.description.joined import PlacedArm, joined, prefixed
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
-from server.moveit.services.robot_groups import ROBOT_TOPIC, groups_document, publish_groups
+from server.moveit.services.description import ROBOT_TOPIC, groups_document, publish_groups
 from tests.helpers.graph import listen
 from tests.helpers.moveit import ROBOT
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import http.client
+import importlib
 import logging
 import os
 import socket
 import ssl
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import uvloop
@@ -26,7 +27,7 @@ import robot.hardware.ideal
 from planners.shared_pool import PlannerHost
 from robot.processes import OF_SERVICE_MANAGER, StartedChild
 from server.app import Inherited, serve
-from server.arm.setup import Description, check_parameters
+from server.arm.setup import Description, arm_config, check_parameters
 from server.classroom.students import LIST_FILE, TEACHER, Student, new_token, places, read_tokens, write_list
 from server.classroom.supervisor import Member, supervise
 from server.config import Settings
@@ -41,19 +42,35 @@ QUESTIONS = 2
 READY_TIMEOUT_S = 0.3
 
 
-def run_classroom(settings: Settings, count: int, planners: int, folder: Path) -> None:
-    """Run a classroom of ``count`` students until a signal.
+def run_classroom(
+    settings: Settings, count: int, planners: int, folder: Path, with_physics: Collection[str] = ()
+) -> None:
+    """Run a classroom of ``count`` students until a signal; some, by their names, have physics.
 
     Raises ConfigurationError for settings, StartError for a port or the folder.
     """
     _check_settings(settings)
     description = Description.read(settings.arm)
+    physics = settings.model_copy(
+        update={"simulation": settings.simulation.model_copy(update={"kind": "physics"})} if with_physics else {}
+    )
+    if arm_config(physics, description).hardware.physics:
+        # MuJoCo is in memory once for all.
+        importlib.import_module("robot.physics.ideal_arm")
+        importlib.import_module("robot.physics.servo_joints")
     check_parameters(settings.moveit, description.robot)
     host, file = settings.server.host, folder / LIST_FILE
     students = places(count, settings.server.port, folder, host)
+    if unknown := set(with_physics) - {student.name for student in students}:
+        raise ConfigurationError(
+            f"--physics: there is no {min(unknown)!r}: the students are {students[0].name} to {students[-1].name}"
+        )
     teacher_token = read_tokens(file).get(TEACHER) or new_token()
     ports = {student.name: student.port for student in students}
-    all_settings = [student.settings(settings, teacher_token, ports) for student in students]
+    all_settings = [
+        student.settings(physics if student.name in with_physics else settings, teacher_token, ports)
+        for student in students
+    ]
     _check_ports(host, students)
     _make_folders(folder, students)
     write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)

@@ -115,6 +115,13 @@ def add_classroom_parser(subparsers: Subparsers) -> None:
         "--students", type=number(int, 1, MAX_STUDENTS), default=20, metavar="N", help=f"1 to {MAX_STUDENTS} (20)"
     )
     parser.add_argument(
+        "--physics",
+        type=lambda text: text.split(","),
+        default=[],
+        metavar="NAMES",
+        help="students whose arms have physics, as student01,student04; all have it with --simulation physics",
+    )
+    parser.add_argument(
         "--data",
         type=Path,
         default=Path("classroom"),
@@ -136,7 +143,7 @@ def _classroom(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     configure_logs(settings)
     from server.classroom.classroom import run_classroom
 
-    run_classroom(settings, options.students, options.planners, options.data)
+    run_classroom(settings, options.students, options.planners, options.data, options.physics)
     return ExitCode.DONE
 
 

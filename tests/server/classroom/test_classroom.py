@@ -27,3 +27,21 @@ def test_a_bad_classroom_is_refused_before_it_is_made(settings: dict[str, Any], 
     with pytest.raises(ConfigurationError, match=sentence):
         run_classroom(Settings.model_validate(settings), 2, 2, folder)
     assert not folder.exists()
+
+
+def test_physics_of_a_student_who_is_not_there_is_refused(tmp_path: Path) -> None:
+    sentence = "--physics: there is no 'student03': the students are student01 to student02"
+    with pytest.raises(ConfigurationError, match=sentence):
+        run_classroom(Settings(), 2, 2, tmp_path / "class", ["student01", "student03"])
+
+
+def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    served: list[str] = []
+    monkeypatch.setattr(
+        "server.classroom.classroom.serve", lambda settings, *_: served.append(settings.simulation.kind)
+    )
+    monkeypatch.setattr(
+        "server.classroom.classroom.supervise", lambda members, _check: [member.run() for member in members[1:]]
+    )
+    run_classroom(Settings.model_validate({"server": {"port": 0}}), 3, 2, tmp_path, ["student02"])
+    assert served == ["light", "physics", "light"]

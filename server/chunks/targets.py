@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization
-from ruckig import Trajectory as Profile
 
 from robot.trajectory import MotionLimits, Trajectory, Vector, bridge
 
@@ -179,17 +177,20 @@ def _towards(
     state: tuple[Vector, Vector, Vector], target: tuple[Vector, Vector], limits: MotionLimits
 ) -> tuple[Vector, Vector, Vector]:
     """Return the state a sample later of joints that follow a target: its position now, its velocity a sample later."""
-    joints, (position, velocity, acceleration) = len(state[0]), state
+    position, velocity, acceleration = state
     error = target[0] - position
     braking = np.sqrt(2.0 * CLOSING_SHARE * limits.acceleration * np.abs(error))
     closing = np.copysign(np.minimum(np.abs(error) / CLOSING_S, braking), error)
-    given, profile = InputParameter(joints), Profile(joints)
-    given.per_dof_control_interface = [ControlInterface.Velocity] * joints
-    given.per_dof_synchronization = [Synchronization.No] * joints
-    given.current_position, given.current_velocity = position.tolist(), velocity.tolist()
-    given.current_acceleration = np.clip(acceleration, -limits.acceleration, limits.acceleration).tolist()
-    given.target_velocity = np.clip(target[1] + closing, -limits.velocity, limits.velocity).tolist()
-    given.max_acceleration, given.max_jerk = limits.acceleration.tolist(), limits.jerk.tolist()
-    Ruckig(joints).calculate(given, profile)
-    position, velocity, acceleration = map(np.array, profile.at_time(SAMPLE_S))
-    return position, velocity, acceleration
+    wanted = np.clip(target[1] + closing, -limits.velocity, limits.velocity)
+    # The jerk does not change within a sample, so that the cubics are exact. The acceleration at its end leads to the
+    # wanted velocity if it then falls to 0 in the fewest samples for which the jerk is enough.
+    change = wanted - velocity - acceleration * SAMPLE_S / 2.0
+    step = limits.jerk * SAMPLE_S
+    falls = np.maximum(np.ceil((np.sqrt(1.0 + 8.0 * np.abs(change) / (step * SAMPLE_S)) - 1.0) / 2.0), 1.0)
+    following = np.clip(2.0 * change / ((1.0 + falls) * SAMPLE_S), -limits.acceleration, limits.acceleration)
+    following = np.clip(following, acceleration - step, acceleration + step)
+    return (
+        position + SAMPLE_S * (velocity + SAMPLE_S * (2.0 * acceleration + following) / 6.0),
+        velocity + SAMPLE_S * (acceleration + following) / 2.0,
+        following,
+    )

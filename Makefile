@@ -14,7 +14,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python keeps what it has compiled: without that every start of a server compiles 400 modules, half of its time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-following campaign-planners judge lock release clean
+.PHONY: install install-dev run docs page page-if-npm test test-pythons test-processes test-page pictures test-clients client-environments test-ros2 test-lerobot fuzz mutation lint check bench bench-planning campaign campaign-chunks campaign-following campaign-planners judge lock release clean
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -194,6 +194,10 @@ campaign-planners: install-dev
 # Leaders of up to 2 rad/s through folded poses at latencies of 5 to 300 ms: 200 others than those of the tests.
 campaign-following: install-dev
 	FOLLOWING_SEEDS=200 $(BIN)/python -m pytest tests/server/teleop/test_latency.py -k any_leader $(ARGS)
+
+# Chunks of noisy and of hostile policies among objects, judged by full meshes: 200 others of each kind than in the tests.
+campaign-chunks: install-dev
+	CHUNK_SEEDS=$${CHUNK_SEEDS:-200} $(PYTEST) tests/server/chunks/test_campaign.py -n 2 $(ARGS)
 
 # Every fault that there is, seed by seed, on the emulated arm; ten minutes on two cores.
 campaign: install-dev

@@ -46,13 +46,27 @@ def opened(root: str) -> None:
     print(json.dumps({**figures, "image": list(image.shape)}))
 
 
+def resume(root: str) -> None:
+    """Add an episode to a dataset as lerobot-record --resume does."""
+    from lerobot.datasets import LeRobotDataset
+    from lerobot.utils.constants import DEFAULT_FEATURES
+
+    dataset = LeRobotDataset.resume("local/test", root=root)
+    kinds = {name: each for name, each in dataset.features.items() if name not in DEFAULT_FEATURES}
+    still = {name: np.zeros(each["shape"], each["dtype"].replace("video", "uint8")) for name, each in kinds.items()}
+    for _ in range(5):
+        dataset.add_frame({**still, "task": "drop it"})
+    dataset.save_episode()
+    dataset.finalize()
+
+
 def edit(commands: str) -> None:
     """Carry out command lines of armbridge-dataset; print exit code, output and last line of errors of each."""
     from lerobot_robot_armbridge.dataset import main
 
     for arguments in json.loads(commands):
-        if arguments[0] == "open":
-            opened(arguments[1])
+        if arguments[0] in ("open", "resume"):
+            {"open": opened, "resume": resume}[arguments[0]](arguments[1])
             continue
         out, errors = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):

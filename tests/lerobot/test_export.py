@@ -39,13 +39,15 @@ def dataset(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_a_dataset_with_its_video_is_opened_merged_listed_and_loses_episodes(dataset: Path, tmp_path: Path) -> None:
+def test_a_dataset_with_its_video_is_merged_listed_resumed_and_loses_episodes(dataset: Path, tmp_path: Path) -> None:
     both = tmp_path / "both"
-    first, merged, listed, deleted, left = edit(
+    first, merged, listed, deleted, left, resumed = edit(
         ("open", dataset),
         ("merge", dataset, dataset, "--output", both),
         ("list", both),
         ("delete", both, 0, 2, 0),
+        ("open", both),
+        ("resume", both),
         ("open", both),
     )
     assert first == {"episodes": 2, "frames": 27, "task": "drop it", "image": [3, 24, 32]}
@@ -55,6 +57,7 @@ def test_a_dataset_with_its_video_is_opened_merged_listed_and_loses_episodes(dat
     assert listed[:2] == [0, [f"0: {pick}", f"1: {drop}", f"2: {pick}", f"3: {drop}", total]]
     assert deleted[:2] == [0, [f"{both}: 2 episodes deleted, 2 are left"]]
     assert left == {**first, "frames": 32}
+    assert resumed == {**left, "episodes": 3, "frames": 37}
     assert (both / "meta/armbridge.json").read_text() == (dataset / "meta/armbridge.json").read_text()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["both", "data", "run.mcap"]
 

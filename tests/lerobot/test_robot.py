@@ -105,24 +105,25 @@ def robot(port: int, *, with_camera: bool = True) -> list[str]:
 
 @pytest.fixture(scope="module")
 def dataset(server: RunningServer, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two episodes that lerobot-record has made of the simulated arm with the test camera."""
+    """Two episodes that lerobot-record has made of the simulated arm with the test camera, the second by --resume."""
     root = tmp_path_factory.mktemp("lerobot") / "swing"
     teleop = ["--teleop.type=armbridge", f"--teleop.url=ws://127.0.0.1:{server.port}", f"--teleop.topic={LEADER}"]
     with camera(server.port), leader(server.port):
-        lerobot(
-            "lerobot-record",
-            *robot(server.port),
-            *teleop,
-            "--dataset.repo_id=local/swing",
-            f"--dataset.root={root}",
-            "--dataset.single_task=swing",
-            f"--dataset.num_episodes={EPISODES}",
-            f"--dataset.episode_time_s={EPISODE_S}",
-            "--dataset.reset_time_s=1",
-            f"--dataset.fps={FPS}",
-            "--dataset.push_to_hub=false",
-            "--play_sounds=false",
-        )
+        for resumes in ("false", "true"):
+            lerobot(
+                "lerobot-record",
+                *robot(server.port),
+                *teleop,
+                "--dataset.repo_id=local/swing",
+                f"--dataset.root={root}",
+                "--dataset.single_task=swing",
+                "--dataset.num_episodes=1",
+                f"--dataset.episode_time_s={EPISODE_S}",
+                f"--dataset.fps={FPS}",
+                "--dataset.push_to_hub=false",
+                "--play_sounds=false",
+                f"--resume={resumes}",
+            )
     return root
 
 

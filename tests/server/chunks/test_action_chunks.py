@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planners.problem import MoveItErrorCode, StateAnswer, StateQuestion
+from planners.problem import MoveItErrorCode
 from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
 from server.chunks.action_chunks import (
@@ -34,7 +34,6 @@ from server.graph.topics import Subscriber
 from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import planner
 from tests.helpers.stage import ARM_JOINTS, COLUMNS, RecordedStage, inline_threads
 
 pytestmark = pytest.mark.stepped_time
@@ -399,43 +398,6 @@ async def test_a_stream_of_chunks_is_one_line_in_the_log(policy: Policy, caplog:
         await asyncio.sleep(0.2)
     await asyncio.sleep(1.5)
     assert len([each for each in caplog.records if NAME in each.getMessage()]) == 1
-
-
-async def until_quiet(policy: Policy) -> None:
-    at = None
-    while at is None or not (policy.goals_rad[-1] == at).all():
-        at = policy.goals_rad[-1]
-        await asyncio.sleep(0.3)
-
-
-@pytest.mark.parametrize("seed", range(8))
-async def test_no_chunk_of_any_kind_takes_the_arm_into_contact_or_beyond_its_limits(policy: Policy, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    policy.add_walls(float(rng.uniform(0.12, 0.25)))
-    sent = 0
-    for _ in range(14):
-        here = policy.goals_rad[-1][COLUMNS] if policy.goals_rad else np.zeros(len(COLUMNS))
-        count = int(rng.integers(2, 60))
-        speed = rng.uniform(-2.5, 2.5, len(COLUMNS)) * (rng.random(len(COLUMNS)) < 0.6)
-        noise = rng.normal(0.0, float(rng.choice([0.0, 0.01, 0.05])), (count, len(COLUMNS)))
-        targets = here + np.arange(1, count + 1)[:, np.newaxis] / HZ * speed + noise
-        blend = str(rng.choice(["replace", "ensemble", "real_time"]))
-        policy.publish(
-            chunk(targets, stamp_s=now_s() - float(rng.uniform(0.0, 0.3)), blend=blend, weight=0.6, id=str(sent))
-        )
-        sent += 1
-        await asyncio.sleep(float(rng.uniform(0.05, 0.8)))
-    await until_quiet(policy)
-    # Each chunk has its answer; a chunk that is cut on its way has one more.
-    assert {answer["id"] for answer in policy.answers} == set(map(str, range(sent)))
-    policy.assert_within_limits()
-    checker = planner()
-    checker.set_scene(policy.stage.context.planning.scene_state.scene)
-    for goal_rad in policy.goals_rad[::5]:
-        state = checker.answer(StateQuestion("arm", dict(zip(NAMES, goal_rad.tolist(), strict=True))))
-        assert isinstance(state, StateAnswer)
-        touching = [each.message for each in state.problems if "wall" in each.message]
-        assert touching == []
 
 
 @pytest.mark.parametrize("after_s", np.arange(0.0, 0.45, 0.031).tolist())

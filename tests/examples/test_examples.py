@@ -132,7 +132,7 @@ def test_an_example_moves_what_it_touches(
 ) -> None:
     with connect(physical.url) as other:
         removed = {"is_diff": True, "world": {"collision_objects": [{"operation": 1}]}}
-        assert call_on(other, "/apply_planning_scene", scene=removed)["success"]
+        assert call_on(other, "/apply_planning_scene", {"scene": removed})["success"]
     done = run_example(name, "--url", physical.url)
     assert done.returncode == 0, done.stderr
     assert re.fullmatch(told, done.stdout)

@@ -154,6 +154,9 @@ def test_a_stack_that_does_not_stand_is_told_and_ends_with_1(physical: RunningSe
 
 def test_a_taught_push_becomes_episodes(run_example: RunExample, tmp_path: Path) -> None:
     with RunningServer(f"--port 0 --simulation physics --record {tmp_path / 'run.mcap'}", FAST) as recorded:
+        # A busy machine may take longer for its first answer than the example waits.
+        with connect(recorded.url) as other:
+            assert call_on(other, "/teach/list")["names"] == []
         done = run_example("record_episodes.py", "--url", recorded.url)
     assert done.returncode == 0, done.stderr
     taught, *episodes = done.stdout.splitlines()

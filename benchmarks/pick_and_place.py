@@ -26,7 +26,7 @@ from robot.physics.bodies import Body, BodyShape, BodyState, SetBodies
 from robot.trajectory import MotionLimits, bridge
 
 # Poses above and around a block of 25 x 25 x 50 mm at BLOCK_M, with the fingers open and closed [rad]. There the block
-# is 6.6 mm from the finger that does not move. With 2.5 mm less this finger came down on blocks; with 5.5 mm more the
+# is 6.6 mm from the fixed finger. With 2.5 mm less this finger came down on blocks; with 5.5 mm more the
 # other finger pushed blocks so far that they fell over.
 ABOVE = {"shoulder_lift": -0.456, "elbow_flex": 0.246, "wrist_flex": 1.6, "wrist_roll": -1.52}
 AROUND = {"shoulder_lift": -0.184, "elbow_flex": 0.628, "wrist_flex": 1.128, "wrist_roll": -1.52}

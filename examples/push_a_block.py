@@ -11,7 +11,7 @@ SIZE_M, MASS_KG = (0.04, 0.04, 0.03), 0.05
 FROM, MARK = (0.22, -0.06), (0.2, 0.06)  # x and y of the block, and of the mark [m]
 START = {"shoulder_pan": -0.3, "shoulder_lift": -0.3, "elbow_flex": 0.22, "wrist_flex": 1.65, "wrist_roll": -1.57}
 TRAVEL_M, PUSH_M = 0.08, 0.014  # heights of the tip
-FINGER_M = 0.025  # from the tip to the outer side of the finger that does not move, at most
+FINGER_M = 0.025  # from the tip to the outer side of the fixed finger, at most
 GAP_M = 0.015  # between finger and block at the start of a push
 FINGERS = ("gripper_link", "moving_jaw_so101_v1_link")
 MOST_PUSHES, NEAR_M, SETTLED_S = 4, 0.003, 0.5
@@ -28,7 +28,7 @@ def push(arm: Arm, at: tuple[float, float], behind_m: float) -> tuple[float, flo
     """Push the block straight towards the mark, until the tip is ``behind_m`` before it; return x and y there [m]."""
     turn = math.atan2(MARK[1] - at[1], MARK[0] - at[0])
     x, y = math.cos(turn), math.sin(turn)
-    # The fingers point down, the outer side of the one that does not move towards the mark.
+    # The fingers point down, the outer side of the fixed finger towards the mark.
     down = (-math.cos(0.5 * turn), -math.sin(0.5 * turn), 0.0, 0.0)
     before_m = SIZE_M[0] / 2 + FINGER_M + GAP_M
     begin, end = (at[0] - before_m * x, at[1] - before_m * y), (MARK[0] - behind_m * x, MARK[1] - behind_m * y)

@@ -70,6 +70,9 @@ SETTINGS = [block for page in PAGES for block in blocks(page, "toml") if "_token
 OF_OTHER_ARMS = (
     "python examples/two_hands.py",
     "python examples/lift_a_block.py",
+    "python examples/stack_three.py",
+    "python examples/push_a_block.py",
+    "python examples/record_episodes.py",
     "python examples/servo_experiments.py --serial auto",
     "python examples/leader_follower.py --leader /leader/joint_states",
 )

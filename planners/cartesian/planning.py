@@ -236,7 +236,8 @@ class PathFollower:
         # The end is no corner to be rounded.
         room_m = left_m if next_m == self.path.length_m else max(CORNER_STEP_M, GROWTH * left_m)
         step_m = max(min(step_m, self.problem.max_step_m, room_m), min(SHORTEST_STEP_M, self.problem.max_step_m))
-        return next_m if left_m < LAST_STEP * step_m and left_m <= self.problem.max_step_m else from_m + step_m
+        whole = left_m < LAST_STEP * step_m and left_m <= self.problem.max_step_m
+        return next_m if whole else from_m + min(step_m, 0.5 * left_m)  # a rest that is much shorter bends the curve
 
     def _ended(self, before: Vector, from_m: float, point: Vector, reach_m: float) -> PathEnd | None:
         desired, pose = self.path.at(reach_m), self.tracker.pose(point)

@@ -102,6 +102,13 @@ def test_corners_of_waypoints_are_passed_without_a_stop(follower):
         assert away_m.min() < 1e-3
 
 
+@pytest.mark.parametrize("length_m", [0.017, 0.037, 0.042])
+def test_a_length_of_whole_steps_leaves_no_rest_by_rounding_that_cannot_be_timed(follower, length_m):
+    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.0, length_m)))
+    assert plan.fraction == 1.0
+    assert plan.trajectory.duration_s < 1.0
+
+
 @pytest.mark.parametrize("distance_m", [0.0, 1e-6, 1e-4])
 def test_paths_of_hardly_any_length_are_planned(follower, distance_m):
     plan = follower.plan(follower.problem(START, shifted(follower, 0.0, distance_m, 0.0)))

@@ -225,9 +225,7 @@ def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimit
     rest = np.zeros_like(start)
     least_s = least_time_s(start, velocity, goal, rest, reduced(limits))
     ticks = whole_ticks(LONGER_TIMES * least_s)
-    p0, v0, p1, v1 = np.broadcast_to(
-        np.array([start, velocity, goal, rest])[:, np.newaxis], (4, len(ticks), len(start))
-    )
+    p0, v0, p1, v1 = (np.tile(each, (len(ticks), 1)) for each in (start, velocity, goal, rest))
     ways = Ways(p0, v0, p1, v1, ticks, limits)
     return ways.curve(int(np.argmax(ways.possible))) if ways.possible.any() else None
 

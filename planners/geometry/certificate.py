@@ -28,7 +28,6 @@ Indices = NDArray[np.int64]
 # Contacts deeper than half of this are found: it is the width of ranges that are not halved any more.
 FINEST_STEP_M = 0.0001
 
-
 # After the first contact, earlier ones are searched for this finely only: enough for the time of the contact.
 EARLIEST_STEP_M = 0.01
 

@@ -37,7 +37,7 @@ NEAR_KNOT_TICKS = 10  # samples of the 100 Hz grid this close to a knot add noth
 SAME_POINT_RAD = 1e-9  # points nearer than this are one point: directions between them are rounding errors
 
 # A moving joint that has to be slower than its neighbours may only be able to be much slower, by turning back.
-LONGER_TIMES = (1.0, 1.1, 1.3, 1.7, 2.5, 4.0)
+LONGER_TIMES = np.array([1.0, 1.1, 1.3, 1.7, 2.5, 4.0])
 
 SHARE_OF_LIMITS = 0.999  # share of the limits for which ramps are solved: rounding to ticks makes them a little steeper
 ROUNDING_TICKS = 2  # each of the two ramps of a joint is rounded up by up to a tick
@@ -224,9 +224,10 @@ def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimit
     """Move from a moving start to rest in a point, each joint on its own ramps; None where no time suits all joints."""
     rest = np.zeros_like(start)
     least_s = least_time_s(start, velocity, goal, rest, reduced(limits))
-    times = (int(whole_ticks(factor * least_s)) for factor in LONGER_TIMES)
-    curves = (connect(start, velocity, goal, rest, ticks, limits) for ticks in times)
-    return next((curve for curve in curves if curve is not None), None)
+    ticks = whole_ticks(LONGER_TIMES * least_s)
+    p0, v0, p1, v1 = (np.tile(each, (len(ticks), 1)) for each in (start, velocity, goal, rest))
+    ways = Ways(p0, v0, p1, v1, ticks, limits)
+    return ways.curve(int(np.argmax(ways.possible))) if ways.possible.any() else None
 
 
 def brake(start: Vector, velocity: Vector, limits: RateLimits) -> Curve:
@@ -278,26 +279,50 @@ def reduced(limits: RateLimits) -> RateLimits:
     return RateLimits(SHARE_OF_LIMITS * limits.velocity_rad_s, SHARE_OF_LIMITS * limits.acceleration_rad_s2)
 
 
-def connect(p0: Vector, v0: Vector, p1: Vector, v1: Vector, ticks: int, limits: RateLimits) -> Curve | None:
-    """Move from p0, v0 to p1, v1 in a time of :func:`whole_ticks`, cruising gently; None if a joint cannot."""
-    cruise = _cruise_velocity(p1 - p0, v0, v1, TICK_S * ticks, SHARE_OF_LIMITS * limits.acceleration_rad_s2)
-    speed_up = SHARE_OF_LIMITS * TICK_S * limits.acceleration_rad_s2
-    first = np.maximum(np.ceil(np.abs(cruise - v0) / speed_up), 1.0)
-    last = np.maximum(np.ceil(np.abs(cruise - v1) / speed_up), 1.0)
-    if not (first + last <= ticks).all():
-        return None
-    # With the ramps rounded the distance is met by another cruise velocity.
-    mean = (p1 - p0) / TICK_S - 0.5 * (v0 * first + v1 * last)
-    cruise = mean / (ticks - 0.5 * (first + last))
-    up, down = (cruise - v0) / first, (v1 - cruise) / last
-    most = (1.0 + ROUNDING_SHARE) * TICK_S * limits.acceleration_rad_s2
-    kept = (np.abs(up) <= most) & (np.abs(down) <= most)
-    if not (kept & (np.abs(cruise) <= (1.0 + ROUNDING_SHARE) * limits.velocity_rad_s)).all():
-        return None
-    return _three_phases(p0, v0, p1, v1, cruise, first, last, ticks)
+class Ways:
+    """Ways from p0, v0 to p1, v1 in times of :func:`whole_ticks`, shape (m,), cruising gently; the rest (m, n)."""
+
+    def __init__(self, p0: Vector, v0: Vector, p1: Vector, v1: Vector, ticks: Ticks, limits: RateLimits) -> None:
+        self._p0, self._v0, self._p1, self._v1 = p0, v0, p1, v1
+        self._ticks: Vector = ticks[:, np.newaxis].astype(np.float64)
+        cruise = _cruise_velocity(p1 - p0, v0, v1, TICK_S * self._ticks, SHARE_OF_LIMITS * limits.acceleration_rad_s2)
+        speed_up = SHARE_OF_LIMITS * TICK_S * limits.acceleration_rad_s2
+        self._first = first = np.maximum(np.ceil(np.abs(cruise - v0) / speed_up), 1.0)
+        self._last = last = np.maximum(np.ceil(np.abs(cruise - v1) / speed_up), 1.0)
+        # With the ramps rounded the distance is met by another cruise velocity.
+        mean = (p1 - p0) / TICK_S - 0.5 * (v0 * first + v1 * last)
+        self._cruise = cruise = mean / np.maximum(self._ticks - 0.5 * (first + last), 1.0)
+        self._up, self._down = (cruise - v0) / first, (v1 - cruise) / last
+        steepest = np.maximum(np.abs(self._up), np.abs(self._down))
+        kept = steepest <= (1.0 + ROUNDING_SHARE) * TICK_S * limits.acceleration_rad_s2
+        kept &= np.abs(cruise) <= (1.0 + ROUNDING_SHARE) * limits.velocity_rad_s
+        # Whether all joints can, shape (m,).
+        self.possible = (kept & (first + last <= self._ticks)).all(axis=1)
+
+    def halfway(self) -> Vector:
+        """Return the positions after half of each time, shape (m, n)."""
+        return self._at(slice(None), 0.5 * self._ticks)[0]
+
+    def curve(self, i: int) -> Curve:
+        """Return the curve of one way, with knots where any joint switches."""
+        first, last, ticks = self._first[i], self._last[i], self._ticks[i]
+        knots = np.unique(np.concatenate(([0.0], first, ticks - last, ticks)))
+        positions, velocities = self._at(i, knots[:, np.newaxis])
+        positions[-1], velocities[-1] = self._p1[i], self._v1[i]
+        return Curve(knots.astype(np.int64), positions, velocities)
+
+    def _at(self, i: int | slice, ticks: Vector) -> tuple[Vector, Vector]:
+        """Return positions and velocities of one way at times (k, 1), or of all ways at a time each, (m, 1)."""
+        v0, cruise, up, down, first = (each[i] for each in (self._v0, self._cruise, self._up, self._down, self._first))
+        speeding = np.minimum(ticks, first)
+        slowing = np.maximum(ticks - (self._ticks[i] - self._last[i]), 0.0)
+        cruising = ticks - speeding - slowing
+        velocities = np.where(ticks < first, v0 + up * speeding, cruise + down * slowing)
+        covered = (v0 + 0.5 * up * speeding) * speeding + cruise * cruising + (cruise + 0.5 * down * slowing) * slowing
+        return self._p0[i] + TICK_S * covered, velocities
 
 
-def _cruise_velocity(change: Vector, v0: Vector, v1: Vector, time_s: float, acceleration: Vector) -> Vector:
+def _cruise_velocity(change: Vector, v0: Vector, v1: Vector, time_s: Vector, acceleration: Vector) -> Vector:
     """Return the cruise velocity at which the way is covered in the time; NaN where there is none."""
     low, high = np.minimum(v0, v1), np.maximum(v0, v1)
     spare_s = time_s - (high - low) / acceleration
@@ -310,19 +335,3 @@ def _cruise_velocity(change: Vector, v0: Vector, v1: Vector, time_s: float, acce
     root_s2 = spare_s**2 - 4.0 * beyond / acceleration
     height = 0.5 * acceleration * (spare_s - np.sqrt(np.where(root_s2 >= 0.0, root_s2, np.nan)))
     return np.asarray(np.where(change > at_high, high + height, np.where(change < at_low, low - height, between)))
-
-
-def _three_phases(
-    p0: Vector, v0: Vector, p1: Vector, v1: Vector, cruise: Vector, first: Vector, last: Vector, ticks: int
-) -> Curve:
-    """Knots where any joint switches."""
-    knots = np.unique(np.concatenate(([0.0], first, ticks - last, [float(ticks)])))
-    t = knots[:, np.newaxis]
-    speeding, slowing = np.minimum(t, first), np.maximum(t - (ticks - last), 0.0)
-    cruising = t - speeding - slowing
-    up, down = (cruise - v0) / first, (v1 - cruise) / last
-    velocities = np.where(t < first, v0 + up * speeding, cruise + down * slowing)
-    covered = (v0 + 0.5 * up * speeding) * speeding + cruise * cruising + (cruise + 0.5 * down * slowing) * slowing
-    positions = p0 + TICK_S * covered
-    positions[-1], velocities[-1] = p1, v1
-    return Curve(knots.astype(np.int64), positions, velocities)

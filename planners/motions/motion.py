@@ -6,9 +6,9 @@ shortened in time: random parts of it are replaced by least-time ramps where tho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import count
 
 import numpy as np
@@ -19,10 +19,10 @@ from planners.geometry.joint_space import JointSpace
 from planners.motions.curve import (
     TICK_S,
     Curve,
+    Ways,
     averaged,
     averaging_start,
     brake,
-    connect,
     from_moving,
     least_time_s,
     line,
@@ -67,9 +67,6 @@ SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most 
 SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
 CURVE_STEPS_M = (0.02, 0.01, 0.005, 0.001)
 
-# Another path found as coarsely costs less than one found more finely, but where something is thin all are blocked.
-BLOCKED_PATHS_A_STEP = 3
-
 # Work after which the shortest motion so far is certified, so that little is left to do once the time is over.
 CHECKS_A_ROUND = 6000
 
@@ -102,6 +99,13 @@ class MotionTask:
     def window(self) -> int:
         """Window over which curves are averaged to keep the limits of the jerk, 0 for none [ticks]."""
         return window_ticks(self.limits)
+
+    @cached_property
+    def least_s(self) -> float:
+        """Return the time that the soonest goal takes where nothing is in the way; 0 without a goal [s]."""
+        rest = np.zeros_like(self.start)
+        times_s = (float(least_time_s(self.start, self.start_velocity, goal, rest, self.limits)) for goal in self.goals)
+        return min(times_s, default=0.0)
 
     @property
     def curve_start(self) -> Vector:
@@ -138,16 +142,11 @@ def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
 
 def _too_slow(task: MotionTask) -> PlanningFailure | None:
     """Return the refusal of a task whose limits are so low that no motion to any goal ends in time."""
-    rest = np.zeros_like(task.start)
-    times_s = (float(least_time_s(task.start, task.start_velocity, goal, rest, task.limits)) for goal in task.goals)
-    least_s = min(times_s, default=0.0)
-    if least_s <= MAX_DURATION_S:
+    if task.least_s <= MAX_DURATION_S:
         return None
-    text = f"the motion takes {least_s:.6g} s at least, more than the limit of {MAX_DURATION_S:g} s"
-    remedy = "raise the velocity and acceleration scaling"
-    return PlanningFailure(
-        MoveItErrorCode.FAILURE, f"{text}: {remedy}", {"least_s": least_s, "limit_s": MAX_DURATION_S}
-    )
+    text = f"the motion takes {task.least_s:.6g} s at least, more than the limit of {MAX_DURATION_S:g} s"
+    details = {"least_s": task.least_s, "limit_s": MAX_DURATION_S}
+    return PlanningFailure(MoveItErrorCode.FAILURE, f"{text}: raise the velocity and acceleration scaling", details)
 
 
 def _straight(task: MotionTask, budget: Budget) -> Motion | None:
@@ -211,7 +210,7 @@ class _Searching:
         self._number = count()
         self._search: TreeSearch | ConnectSearch | None = None  # a search that has not found a path
         self._search_end = 0  # checks after which it is given up
-        self._finer = self._blocked_paths = 0
+        self._finer = 0
         self._lead = lead
         # Where no via point of the quickest is free, others hardly ever are.
         self._try_via_points = self._name == RRT_CONNECT
@@ -260,22 +259,28 @@ class _Searching:
             if np.isinf(self._round_end):
                 self._last_check = self._space.checks + NOMINAL_CHECKS_PER_S * self._task.optimization_time_s
                 self._round_end = self._space.checks + CHECKS_A_ROUND
-            shorter = smooth(curve, self._task.limits, self._free, self._rng, self._enough)
+            step_m = CURVE_STEPS_M[self._finer]
+            along = partial(curve_free, self._space, step_m=step_m, should_stop=self._budget.used_up)
+            shorter = smooth(curve, self._task.limits, self._space.free, along, self._rng, self._enough)
             found += [(method, curve), (method, shorter)]
+            # Obstacles cost it hardly any time.
+            if TICK_S * (shorter.duration_ticks - LEAST_GAIN_TICKS) < self._task.least_s:
+                self._last_check = self._space.checks
         return found
 
     def _path(self, number: int) -> tuple[str, Vector | None]:
         """Return how a path was searched for, and the path without its detours if there is one."""
         start = self._task.start if self._lead is None else self._lead.positions_rad[-1]
-        finer = min(self._finer + self._blocked_paths // BLOCKED_PATHS_A_STEP, len(SEARCH_STEPS_M) - 1)
-        query = Query(self._space, start, self._task.goals, SEARCH_STEPS_M[finer])
+        query = Query(self._space, start, self._task.goals, SEARCH_STEPS_M[self._finer])
         if self._try_via_points:
             path = via_point(query, self._task.limits.velocity_rad_s, self._rng, self._enough)
             self._try_via_points = path is not None
-            path = self._without_detours(query, path)
             if path is not None:
                 return VIA_POINT, path
-        return self._name, self._without_detours(query, self._searched(query, number))
+        path = self._searched(query, number)
+        if path is not None:
+            path = without_detours(self._space, path, query.step_m, self._budget.used_up)
+        return self._name, path
 
     def _searched(self, query: Query, number: int) -> Vector | None:
         """Let the search go on, or another once it has found a path, or nothing for long."""
@@ -287,16 +292,6 @@ class _Searching:
         self._search = self._search if path is None else None
         return path
 
-    def _without_detours(self, query: Query, path: Vector | None) -> Vector | None:
-        if path is None:
-            return None
-        shorter = without_detours(self._space, path, query.step_m, self._budget.used_up)
-        self._blocked_paths += shorter is None
-        return shorter
-
-    def _free(self, curve: Curve) -> bool:
-        return curve_free(self._space, curve, CURVE_STEPS_M[self._finer], self._budget.used_up)
-
     def _enough(self) -> bool:
         """Tell whether a round has done its share of the work, or the budget is used up."""
         return self._budget.used_up() or self._space.checks >= min(self._last_check, self._round_end)
@@ -305,41 +300,43 @@ class _Searching:
 def smooth(
     curve: Curve,
     limits: RateLimits,
-    free: Callable[[Curve], bool],
+    free: Callable[[Vector], bool],
+    along: Callable[[Curve], bool],
     rng: np.random.Generator,
     should_stop: Callable[[], bool],
 ) -> Curve:
-    """Shorten a free curve in time; its end states stay."""
+    """Shorten a free curve in time, by pieces whose points are ``free``, all ``along``; its end states stay."""
     fruitless, reach = 0, 1.0
     while fruitless < FRUITLESS_ROUNDS and not should_stop():
-        shorter = next(_shorter(curve, reach, limits, free, rng), None)
+        shorter = _shorter(curve, reach, limits, free, along, rng)
         fruitless, reach = (fruitless + 1, SHRINK * reach) if shorter is None else (0, min(1.0, reach / SHRINK))
         curve = shorter or curve
     return curve
 
 
 def _shorter(
-    curve: Curve, reach: float, limits: RateLimits, free: Callable[[Curve], bool], rng: np.random.Generator
-) -> Iterator[Curve]:
-    """Yield curves with one part of at most a share ``reach`` of the whole replaced."""
-    for first, last, ticks in _parts(curve, reach, limits, rng):
-        positions, velocities, _ = curve.at(np.array([first, last]))
-        piece = connect(positions[0], velocities[0], positions[1], velocities[1], ticks, limits)
-        if piece is not None and free(piece):
-            yield curve.replaced(first, last, piece)
-
-
-def _parts(curve: Curve, reach: float, limits: RateLimits, rng: np.random.Generator) -> Iterator[tuple[int, int, int]]:
-    """Yield first and last tick of parts of the curve, and the ticks of ramps in their place; the best first."""
+    curve: Curve,
+    reach: float,
+    limits: RateLimits,
+    free: Callable[[Vector], bool],
+    along: Callable[[Curve], bool],
+    rng: np.random.Generator,
+) -> Curve | None:
+    """Return the curve with one part of at most a share ``reach`` of it replaced; None where no try succeeds."""
     middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
     lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
     shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)
-    ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
+    first, last = ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
     positions, velocities, _ = curve.at(ends.ravel())
     p0, p1 = positions[:PARTS_A_ROUND], positions[PARTS_A_ROUND:]
     v0, v1 = velocities[:PARTS_A_ROUND], velocities[PARTS_A_ROUND:]
     ticks = whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits)))
-    gains = ends[1] - ends[0] - ticks
-    for i in np.argsort(-gains, kind="stable")[:TRIES_A_ROUND]:
-        if gains[i] >= LEAST_GAIN_TICKS:
-            yield int(ends[0, i]), int(ends[1, i]), int(ticks[i])
+    ways = Ways(p0, v0, p1, v1, ticks, limits)
+    gains = np.where(ways.possible, last - first - ticks, 0)
+    halfway = ways.halfway()
+    for i in np.argsort(-gains, kind="stable")[:TRIES_A_ROUND].tolist():
+        if gains[i] < LEAST_GAIN_TICKS:
+            break
+        if free(halfway[i]) and along(piece := ways.curve(i)):
+            return curve.replaced(int(first[i]), int(last[i]), piece)
+    return None

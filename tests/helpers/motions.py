@@ -42,14 +42,14 @@ NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_rol
 START = {**dict.fromkeys(NAMES, 0.0), "gripper": 0.0}
 EASY = PlanningProblem("arm", START, JointGoal({"shoulder_pan": 0.5}))
 STATE = StateQuestion("arm", START)
-# Through the arm itself: there is no end of searching for a motion shorter than the last.
+# Through the arm itself: RRT* searches for shorter paths until the time is over.
 LONG = PlanningProblem(
     "arm",
     {**dict(zip(NAMES, (1.0899, -1.4202, 1.3815, 1.3879, -1.704), strict=True)), "gripper": 0.0},
     JointGoal(dict(zip(NAMES, (-1.1337, -1.2821, 1.4034, 1.2004, 1.2428), strict=True))),
     allowed_time_s=60.0,
     optimization_time_s=60.0,
-    attempts=1000,
+    planner_id="RRTstar",
 )
 STILL = Trajectory(NAMES, np.zeros(1), np.zeros((1, 5)), np.zeros((1, 5)), np.zeros((1, 5)))
 FINGER = Trajectory(("gripper",), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))

@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 from planners.motions.curve import (
     TICK_S,
     Curve,
+    Ways,
     averaged,
     averaging_start,
     brake,
-    connect,
     from_moving,
     least_time_s,
     line,
@@ -187,12 +187,18 @@ def accelerations(curve):
     return np.diff(curve.velocities_rad_s, axis=0) / (TICK_S * np.diff(curve.ticks))[:, None]
 
 
+def way_of(p0, v0, p1, v1, ticks, limits):
+    return Ways(*(each[np.newaxis] for each in (p0, v0, p1, v1, ticks)), limits)
+
+
 @given(positions, shares, positions, shares)
 @examples(200)
 def test_ramps_join_two_states_within_the_limits(p0, v0, p1, v1):
     v0, v1 = v0 * ABC_LIMITS.velocity_rad_s, v1 * ABC_LIMITS.velocity_rad_s
-    curve = connect(p0, v0, p1, v1, int(whole_ticks(least_time_s(p0, v0, p1, v1, reduced(ABC_LIMITS)))), ABC_LIMITS)
-    assume(curve is not None)
+    way = way_of(p0, v0, p1, v1, whole_ticks(least_time_s(p0, v0, p1, v1, reduced(ABC_LIMITS))), ABC_LIMITS)
+    assume(way.possible.all())
+    curve = way.curve(0)
+    np.testing.assert_allclose(way.halfway(), curve.at(np.array([0.5 * curve.duration_ticks]))[0], atol=1e-9)
     np.testing.assert_array_equal(curve.positions_rad[[0, -1]], [p0, p1])
     np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [v0, v1])
     assert np.all(np.abs(accelerations(curve)) <= ABC_LIMITS.acceleration_rad_s2 * (1.0 + 1e-6))
@@ -207,6 +213,5 @@ def test_a_joint_that_would_overshoot_cannot_take_a_time_between():
     # Moving at 1 rad/s it is there at once or, turning back twice, much later.
     p0, p1, v = np.zeros(1), np.array([0.1]), np.array([1.0])
     limits = RateLimits(np.array([3.0]), np.array([1.0]))
-    assert connect(p0, v, p1, v, 1000, limits) is not None
-    assert connect(p0, v, p1, v, 4000, limits) is None
-    assert connect(p0, v, p1, v, 60000, limits) is not None
+    possible = [bool(way_of(p0, v, p1, v, np.array(ticks), limits).possible.all()) for ticks in (1000, 4000, 60000)]
+    assert possible == [True, False, True]

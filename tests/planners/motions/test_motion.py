@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from planners.motions.motion import Motion, MotionTask, find_motion, smooth
 from planners.motions.path import NOMINAL_CHECKS_PER_S
 from planners.motions.path_timing import MAX_DURATION_S
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits
+from planners.scene import Box
 from tests.planners.invariants import (
     BLOCKED_LINES,
     assert_from_rest_to_rest,
@@ -19,6 +21,7 @@ from tests.planners.invariants import (
     assert_touches_nothing,
     never,
 )
+from tests.planners.scenes import scene, thing
 
 NAMES = ("a", "b")
 LIMITS = RateLimits(np.array([3.0, 2.0]), np.array([10.0, 6.0]))
@@ -36,7 +39,7 @@ def outside_the_disc(piece):
 
 
 def shortened(free=anywhere, seed=0, should_stop=never):
-    return smooth(polyline(DETOUR, LIMITS), LIMITS, free, np.random.default_rng(seed), should_stop)
+    return smooth(polyline(DETOUR, LIMITS), LIMITS, anywhere, free, np.random.default_rng(seed), should_stop)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -132,17 +135,29 @@ def work(task):
     return task.space.checks - before
 
 
+@pytest.fixture
+def task_over_a_wall(task_between, collision):
+    collision.set_scene(scene(thing(Box((0.3, 0.02, 0.3)), 0.3, 0.0, 0.15)))
+    yield partial(task_between, [-0.6, 0.4, 0.0, 0.3, 0.0], [0.6, 0.4, 0.0, 0.3, 0.0])
+    collision.set_scene(scene())
+
+
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)
-def test_the_work_that_is_asked_for_is_spent_and_little_more(task_between, blocked):
-    first = work(task_between(*blocked, optimization_time_s=0.0))
+def test_a_motion_that_takes_the_least_time_is_shortened_no_further(task_between, blocked):
+    task = task_between(*blocked, optimization_time_s=1.0, attempts=1000)
+    assert work(task) < 0.1 * NOMINAL_CHECKS_PER_S
+    assert find_motion(task, unlimited()).trajectory.duration_s == pytest.approx(task.least_s, abs=0.005)
+
+
+def test_the_work_that_is_asked_for_is_spent_and_little_more(task_over_a_wall):
+    first = work(task_over_a_wall(optimization_time_s=0.0))
     for time_s in (0.1, 0.5):
-        spent = work(task_between(*blocked, optimization_time_s=time_s, attempts=1000))
+        spent = work(task_over_a_wall(optimization_time_s=time_s, attempts=1000))
         assert time_s * NOMINAL_CHECKS_PER_S <= spent <= time_s * NOMINAL_CHECKS_PER_S + first + CHECKS_A_CERTIFICATE
 
 
-@pytest.mark.parametrize("blocked", BLOCKED_LINES)
-def test_the_best_motion_takes_all_the_time_that_is_allowed_and_is_no_longer(task_between, collision, at_home, blocked):
-    task = task_between(*blocked, optimization_time_s=np.inf, attempts=1)
+def test_the_best_motion_takes_all_the_time_that_is_allowed_and_is_no_longer(task_over_a_wall, collision, at_home):
+    task = task_over_a_wall(optimization_time_s=np.inf, attempts=1)
     clock = Budget(lambda: task.space.checks / NOMINAL_CHECKS_PER_S, 1.0, never)
     best = find_motion(task, clock)
     assert 1.0 <= clock.spent_s <= 1.0 + CHECKS_A_CERTIFICATE / NOMINAL_CHECKS_PER_S
@@ -151,8 +166,8 @@ def test_the_best_motion_takes_all_the_time_that_is_allowed_and_is_no_longer(tas
     assert best.trajectory.duration_s <= short.trajectory.duration_s
 
 
-def test_a_request_that_is_cancelled_while_its_motion_is_shortened_has_none(task_between):
-    task = task_between(*BLOCKED_LINES[0], optimization_time_s=np.inf)
+def test_a_request_that_is_cancelled_while_its_motion_is_shortened_has_none(task_over_a_wall):
+    task = task_over_a_wall(optimization_time_s=np.inf)
     first = work(replace(task, optimization_time_s=0.0))
     last = task.space.checks + 10 * first
     budget = Budget(lambda: 0.0, 1.0, lambda: task.space.checks >= last)

@@ -82,20 +82,23 @@ def test_search_stops_soon_after_it_is_asked_to(joint_space):
     )
 
 
+DETOUR = np.array([HOME, [0.5, -0.2, 0.3, 0.1, 0.0], [-0.4, -0.6, 0.2, 0.0, 0.3], [0.3, 0.1, 0.4, 0.0, 0.0], READY])
+
+
 def test_detours_that_a_free_line_passes_by_are_left_out(joint_space):
-    detour = np.array([HOME, [0.5, -0.2, 0.3, 0.1, 0.0], [-0.4, -0.6, 0.2, 0.0, 0.3], [0.3, 0.1, 0.4, 0.0, 0.0], READY])
-    np.testing.assert_array_equal(without_detours(joint_space, detour, STEP_M), [HOME, READY])
+    np.testing.assert_array_equal(without_detours(joint_space, DETOUR, STEP_M), [HOME, READY])
 
 
-def test_a_path_that_is_not_free_after_all_is_none(joint_space, blocked):
-    assert without_detours(joint_space, np.array(blocked), STEP_M) is None
+def test_the_edges_of_a_path_are_known_to_be_free(joint_space):
+    without_detours(joint_space, DETOUR[:2], STEP_M)
+    assert joint_space.checks == 0
 
 
 LIMITS = RateLimits(np.full(5, 3.0), np.full(5, 10.0))
 
 
 def test_nothing_is_free_once_the_search_is_stopped(joint_space):
-    assert without_detours(joint_space, np.array([HOME, READY]), STEP_M, lambda: True) is None
+    np.testing.assert_array_equal(without_detours(joint_space, DETOUR, STEP_M, lambda: True), DETOUR)
     assert not curve_free(joint_space, line(HOME, READY, LIMITS), STEP_M, lambda: True)
 
 

@@ -17,7 +17,7 @@ from robot.processes import StartedChild
 from server.arm.arms import Arms, ServedArm, StateFeed, read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.setup import Description, check_parameters
-from server.config import Settings
+from server.config import Settings, SimulationSettings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.features.arms import (
@@ -244,7 +244,8 @@ class App:
         return not self._context.goals.queue.busy() and not moves(self._arms.whole.arm)
 
     def _what_runs_where(self) -> str:
-        arms = "; ".join(map(_what_arm_runs, self._arms.each))
+        simulation = self._context.settings.simulation
+        arms = "; ".join(_what_arm_runs(each, simulation) for each in self._arms.each)
         listener = self._clients.listener
         page = f"{listener.page_url} (page), " if page_is_built(PAGE_DIRECTORY) else ""
         raw_tcp = f"{listener.tcp_url} (rosbridge over TCP), " if listener.tcp_url is not None else ""
@@ -254,13 +255,13 @@ class App:
         )
 
 
-def _what_arm_runs(served: ServedArm) -> str:
+def _what_arm_runs(served: ServedArm, simulation: SimulationSettings) -> str:
     arm, settings, description = served.arm, served.settings, served.description
     bus = f"on {settings.serial}" if settings.serial is not None else "simulated"
-    world = [] if settings.world is None else [f"world {settings.world}"]
-    ideal = ["ideal"] if description.calibration is None else []
-    kinds = [*ideal, *(["physics", *world] if settings.simulation == "physics" else [])]
-    if kinds:
+    kinds = ["ideal"] if description.calibration is None else []
+    if simulation.kind == "physics":
+        kinds += ["physics", *([] if simulation.world is None else [f"world {simulation.world}"])]
+    if kinds and settings.serial is None:
         bus += f" ({', '.join(kinds)})"
     if arm.state.mode is Mode.DISCONNECTED:
         bus += f", NOT CONNECTED ({arm.state.reason})"

@@ -102,12 +102,6 @@ class ArmSettings(SettingsSection):
     """the SRDF of this URDF."""
     package_path: list[Path] = Field(default_factory=list)
     """folders with the packages of package://, searched ahead of ROS_PACKAGE_PATH."""
-    simulation: Literal["light", "physics"] = "light"
-    """simulation of an arm without serial: physics has mass and contact by MuJoCo (docs/simulation.md)."""
-    world: str | None = None
-    """world of the physics: cubes, table, peg or a file (docs/simulation.md)."""
-    world_seed: int = Field(default=0, ge=0)
-    """seed that moves the world's movable objects; 0 for none."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
@@ -160,6 +154,23 @@ class ArmSettings(SettingsSection):
         return self
 
 
+class SimulationSettings(SettingsSection):
+    """Simulation of every arm without serial; see docs/simulation.md."""
+
+    kind: Literal["light", "physics"] = "light"
+    """physics has mass and contact by MuJoCo."""
+    world: str | None = None
+    """world of the physics: cubes, table, peg or a file."""
+    world_seed: int = Field(default=0, ge=0)
+    """seed that moves the world's movable objects; 0 for none."""
+
+    @model_validator(mode="after")
+    def _a_world_needs_physics(self) -> SimulationSettings:
+        if self.world is not None and self.kind != "physics":
+            raise ValueError(f"world: {self.world} needs physics: set simulation.kind to physics")
+        return self
+
+
 class EmulatorSettings(SettingsSection):
     """Emulated servos of a simulated arm; an ideal arm has none and refuses these settings."""
 
@@ -195,6 +206,7 @@ RESERVED_NAMES = frozenset(
         "moveit",
         "rosapi",
         "servo_node",
+        "simulation",
         "teach",
         "teleop",
         "world",
@@ -312,6 +324,7 @@ class Settings(BaseSettings):
     recording: RecordingSettings = RecordingSettings()
     diagnostics: DiagnosticsSettings = DiagnosticsSettings()
     zenoh: ZenohSettings = ZenohSettings()
+    simulation: SimulationSettings = SimulationSettings()
     emulator: EmulatorSettings = EmulatorSettings()
 
     @field_validator("arms", mode="before")
@@ -344,6 +357,13 @@ class Settings(BaseSettings):
             having[port] = name
         if len(self.arms) > 1 and any(arm.serial == "auto" for arm in self.arms.values()):
             raise ValueError("arms: a port cannot be found by itself (auto) where there are several arms: name each")
+        return self
+
+    @model_validator(mode="after")
+    def _some_arm_is_simulated(self) -> Settings:
+        serials = [arm.serial for arm in self.arms.values() or [self.arm]]
+        if None not in serials and self.simulation != SimulationSettings():
+            raise ValueError(f"simulation: there is no simulated arm beside the arm at {serials[0]}; leave it out")
         return self
 
     @model_validator(mode="after")

@@ -151,10 +151,11 @@ class World:
         kinds = [{name: _kind(body) for name, body in bodies.items()} for bodies in (before, wanted)]
         if kinds[0] != kinds[1]:
             wanted = self._rebuild(wanted)
-            put = {name: (state.position_m, state.orientation) for name, state in states.items()} | put
+            stayed = {name: (body.position_m, body.orientation) for name, body in wanted.items()}
+            put = stayed | {name: (state.position_m, state.orientation) for name, state in states.items()} | put
         self._bodies, self._version, self._reported = wanted, command.version, {}
         for name, pose in put.items():
-            if name in wanted and wanted[name].movable:
+            if name in wanted:
                 self._put(name, *pose)
         mujoco.mj_forward(self.model, self.data)
         for name, other, depth_m in self.overlaps(placed & wanted.keys()):
@@ -213,7 +214,7 @@ class World:
         return self._bodies.keys()
 
     def move(self, name: str, position_m: Point, orientation: Quaternion) -> None:
-        """Put a movable body somewhere at once, at rest."""
+        """Put a body somewhere at once, at rest."""
         self._put(name, position_m, orientation)
         mujoco.mj_forward(self.model, self.data)
 
@@ -227,9 +228,12 @@ class World:
         return [(*sorted(pair), depth_m) for pair, depth_m in deepest.items() if len(pair) == 2]  # type: ignore[misc]
 
     def _put(self, name: str, position_m: Sequence[float], orientation: Sequence[float]) -> None:
-        joint = self.model.joint(_in_model(name)).id
-        at, dof = self.model.jnt_qposadr[joint], self.model.jnt_dofadr[joint]
         x, y, z, w = orientation
+        body = self.model.body(_in_model(name))
+        if not self._bodies[name].movable:
+            self.data.mocap_pos[body.mocapid[0]], self.data.mocap_quat[body.mocapid[0]] = position_m, (w, x, y, z)
+            return
+        at, dof = self.model.jnt_qposadr[body.jntadr[0]], body.dofadr[0]
         self.data.qpos[at : at + 7] = (*position_m, w, x, y, z)
         self.data.qvel[dof : dof + 6] = 0.0
 
@@ -264,10 +268,11 @@ class World:
             self._spec.delete(body)
 
     def _add(self, body: Body) -> None:
-        x, y, z, w = body.orientation
-        element = self._spec.worldbody.add_body(name=_in_model(body.name), pos=body.position_m, quat=[w, x, y, z])
+        element = self._spec.worldbody.add_body(name=_in_model(body.name))
         if body.movable:
-            element.add_freejoint(name=_in_model(body.name))
+            element.add_freejoint()
+        else:
+            element.mocap = True  # it is put elsewhere without compiling the model again
         for index, shape in enumerate(body.shapes):
             x, y, z, w = shape.orientation
             geom = element.add_geom(
@@ -293,8 +298,8 @@ def _size(shape: BodyShape) -> list[float]:
 
 
 def _kind(body: Body) -> Body:
-    """Return all that the compiled model has of a body: a movable one has its pose in the state."""
-    return replace(body, position_m=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0)) if body.movable else body
+    """Return all that the compiled model has of a body, whose pose is in the state."""
+    return replace(body, position_m=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0))
 
 
 def _differ(before: BodyState | None, now: BodyState) -> bool:

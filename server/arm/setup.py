@@ -105,11 +105,9 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
 
 
 def _hardware(settings: Settings, description: Description) -> HardwareConfig:
-    emulator, physics = settings.emulator, settings.arm.simulation == "physics"
-    if physics and settings.arm.serial is not None:
-        raise ConfigurationError(f"arm.simulation: the arm at {settings.arm.serial} is real; leave it out")
-    if physics and importlib.util.find_spec("mujoco") is None:
-        raise ConfigurationError("arm.simulation: physics needs MuJoCo: pip install 'armbridge[physics]'")
+    emulator, physics = settings.emulator, settings.simulation.kind == "physics"
+    if physics and settings.arm.serial is None and importlib.util.find_spec("mujoco") is None:
+        raise ConfigurationError("simulation.kind: physics needs MuJoCo: pip install 'armbridge[physics]'")
     if description.calibration is None:
         no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
         _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)

@@ -130,12 +130,10 @@ class RenderedCameras:
         self._renderer.close()
 
     def _in_root(self, body: Body, link: str) -> Body:
-        """Return an object at its pose; as a movable one it can be placed without compiling the world again."""
-        if link:
-            pose = in_root(Pose(*self._renderer.link_pose(link)), Pose(body.position_m, body.orientation))
-            body = replace(body, position_m=pose.position_m, orientation=pose.orientation)
-        # MuJoCo has planes in bodies that stay where they are alone.
-        return replace(body, movable=all(shape.kind != "plane" for shape in body.shapes))
+        if not link:
+            return body
+        pose = in_root(Pose(*self._renderer.link_pose(link)), Pose(body.position_m, body.orientation))
+        return replace(body, position_m=pose.position_m, orientation=pose.orientation)
 
     def _contents(self, published: PublishedCamera, type_name: str) -> Message:
         if type_name == INFO_TYPE:

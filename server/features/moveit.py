@@ -72,7 +72,7 @@ class PlanningScene(Feature):
         self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
         # A world of the physics begins as its file has it.
-        if settings.scene.keep and settings.arm.world is None:
+        if settings.scene.keep and settings.simulation.world is None:
             path = settings.scene.file or kept_scene_path(settings, robot)
             self._saved = SavedScene(path, scene, graph.message_types)
         # Beside the file of the present scene, in a folder of their own.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,13 +19,15 @@ from robot.arm import Arm
 from robot.errors import RobotError
 from robot.messages import ArmState, PauseSimulation
 from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
+from server.config import NamedArmSettings
 from server.errors import ConfigurationError, RefusedError
-from server.features.context import ServerContext
+from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import WORKING
 from server.lifecycle import Feature
 from server.moveit.messages import Message
-from server.moveit.scene.collision_objects import CollisionObject, read_bounded_pose
+from server.moveit.scene.collision_objects import IDENTITY, CollisionObject, read_bounded_pose
+from server.moveit.scene.frames import in_root, seen_from
 from server.moveit.scene.physical_bodies import body_of
 from server.moveit.scene.planning_scene import SceneContents, SceneDraft
 from server.moveit.scene.scene_state import SceneChange
@@ -42,6 +45,8 @@ UPDATE_S = 0.1  # interval of changes of the scene by objects that move
 # another goal, since its client detaches the object then.
 DROPPED_AFTER_S, RELEASED_AFTER_S = 0.5, 5.0
 
+SET_BODY_TYPE = "armbridge_msgs/srv/SetBody"
+
 # Poses nearer than the reports of the arm process are the same.
 SAME_M, SAME_QUATERNION = 2e-4, 1e-3
 
@@ -49,56 +54,116 @@ log = logging.getLogger("armbridge.physics")
 
 
 def physics_of(context: ServerContext) -> list[Feature]:
-    """Return the physics of a server whose arm has some."""
-    physical = [name for name, arm in context.settings.arms.items() if arm.simulation == "physics"]
-    if physical:
-        raise ConfigurationError(f"arms.{physical[0]}.simulation: physics has one arm, without the section arms")
-    arm = context.whole.served.arm
-    if context.settings.arm.world is not None and context.settings.arm.simulation != "physics":
-        raise ConfigurationError("arm.world: only an arm with physics has a world: set arm.simulation to physics")
-    if context.settings.arm.simulation != "physics" or not isinstance(arm, Arm):
+    """Return the physics of a server whose simulated arms have some."""
+    if context.settings.simulation.kind != "physics":
         return []
-    return [Physics(context, arm)]
+    simulated = [each for each in context.single_arms if each[0].served.settings.serial is None]
+    return [Physics(context, [ArmWorld(*each) for each in simulated])]
+
+
+class ArmWorld:
+    """World of one arm, in its process: there it moves the bodies that are its own, and the others stay for it."""
+
+    def __init__(self, arm: ArmContext, handle: Arm) -> None:
+        settings, robot = arm.served.settings, arm.robot
+        self.name, self.graph, self.arm = arm.name, arm.graph, handle
+        self.links = frozenset(robot.links)
+        self.gripper_joints = () if robot.gripper is None else robot.gripper.joints
+        self.version = 0
+        self.state: ArmState | None = None
+        self._foot = IDENTITY  # its root link in the frame of the scene
+        if isinstance(settings, NamedArmSettings):
+            roll, pitch, yaw = settings.base_rpy_rad
+            if roll or pitch:
+                raise ConfigurationError(
+                    f"arms.{arm.name}.base_rpy_rad: physics needs an upright arm, with roll and pitch 0, not "
+                    f"{roll:g} and {pitch:g} rad"
+                )
+            self._foot = Pose(settings.base_xyz_m, (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)))
+
+    def send(self, bodies: Iterable[Body], placed: Mapping[str, Pose]) -> None:
+        """Send bodies, and poses at which movable ones are put, all in the frame of the scene."""
+        self.version += 1
+        moved = tuple(_at(body, seen_from(self._foot, _pose(body))) for body in bodies)
+        places = {name: seen_from(self._foot, pose) for name, pose in placed.items()}
+        put = {name: (pose.position_m, pose.orientation) for name, pose in places.items()}
+        self.arm.simulate(SetBodies(self.version, moved, put))
+
+    def reported(self) -> list[BodyState]:
+        """Return the bodies that have moved by the latest state, in the frame of the scene."""
+        if self.state is None or self.state.bodies is None or self.state.bodies.version != self.version:
+            return []
+        return [_at(each, in_root(self._foot, _pose(each))) for each in self.state.bodies.bodies]
+
+    @property
+    def gripper_goal_rad(self) -> list[float]:
+        """Goals of the gripper's joints."""
+        if self.state is None or self.state.goal_rad is None:
+            return []
+        goals = dict(zip(self.state.joint_names, self.state.goal_rad.tolist(), strict=True))
+        return [goals[name] for name in self.gripper_joints if name in goals]
+
+    @property
+    def ticks(self) -> int:
+        """Single ticks since its time stands still; -1 while it passes."""
+        return -1 if self.state is None or self.state.stepped_ticks is None else self.state.stepped_ticks
+
+    def distance_m(self, pose: Pose) -> float:
+        """Return the distance from its foot."""
+        return math.dist(self._foot.position_m, pose.position_m)
+
+
+@dataclass(frozen=True)
+class _Movable:
+    """Movable object of the scene: its mass [kg], its friction, and the arm in whose world it moves."""
+
+    mass_kg: float
+    friction: float
+    mover: str
 
 
 class Physics(Feature):
-    """Bodies of the scene's objects; an attached object that is movable is a body between the gripper's fingers."""
+    """Bodies of the scene's objects; an attached object that is movable is a body between the gripper's fingers.
+
+    Each arm has a world of its own. A movable object moves in the world of one arm, which is the arm that holds it or
+    has held it last; for the other arms it stays where it is.
+    """
 
     name = "physics"
 
-    def __init__(self, context: ServerContext, arm: Arm) -> None:
-        self._arm = arm
+    def __init__(self, context: ServerContext, worlds: Sequence[ArmWorld]) -> None:
+        self._worlds = {each.name: each for each in worlds}
         self._scene = context.planning.scene_state
         self._current = context.planning.current
-        # Of movable objects: mass [kg] and friction. Each names an object of the scene.
-        self._movable: dict[str, tuple[float, float]] = {}
+        self._movable: dict[str, _Movable] = {}  # by object of the scene
+        # Bodies at the poses where a client put them, and the objects that have moved since at their latest ones.
         self._bodies: dict[str, Body] = {}
+        self._states: dict[str, BodyState] = {}
         # Objects of the scene at the poses of their bodies, which need not be moved there.
         self._known: dict[str, CollisionObject] = {}
-        self._states: dict[str, BodyState] = {}
         # Of each body: time by the arm's clock at which it was held last [s], and the gripper's goals then.
         self._held_at_s: dict[str, tuple[float, list[float]]] = {}
-        gripper = context.whole.robot.gripper
-        self._gripper_joints = () if gripper is None else gripper.joints
-        self._version = 0
-        self._updated_at_s = -math.inf
-        self._state: ArmState | None = None
+        self._updated_at_s: dict[str, float] = {}
         self._stated = asyncio.Event()
         self._stepping = False
         # Contents of the world that was loaded, and its movable objects; None without one.
-        self._world: tuple[SceneContents, dict[str, tuple[float, float]]] | None = None
-        settings = context.settings.arm
+        self._world: tuple[SceneContents, dict[str, _Movable]] | None = None
+        settings = context.settings.simulation
         if settings.world is not None:
             self._open_world(settings.world, settings.world_seed, context)
         node, services = Node("simulation"), context.graph.services
         for name, type_name, serve in (
-            ("set_body", "armbridge_msgs/srv/SetBody", self._set_body),
+            ("set_body", SET_BODY_TYPE, self._set_body),
             ("set_pose", "armbridge_msgs/srv/SetBodyPose", self._set_pose),
             ("reset", "std_srvs/srv/Trigger", self._reset),
             ("pause", "std_srvs/srv/SetBool", self._pause),
             ("step", "armbridge_msgs/srv/StepSimulation", self._step),
         ):
             services.offer(node, f"/simulation/{name}", type_name, serve, rule=WORKING)
+        for each in worlds:
+            if each.name:
+                set_body = functools.partial(self._set_body, mover=each.name)
+                each.graph.offer(node, "/simulation/set_body", SET_BODY_TYPE, set_body, rule=WORKING)
         self._scene.on_change(self._follow_scene)
 
     @property
@@ -112,27 +177,31 @@ class Physics(Feature):
 
     def on_state(self, arm: str, state: ArmState) -> None:
         """Move objects of the scene to the poses of their bodies, and detach dropped ones."""
-        if arm:
+        world = self._worlds.get(arm)
+        if world is None:
             return
-        self._state = state
+        world.state = state
         self._stated.set()
-        if state.bodies is not None and state.bodies.version == self._version:
-            self._states.update({each.name: each for each in state.bodies.bodies})
-        contents = self._scene.contents
-        goals = {} if state.goal_rad is None else dict(zip(state.joint_names, state.goal_rad.tolist(), strict=True))
-        goal_rad = [goals[name] for name in self._gripper_joints if name in goals]
+        own = {each.name: each for each in world.reported() if self._mover(each.name) == arm}
+        self._states.update(own)
+        attached, goal_rad = self._scene.contents.attached, world.gripper_goal_rad
         for name, body in self._states.items():
-            if body.held or name not in contents.attached or name not in self._held_at_s:
+            if self._mover(name) == arm and (body.held or name not in attached or name not in self._held_at_s):
                 self._held_at_s[name] = state.clock_s, goal_rad
-        if _ticks(state) >= 0 or not 0.0 <= state.clock_s - self._updated_at_s < UPDATE_S:
-            self._updated_at_s = state.clock_s
-            self._update(state.clock_s, goal_rad)
+        if world.ticks >= 0 or not 0.0 <= state.clock_s - self._updated_at_s.get(arm, -math.inf) < UPDATE_S:
+            self._updated_at_s[arm] = state.clock_s
+            self._update(world, state.clock_s)
 
-    def _update(self, clock_s: float, goal_rad: list[float]) -> None:
-        contents = self._scene.contents
+    def _mover(self, name: str) -> str | None:
+        return self._movable[name].mover if name in self._movable else None
+
+    def _update(self, world: ArmWorld, clock_s: float) -> None:
+        contents, goal_rad = self._scene.contents, world.gripper_goal_rad
         moved, dropped = {}, {}
         for name, state in self._states.items():
-            pose = Pose(state.position_m, state.orientation)
+            if self._mover(name) != world.name:
+                continue
+            pose = _pose(state)
             if name in contents.objects and _differ(contents.objects[name].pose, pose):
                 moved[name] = replace(contents.objects[name], pose=pose)
             elif name in contents.attached and self._is_dropped(name, clock_s, goal_rad):
@@ -143,6 +212,9 @@ class Physics(Feature):
         if moved or dropped:
             self._known.update(moved | dropped)
             self._apply(moved | dropped, tuple(dropped))
+            for other in self._worlds.values():
+                if other is not world:
+                    self._send_to(other)
 
     def _is_dropped(self, name: str, clock_s: float, goal_rad: list[float]) -> bool:
         held_at_s, held_with_rad = self._held_at_s[name]
@@ -179,18 +251,46 @@ class Physics(Feature):
                 del kept[name]
         if bodies != self._bodies:
             self._send(bodies)
+        for name, held in contents.attached.items():
+            holder = next((each.name for each in self._worlds.values() if held.link in each.links), None)
+            if holder is not None and name in self._movable:
+                self._move_by(name, holder)
+
+    def _move_by(self, name: str, mover: str) -> None:
+        """Let a movable object move in the world of an arm, from where it is."""
+        if self._movable[name].mover != mover:
+            state, self._movable[name] = self._states.get(name), replace(self._movable[name], mover=mover)
+            self._held_at_s.pop(name, None)
+            for world in self._worlds.values():
+                self._send_to(world, {} if state is None else {name: _pose(state)})
 
     def _send(self, bodies: dict[str, Body], placed: Mapping[str, Pose] | None = None) -> None:
-        self._bodies, self._version = bodies, self._version + 1
-        self._states = {}
-        places = {name: (pose.position_m, pose.orientation) for name, pose in (placed or {}).items()}
-        self._arm.simulate(SetBodies(self._version, tuple(bodies.values()), places))
+        changed = {name for name in self._states if bodies.get(name) != self._bodies.get(name)} | set(placed or ())
+        self._states = {name: state for name, state in self._states.items() if name not in changed}
+        self._bodies = bodies
+        for world in self._worlds.values():
+            self._send_to(world, placed or {})
+
+    def _send_to(self, world: ArmWorld, placed: Mapping[str, Pose] | None = None) -> None:
+        """Send a world its movable bodies, and the others' as they are by now."""
+        placed = placed or {}
+        own = {name for name in self._bodies if self._mover(name) == world.name}
+        present = {name: _pose(state) for name, state in self._states.items()} | dict(placed)
+        world.send(
+            (
+                body if name in own else replace(_at(body, present.get(name, _pose(body))), movable=False)
+                for name, body in self._bodies.items()
+            ),
+            {name: pose for name, pose in placed.items() if name in own},
+        )
 
     def _body_of(self, each: CollisionObject) -> Body:
-        mass_kg, friction = self._movable.get(each.name, (0.0, DEFAULT_FRICTION))
-        return replace(body_of(each), movable=each.name in self._movable, mass_kg=mass_kg, friction=friction)
+        movable = self._movable.get(each.name)
+        if movable is None:
+            return body_of(each)
+        return replace(body_of(each), movable=True, mass_kg=movable.mass_kg, friction=movable.friction)
 
-    def _set_body(self, request: dict[str, Any]) -> Message:
+    def _set_body(self, request: dict[str, Any], mover: str | None = None) -> Message:
         name = request["id"]
         each = self._scene.contents.objects.get(name)
         refusal = ""
@@ -199,21 +299,23 @@ class Physics(Feature):
         elif name not in self._bodies:
             refusal = f"physics has {MAX_BODIES} objects at most, and {name!r} is left out"
         else:
-            refusal = self._note_movable(request, each)
+            refusal = self._note_movable(request, each, mover)
         if each is None or refusal:
             return {"success": False, "message": refusal}
         self._send({**self._bodies, name: self._body_of(each)})
         return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
 
-    def _note_movable(self, request: Message, each: CollisionObject) -> str:
-        """Note mass and friction of an object; return the reason why it cannot be a body with them, or an empty one."""
+    def _note_movable(self, request: Message, each: CollisionObject, mover: str | None = None) -> str:
+        """Note figures of a body, which the nearest arm moves for None; return the reason for a refusal, or empty."""
         if refusal := body_refusal(request):
             return refusal
         self._movable.pop(each.name, None)
         if request["movable"]:
             if any(isinstance(shape, Plane) for shape, _ in each.shapes):
                 return f"{each.name!r} has a plane, and cannot be movable"
-            self._movable[each.name] = request["mass"], request["friction"] or DEFAULT_FRICTION
+            if mover is None:
+                mover = min(self._worlds.values(), key=lambda world: world.distance_m(each.pose)).name
+            self._movable[each.name] = _Movable(request["mass"], request["friction"] or DEFAULT_FRICTION, mover)
         return ""
 
     def _open_world(self, name: str, seed: int, context: ServerContext) -> None:
@@ -231,13 +333,13 @@ class Physics(Feature):
             wanted = tuple(map(self._body_of, objects.values()))
             bodies = () if refusal else placed(context.whole.robot, wanted, seed)
         except (OSError, ValueError, MessageError, RefusedError, RobotError) as error:
-            raise ConfigurationError(f"arm.world: {name}: {error}") from error
+            raise ConfigurationError(f"simulation.world: {name}: {error}") from error
         if refusal:
-            raise ConfigurationError(f"arm.world: {name}: {refusal}")
+            raise ConfigurationError(f"simulation.world: {name}: {refusal}")
         self._apply({each.name: replace(objects[each.name], pose=_pose(each)) for each in bodies}, ())
         self._world = self._scene.contents, dict(self._movable)
 
-    def _reload_world(self, world: SceneContents, movable: Mapping[str, tuple[float, float]]) -> None:
+    def _reload_world(self, world: SceneContents, movable: Mapping[str, _Movable]) -> None:
         def change(draft: SceneDraft) -> None:
             draft.objects, draft.attached, draft.colors = dict(world.objects), {}, dict(world.colors)
 
@@ -281,16 +383,17 @@ class Physics(Feature):
         paused = request["data"]
         # Steps in progress are a pause already, and are not cut short.
         if not (paused and self._stepping):
-            self._arm.simulate(PauseSimulation(paused))
-        if not await self._reaches(lambda state: (_ticks(state) >= 0) == paused, ANSWER_TIMEOUT_S):
+            self._simulate(PauseSimulation(paused))
+        if not await self._reach(lambda world: (world.ticks >= 0) == paused, ANSWER_TIMEOUT_S):
             return {"success": False, "message": f"the arm process did not answer within {ANSWER_TIMEOUT_S:g} s"}
         return {"success": True, "message": f"the time of the simulation {'stands still' if paused else 'passes'}"}
 
     async def _step(self, request: dict[str, Any]) -> Message:
-        steps, before, refusal = request["steps"], _ticks(self._state), ""
+        steps, refusal = request["steps"], ""
+        before = {name: world.ticks for name, world in self._worlds.items()}
         if not 1 <= steps <= MAX_STEPS:
             refusal = f"steps must be 1 to {MAX_STEPS}, not {steps}"
-        elif before < 0:
+        elif min(before.values()) < 0:
             refusal = "the time of the simulation passes: call /simulation/pause with true first"
         elif self._stepping:
             refusal = "other steps are in progress"
@@ -298,20 +401,23 @@ class Physics(Feature):
             return {"success": False, "message": refusal}
         self._stepping = True
         try:
-            self._arm.simulate(PauseSimulation(paused=True, ticks=steps))
-            wanted = before + steps
+            self._simulate(PauseSimulation(paused=True, ticks=steps))
             # The end of the pause is the end of the steps.
-            await self._reaches(lambda state: _ticks(state) < 0 or _ticks(state) >= wanted, STEPS_TIMEOUT_S)
+            await self._reach(lambda world: not 0 <= world.ticks < before[world.name] + steps, STEPS_TIMEOUT_S)
         finally:
             self._stepping = False
-        done = max(_ticks(self._state) - before, 0)
+        done = max(min(world.ticks - before[name] for name, world in self._worlds.items()), 0)
         return {"success": done == steps, "message": f"{done} of {steps} steps are done"}
 
-    async def _reaches(self, reached: Callable[[ArmState], bool], timeout_s: float) -> bool:
-        """Wait for a state of the arm; return False when none comes within a time."""
+    def _simulate(self, command: PauseSimulation) -> None:
+        for world in self._worlds.values():
+            world.arm.simulate(command)
+
+    async def _reach(self, reached: Callable[[ArmWorld], bool], timeout_s: float) -> bool:
+        """Wait for states of all arms; return False when they do not come within a time."""
         try:
             async with asyncio.timeout(timeout_s):
-                while self._state is None or not reached(self._state):
+                while not all(world.state is not None and reached(world) for world in self._worlds.values()):
                     self._stated.clear()
                     await self._stated.wait()
         except TimeoutError:
@@ -319,13 +425,15 @@ class Physics(Feature):
         return True
 
 
-def _pose(body: Body) -> Pose:
+Posed = TypeVar("Posed", Body, BodyState)
+
+
+def _pose(body: Body | BodyState) -> Pose:
     return Pose(body.position_m, body.orientation)
 
 
-def _ticks(state: ArmState | None) -> int:
-    """Return the single ticks since the time stands still; -1 while it passes."""
-    return -1 if state is None or state.stepped_ticks is None else state.stepped_ticks
+def _at(body: Posed, pose: Pose) -> Posed:
+    return replace(body, position_m=pose.position_m, orientation=pose.orientation)
 
 
 def _differ(first: Pose, second: Pose) -> bool:

@@ -123,3 +123,17 @@ def test_a_block_is_picked_and_placed_faster_than_time_without_a_server() -> Non
 def test_the_ready_line_names_the_physics_and_the_world(server: RunningServer) -> None:
     (ready,) = [line for line in server.lines if "armbridge is ready" in line]
     assert "so101 arm simulated (physics, world cubes) (process " in ready
+
+
+async def test_two_arms_have_a_world_each_and_their_time_stands_still_together() -> None:
+    with RunningServer("--port 0 --config examples/two_arms.toml --simulation physics") as two:
+        async with arm_client(two.url) as caller:
+            cube = CUBE | {"pose": {"position": {"y": -0.5}}}
+            scene = {"is_diff": True, "world": {"collision_objects": [cube]}}
+            assert (await caller.call("/apply_planning_scene", scene=scene))["success"]
+            assert (await caller.call("/simulation/pause", data=True))["success"]
+            assert (await caller.call("/right/simulation/set_body", id="cube", movable=True))["success"]
+            high = {"position": {"y": -0.5, "z": 0.5}, "orientation": {"w": 1.0}}
+            assert (await caller.call("/simulation/set_pose", id="cube", pose=high))["success"]
+            assert (await caller.call("/simulation/step", steps=20))["message"] == "20 of 20 steps are done"
+            assert (await heights(caller))["cube"] == pytest.approx(0.5 - 0.5 * 9.81 * 0.2**2, abs=0.01)

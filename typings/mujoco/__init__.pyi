@@ -70,6 +70,7 @@ class MjsEquality:
 
 class MjsBody:
     name: str
+    mocap: bool
     mass: float
     explicitinertial: bool
     geoms: list[MjsGeom]
@@ -115,6 +116,11 @@ class _Named:
     id: int
     name: str
 
+class _Body(_Named):
+    mocapid: NDArray[np.int32]
+    jntadr: NDArray[np.int32]
+    dofadr: NDArray[np.int32]
+
 class MjStatistic:
     extent: float
 
@@ -138,10 +144,12 @@ class MjModel:
     jnt_dofadr: NDArray[np.int32]
     dof_damping: _Vector
     def joint(self, name: str | int) -> _Named: ...
-    def body(self, name: str | int) -> _Named: ...
+    def body(self, name: str | int) -> _Body: ...
 
 class MjData:
     qpos: _Vector
+    mocap_pos: _Vector
+    mocap_quat: _Vector
     qvel: _Vector
     qfrc_applied: _Vector
     qfrc_bias: _Vector

@@ -81,6 +81,19 @@ def test_other_bodies_leave_arm_and_bodies_where_they_are(arm: Driven) -> None:
     assert arm.tick().position_rad == pytest.approx(before, abs=0.002)
 
 
+def test_a_fixed_body_carries_others_where_it_is_put_without_a_new_model(arm: Driven) -> None:
+    world = world_of(arm)
+    table, cube = box("table", (0.3, -0.3, 0.02), 0.02, movable=False), box("cube", (0.3, -0.3, 0.06))
+    world.set_bodies(SetBodies(1, (table,)))
+    world.set_bodies(SetBodies(2, (table, cube)))
+    model = world.model
+    for at in (table, replace(table, position_m=(0.3, -0.3, 0.01))):
+        world.set_bodies(SetBodies(3, (at, cube)))
+        arm.tick(50)
+        assert state_of(world, "cube").position_m[2] == pytest.approx(at.position_m[2] + 0.0325, abs=0.001)
+    assert world.model is model
+
+
 def test_an_arm_pushes_a_movable_body_and_is_stopped_by_a_fixed_one() -> None:
     turned = {}
     for movable in (True, False):

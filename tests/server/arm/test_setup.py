@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from pydantic import ValidationError
 
 from robot.calibration import Calibration, JointCalibration, new_calibration_path, save
 from robot.description.robot_folder import built_in
@@ -18,11 +19,13 @@ from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, S
 from robot.hardware.feetech.registers import Register
 from robot.messages import EmergencyPolicy, EndState, GuardLimits
 from server.arm.setup import Description, arm_config, check_parameters
-from server.config import ArmSettings, EmulatorSettings, GuardSettings, Settings
+from server.config import ArmSettings, EmulatorSettings, GuardSettings, Settings, SimulationSettings
 from server.errors import ConfigurationError
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import dynamixel, robots
 from tests.helpers.robots import nominal_calibration, so101
+
+PHYSICS = SimulationSettings(kind="physics")
 
 WRONG = {
     "group": (MoveItParameters(group_name="leg"), r"moveit\.group_name.*'leg'.*arm, gripper"),
@@ -119,18 +122,23 @@ def test_no_port_means_emulated_servos_with_the_faults_that_are_set(tmp_path: Pa
 
 def test_physics_moves_every_kind_of_simulated_arm_and_no_real_one() -> None:
     for robot, kind in (("so101", EmulatedConfig), ("koch_v1_1", EmulatedConfig), ("fetch", IdealConfig)):
-        hardware = hardware_of(arm=ArmSettings(robot=robot, simulation="physics"))
+        hardware = hardware_of(arm=ArmSettings(robot=robot), simulation=PHYSICS)
         assert isinstance(hardware, kind)
         assert hardware.physics
         assert hardware_of(arm=ArmSettings(robot=robot)) == replace(hardware, physics=False)
-    with pytest.raises(ConfigurationError, match=r"arm\.simulation: the arm at /dev/arm is real; leave it out"):
-        hardware_of(arm=ArmSettings(serial="/dev/arm", simulation="physics"))
+    with pytest.raises(ValidationError, match="simulation: there is no simulated arm beside the arm at /dev/arm"):
+        Settings(arm=ArmSettings(serial="/dev/arm"), simulation=PHYSICS)
+
+
+def test_a_light_simulation_has_no_world() -> None:
+    with pytest.raises(ValidationError, match=r"world: cubes needs physics: set simulation\.kind to physics"):
+        SimulationSettings(world="cubes")
 
 
 def test_physics_without_mujoco_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     with pytest.raises(ConfigurationError, match=r"physics needs MuJoCo: pip install 'armbridge\[physics\]'"):
-        hardware_of(arm=ArmSettings(simulation="physics"))
+        hardware_of(simulation=PHYSICS)
 
 
 def test_a_koch_has_dynamixel_servos_on_a_port_and_emulated() -> None:

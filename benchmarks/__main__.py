@@ -15,7 +15,6 @@ BENCHMARKS = (
     "published_arms",
     "planner_processes",
     "planning_scenes",
-    "planning_random",
     "planning_growth",
     "planning_passages",
     "busy_machine",

@@ -28,6 +28,7 @@ class SerialConfig(_ServosConfig):
 
     simulated: ClassVar[bool] = False
     stays_at_rest: ClassVar[bool] = False
+    physics: ClassVar[bool] = False
     rate: ClassVar[float] = 1.0
 
     port: str  # serial device, ``socket://host:port``, USB id or ``auto``

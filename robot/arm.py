@@ -110,8 +110,8 @@ class ArmClock(ABC):
         while (pending := [end for end in ends if not end.done()]) and self.clock_s < until_s:
             if self.state_age_s > SILENT_S:
                 break
-            # The arm's clock is never faster than the machine's. The first wait lasts all of the time, so that states
-            # that come late to a server that stood still cut nothing short.
+            # On an arm's clock that is faster than the machine's this waits too long, which is harmless. The first wait
+            # lasts all of the time, so that states that come late to a server that stood still cut nothing short.
             await asyncio.wait(pending, timeout=max(until_s - self.clock_s, HEARTBEAT_S))
         return all(end.done() for end in ends)
 
@@ -215,6 +215,11 @@ class Arm(ArmClock):
     def part(self, _joint_names: Collection[str]) -> Arm:
         """Return the arm that has some joints, which is this one: see :class:`robot.arm_group.ArmGroup`."""
         return self
+
+    @property
+    def rate(self) -> float:
+        """Time by the arm's clock per time of the machine, where the machine is fast enough."""
+        return self._config.hardware.rate
 
     @property
     def state_age_s(self) -> float:

@@ -74,6 +74,8 @@ class ArmGroup(ArmClock):
         """Stop epoch of the last stop of all motion of any."""
         return max(arm.last_stop for arm in self._arms.values())
 
+    rate = 1.0  # time by the arms' clocks per time of the machine
+
     @property
     def states(self) -> dict[str, ArmState]:
         """Latest state of each, by the name of the arm."""
@@ -324,6 +326,7 @@ def joined_health(reports: Mapping[str, ArmHealth]) -> ArmHealth:
         round_trip_s=_greatest([each.round_trip_s for each in all_of]),
         real_time=all(each.real_time for each in all_of),
         real_time_factor=min(each.real_time_factor for each in all_of),
+        rate=min(each.rate for each in all_of),
         memory_locked=all(each.memory_locked for each in all_of),
         limits_rad=np.concatenate(limits_rad) if len(limits_rad) == len(all_of) else None,
         fault=next((_named(name, each.fault) for name, each in reports.items() if each.fault is not None), None),

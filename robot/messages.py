@@ -393,8 +393,9 @@ class ArmHealth:
     lateness_s: tuple[float, float, float]
     round_trip_s: tuple[float, float, float]  # time that block reads took in the last second: p50, p99, greatest [s]
     real_time: bool
-    # Arm's time per machine's time; below 1 a simulated arm is slow because the machine is busy.
+    # Arm's time per machine's time; below the rate a simulated arm is slow because the machine is busy.
     real_time_factor: float = 1.0
+    rate: float = 1.0  # factor that a fast machine reaches
     memory_locked: bool = False
     limits_rad: Vector | None = None  # soft limits in force, shape (joints, 2) [rad]; None before the survey
     fault: Fault | None = None

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,7 @@ from server.features.monitoring import Logs, Monitoring, Recording
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
 from server.features.physics import physics_of
+from server.features.simulated_time import SimulatedTime
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
 from server.installation import PAGE_DIRECTORY
@@ -113,8 +115,11 @@ class App:
         files = read_arms(settings, None if inherited is None else inherited.description)
         if recalibrated is not None:
             files = resumed(files, recalibrated)
+        # An arm whose clock is faster than the machine's gives the time of all stamps.
+        simulated = settings.simulation.rate != 1.0
         self.graph = Graph(
             load_registry(settings.server.interfaces),
+            wall_clock=(lambda: self._arms.whole.arm.state.stamp_s) if simulated else time.time,
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
@@ -140,6 +145,7 @@ class App:
         shared = inherited is not None
         commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
+        self._simulated_time = [SimulatedTime(context)] if simulated else []
         self._physics = physics_of(context)
         self._cameras: list[Feature] = []
         if self._physics:
@@ -170,6 +176,7 @@ class App:
             *([] if zenoh is None else [Part("other machines", stop=zenoh.stop, deadline_s=0.4)]),
             # Restored before anybody can see it, and written when nobody can change it any more.
             PlanningScene(self._context),
+            *self._simulated_time,
             *self._physics,
             ArmControl(self._context),
             # The port before the processes: when the port is taken, no process and no arm is needed.

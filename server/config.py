@@ -159,6 +159,8 @@ class SimulationSettings(SettingsSection):
 
     kind: Literal["light", "physics"] = "light"
     """physics has mass and contact by MuJoCo."""
+    rate: float = Field(default=1.0, ge=1.0, le=20.0)
+    """speed of an only arm's clock in multiples of real time, where the machine is fast enough."""
     world: str | None = None
     """world of the physics: cubes, table, peg or a file."""
     world_seed: int = Field(default=0, ge=0)
@@ -364,6 +366,8 @@ class Settings(BaseSettings):
         serials = [arm.serial for arm in self.arms.values() or [self.arm]]
         if None not in serials and self.simulation != SimulationSettings():
             raise ValueError(f"simulation: there is no simulated arm beside the arm at {serials[0]}; leave it out")
+        if self.arms and self.simulation.rate != 1.0:
+            raise ValueError(f"simulation.rate: must be 1 with several arms, not {self.simulation.rate:g}")
         return self
 
     @model_validator(mode="after")

@@ -103,18 +103,23 @@ class ControlCycle:
 
 
 def arm_state(
-    arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock_s: float
+    arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock: LoopClock
 ) -> ArmState:
     """Build the state of the arm at its latest reading; the reason is a sentence on an arm that is not ready."""
     measured, controller = arm.measured, arm.controller
     state = ArmState(
-        time.time(), mode, arm.hardware.joint_names, reason=reason, fault=fault, lateness_s=lateness_s, clock_s=clock_s
+        clock.stamp_s(time.time() if measured is None else measured.stamp_s),
+        mode,
+        arm.hardware.joint_names,
+        reason=reason,
+        fault=fault,
+        lateness_s=lateness_s,
+        clock_s=clock(),
     )
     if measured is None:
         return state
     state = replace(
         state,
-        stamp_s=measured.stamp_s,
         position_rad=measured.position_rad,
         velocity_rad_s=measured.velocity_rad_s,
         age_s=measured.age_s,
@@ -153,6 +158,7 @@ def arm_health(
         real_time=scheduling.real_time,
         memory_locked=scheduling.memory_locked,
         real_time_factor=clock.real_time_factor,
+        rate=clock.rate,
         limits_rad=None if bounds is None else np.stack((bounds.lower_rad, bounds.upper_rad), axis=1),
         fault=state.fault,
         reason=state.reason,

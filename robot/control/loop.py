@@ -78,7 +78,12 @@ class ArmLoop:
         self._channel = channel
         self._config = config
         self._simulated = config.hardware.simulated
-        self._clock: LoopClock = SimulationClock(time.monotonic()) if self._simulated else LoopClock()
+        hardware, now_s = config.hardware, time.monotonic()
+        self._clock = (
+            LoopClock()
+            if isinstance(hardware, SerialConfig)
+            else SimulationClock(now_s, hardware.rate, hardware.since_s)
+        )
         self._opener: Callable[[], HardwareInterface] | None = None
         self._supervisor = Supervisor(config, self._send, self._clock, scheduling)
 
@@ -109,7 +114,7 @@ class ArmLoop:
         while not self._supervisor.finished():
             skipped = self._between_ticks(pacer)
             now_s = time.monotonic()
-            pacer.start_tick(now_s)
+            pacer.start_tick(now_s, self._clock.rate)
             self._clock.start_tick(now_s, MAX_TICK_S + skipped * PERIOD_S)
             self._supervisor.tick(pacer, ticks=1 + skipped, server_gone=self._channel.closed)
 
@@ -169,7 +174,7 @@ def run_arm(channel: Channel) -> None:
     """Run an arm until its server ends it."""
     config = channel.receive_first()
     if config is not None:
-        ArmLoop(channel, checked(config), enter_realtime()).run()
+        ArmLoop(channel, checked(config), enter_realtime(config.hardware.rate)).run()
 
 
 if __name__ == "__main__":

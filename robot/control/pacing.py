@@ -31,23 +31,25 @@ class Pacer:
     """Pacer with absolute deadlines; a missed tick is skipped, never made up for."""
 
     def __init__(self, now_s: float) -> None:
+        self._period_s = PERIOD_S  # of the machine's time [s]
         self.deadline_s = now_s + PERIOD_S  # monotonic time at which the next tick is due [s]
         self.lateness_s: deque[float] = deque(maxlen=TICKS_KEPT)  # start of the latest ticks after their deadlines [s]
 
-    def start_tick(self, now_s: float) -> None:
-        """Record the start of the tick that was due, and set the next deadline."""
+    def start_tick(self, now_s: float, rate: float = 1.0) -> None:
+        """Record the start of the tick that was due, and set the next deadline, at an arm's time per machine's."""
         late_s = now_s - self.deadline_s
         self.lateness_s.append(late_s)
+        period_s = self._period_s = PERIOD_S / rate
         # The rounding of a tick that starts exactly at the next deadline must not make it due again at once.
-        self.deadline_s += PERIOD_S * (1 + max(0, math.floor(late_s / PERIOD_S + ROUNDING)))
+        self.deadline_s += period_s * (1 + max(0, math.floor(late_s / period_s + ROUNDING)))
 
     def skip(self, ticks: int) -> None:
         """Postpone the next tick by a number of periods."""
-        self.deadline_s += ticks * PERIOD_S
+        self.deadline_s += ticks * self._period_s
 
     def cancel_skip(self, ticks: int, now_s: float) -> None:
         """Undo :meth:`skip`; a tick that would have been due meanwhile is due now, and not late."""
-        self.deadline_s = max(self.deadline_s - ticks * PERIOD_S, now_s)
+        self.deadline_s = max(self.deadline_s - ticks * self._period_s, now_s)
 
     def latest(self, count: int) -> tuple[float, ...]:
         """Return the lateness of the latest ticks, one value each [s]."""
@@ -67,6 +69,7 @@ class LoopClock:
     """Clock of the control loop, the machine's monotonic one; call it for the time [s]."""
 
     stepped_ticks: int | None = None  # single ticks since a simulated arm's time stands still; None while it passes
+    rate = 1.0  # arm's time per machine's time, where the machine is fast enough
 
     def __call__(self) -> float:
         """Return the time [s]."""
@@ -78,6 +81,13 @@ class LoopClock:
     def start_tick(self, machine_s: float, at_most_s: float = MAX_TICK_S) -> None:
         """Mark the start of a tick [s]; a simulated arm's time passes by ``at_most_s``, more after skipped ticks."""
 
+    def follow_real_time(self, *, steered: bool) -> None:
+        """Let the time pass at the machine's rate while the arm is steered from outside."""
+
+    def stamp_s(self, wall_s: float) -> float:
+        """Return the stamp of a reading that was taken at a time of the wall clock, both in seconds since the epoch."""
+        return wall_s
+
     @property
     def real_time_factor(self) -> float:
         """Real-time factor as in simulators: arm's time per machine's time."""
@@ -85,10 +95,16 @@ class LoopClock:
 
 
 class SimulationClock(LoopClock):
-    """Clock that starts at a time of the machine, and advances at the start of each tick only."""
+    """Clock that advances at the start of each tick only, ``rate`` times as fast as the machine's where it can.
 
-    def __init__(self, machine_s: float) -> None:
-        self._now_s = self._tick_s = machine_s
+    It starts where a clock of this rate is that had the machine's time at ``since_s``: it does not go back in the next
+    arm process.
+    """
+
+    def __init__(self, machine_s: float, rate: float = 1.0, since_s: float = 0.0) -> None:
+        self._nominal_rate = self.rate = rate
+        self._now_s = since_s + rate * (machine_s - since_s)
+        self._tick_s = machine_s
         self._ticks_left = 0  # single ticks to come while the time stands still
         # Reports and /diagnostics come once a second each: of a report that /diagnostics misses, the next has the half.
         self._passed_s: deque[tuple[float, float]] = deque(maxlen=2 * TICKS_KEPT)
@@ -110,9 +126,19 @@ class SimulationClock(LoopClock):
                 self._ticks_left, self.stepped_ticks = self._ticks_left - 1, self.stepped_ticks + 1
                 self._now_s += PERIOD_S
             return
-        passed_s = min(elapsed_s, at_most_s)
+        passed_s = min(self.rate * elapsed_s, at_most_s)
         self._now_s += passed_s
         self._passed_s.append((passed_s, elapsed_s))
+
+    def follow_real_time(self, *, steered: bool) -> None:
+        """Let the time pass at the machine's rate while the arm is steered from outside."""
+        self.rate = 1.0 if steered else self._nominal_rate
+
+    def stamp_s(self, wall_s: float) -> float:
+        """Return the wall clock's time at ``since_s`` plus the arm's time since then, where the rate is not 1."""
+        if self._nominal_rate == 1.0:
+            return wall_s
+        return time.time() - time.monotonic() + self._now_s
 
     @property
     def real_time_factor(self) -> float:
@@ -141,11 +167,16 @@ class Scheduling(NamedTuple):
     memory_locked: bool = False
 
 
-def enter_realtime() -> Scheduling:
-    """Request real-time priority and locked memory, and end garbage collections, which would delay ticks."""
+def enter_realtime(rate: float = 1.0) -> Scheduling:
+    """Request real-time priority and locked memory, and end garbage collections, which would delay ticks.
+
+    A clock faster than the machine's may keep a core busy, and gets no priority over the planners.
+    """
     gc.collect()
     gc.freeze()
     gc.disable()
+    if rate != 1.0:
+        return Scheduling()
     real_time = take_priority()
     return Scheduling(real_time, real_time and lock_memory())
 

@@ -47,6 +47,8 @@ from robot.stop_epochs import STOPPED_SINCE
 
 log = logging.getLogger("armbridge.arm")
 
+MAX_STATES_PER_S = 200.0  # of the machine's time, which a server takes beside its other work
+
 # Interval between attempts to open the hardware, and to check the servos: the first, and the longest.
 FIRST_RETRY_S = 0.2
 LONGEST_RETRY_S = 2.0
@@ -91,9 +93,12 @@ class Supervisor:
         self._clock = clock
         self._scheduling = scheduling
         self._joint_names = config.hardware.joint_names(config.robot)
-        self._ticks_per_state = max(1, round(1.0 / (PERIOD_S * config.state_rate_hz)))
+        # Of a clock that is faster than the machine's; the server is silent in the machine's time.
+        self._rate = config.hardware.rate
+        least_ticks = round(self._rate / (PERIOD_S * MAX_STATES_PER_S))
+        self._ticks_per_state = max(1, round(1.0 / (PERIOD_S * config.state_rate_hz)), least_ticks)
         least_s = SIMULATED_WATCHDOG_S if config.hardware.simulated else 0.0
-        self._watchdog_s = max(config.watchdog_s, least_s)
+        self._watchdog_s = max(config.watchdog_s, least_s) * self._rate
         self._heard_s = clock()
         self._log_limiter = LogLimiter(SILENCE_BURST, SILENCE_LINES_PER_S)
         self.arm: ControlCycle | None = None  # on the open hardware; None while disconnected
@@ -164,8 +169,8 @@ class Supervisor:
         self._reason = reason
         # The servos are checked again, which takes time.
         self._clock.pause(paused=False)
-        lost_s, fault, names = self._clock(), self._fault, self._joint_names
-        self._send(ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s), True)
+        stamp_s, lost_s, fault, names = self._clock.stamp_s(time.time()), self._clock(), self._fault, self._joint_names
+        self._send(ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s), True)
 
     def handle(self, message: object) -> None:
         """Handle one message of the server."""
@@ -218,6 +223,7 @@ class Supervisor:
             self._end_ticks += ticks
             self._clock.pause(paused=False)
         ended = arm.tick()
+        self._clock.follow_real_time(steered=arm.controller is not None and bool(arm.controller.commanded))
         self._parking.take(ended)
         self._report(ended)
         for each in arm.controller.commanded if arm.controller is not None else ():
@@ -232,7 +238,7 @@ class Supervisor:
         if min(self._state_due, self._health_due) > 0:
             return
         lateness_s = pacer.latest(self._ticks_per_state)
-        state = arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock())
+        state = arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock)
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)
@@ -433,7 +439,7 @@ class Supervisor:
         lost = now_s - self._heard_s > self._watchdog_s
         if lost and not self._server_lost and self._end is None:
             consequence = self._consequence(self._config.on_server_lost)
-            line = f"nothing heard of the server for {now_s - self._heard_s:.1f} s: {consequence}"
+            line = f"nothing heard of the server for {(now_s - self._heard_s) / self._rate:.1f} s: {consequence}"
             self._log_limiter.write(log, logging.WARNING, line, "silence", now_s)
         self._server_lost = lost
         end = self._config.on_server_lost if lost and self._end is None else self._end
@@ -445,7 +451,7 @@ class Supervisor:
         if end is None:
             return
         if end is EndState.PARK:
-            gone = self._end is not None or now_s - self._heard_s > SILENCE_BEFORE_PARKING_S
+            gone = self._end is not None or now_s - self._heard_s > SILENCE_BEFORE_PARKING_S * self._rate
             self._parking.advance(controller, now_s, may_move=gone)
         else:
             controller.stop()

@@ -28,6 +28,7 @@ class SerialConfig(_ServosConfig):
 
     simulated: ClassVar[bool] = False
     stays_at_rest: ClassVar[bool] = False
+    rate: ClassVar[float] = 1.0
 
     port: str  # serial device, ``socket://host:port``, USB id or ``auto``
     kind: ServoKind = "feetech"
@@ -47,6 +48,8 @@ class _SimulatedConfig:
     start_rad: Mapping[str, float] = field(default_factory=dict)
     driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
     physics: bool = False  # True if MuJoCo moves the joints (:mod:`robot.physics`)
+    rate: float = 1.0  # arm's time per machine's time
+    since_s: float = 0.0  # monotonic time from which on the rate counts [s]
 
     def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
         """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""

@@ -335,6 +335,9 @@ class ActionChunks:
             self._leave_control(publisher)
             resume = self._graph.resolve(RESUME)
             raise refused(MoveItErrorCode.CONTROL_FAILED, f"{self._message}: the policy goes on after {resume}")
+        if self._arm.rate != 1.0:
+            text = f"targets of a policy have real times: simulation.rate must be 1 for them, not {self._arm.rate:g}"
+            raise refused(MoveItErrorCode.CONTROL_FAILED, text)
         chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
         stamp_s = read_seconds(message["trajectory"]["header"]["stamp"], "trajectory.header.stamp")
         if 0.0 < stamp_s < self._resumed_s:

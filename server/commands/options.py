@@ -185,6 +185,7 @@ _FURTHER_OPTIONS = (
     ("--log-level", "server.log_level", "LEVEL"),
     ("--serial", "arm.serial", "PORT"),
     ("--simulation", "simulation.kind", "KIND"),
+    ("--rate", "simulation.rate", "FACTOR"),
     ("--world", "simulation.world", "NAME_OR_FILE"),
     ("--robot", "arm.robot", "NAME_OR_FOLDER"),
     ("--calibration", "arm.calibration", "NAME_OR_PATH"),

@@ -266,7 +266,7 @@ def splice_point_of(motion: Trajectory, path_time: PathTime, now_s: float, horiz
     """Return the point, a horizon ahead or at its end, at which a motion can be replaced; None if it waits or ends."""
     reached_s = path_time.at(now_s)
     leave_s = min(reached_s + horizon_s * path_time.rate, motion.duration_s)
-    from_s = max(reached_s - STATE_AGE_S, 0.0)
+    from_s = max(reached_s - STATE_AGE_S * max(path_time.rate, 1.0), 0.0)
     if path_time.rate == 0.0 or reached_s > motion.duration_s or leave_s - from_s < MIN_PIECE_S:
         return None
     return SplicePoint(_between(motion, from_s, leave_s), from_s)

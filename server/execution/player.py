@@ -160,7 +160,7 @@ class Player:
         """
         self._end = None
         outgoing, now_s, continues = self.outgoing, self._clock(), None
-        self._begun = PathTime(now_s, 0.0, 1.0)
+        self._begun = PathTime(now_s, 0.0, self._arm.rate)
         if outgoing is not None and from_s is not None:
             continues = outgoing.ended, from_s
             self._begun = PathTime(now_s, outgoing.path_time.at(now_s) - from_s, outgoing.path_time.rate)
@@ -230,10 +230,10 @@ class Player:
     def _path_time(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> PathTime:
         """Return the time on the path by the arm's latest state, or since the beginning, which it does not show yet."""
         progress, pace, now_s = self._arm.progress(ended), self._arm.state.pace, self._clock()
-        rate = pace.speed_factor if pace.direction is PlaybackDirection.FORWARD else 0.0
+        rate = self._arm.rate * (pace.speed_factor if pace.direction is PlaybackDirection.FORWARD else 0.0)
         if progress is None:
             return PathTime(now_s, self._begun.at(now_s), min(rate, self._begun.rate))
-        rate = min(rate, progress.rate)
+        rate = min(rate, self._arm.rate * progress.rate)
         return PathTime(now_s, progress.fraction * trajectory.duration_s + self._arm.state_age_s * rate, rate)
 
     def _answer(self, ended: MotionEnded) -> Answer:

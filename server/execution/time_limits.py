@@ -39,7 +39,7 @@ class TimeLimits:
 
 
 class ArmClock:
-    """Stopwatch on the arm's clock, which runs no faster than this machine's.
+    """Stopwatch on the slower of two clocks, the arm's and this machine's.
 
     A busy machine slows a simulated arm's clock down. A server that stood still itself receives all the arm's time at
     once, also the time before the arm got its order.

@@ -149,6 +149,8 @@ class Physics(Feature):
         # Contents of the world that was loaded, and its movable objects; None without one.
         self._world: tuple[SceneContents, dict[str, _Movable]] | None = None
         settings = context.settings.simulation
+        # A client and the scene live in the machine's time.
+        self._update_s, self._released_after_s = UPDATE_S * settings.rate, RELEASED_AFTER_S * settings.rate
         if settings.world is not None:
             self._open_world(settings.world, settings.world_seed, context)
         node, services = Node("simulation"), context.graph.services
@@ -188,7 +190,7 @@ class Physics(Feature):
         for name, body in self._states.items():
             if self._mover(name) == arm and (body.held or name not in attached or name not in self._held_at_s):
                 self._held_at_s[name] = state.clock_s, goal_rad
-        if world.ticks >= 0 or not 0.0 <= state.clock_s - self._updated_at_s.get(arm, -math.inf) < UPDATE_S:
+        if world.ticks >= 0 or not 0.0 <= state.clock_s - self._updated_at_s.get(arm, -math.inf) < self._update_s:
             self._updated_at_s[arm] = state.clock_s
             self._update(world, state.clock_s)
 
@@ -218,7 +220,7 @@ class Physics(Feature):
 
     def _is_dropped(self, name: str, clock_s: float, goal_rad: list[float]) -> bool:
         held_at_s, held_with_rad = self._held_at_s[name]
-        return clock_s - held_at_s > (DROPPED_AFTER_S if goal_rad == held_with_rad else RELEASED_AFTER_S)
+        return clock_s - held_at_s > (DROPPED_AFTER_S if goal_rad == held_with_rad else self._released_after_s)
 
     def _apply(self, objects: dict[str, CollisionObject], detached: tuple[str, ...]) -> None:
         def change(draft: SceneDraft) -> None:

@@ -166,9 +166,10 @@ class Metrics(Collector):
 
 
 def _fresh(health: ArmHealth | None) -> ArmHealth | None:
-    if health is None or (time.monotonic() - health.monotonic_s) * health.real_time_factor > ARM_HEALTH_STALE_S:
+    if health is None:
         return None
-    return health
+    age_s = (time.monotonic() - health.monotonic_s) * min(health.real_time_factor, 1.0)
+    return None if age_s > ARM_HEALTH_STALE_S else health
 
 
 def _by_label(

@@ -82,7 +82,13 @@ class Diagnostics:
         now_s, health = self._clock(), self._health
         health_age_s = 0.0 if health is None else now_s - health.monotonic_s
         message = diagnostic_array(
-            state, health, time.time(), self._robot_name, now_s - self._state_at_s, health_age_s, self._fault_file()
+            state,
+            health,
+            self._graph.message_types.wall_clock(),
+            self._robot_name,
+            now_s - self._state_at_s,
+            health_age_s,
+            self._fault_file(),
         )
         self._graph.publish(self._node, TOPIC, message)
 
@@ -110,10 +116,11 @@ def diagnostic_array(
         arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {state_age_s:.1f} s old"}
     statuses = [arm]
     if health is not None:
-        stale = state.mode is Mode.DISCONNECTED or health_age_s * health.real_time_factor > STALE_AFTER_S
+        stale = state.mode is Mode.DISCONNECTED or health_age_s * min(health.real_time_factor, 1.0) > STALE_AFTER_S
         arm["values"] += key_values(_arm_values(health))
-        if health.real_time_factor < SLOW_FACTOR and arm["level"] == LEVEL_OK:
-            share = f"{health.real_time_factor:.0%} of real time"
+        if health.real_time_factor < SLOW_FACTOR * health.rate and arm["level"] == LEVEL_OK:
+            wanted = "" if health.rate == 1.0 else f", not {health.rate:.0%}"
+            share = f"{health.real_time_factor:.0%} of real time{wanted}"
             arm |= {"level": LEVEL_WARN, "message": f"{arm['message']}, at {share}: this machine is busy"}
         statuses += [_joint_status(joint, health, state.fault, stale=stale) for joint in health.joints]
         arm["level"] = max(arm["level"], *(min(each["level"], LEVEL_WARN) for each in statuses))

@@ -48,6 +48,7 @@ class FakeArm:
             self.put(**positions_rad)
         self.state_age_s = 0.0
         self.state_max_age_s = 1.0
+        self.rate = 1.0
         self.steered = False
         self.started = asyncio.Event()
         self.started.set()

@@ -195,3 +195,51 @@ def test_ticks_that_were_skipped_on_purpose_lose_no_time() -> None:
     clock.start_tick(10.025, MAX_TICK_S + 0.01)
     assert clock() == pytest.approx(10.025)
     assert clock.real_time_factor == pytest.approx(1.0)
+
+
+def faster(*gaps_s: float) -> SimulationClock:
+    """A clock ten times as fast as the machine's, whose ticks came so long after one another."""
+    machine_s = 50.0
+    clock = SimulationClock(machine_s, rate=10.0, since_s=machine_s)
+    for gap_s in gaps_s:
+        machine_s += gap_s
+        clock.start_tick(machine_s)
+    return clock
+
+
+def test_a_faster_clock_has_ticks_of_the_same_length_in_less_time() -> None:
+    clock = faster(*[0.1 * PERIOD_S] * 100)
+    assert clock() == pytest.approx(51.0)
+    assert clock.real_time_factor == pytest.approx(10.0)
+    pacer = Pacer(0.0)
+    pacer.start_tick(PERIOD_S, clock.rate)
+    assert pacer.deadline_s == pytest.approx(1.1 * PERIOD_S)
+
+
+def test_a_faster_clock_on_a_busy_machine_is_slower() -> None:
+    clock = faster(*[0.5 * PERIOD_S] * 10)
+    assert clock() == pytest.approx(50.0 + 10 * MAX_TICK_S)
+    assert clock.real_time_factor == pytest.approx(4.0)
+
+
+def test_a_faster_clock_is_as_fast_as_the_machines_while_the_arm_is_steered() -> None:
+    clock = faster()
+    clock.follow_real_time(steered=True)
+    clock.start_tick(50.0 + PERIOD_S)
+    assert (clock.rate, clock()) == (1.0, pytest.approx(50.0 + PERIOD_S))
+    clock.follow_real_time(steered=False)
+    clock.start_tick(50.0 + 1.1 * PERIOD_S)
+    assert (clock.rate, clock()) == (10.0, pytest.approx(50.0 + 2 * PERIOD_S))
+
+
+def test_the_clock_of_the_next_arm_process_is_not_behind() -> None:
+    after = SimulationClock(51.5, rate=10.0, since_s=50.0)
+    assert after() == pytest.approx(65.0)
+    assert after() > faster(0.5, 0.5)()
+
+
+def test_stamps_have_the_time_of_a_clock_that_is_not_the_machines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "time", lambda: 2050.0)
+    monkeypatch.setattr(time, "monotonic", lambda: 50.0)
+    assert faster(0.1 * PERIOD_S).stamp_s(2050.0) == pytest.approx(2050.0 + PERIOD_S)
+    assert ticked(MAX_TICK_S).stamp_s(2049.9) == 2049.9

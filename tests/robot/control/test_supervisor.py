@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -43,7 +44,7 @@ def arm(emulator: SteppedEmulator, bus: Bus) -> ControlCycle:
 
 
 def test_an_arm_that_was_not_read_has_no_positions(arm: ControlCycle, emulator: SteppedEmulator) -> None:
-    state = arm_state(arm, Mode.CONNECTED, None, "", (), emulator.clock())
+    state = arm_state(arm, Mode.CONNECTED, None, "", (), emulator.clock)
     assert state.position_rad is None
     health = arm_health(arm, state, "port", Pacer(0.0), emulator.clock, Scheduling())
     assert all(math.isnan(joint.position_rad) for joint in health.joints)
@@ -240,8 +241,9 @@ def seconds_until_stopped(rig: ArmRig) -> float:
         ({"watchdog_s": 0.7}, 0.7),
         *(({"hardware": hardware, "watchdog_s": 0.5}, 5.0) for hardware in SIMULATED),
         ({"hardware": SIMULATED[0], "watchdog_s": 8.0}, 8.0),
+        ({"hardware": replace(SIMULATED[0], rate=2.0)}, 10.0),
     ],
-    ids=["real", "emulated", "ideal", "longer"],
+    ids=["real", "emulated", "ideal", "longer", "by a clock twice as fast as the server's"],
 )
 def test_an_arm_waits_for_its_server_as_configured(start_rig: Start, settings: dict[str, Any], waits_s: float) -> None:
     assert seconds_until_stopped(start_rig(**settings)) == pytest.approx(waits_s, abs=0.3)

@@ -130,6 +130,15 @@ def test_physics_moves_every_kind_of_simulated_arm_and_no_real_one() -> None:
         Settings(arm=ArmSettings(serial="/dev/arm"), simulation=PHYSICS)
 
 
+def test_only_an_only_simulated_arm_is_faster_than_time() -> None:
+    hardware = hardware_of(simulation=SimulationSettings(rate=8.0))
+    assert isinstance(hardware, EmulatedConfig)
+    assert hardware.rate == 8.0
+    assert hardware.since_s > 0.0
+    with pytest.raises(ValidationError, match=r"simulation\.rate: must be 1 with several arms, not 8"):
+        Settings.model_validate({"arms": {"left": {}}, "simulation": {"rate": 8.0}})
+
+
 def test_a_light_simulation_has_no_world() -> None:
     with pytest.raises(ValidationError, match=r"world: cubes needs physics: set simulation\.kind to physics"):
         SimulationSettings(world="cubes")

@@ -25,6 +25,7 @@ from server.execution.motions import (
     HORIZON_S,
     LEAD_IN_SCALING,
     START_TOLERANCE_RAD,
+    STATE_AGE_S,
     PathTime,
     Positions,
     Step,
@@ -125,6 +126,12 @@ def test_the_lead_is_the_motion_s_curve_up_to_the_splice_point(fraction: float, 
     # There is the whole horizon to plan in, at whatever speed the motion is played.
     left_s = splice_point.from_s + splice_point.lead.duration_s - fraction * UNDER_WAY.duration_s
     assert left_s == pytest.approx(HORIZON_S * speed)
+
+
+def test_the_lead_begins_before_the_state_of_an_arm_whose_clock_is_faster() -> None:
+    splice_point = splice_point_of(UNDER_WAY, PathTime(0.0, 1.5, 10.0), 0.0, HORIZON_S)
+    assert splice_point is not None
+    assert splice_point.from_s == pytest.approx(1.5 - 10.0 * STATE_AGE_S)
 
 
 @pytest.mark.parametrize("path_time", [PathTime(0.0, 1.0, 0.0), PathTime(0.0, 2.01, 1.0)], ids=["waits", "has ended"])

@@ -110,8 +110,9 @@ def test_absent_parts_have_no_metrics() -> None:
         (ARM_HEALTH_STALE_S - 0.1, 1.0, True),
         (ARM_HEALTH_STALE_S + 1.0, 1.0, False),
         (ARM_HEALTH_STALE_S + 1.0, 0.25, True),
+        (ARM_HEALTH_STALE_S - 0.1, 10.0, True),
     ],
-    ids=["present", "old", "of a slow simulated arm, which reports as seldom as its time passes"],
+    ids=["present", "old", "of a slow simulated arm, which reports as seldom as its time passes", "of a fast one"],
 )
 @pytest.mark.parametrize("jump_s", [0.0, 6.3e8])
 def test_an_old_condition_is_not_told_as_if_it_were_the_present_one(

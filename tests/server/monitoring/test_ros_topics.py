@@ -90,6 +90,13 @@ def test_a_simulated_arm_that_a_busy_machine_slows_down_says_so() -> None:
     assert (arm["level"], values_of(arm)["real_time_factor"]) == (0, "0.95")
 
 
+def test_a_faster_simulated_arm_tells_what_it_reaches_and_is_no_less_often_heard() -> None:
+    arm, servo = statuses(health=replace(HEALTH, real_time_factor=6.0, rate=10.0), health_age_s=2.0)
+    assert (arm["level"], arm["message"]) == (1, "the arm holds, at 600% of real time, not 1000%: this machine is busy")
+    assert servo["level"] == 0
+    assert statuses(health=replace(HEALTH, real_time_factor=9.5, rate=10.0))[0]["level"] == 0
+
+
 def test_a_slow_simulated_arm_reports_as_seldom_as_its_time_passes() -> None:
     assert statuses(health=replace(HEALTH, real_time_factor=0.25), health_age_s=8.0)[1]["level"] == 0
     assert statuses(health=replace(HEALTH, real_time_factor=0.5), health_age_s=8.0)[1]["level"] == 3

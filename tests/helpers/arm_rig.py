@@ -1,7 +1,7 @@
 """An arm process without the process: the supervisor on emulated servos, driven tick by tick in a time of its own."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -151,6 +151,11 @@ class ArmRig:
         self._numbers = 0
         self.observed = True
         self.connect()
+
+    def started(self) -> Self:
+        """Wait until the arm holds, or is relaxed where it is not to be enabled; returns this."""
+        self.until_mode(Mode.HOLDING if self.config.start_enabled else Mode.RELAXED)
+        return self
 
     def connect(self) -> None:
         """Open the hardware, again if it was open."""

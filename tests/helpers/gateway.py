@@ -217,19 +217,27 @@ def request(*lines: str, path: str = "/", host: str | None = "localhost") -> byt
     return "\r\n".join((f"GET {path} HTTP/1.1", *named, *lines, "", "")).encode("latin-1")
 
 
-async def exchange(port: int, sent: bytes) -> str:
-    """Send, and read until the server ends the connection or has answered; empty for no answer."""
+@asynccontextmanager
+async def connected(port: int, sent: bytes = b"") -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    """A socket of a client that has sent these bytes."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     try:
         writer.write(sent)
-        async with asyncio.timeout(TIMEOUT_S):
-            head = await reader.readuntil(b"\r\n\r\n")
-            body = b"" if head.startswith(b"HTTP/1.1 101") else await reader.read()
-        return (head + body).decode()
-    except (asyncio.IncompleteReadError, ConnectionError):
-        return ""
+        yield reader, writer
     finally:
         writer.close()
+
+
+async def exchange(port: int, sent: bytes) -> str:
+    """Send, and read until the server ends the connection or has answered; empty for no answer."""
+    async with connected(port, sent) as (reader, _):
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                head = await reader.readuntil(b"\r\n\r\n")
+                body = b"" if head.startswith(b"HTTP/1.1 101") else await reader.read()
+            return (head + body).decode()
+        except (asyncio.IncompleteReadError, ConnectionError):
+            return ""
 
 
 def status(answer: str) -> int:

@@ -15,6 +15,14 @@ async def called(graph: Graph, service: str, **request: Any) -> Response:
     return await asyncio.wait_for(answered, 60.0)
 
 
+def answered(graph: Graph, service: str, caller: Node | None = None, **request: Any) -> Response:
+    """Return the response to a call that is answered at once."""
+    responses: list[Response] = []
+    graph.services.call(caller or Node("client"), service, request, responses.append)
+    (response,) = responses
+    return response
+
+
 def listen(graph: Graph, topic: str, type_name: str | None = None) -> list[Any]:
     """Return the messages of a topic: the latched one, and those that come from now on."""
     heard: list[Any] = []

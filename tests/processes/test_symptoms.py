@@ -28,7 +28,7 @@ from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
 from robot.hardware.interface import StatusFlag
 from robot.hardware.port import _refusal
-from robot.messages import ArmState, Mode, Order
+from robot.messages import ArmState, Order
 from server.arm.topics import LEVEL_ERROR, LEVEL_OK
 from server.commands.terminal import ExitCode
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
@@ -132,12 +132,6 @@ def servos() -> SteppedEmulator:
     return SteppedEmulator(wire_time=False)
 
 
-def holding(servos: SteppedEmulator) -> ArmRig:
-    rig = ArmRig(servos)
-    rig.until_mode(Mode.HOLDING)
-    return rig
-
-
 # The offsets of this calibration are known: those of a flawless arm.
 CALIBRATED = SerialConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm")
 
@@ -160,7 +154,7 @@ def fault_of(rig: ArmRig) -> str:
 
 def warnings(servos: SteppedEmulator) -> str:
     """What an arm that can be driven warns of."""
-    rig = holding(servos)
+    rig = ArmRig(servos).started()
     rig.run(1.2)
     return "\n".join(warning.sentence for joint in rig.health.joints for warning in joint.warnings)
 
@@ -182,7 +176,7 @@ def ticks(joint: str, position_rad: float) -> int:
 
 
 def test_an_unplugged_board_is_a_lost_port(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
+    rig = ArmRig(servos).started()
     servos.command(plugged=False)
     with pytest.raises(PortLost) as lost:
         rig.run(1.0)
@@ -239,14 +233,14 @@ def test_a_setting_that_another_program_has_left_is_refused_or_a_warning(
 def test_a_joint_that_meets_a_stop_pushes_in_vain(
     servos: SteppedEmulator, symptom: str, servo: int, joint: str, stop_rad: float, goal_rad: float
 ) -> None:
-    rig = holding(servos)
+    rig = ArmRig(servos).started()
     servos.command(obstacle={str(servo): ticks(joint, stop_rad)})
     rig.execute(smooth_move({joint: (0.0, goal_rad)}, 2.0))
     assert_said(symptom, fault_of(rig))
 
 
 def test_a_gripper_that_another_program_has_squeezed_too_hard_has_cut_its_torque(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
+    rig = ArmRig(servos).started()
     store(servos, Register.OVERLOAD_TORQUE, 25, GRIPPER)
     # A hand, or a program that grips on, loads the gripper for longer than the protection of its servo bears.
     servos.command(push={str(GRIPPER): 300})
@@ -254,7 +248,7 @@ def test_a_gripper_that_another_program_has_squeezed_too_hard_has_cut_its_torque
 
 
 def test_an_overload_that_only_a_power_cut_clears_says_so_at_the_reset(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
+    rig = ArmRig(servos).started()
     servos.command(overload_latches=[GRIPPER])
     store(servos, Register.OVERLOAD_TORQUE, 25, GRIPPER)
     servos.command(push={str(GRIPPER): 300})
@@ -268,7 +262,7 @@ def test_an_overload_that_only_a_power_cut_clears_says_so_at_the_reset(servos: S
 
 
 def test_a_hot_gripper_is_a_warning_first_and_then_a_fault(servos: SteppedEmulator) -> None:
-    rig = holding(servos)
+    rig = ArmRig(servos).started()
     servos.command(temperature={str(GRIPPER): 57})
     rig.run(1.2)
     assert any("warm: 57 degC" in warning.sentence for joint in rig.health.joints for warning in joint.warnings)

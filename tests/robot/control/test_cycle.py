@@ -15,7 +15,6 @@ from robot.hardware.config import IdealConfig
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import Measured, StatusFlag
-from robot.messages import Mode
 from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig, guards, reading
 from tests.helpers.emulator import SteppedClock
 
@@ -117,8 +116,7 @@ def test_the_arm_s_report_has_the_errors_of_each_joint_until_the_hardware_is_ope
 
 
 def test_torque_that_something_else_switched_off_is_in_the_report_once() -> None:
-    rig = ArmRig()
-    rig.until_mode(Mode.HOLDING)
+    rig = ArmRig().started()
     rig.bus.write(3, Register.TORQUE_ENABLE, 0)
     rig.run(4.0)
     assert [dict(joint.errors) for joint in rig.health.joints if joint.errors] == [{"torque_lost": 1}]

@@ -27,8 +27,7 @@ class Moving:
     """An arm on emulated servos that moves pan and wrist, and the goals of all its ticks."""
 
     def __init__(self, **settings: Any) -> None:
-        self.rig = ArmRig(**settings)
-        self.rig.until_mode(Mode.HOLDING)
+        self.rig = ArmRig(**settings).started()
         held = self.controller.goal_rad
         moves = {"shoulder_pan": (float(held[PAN]), PAN_END_RAD), "wrist_flex": (float(held[WRIST]), WRIST_END_RAD)}
         self.rig.execute(smooth_move(moves, DURATION_S))

@@ -57,8 +57,7 @@ def test_the_guards_bear_what_is_configured(emulator: SteppedEmulator) -> None:
 
 def test_a_bus_that_waits_long_for_replies_is_silent_after_several_of_them_only(emulator: SteppedEmulator) -> None:
     emulator.port.latency_s = 0.1
-    rig = ArmRig(emulator)
-    rig.until_mode(Mode.HOLDING)
+    rig = ArmRig(emulator).started()
     emulator.command(offline=IDS)
     rig.run(0.9)
     assert rig.mode is Mode.HOLDING
@@ -139,8 +138,7 @@ def test_an_arm_whose_zero_has_shifted_is_read_but_not_switched_on(emulator: Ste
 
 
 def test_an_arm_that_holds_with_a_shifted_zero_is_not_dropped(emulator: SteppedEmulator) -> None:
-    rig = calibrated(emulator)
-    rig.until_mode(Mode.HOLDING)
+    rig = calibrated(emulator).started()
     rig.bus.write(3, Register.HOMING_OFFSET, SHIFTED_TICKS)
     again = calibrated(emulator)
     again.until_mode(Mode.FAULT)
@@ -154,8 +152,7 @@ def after_squeezing(emulator: SteppedEmulator, obstacle_rad: float, goal_rad: fl
     for joint in CALIBRATION.joints:
         for register, value in LEROBOT.expected(gripper=joint.servo.gripper).items():
             bus.write(joint.servo_id, register, value)
-    rig = ArmRig(emulator)
-    rig.until_mode(Mode.HOLDING)
+    rig = ArmRig(emulator).started()
     rig.execute(smooth_move({"gripper": (0.0, 1.2)}, 1.0))
     rig.until(lambda: bool(rig.ended))
     emulator.command(obstacle={"6": CALIBRATION.joints[5].ticks_from_rad(obstacle_rad)})
@@ -195,8 +192,7 @@ def test_a_relaxed_arm_takes_a_calibration_into_its_servos(rig: ArmRig) -> None:
 
 
 def test_an_arm_that_holds_takes_none(emulator: SteppedEmulator) -> None:
-    rig = ArmRig(emulator)
-    rig.until_mode(Mode.HOLDING)
+    rig = ArmRig(emulator).started()
     answer = rig.order(Order.WRITE_CALIBRATION, other_elbow())
     assert not answer.done
     assert "relax it first" in answer.message
@@ -327,8 +323,7 @@ def rig_on(population: str) -> ArmRig:
 
 @pytest.mark.parametrize("population", USABLE)
 def test_an_arm_of_each_population_is_enabled_where_it_stands(population):
-    rig = rig_on(population)
-    rig.until_mode(Mode.HOLDING)
+    rig = rig_on(population).started()
     before = [servo.plant.position_ticks for servo in rig.emulator.servo_bus.servos]
     rig.run(1.0)
     after = [servo.plant.position_ticks for servo in rig.emulator.servo_bus.servos]
@@ -345,8 +340,7 @@ def test_a_kit_is_no_arm_yet():
 @pytest.fixture
 def latched() -> ArmRig:
     """An arm of clones, whose elbow has been pushed until its overload latched."""
-    rig = rig_on("clone")
-    rig.until_mode(Mode.HOLDING)
+    rig = rig_on("clone").started()
     rig.emulator.command(push={"3": 900})
     rig.until(lambda: rig.fault_code == "overload", 10.0)
     rig.emulator.command(push={"3": 0})

@@ -49,8 +49,7 @@ def pan(duration_s: float = 2.0) -> Trajectory:
 @pytest.fixture
 def start_parked() -> Start:
     def start(plan: ParkingPlan | None = None, **settings: Any) -> ArmRig:
-        rig = ArmRig(on_server_lost=EndState.PARK, on_exit=EndState.PARK, **settings)
-        rig.until_mode(Mode.HOLDING)
+        rig = ArmRig(on_server_lost=EndState.PARK, on_exit=EndState.PARK, **settings).started()
         rig.supervisor.handle(KeepParking(plan or way_to_rest()))
         return rig
 

@@ -75,14 +75,12 @@ def emulator() -> SteppedEmulator:
 
 @pytest.fixture
 def start_rig(emulator: SteppedEmulator) -> Start:
-    return lambda **settings: ArmRig(emulator, **settings)
+    return lambda **settings: ArmRig(emulator, **settings).started()
 
 
 @pytest.fixture
 def rig(start_rig: Start) -> ArmRig:
-    made = start_rig()
-    made.until_mode(Mode.HOLDING)
-    return made
+    return start_rig()
 
 
 @pytest.fixture
@@ -93,22 +91,21 @@ def moving(rig: ArmRig) -> ArmRig:
     return rig
 
 
-def test_an_arm_is_checked_then_switched_on_or_stays_relaxed_until_it_may_be(start_rig: Start) -> None:
-    rig = start_rig()
+def test_an_arm_is_checked_then_switched_on_or_stays_relaxed_until_it_may_be(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator)
     assert rig.mode is Mode.CONNECTED
     rig.until_mode(Mode.HOLDING)
     assert rig.torque() == [1] * 6
     assert rig.order(Order.RELAX).done
-    rig = start_rig(start_enabled=False)
-    rig.until_mode(Mode.RELAXED)
+    rig = ArmRig(emulator, start_enabled=False).started()
     assert rig.torque() == [0] * 6
     assert rig.order(Order.ENABLE).done
     assert rig.mode is Mode.HOLDING
 
 
-def test_an_arm_reports_a_missing_servo_and_comes_up_with_it(emulator: SteppedEmulator, start_rig: Start) -> None:
+def test_an_arm_reports_a_missing_servo_and_comes_up_with_it(emulator: SteppedEmulator) -> None:
     emulator.command(offline=[3])
-    rig = start_rig()
+    rig = ArmRig(emulator)
     rig.until(lambda: any("elbow_flex (id 3)" in getattr(each, "reason", "") for each in rig.sent))
     assert rig.mode is Mode.CONNECTED
     emulator.command(online=[3])
@@ -152,7 +149,6 @@ def test_an_emergency_stop_that_cannot_be_verified_names_the_servo(emulator: Ste
 
 def test_an_emergency_stop_interrupts_every_other_order(start_rig: Start) -> None:
     rig = start_rig(start_enabled=False)
-    rig.until_mode(Mode.RELAXED)
     enabling = rig.begin(Order.ENABLE)
     rig.run(0.3)
     assert rig.order(Order.EMERGENCY_STOP).done
@@ -162,8 +158,8 @@ def test_an_emergency_stop_interrupts_every_other_order(start_rig: Start) -> Non
     assert rig.torque() == [0] * 6
 
 
-def test_an_emergency_stop_during_the_start_keeps_the_arm_off(start_rig: Start) -> None:
-    rig = start_rig()
+def test_an_emergency_stop_during_the_start_keeps_the_arm_off(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator)
     rig.run(0.02)
     assert rig.mode is Mode.CONNECTED
     assert rig.order(Order.EMERGENCY_STOP).done
@@ -183,7 +179,6 @@ def test_after_a_reset_an_emergency_stopped_arm_is_relaxed_until_it_is_enabled(r
 
 def test_a_second_order_is_refused_while_one_is_carried_out(start_rig: Start) -> None:
     rig = start_rig(start_enabled=False)
-    rig.until_mode(Mode.RELAXED)
     rig.begin(Order.ENABLE)
     answer = rig.answer(rig.begin(Order.RESET_FAULT))
     assert "enabling" in answer.message
@@ -225,7 +220,6 @@ def test_a_silent_server_stops_the_arm_which_goes_on_when_it_is_back(moving: Arm
 
 def test_a_silent_server_leaves_a_relaxed_arm_where_so_configured(start_rig: Start) -> None:
     rig = start_rig(on_server_lost=EndState.RELAX)
-    rig.until_mode(Mode.HOLDING)
     rig.alive = False
     rig.until(lambda: rig.mode is Mode.RELAXED)
     assert rig.torque() == [0] * 6
@@ -233,7 +227,6 @@ def test_a_silent_server_leaves_a_relaxed_arm_where_so_configured(start_rig: Sta
 
 def seconds_until_stopped(rig: ArmRig) -> float:
     """Time from the last word of the server to the end of a long motion [s]."""
-    rig.until_mode(Mode.HOLDING)
     rig.execute(smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=30.0))
     rig.run(0.4)
     rig.alive = False
@@ -282,7 +275,6 @@ def test_the_log_line_about_a_silence_has_the_arms_reaction(
     start_rig: Start, caplog: pytest.LogCaptureFixture, reaction: EndState, words: str
 ) -> None:
     rig = start_rig(on_server_lost=reaction)
-    rig.until_mode(Mode.HOLDING)
     if reaction is EndState.HOLD:
         rig.execute(PAN)
         rig.run(0.4)
@@ -298,8 +290,8 @@ def test_the_log_names_the_reaction_to_a_lost_server(moving: ArmRig, caplog: pyt
 
 
 @pytest.mark.parametrize("hardware", SIMULATED)
-def test_a_simulated_arm_at_rest_can_spare_a_tick(start_rig: Start, hardware: HardwareConfig) -> None:
-    rig = start_rig(hardware=hardware)
+def test_a_simulated_arm_at_rest_can_spare_a_tick(emulator: SteppedEmulator, hardware: HardwareConfig) -> None:
+    rig = ArmRig(emulator, hardware=hardware)
     assert rig.supervisor.spare_ticks == 0
     rig.until_mode(Mode.HOLDING)
     rig.tick()
@@ -319,7 +311,6 @@ def test_a_real_arm_has_no_tick_to_spare(rig: ArmRig) -> None:
 def at_rest_unseen(start_rig: Start, hardware: HardwareConfig, **config: Any) -> ArmRig:
     """An arm that has held for a second, and whose states nobody sees."""
     rig = start_rig(hardware=hardware, **config)
-    rig.until_mode(Mode.HOLDING)
     rig.run(1.0)
     rig.observed = False
     rig.tick()
@@ -360,7 +351,6 @@ def test_states_that_were_left_out_are_not_made_up_for(start_rig: Start) -> None
 
 def test_skipped_ticks_make_states_no_rarer(start_rig: Start) -> None:
     rig = start_rig(hardware=EmulatedConfig(CALIBRATION), state_rate_hz=50.0)
-    rig.until_mode(Mode.HOLDING)
     rig.sent.clear()
     for _ in range(100):
         rig.clock.advance(2 * PERIOD_S)
@@ -374,7 +364,6 @@ def test_the_remedy_of_a_simulated_arm_without_answers_asks_for_no_hands(
     emulator: SteppedEmulator, start_rig: Start, order: Order
 ) -> None:
     rig = start_rig(hardware=EmulatedConfig(CALIBRATION))
-    rig.until_mode(Mode.HOLDING)
     emulator.command(offline=[2])
     assert not rig.order(order).done
     assert "online" in rig.supervisor.fault.remedy
@@ -383,7 +372,6 @@ def test_the_remedy_of_a_simulated_arm_without_answers_asks_for_no_hands(
 @pytest.mark.parametrize(("end", "torque"), [(EndState.HOLD, [1] * 6), (EndState.RELAX, [0] * 6)])
 def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndState, torque: list[int]) -> None:
     rig = start_rig(on_exit=end)
-    rig.until_mode(Mode.HOLDING)
     rig.execute(PAN)
     rig.run(0.3)
     rig.supervisor.handle(Shutdown())
@@ -409,7 +397,6 @@ def end_starved(rig: ArmRig, tick_s: float = STARVED_S) -> None:
 
 def test_a_starved_arm_has_the_time_of_its_end_in_ticks(start_rig: Start) -> None:
     rig = start_rig(on_exit=EndState.RELAX)
-    rig.until_mode(Mode.HOLDING)
     end_starved(rig)
     assert rig.torque() == [0] * 6
 
@@ -424,7 +411,6 @@ def given_up(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> str:
 
 def test_an_arm_late_in_its_end_state_reports_torque(start_rig: Start, caplog: pytest.LogCaptureFixture) -> None:
     rig = start_rig(on_exit=EndState.RELAX)
-    rig.until_mode(Mode.HOLDING)
     rig.bus.write(2, Register.TORQUE_ENABLE, 0)
     line = given_up(rig, caplog)
     assert "torque is on at shoulder_pan (id 1), elbow_flex (id 3), " in line
@@ -435,7 +421,6 @@ def test_an_arm_that_cannot_be_read_at_its_end_is_reported_as_possibly_driven(
     emulator: SteppedEmulator, start_rig: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = start_rig(on_exit=EndState.RELAX)
-    rig.until_mode(Mode.HOLDING)
     emulator.command(offline=[1, 2, 3, 4, 5, 6])
     assert "torque may be on at every joint: " in given_up(rig, caplog)
 
@@ -445,7 +430,6 @@ def test_an_arm_that_is_lost_with_torque_on_is_reported_once_at_its_end(
     start_rig: Start, caplog: pytest.LogCaptureFixture, end: EndState
 ) -> None:
     rig = start_rig(on_exit=end)
-    rig.until_mode(Mode.HOLDING)
     rig.supervisor.disconnect("serial port was lost")
     rig.supervisor.handle(Shutdown())
     assert [rig.supervisor.finished() for _ in range(2)] == [True, True]
@@ -518,8 +502,8 @@ def test_an_arm_adopted_only_in_part_is_a_fault_after_a_reconnect(emulator: Step
     assert rig.torque() == [1, 1, 1, 1, 0, 1]
 
 
-def test_an_emergency_stop_before_the_arm_is_there_keeps_it_from_being_switched_on(start_rig: Start) -> None:
-    rig = start_rig()
+def test_an_emergency_stop_before_the_arm_is_there_keeps_it_from_being_switched_on(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator)
     rig.supervisor.disconnect("serial port was lost")
     rig.begin(Order.EMERGENCY_STOP)
     rig.connect()
@@ -547,7 +531,6 @@ def test_the_stop_of_one_motion_begins_no_epoch(rig: ArmRig) -> None:
 @pytest.mark.parametrize("order", [Order.ENABLE, Order.RESET_FAULT])
 def test_an_order_to_hold_that_was_requested_before_the_last_stop_is_refused(start_rig: Start, order: Order) -> None:
     rig = start_rig(start_enabled=False)
-    rig.until_mode(Mode.RELAXED)
     rig.supervisor.handle(Stop(epoch=7))
     rig.supervisor.handle(Command(100, order, epoch=6))
     answer = rig.answer(100)

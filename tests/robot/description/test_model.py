@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from planners.geometry.kinematics import ForwardKinematics
-from robot.calibration import Calibration
+from robot.calibration import Calibration, JointCalibration
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import END_STOP_MARGIN_RAD, FASTEST_TICKS_S, within_calibration
@@ -227,19 +227,20 @@ def test_a_velocity_limit_above_the_servos_is_narrowed_with_one_log_line(caplog:
     ]
 
 
-def test_a_range_of_no_width_is_refused() -> None:
-    calibration = nominal_calibration()
-    narrow = replace(calibration.joints[0], range_min=2000, range_max=2010)
-    with pytest.raises(DescriptionError, match="shoulder_pan"):
-        within_calibration(so101(), Calibration((narrow, *calibration.joints[1:])))
+FIRST, *OTHERS = nominal_calibration().joints
 
 
-def test_a_calibrated_joint_that_the_robot_lacks_is_named() -> None:
-    calibration = nominal_calibration()
-    first = calibration.joints[0]
-    other = replace(first, servo=replace(first.servo, joint="knee"))
-    with pytest.raises(DescriptionError, match="knee"):
-        within_calibration(so101(), Calibration((other, *calibration.joints[1:])))
+@pytest.mark.parametrize(
+    ("calibrated", "named"),
+    [
+        (replace(FIRST, range_min=2000, range_max=2010), "shoulder_pan"),
+        (replace(FIRST, servo=replace(FIRST.servo, joint="knee")), "knee"),
+    ],
+    ids=["a range of no width", "a joint that the robot lacks"],
+)
+def test_a_calibration_that_does_not_fit_is_refused_with_its_joint(calibrated: JointCalibration, named: str) -> None:
+    with pytest.raises(DescriptionError, match=named):
+        within_calibration(so101(), Calibration((calibrated, *OTHERS)))
 
 
 MESH_SRDF = '<robot name="r"><group name="g"><chain base_link="a" tip_link="b"/></group></robot>'

@@ -15,6 +15,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.fake_arm import FakeArm
+from tests.helpers.graph import answered
 from tests.server.conftest import JOINTS
 
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
@@ -118,9 +119,7 @@ class Desk:
         offer_pace(LocalGraph(self.graph), self.arm.as_arm)
 
     def call(self, service: str, **request: Any) -> Any:
-        answers: list[Any] = []
-        self.graph.services.call(CLIENT, service, request, answers.append)
-        return answers[0].values
+        return answered(self.graph, service, **request).values
 
 
 @pytest.fixture

@@ -1,4 +1,3 @@
-import asyncio
 from typing import Any
 
 import pytest
@@ -18,6 +17,7 @@ from server.datasets.episodes import (
 from server.datasets.marking import DISCARD_SERVICE, START_SERVICE, STATE, STATE_TYPE, STOP_SERVICE, EpisodeServices
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
+from tests.helpers.graph import called, listen
 from tests.server.recordings import REGISTRY
 
 
@@ -30,17 +30,14 @@ class Marked:
         self.graph = Graph(REGISTRY, wall_clock=lambda: self.now_s)
         self.texts: list[str] = []
         self.services = EpisodeServices(self.graph, lambda: self.recording, lambda: self.now_s)
-        self.states: list[dict[str, Any]] = []
-        self.graph.subscribe(Node("page"), STATE, STATE_TYPE, Subscriber(lambda each: self.states.append(each.msg)))
+        self.states = listen(self.graph, STATE, STATE_TYPE)
         self.graph.subscribe(Node("recorder"), EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take))
 
     def _take(self, published: PublishedMessage) -> None:
         self.texts.append(published.msg["data"])
 
     async def call(self, service: str, **request: Any) -> tuple[bool, str]:
-        answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        self.graph.services.call(Node("client"), service, request, answered.set_result)
-        values = (await asyncio.wait_for(answered, 20.0)).values
+        values = (await called(self.graph, service, **request)).values
         return values["success"], values["message"]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,8 +14,7 @@ from server.arm.commissioning import Ended
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
 from server.features.arms import resumed, with_calibration
-from server.graph.node import Node
-from server.graph.topics import Graph
+from tests.helpers.graph import answered
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
 from tests.helpers.rules import server_rules, started
 
@@ -55,25 +53,19 @@ CONTROLLER = ("_controller/joint_trajectory", "_controller/follow_joint_trajecto
 
 async def test_all_of_several_arms_are_commissioned_one_at_a_time() -> None:
     app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
-    whole = await call(app.graph, "/arm/commissioning/begin", procedure="verify", name="")
+    whole = answered(app.graph, "/arm/commissioning/begin", procedure="verify", name="").values
     assert "by the service of its name: /left/arm/commissioning/begin, /right/" in whole["message"]
-
-
-async def call(graph: Graph, service: str, **request: Any) -> Any:
-    answers: list[Any] = []
-    graph.services.call(Node("client"), service, request, answers.append)
-    return answers[0].values
 
 
 async def test_each_of_several_arms_is_commissioned_by_its_name() -> None:
     app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
-    begun = await call(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="")
+    begun = answered(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="").values
     assert begun == {"success": True, "message": "verify begins: see /left/arm/commissioning/state"}
-    busy = await call(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="")
+    busy = answered(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="").values
     assert busy["message"] == "verify is in progress: answer it, or call /left/arm/commissioning/cancel"
-    assert (await call(app.graph, "/right/arm/commissioning/begin", procedure="verify", name=""))["success"]
+    assert answered(app.graph, "/right/arm/commissioning/begin", procedure="verify", name="").values["success"]
     for arm in ("left", "right"):
-        assert (await call(app.graph, f"/{arm}/arm/commissioning/cancel"))["success"]
+        assert answered(app.graph, f"/{arm}/arm/commissioning/cancel").values["success"]
 
 
 def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from server.access.rate_limits import client_key
 from server.gateway import admission as admission_module
 from server.gateway.admission import ANSWERS_PER_S, BURST_TIME_S, MAX_ANSWERED, ConnectionLimiter, ConnectionSlot
 from server.gateway.settings import ServerSettings
-from tests.helpers.gateway import TIMEOUT_S, exchange, limiter_of, listening, request, status, until_empty
+from tests.helpers.gateway import TIMEOUT_S, connected, exchange, limiter_of, listening, request, status, until_empty
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 
@@ -162,10 +162,9 @@ async def test_a_client_beyond_the_limit_is_answered_and_connects_when_there_is_
 
 async def test_a_connection_counts_before_it_asks_for_anything() -> None:
     async with listening(ServerSettings(port=0, max_clients=1)) as listener:
-        _, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        await until(lambda: limiter_of(listener).open_count)
-        assert status(await exchange(listener.port, request())) == 503
-        writer.close()
+        async with connected(listener.port):
+            await until(lambda: limiter_of(listener).open_count)
+            assert status(await exchange(listener.port, request())) == 503
         await until_empty(listener)
 
 

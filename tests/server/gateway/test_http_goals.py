@@ -19,7 +19,7 @@ from server.graph.node import Node
 from server.graph.permissions import ANYONE, CALLED_GOAL, GOAL, STOPPING
 from server.graph.services import Call, Response
 from server.graph.topics import Graph
-from tests.helpers.gateway import REGISTRY, TIMEOUT_S, listening, until_empty
+from tests.helpers.gateway import REGISTRY, TIMEOUT_S, exchange, listening, until_empty
 
 OPERATOR, VIEWER = "operator-0123456789", "viewer-0123456789ab"
 READY = {"named": "ready"}
@@ -214,12 +214,8 @@ async def test_a_page_of_another_site_cannot_move_the_arm(door: Door, origin: st
     [("GET /goal", "POST"), ("OPTIONS /goal", "POST"), ("PUT /goal", "POST"), ("POST /", "GET, HEAD")],
 )
 async def test_other_methods_are_refused(door: Door, request_line: str, allowed: str) -> None:
-    reader, writer = await asyncio.open_connection("127.0.0.1", door.listener.port)
     head = f"Host: localhost\r\nAuthorization: Bearer {OPERATOR}\r\n\r\n"
-    writer.write(f"{request_line} HTTP/1.1\r\n{head}".encode())
-    async with asyncio.timeout(TIMEOUT_S):
-        answer = (await reader.read()).decode()
-    writer.close()
+    answer = await exchange(door.listener.port, f"{request_line} HTTP/1.1\r\n{head}".encode())
     assert answer.startswith("HTTP/1.1 405 ")
     assert f"Allow: {allowed}\r\n" in answer
 

@@ -37,7 +37,17 @@ from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
-from tests.helpers.gateway import TIMEOUT_S, UPGRADE, exchange, limiter_of, listening, request, status, until_empty
+from tests.helpers.gateway import (
+    TIMEOUT_S,
+    UPGRADE,
+    connected,
+    exchange,
+    limiter_of,
+    listening,
+    request,
+    status,
+    until_empty,
+)
 from tests.helpers.resources import Pair, make_pair, openssl
 
 
@@ -182,11 +192,10 @@ async def test_a_connection_without_a_tls_handshake_is_closed_and_takes_no_slot(
 ) -> None:
     monkeypatch.setattr(listener_module, "TLS_HANDSHAKE_TIMEOUT_S", 0.5)
     async with listening(over_tls_with(pair, max_clients=1)) as listener:
-        reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-        async with connect(listener.url, ssl=trusting(pair)):
-            assert limiter_of(listener).open_count == 1
-        assert await is_ended(reader)
-        writer.close()
+        async with connected(listener.port) as (reader, _):
+            async with connect(listener.url, ssl=trusting(pair)):
+                assert limiter_of(listener).open_count == 1
+            assert await is_ended(reader)
         await until_empty(listener)
 
 

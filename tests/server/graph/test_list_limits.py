@@ -10,8 +10,8 @@ from server.graph.actions import Result
 from server.graph.list_limits import MAX_VALUES, ListLimits
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
-from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
+from tests.helpers.graph import answered
 
 REGISTRY = Registry.load()
 SEQUENCE = "moveit_msgs/srv/GetMotionSequence"
@@ -99,18 +99,15 @@ def graph() -> Graph:
 
 async def test_a_request_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
     graph.services.offer(SERVER, "/plan", SEQUENCE, lambda _request: {}, limits=ListLimits({ITEMS: 2}))
-    responses: list[Response] = []
-    graph.services.call(CLIENT, "/plan", {"request": {"items": [{}] * 3}}, responses.append)
-    assert not responses[0].ok
-    assert responses[0].values.startswith("Service /plan: field request.items: wanted at most 2 elements")
+    response = answered(graph, "/plan", CLIENT, request={"items": [{}] * 3})
+    assert not response.ok
+    assert response.values.startswith("Service /plan: field request.items: wanted at most 2 elements")
     assert graph.services._message_types.completed == 0
 
 
 async def test_services_of_the_server_have_a_limit_without_a_word_about_it(graph: Graph) -> None:
     graph.services.offer(SERVER, "/plan", SEQUENCE, lambda _request: {})
-    responses: list[Response] = []
-    graph.services.call(CLIENT, "/plan", {"request": {"items": [{}] * 5000}}, responses.append)
-    assert not responses[0].ok
+    assert not answered(graph, "/plan", CLIENT, request={"items": [{}] * 5000}).ok
     assert graph.services._message_types.completed == 0
 
 

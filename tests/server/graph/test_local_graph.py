@@ -10,6 +10,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL, STOPPING
 from server.graph.topics import Graph, Subscriber
+from tests.helpers.graph import listen
 
 
 def graph_with_left() -> tuple[Graph, LocalGraph]:
@@ -19,16 +20,15 @@ def graph_with_left() -> tuple[Graph, LocalGraph]:
 
 def test_topics_stand_below_the_prefix() -> None:
     graph, left = graph_with_left()
-    part, client = Node("part"), Node("client")
-    heard: list[Any] = []
+    part = Node("part")
     left.advertise(part, "/joint_states", "std_msgs/String", latch=True)
-    graph.subscribe(client, "/left/joint_states", None, Subscriber(lambda published: heard.append(published.msg)))
+    heard = listen(graph, "/left/joint_states")
     left.publish(part, "/joint_states", {"data": "here"})
     assert heard == [{"data": "here"}]
     assert graph.topic_type("/joint_states") is None
     assert graph.topic_type("/left/joint_states") == "std_msgs/msg/String"
     assert left.publishers("/joint_states") == [part]
-    assert left.subscribers("/joint_states") == [client]
+    assert len(left.subscribers("/joint_states")) == 1
 
 
 def test_what_is_published_elsewhere_is_not_heard_below_the_prefix() -> None:

@@ -1,6 +1,5 @@
 import logging
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
@@ -8,9 +7,9 @@ from harness.clients import ArmClient
 from protocol.registry import Registry
 from robot import logs
 from robot.logs import MAX_LINE_CHARACTERS, LogLine
-from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.log_ring import MAX_CHARACTERS, MAX_LINES, SERVICE, LogRing, shown
+from tests.helpers.graph import answered
 
 LOG = logging.getLogger("armbridge.test")
 
@@ -79,10 +78,8 @@ async def test_the_service_tells_the_lines_with_time_level_and_process(ring: Log
     graph = Graph(Registry.load())
     ring.offer(graph)
     ring.take(line("the arm holds", 1.5))
-    responses: list[Any] = []
-    graph.services.call(Node("test"), SERVICE, {}, responses.append)
     told = "1970-01-01T00:00:01.500+00:00 INFO    robot.control.loop armbridge.arm: the arm holds"
-    assert responses[0].values == {"success": True, "message": told}
+    assert answered(graph, SERVICE).values == {"success": True, "message": told}
     assert shown(line("the arm holds", 1.5)) == told
 
 

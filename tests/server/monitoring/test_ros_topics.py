@@ -30,6 +30,7 @@ from server.monitoring.ros_topics import (
     diagnostic_array,
     offer_level_services,
 )
+from tests.helpers.graph import answered, listen
 
 WARM = ServoWarning(ServoAlert.WARM, "warm: 56 degC")
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
@@ -177,9 +178,9 @@ def test_what_says_nothing_more_is_stale() -> None:
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
 def test_an_arm_is_as_old_as_a_clock_says_that_is_never_set(jump_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph, now_s, heard = Graph(Registry.load()), 100.0, list[Any]()
+    graph, now_s = Graph(Registry.load()), 100.0
     diagnostics = Diagnostics(graph, "so101", lambda: None, lambda: now_s)
-    graph.subscribe(Node("test"), TOPIC, None, Subscriber(lambda published: heard.append(published.msg)))
+    heard = listen(graph, TOPIC)
     diagnostics.take_state(STATE)
     diagnostics.take_health(HEALTH)
     monkeypatch.setattr(time, "time", lambda: STATE.stamp_s + jump_s)
@@ -212,9 +213,7 @@ LOG = logging.getLogger("armbridge.test")
 async def heard() -> AsyncIterator[list[Any]]:
     graph = Graph(Registry.load())
     rosout = Rosout(graph, asyncio.get_running_loop())
-    messages: list[Any] = []
-    graph.subscribe(Node("test"), ROSOUT_TOPIC, None, Subscriber(lambda published: messages.append(published.msg)))
-    yield messages
+    yield listen(graph, ROSOUT_TOPIC)
     rosout.close()
 
 
@@ -255,8 +254,6 @@ async def test_a_burst_is_bounded(heard: list[Any]) -> None:
 
 # Levels.
 
-CALLER = Node("caller")
-
 
 @pytest.fixture
 async def graph() -> Graph:
@@ -266,11 +263,9 @@ async def graph() -> Graph:
 
 
 def call(graph: Graph, service: str, **request: Any) -> dict[str, Any]:
-    responses: list[Any] = []
-    graph.services.call(CALLER, service, request, responses.append)
-    assert responses[0].ok, responses[0].values
-    values: dict[str, Any] = responses[0].values
-    return values
+    response = answered(graph, service, **request)
+    assert response.ok, response.values
+    return dict(response.values)
 
 
 async def test_a_level_is_set_and_told(graph: Graph) -> None:
@@ -311,9 +306,8 @@ async def test_loggers_without_end_are_refused(graph: Graph) -> None:
     ("service", "field", "entry"), [(GET_LEVELS, "names", "armbridge"), (SET_LEVELS, "levels", {})]
 )
 async def test_more_than_all_loggers_are_refused_at_once(graph: Graph, service: str, field: str, entry: object) -> None:
-    responses: list[Any] = []
-    graph.services.call(CALLER, service, {field: [entry] * (MAX_REQUESTED + 1)}, responses.append)
-    assert (responses[0].ok, responses[0].values) == (
+    response = answered(graph, service, **{field: [entry] * (MAX_REQUESTED + 1)})
+    assert (response.ok, response.values) == (
         False,
         f"Service {service}: field {field}: wanted at most {MAX_REQUESTED} elements in all, got {MAX_REQUESTED + 1}",
     )

@@ -7,9 +7,9 @@ from harness.clients import ArmClient
 from protocol.registry import Registry
 from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.messages import ArmState, Mode
-from server.graph.node import Node
 from server.graph.topics import Graph
 from server.monitoring.servo_history import MAX_EVENTS, MAX_SAMPLES, SERVICE, ServoHistory
+from tests.helpers.graph import answered
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 NAN = float("nan")
@@ -32,11 +32,9 @@ class World:
         self.history.take_health(replace(health, joints=joints))
 
     def asked(self, joint: str = "gripper") -> dict[str, Any]:
-        responses: list[Any] = []
-        self.graph.services.call(Node("test"), SERVICE, {"joint": joint}, responses.append)
-        assert responses[0].ok, responses[0].values
-        values: dict[str, Any] = responses[0].values
-        return values
+        response = answered(self.graph, SERVICE, joint=joint)
+        assert response.ok, response.values
+        return dict(response.values)
 
 
 @pytest.fixture

@@ -217,9 +217,7 @@ def servos(dynamixels: SteppedDynamixels) -> DynamixelsInUse:
 
 @pytest.fixture
 def rig(dynamixels: SteppedDynamixels) -> DynamixelRig:
-    made = DynamixelRig(dynamixels, start_enabled=False)
-    made.until_mode(Mode.RELAXED)
-    return made
+    return DynamixelRig(dynamixels, start_enabled=False).started()
 
 
 def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> None:
@@ -251,8 +249,7 @@ def test_an_assumed_calibration_has_servos_without_homing_offsets(dynamixels: St
 
 @pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])
 def test_a_servo_that_protected_itself_is_reset(dynamixels: SteppedDynamixels, bits: int, code: FaultCode) -> None:
-    rig = DynamixelRig(dynamixels)
-    rig.until(lambda: rig.mode is Mode.HOLDING)
+    rig = DynamixelRig(dynamixels).started()
     rig.run(1.0)
     dynamixels.servo(3).fail(bits)
     rig.until_mode(Mode.FAULT)
@@ -290,8 +287,7 @@ def test_servos_do_not_stop_while_the_host_reads_or_writes(servos: DynamixelsInU
 def test_a_host_that_was_away_takes_the_stopped_servos_over(dynamixels: SteppedDynamixels) -> None:
     DynamixelsInUse(dynamixels).enable()
     dynamixels.run(3.0)
-    rig = DynamixelRig(dynamixels)
-    rig.until_mode(Mode.HOLDING)
+    rig = DynamixelRig(dynamixels).started()
     rig.until(lambda: -1 not in dynamixels.registers(Register.BUS_WATCHDOG))
     rig.execute(smooth_move({"wrist_roll": (rig.state.goal_rad[4], 0.8)}, 2.0))  # type: ignore[index]
     rig.until(lambda: bool(rig.ended))
@@ -300,8 +296,7 @@ def test_a_host_that_was_away_takes_the_stopped_servos_over(dynamixels: SteppedD
 
 
 def test_a_servo_that_was_stopped_alone_is_a_fault_that_can_be_reset(dynamixels: SteppedDynamixels) -> None:
-    rig = DynamixelRig(dynamixels)
-    rig.until_mode(Mode.HOLDING)
+    rig = DynamixelRig(dynamixels).started()
     rig.run(1.0)
     dynamixels.servo(2).set(Register.BUS_WATCHDOG, -1)
     rig.until_mode(Mode.FAULT)

@@ -36,7 +36,7 @@ from robot.hardware.servos.hardware import (
     ServoTracker,
     open_servos,
 )
-from robot.messages import GuardLimits, Mode
+from robot.messages import GuardLimits
 from tests.helpers.servo_families import DYNAMIXEL, IDS, Family
 
 
@@ -152,8 +152,7 @@ def test_missing_servos_are_named_with_the_likely_cause(family: Family, offline:
 def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
     emulator = family.emulator()
     written = writes(emulator)
-    rig = family.rig(emulator, start_enabled=False)
-    rig.until_mode(Mode.RELAXED)
+    rig = family.rig(emulator, start_enabled=False).started()
     before = rig.state.stamp_s
     rig.run(0.2)
     assert rig.state.stamp_s > before
@@ -161,8 +160,7 @@ def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
 
 
 def test_a_cycle_is_one_block_read_and_one_goal_write_and_now_and_then_a_register_is_read_back(family: Family) -> None:
-    rig = family.rig(family.emulator())
-    rig.until_mode(Mode.HOLDING)
+    rig = family.rig(family.emulator()).started()
     arm = rig.supervisor.arm
     before = arm.hardware.counters.sent
     for _ in range(CYCLES_BETWEEN):

@@ -30,7 +30,7 @@ from server.moveit.goals.goal_topics import (
 )
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
-from tests.helpers.graph import listen
+from tests.helpers.graph import answered, listen
 from tests.helpers.moveit import translator
 from tests.helpers.robots import so101
 
@@ -279,10 +279,8 @@ async def test_the_goal_that_waits_is_latched(gate: Gate) -> None:
 
 
 async def test_the_service_switches_the_mode(gate: Gate) -> None:
-    answers: list[Any] = []
-    gate.graph.services.call(CLIENT, CONFIRM_MODE_SERVICE, {"data": True}, answers.append)
+    assert answered(gate.graph, CONFIRM_MODE_SERVICE, data=True).values["success"]
     assert gate.confirmation.enabled
-    assert answers[0].values["success"]
 
 
 GROUP_TOPIC = "/moveit_goal_group"

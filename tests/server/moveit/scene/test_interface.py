@@ -39,7 +39,7 @@ from server.moveit.scene.interface import (
 from server.moveit.scene.scene_state import AT_ONCE_ELEMENTS, AssumedStates, SceneChange, SceneState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS
-from tests.helpers.graph import listen
+from tests.helpers.graph import answered, listen
 from tests.helpers.moveit import (
     BENT,
     FORWARD,
@@ -109,10 +109,9 @@ class Client:
         return other
 
     def call(self, service, **request):
-        answers = []
-        self.graph.services.call(self.node, service, request, answers.append)
-        assert answers[0].ok, answers[0].values
-        return answers[0].values
+        response = answered(self.graph, service, self.node, **request)
+        assert response.ok, response.values
+        return response.values
 
     def get(self, components=0):
         return self.call(GET, components={"components": components})["scene"]
@@ -138,11 +137,10 @@ def test_the_answer_is_a_complete_message():
 
 
 def test_a_refusal_tells_its_reason_beside_the_response_and_in_the_log(caplog):
-    client, answers = Client(), []
     scene = {"is_diff": True, "world": {"collision_objects": [{"id": "ghost", "operation": 1}]}}
-    client.graph.services.call(client.node, APPLY, {"scene": scene}, answers.append)
-    assert answers[0].values == {"success": False}
-    assert answers[0].reason.startswith("refused, nothing is changed: world.collision_objects[0]: there is no object")
+    response = answered(Client().graph, APPLY, scene=scene)
+    assert response.values == {"success": False}
+    assert response.reason.startswith("refused, nothing is changed: world.collision_objects[0]: there is no object")
     assert "no object 'ghost'" in caplog.text
 
 

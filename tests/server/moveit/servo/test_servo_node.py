@@ -18,7 +18,6 @@ from server.execution.motions import Joints
 from server.execution.queue import GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.services import Response
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.servo.servo_node import (
@@ -42,7 +41,7 @@ from server.moveit.servo.servo_node import (
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm, settle
 from tests.helpers.gateway import REGISTRY
-from tests.helpers.graph import listen
+from tests.helpers.graph import answered, listen
 from tests.helpers.moveit import planning_of
 
 NORTH = {"twist": {"linear": {"x": 0.5}}}
@@ -98,9 +97,7 @@ class Rig:
         await settle()
 
     def call(self, service: str, **request: Any) -> dict[str, Any]:
-        answers: list[dict[str, Any]] = []
-        self.graph.services.call(self.one, service, request, lambda response: answers.append(response.values))
-        return answers[0]
+        return answered(self.graph, service, self.one, **request).values
 
 
 @pytest.fixture
@@ -153,10 +150,9 @@ async def test_a_selected_command_type_excludes_the_others(rig: Rig) -> None:
     assert rig.call(SWITCH_SERVICE, command_type=0) == {"success": True}
     await rig.say(TWIST_TOPIC, NORTH)
     assert "JOINT_JOG was selected" in rig.heard[-1]["message"]
-    answers: list[Response] = []
-    rig.graph.services.call(rig.one, SWITCH_SERVICE, {"command_type": 9}, answers.append)
-    assert answers[0].values == {"success": False}
-    assert answers[0].reason == "command_type must be one of 0 (JOINT_JOG), 1 (TWIST), 2 (POSE), not 9"
+    refused = answered(rig.graph, SWITCH_SERVICE, rig.one, command_type=9)
+    assert refused.values == {"success": False}
+    assert refused.reason == "command_type must be one of 0 (JOINT_JOG), 1 (TWIST), 2 (POSE), not 9"
 
 
 @pytest.mark.stepped_time

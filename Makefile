@@ -100,8 +100,8 @@ test-pythons:
 test-processes: install-dev
 	$(PYTEST) tests/processes -n 6 --dist loadfile $(ARGS)
 
-# The page from its lock: types and build, then its logic, then in the browser. One worker: software rendering takes both of
-# two cores, and two workers took 838 s where one takes 523 s. The pictures of the docs are made by make pictures.
+# The page from its lock: types and build, then its logic, then in the browser. One worker: where the processor draws, a page
+# that opens takes both of two cores. The pictures of the docs are made by make pictures.
 test-page: install-dev page
 	cd $(PAGE) && npm test
 	$(PYTEST) tests/page --ignore tests/page/test_pictures.py $(ARGS)

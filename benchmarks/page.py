@@ -169,13 +169,13 @@ def _print_costs(costs_percent: dict[str, float]) -> None:
 
 
 def _ready_s(browser: Browser, server: RunningServer) -> float:
-    with opened(browser) as page:
+    with opened(browser, draws=True) as page:
         page.open(server.port)
         return float(page.page.evaluate("window.armbridge.drawn.arm_ms")) / 1e3
 
 
 def _watched(browser: Browser, server: RunningServer, seconds: float) -> Watched:
-    with opened(browser) as page, _moving(server):
+    with opened(browser, draws=True) as page, _moving(server):
         page.open(server.port)
         page.open_panel("plots")
         page.page.wait_for_timeout(max(0.0, seconds - LOOKED_AT_S) * 1e3)
@@ -190,7 +190,7 @@ def _costs(browser: Browser, server: RunningServer) -> dict[str, float]:
     process = psutil.Process(server.process.pid)
     nobody = _cpu_percent(process)
     plain = [_cpu_percent(process, functools.partial(_subscribe, server, topics)) for topics in (JOINT_STATES, SHOWN)]
-    with opened(browser) as page:
+    with opened(browser, draws=True) as page:
         page.open(server.port)
         page.page.wait_for_timeout(WARM_UP_S * 1e3)
         shown = _cpu_percent(process, lambda: page.page.wait_for_timeout(CPU_S * 1e3))

@@ -41,7 +41,7 @@ def run() -> None:
         server = stack.enter_context(
             RunningServer(f"--port 0 --serial {emulator.port} --calibration nominal", settings=settings)
         )
-        page = stack.enter_context(opened(stack.enter_context(chromium())))
+        page = stack.enter_context(opened(stack.enter_context(chromium()), draws=True))
         page.open(server.port)
         page.until_state("s.arm.mode === 'holding'")
         goal(server.url, "/moveit_goal_named", {"data": "ready"})

@@ -29,7 +29,7 @@ def change_topic(page: OpenPage, topic: str, change: Callable[[dict[str, Any]], 
 
 @pytest.fixture
 def page(browser: Browser) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
+    with opened(browser, draws=True) as open_page:
         yield open_page
 
 

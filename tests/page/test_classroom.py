@@ -48,7 +48,7 @@ def _places(folder: Path) -> dict[str, tuple[str, str]]:
 def test_the_teacher_sees_every_arm_and_stops_one(browser: Browser, places: dict[str, tuple[str, str]]) -> None:
     (url, token), (other, _) = places["teacher"], places["student02"]
     second = f"{other}/?token={token}"
-    with opened(browser) as page:
+    with opened(browser, draws=True) as page:
         page.open(int(url.rpartition(":")[2]), f"#token={token}")
         page.open_panel("class")
         for name in ("student01", "student02"):

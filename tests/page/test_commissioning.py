@@ -91,7 +91,6 @@ def test_an_arm_is_calibrated_on_the_page_into_a_file_of_lerobot(
     for ends in ("range_min", "range_max"):
         move_by_hand(page, arm.emulator, {name: getattr(joint, ends) for name, joint in JOINTS.items()})
     page.until_text("swept-elbow_flex-done", "done")
-    page.shot("calibration_swept")
     # A page that is loaded again goes on where it was.
     page.page.reload()
     page.until_state("s.commissioning?.step === 'sweep' && s.commissioning.joints.every(each => each.done)")
@@ -107,11 +106,9 @@ def test_an_arm_is_calibrated_on_the_page_into_a_file_of_lerobot(
         assert page.state("notices") == []
     assert commissioning(page)["findings"] == []
     page.until_state("s.joint_in_hand !== null")
-    page.shot("calibration_to_write")
     answer(page, "Write")
     page.until_text("procedure-result", "The calibration is in the servos")
     page.until_state("s.link.connected && s.arm.mode === 'relaxed'")
-    page.shot("calibrated")
     (file,) = tmp_path.rglob(f"{NAME}.json")
     written = json.loads(file.read_text())
     assert written.keys() == JOINTS.keys()
@@ -134,11 +131,8 @@ def test_an_arm_is_verified_on_the_page_in_every_pose(page: OpenPage, arm: Serve
             break
         compared.append(state["step"])
         page.until_text("swept-elbow_flex-droop", "°")
-        if len(compared) == 2:
-            page.shot("verification")
         answer(page, "Yes")
     assert len(compared) >= 3
     page.until_text("procedure-result", "he arm looks as the model")
     assert page.part("findings").is_hidden()
-    page.shot("verified")
     assert page.errors == []

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from playwright.sync_api import WebSocketRoute
+from playwright.sync_api import Browser, WebSocketRoute
 
-from harness.page import DESKTOP, OpenPage
+from harness.page import DESKTOP, OpenPage, opened
 from harness.server import RunningServer
 
 TOPIC = "/arm/commissioning/state"
@@ -99,6 +99,10 @@ def page(tab: OpenPage) -> OpenPage:
 @pytest.fixture
 def procedures(page: OpenPage, server: RunningServer) -> ScriptedProcedures:
     """Return scripted procedures, with the page open on them."""
+    return opened_on_procedures(page, server)
+
+
+def opened_on_procedures(page: OpenPage, server: RunningServer) -> ScriptedProcedures:
     scripted = ScriptedProcedures(page)
     page.open(server.port)
     page.until_state("s.commissioning !== null && s.identity !== null")
@@ -133,7 +137,6 @@ def test_the_step_is_shown_with_its_ranges_and_answered_by_the_keyboard(
     assert float(page.part("procedure-progress").evaluate("bar => bar.value")) == 0.25
     answer = page.page.get_by_role("button", name="again")
     page.until("!document.querySelector('[data-testid=answer-1]').disabled")
-    page.shot("calibrating")
     answer.focus()
     page.page.keyboard.press("Enter")
     assert until_called(page, procedures, "answer") == {"step": "sweep", "answer": "again"}
@@ -247,7 +250,12 @@ def test_the_reason_of_a_refusal_is_told(page: OpenPage, procedures: ScriptedPro
     page.until("!document.querySelector('[data-testid=verify]').disabled")
 
 
-def test_the_range_of_the_joint_in_hand_is_drawn_on_the_arm(page: OpenPage, procedures: ScriptedProcedures) -> None:
+def test_the_range_of_the_joint_in_hand_is_drawn_on_the_arm(browser: Browser, server: RunningServer) -> None:
+    with opened(browser, draws=True) as page:
+        assert_range_is_drawn(page, opened_on_procedures(page, server))
+
+
+def assert_range_is_drawn(page: OpenPage, procedures: ScriptedProcedures) -> None:
     procedures.publish(**SWEEP, joints=[joint("shoulder_pan", 1000, 2047, 3000)])
     page.until_state("s.commissioning.step === 'sweep'")
     procedures.publish(**SWEEP, joints=[joint("shoulder_pan", 1000, 2147, 3000)])
@@ -277,7 +285,6 @@ def test_a_verification_shows_droop_and_brings_the_whole_arm_into_the_picture(
     page.until_text("swept-elbow_flex-droop", "droop 2.0°")
     page.until(f"Math.abs(window.armbridge.screen_of(0, 0, 0)[1] - {framed[1]}) < 1")
     assert page.page.get_by_role("meter").count() == 0
-    page.shot("verifying")
 
 
 def test_whoever_may_not_configure_sees_the_procedure_and_why_it_is_grey(page: OpenPage, server: RunningServer) -> None:

@@ -263,7 +263,6 @@ def test_two_thumbs_drive_on_a_phone(phone: OpenPage) -> None:
     fingers.lift(2)
     until_still(page)
     fingers.lift(1)
-    page.shot("drive-phone")
 
 
 def test_the_gripper_opens_while_its_button_is_held(page: OpenPage) -> None:

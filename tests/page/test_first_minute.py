@@ -110,7 +110,6 @@ def test_the_bar_is_compact_and_stops_the_arm_on_every_screen(
         page.until_text("state-pill", "IDLE")
         for scheme in SCHEMES:
             page.page.emulate_media(color_scheme=scheme)
-            page.shot(f"screen_{size[0]}_{scheme}")
             height_px = page.page.evaluate("document.querySelector('#bar').offsetHeight")
             assert height_px <= MAX_BAR_PX[size]
             assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]

@@ -53,7 +53,6 @@ def test_nothing_is_cut_off_or_covered_in_any_panel(page: OpenPage, size: tuple[
         for name, find in (("cut", FIND_CUT), ("covered", FIND_COVERED)):
             if problems := page.page.evaluate(find):
                 found[f"{panel} {name}"] = problems
-    page.shot(f"layout_{size[0]}")
     assert found == {}, json.dumps(found, indent=1)
     view = page.page.evaluate(
         "(({ clientWidth, clientHeight }) => [clientWidth, clientHeight])(document.querySelector('#view'))"
@@ -67,7 +66,6 @@ def test_pads_stand_left_and_right_of_the_picture_with_a_bar_under_each_thumb(
     with opened(browser, LYING_PHONE, has_touch=True, is_mobile=True) as page:
         page.open(server.port)
         page.open_panel("drive")
-        page.shot("layout_pads")
         width, height = LYING_PHONE
         arm_x = page.screen_of((0.0, 0.0, 0.1))[0]
         for side, outer in (("left", 0), ("right", width)):

@@ -24,7 +24,7 @@ SETTINGS = SHARED
 
 @pytest.fixture(scope="module")
 def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser, color_scheme="light") as open_page:
+    with opened(browser, draws=True, color_scheme="light") as open_page:
         open_page.open(server.port)
         yield open_page
 
@@ -82,7 +82,7 @@ def test_the_ball_at_the_gripper_is_dragged_in_the_plane_of_the_picture(page: Op
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_the_whole_arm_is_well_in_the_picture(browser: Browser, server: RunningServer, size: tuple[int, int]) -> None:
-    with opened(browser, size, color_scheme="dark") as page:
+    with opened(browser, size, draws=True, color_scheme="dark") as page:
         page.open(server.port)
         page.shot(f"look_dark_{size[0]}")
         box = page.page.locator("#view").bounding_box()
@@ -106,7 +106,7 @@ setInterval(() => {
 
 
 def test_frames_that_come_late_have_fewer_pixels_until_the_arm_rests(browser: Browser, server: RunningServer) -> None:
-    with opened(browser) as page:
+    with opened(browser, draws=True) as page:
         page.page.add_init_script(LATE_FRAMES)
         page.open(server.port)
         # Without the canvas that was not laid out yet.

@@ -76,7 +76,6 @@ def test_the_joints_of_the_group_are_listed_and_one_that_slides_in_millimetres(p
     page.until_text("joint-lift-limits", "400.0")
     page.until_text("joint-lift-measured", "mm")
     page.until_text("joint-a2-measured", "°")
-    page.shot("other_arm")
 
 
 def assert_every_panel_shows(page: OpenPage, joints: list[str]) -> None:
@@ -116,7 +115,6 @@ def test_an_arm_with_a_lift_has_all_panels_and_moves(browser: Browser, fetch: Ru
         page.part("plan-and-move").click()
         page.until_state("s.goal.code === 1")
         assert math.dist(tip(fetch.url, "gripper_link"), before_m) > MOVED_M
-        page.shot("fetch")
         assert page.errors == []
 
 
@@ -138,7 +136,6 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
         after = page.joints()
         assert after["right_shoulder_lift"] == pytest.approx(-0.5, abs=ON_SERVOS)
         assert after["left_shoulder_lift"] == pytest.approx(before["left_shoulder_lift"], abs=ON_SERVOS)
-        page.shot("two_arms")
         # Driven by hand, too.
         page.open_panel("drive")
         page.part("drive-mode").select_option("hold")

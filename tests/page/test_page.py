@@ -22,7 +22,7 @@ SETTINGS = SHARED
 
 @pytest.fixture(scope="module")
 def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
+    with opened(browser, draws=True) as open_page:
         open_page.open(server.port)
         yield open_page
 

@@ -166,7 +166,6 @@ def test_tilting_moves_the_tip_while_the_clutch_is_held(page: OpenPage, server: 
     page.page.wait_for_timeout(100)
     way_m = drive(page, server, 1, lambda: page.page.evaluate("phone.gamma = -30"))
     assert way_m > 0, "to the left is +y"
-    page.shot("phone-controller")
     page.page.mouse.up()
     assert_halted(page)
     until_still(page, server)
@@ -239,7 +238,6 @@ def test_the_code_lets_one_phone_in(browser: Browser) -> None:
                 other.send(f'{{"op": "auth", "token": "{token}"}}')
                 with pytest.raises(Exception, match="one-time token lets one connection in"):
                     call_on(other, "/arm/who_am_i")
-        page.shot("phone-code")
         assert not any(token in line for line in server.lines)
 
 

@@ -43,7 +43,7 @@ def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     """A page that shows a planned motion beside a box."""
     scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [BOX]}}
     assert call(server.url, "/apply_planning_scene", {"scene": scene})["success"]
-    with opened(browser, locale="en") as open_page:
+    with opened(browser, draws=True, locale="en") as open_page:
         open_page.open(server.port)
         open_page.part("named-ready").click()
         open_page.press("plan")
@@ -143,7 +143,7 @@ def test_the_film_of_the_readme_shows_a_plan_a_motion_and_a_stop(browser: Browse
     assert goal(server.url, "/moveit_goal_joints", {"name": JOINTS, "position": START})["val"] == 1
     shelf = {"joint_state": {"name": JOINTS, "position": SHELF}}
     assert call(server.url, "/save_robot_state", {"name": "shelf", "state": shelf})["success"]
-    with opened(browser, DESKTOP, locale="en", color_scheme="light") as page:
+    with opened(browser, draws=True, locale="en", color_scheme="light") as page:
         page.open(server.port)
         page.part("named-shelf").wait_for()
         page.page.mouse.move(450, 400)

@@ -16,7 +16,6 @@ def test_the_page_comes_back_by_itself(browser: Browser, settings: dict[str, str
             page.until_state("s.link.connected && s.joints.names.length > 0")
             first.end(signal.SIGKILL)
             page.until_state("!s.link.connected")
-        page.shot("disconnected")
         page.part("stop").click()
         page.until_text("stop", "not acknowledged")
         stamp = page.state("joints.stamp")

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 from websockets.sync.client import connect
 
 from harness.clients import call, tip
-from harness.page import PATIENCE_MS, SHARED, OpenPage
+from harness.page import PATIENCE_MS, SHARED, OpenPage, opened
 from harness.server import FAST, ROOT, RunningServer
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
@@ -41,10 +42,14 @@ SETTINGS = {**FAST, **SHARED}
 def page(tab: OpenPage, server: RunningServer) -> OpenPage:
     """The panel, with an empty scene."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
-    tab.open(server.port)
-    tab.until_state("s.link.connected && s.identity !== null && s.robot !== null")
-    tab.open_panel("sequence")
+    open_sequence(tab, server)
     return tab
+
+
+def open_sequence(page: OpenPage, server: RunningServer) -> None:
+    page.open(server.port)
+    page.until_state("s.link.connected && s.identity !== null && s.robot !== null")
+    page.open_panel("sequence")
 
 
 def move(server: RunningServer, place: Positions) -> None:
@@ -259,9 +264,15 @@ def test_a_sequence_is_kept_by_name_over_a_reload(page: OpenPage, server: Runnin
 
 
 def test_a_sequence_has_pictures_path_and_time_and_is_there_again_after_a_reload(
-    page: OpenPage, server: RunningServer
+    browser: Browser, server: RunningServer
 ) -> None:
     move(server, PLACES[2])
+    with opened(browser, draws=True) as page:
+        open_sequence(page, server)
+        assert_pictures_path_and_time_are_kept(page, server)
+
+
+def assert_pictures_path_and_time_are_kept(page: OpenPage, server: RunningServer) -> None:
     load(page, waypoint(PLACES[0]), waypoint(PLACES[1], pause_s=1.5))
     for _ in range(2):
         until_checked(page, "possible", "possible")

@@ -50,7 +50,6 @@ def test_choosing_a_servo_shows_its_registers_and_its_lines(page: OpenPage) -> N
     page.until_text("servo-registers", "P_GAIN")
     page.until("document.querySelectorAll('[data-testid=servo-details] canvas').length === 2")
     until_samples(page, until_samples(page, 0))
-    page.shot("servo")
     page.part("servo-close").click()
     page.part("servo-details").wait_for(state="hidden")
     assert page.errors == []
@@ -69,7 +68,6 @@ def test_a_warm_servo_says_so_and_what_to_do_with_what_happened_before_the_page_
         page.until_text("servo-events", "warning: warm")
         page.until_text("servo-advice", "Keep the arm relaxed while it is idle")
         assert page.part("servo-elbow_flex").get_attribute("data-level") == "warn"
-        page.shot("servo_warm")
         assert page.errors == []
 
 
@@ -79,7 +77,6 @@ def test_errors_are_counted_by_kind_with_what_to_do(page: OpenPage, arm: ServerO
     arm.emulator.command(status={GRIPPER: OVERLOAD})
     page.until_text("servo-errors", "overload: 1")
     page.until_text("servo-advice", "overload")
-    page.shot("servo_overload")
     arm.emulator.command(status={GRIPPER: 0})
     assert page.errors == []
 

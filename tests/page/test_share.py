@@ -16,7 +16,13 @@ TOKEN = "a-token-of-an-administrator-for-this-test"
 EBML = bytes.fromhex("1a45dfa3")
 
 
-def test_the_last_seconds_are_saved_as_a_film(page: OpenPage, server: RunningServer, tmp_path: Path) -> None:
+def test_the_last_seconds_are_saved_as_a_film(browser: Browser, server: RunningServer, tmp_path: Path) -> None:
+    with opened(browser, draws=True) as page:
+        page.open(server.port)
+        assert_film_is_saved(page, server, tmp_path)
+
+
+def assert_film_is_saved(page: OpenPage, server: RunningServer, tmp_path: Path) -> None:
     page.open_panel("settings")
     assert page.part("film-save").is_disabled()
     page.part("film-on").check()

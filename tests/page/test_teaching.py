@@ -71,7 +71,6 @@ def test_a_motion_is_recorded_and_replayed_backwards_and_forwards(page: OpenPage
     page.until_text("teach-told", "“lift” is replayed")
     page.until_text("teach-told", "the arm has followed the motion")
     assert page.joints()["elbow_flex"] == pytest.approx(0.2, abs=ARRIVED)
-    page.shot("teaching")
 
 
 def test_a_motion_is_a_row_of_a_sequence_and_is_replayed_with_it(page: OpenPage, arm: ServerOnBus) -> None:

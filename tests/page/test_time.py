@@ -37,7 +37,6 @@ def test_plots_show_several_joints_and_save_them_as_csv(page: OpenPage, server: 
     move_pan(server, -0.6)
     move_pan(server, 0.6)
     page.until_state("Math.abs(s.joints.position_rad[s.joints.names.indexOf('shoulder_pan')] - 0.6) < 0.05")
-    page.shot("plots")
     path = page.download("plot-csv", tmp_path)
     with path.open(newline="", encoding="utf-8") as file:
         head, *rows = csv.reader(file)
@@ -118,7 +117,6 @@ def test_the_timeline_has_goals_of_other_clients_also_of_before_the_page_was_ope
         page.until_state("Math.abs(s.joints.position_rad[s.joints.names.indexOf('shoulder_pan')] - 1.92) < 0.05")
         page.part(f"goal-open-{before}").click()
         page.until_text(f"goal-{before}", "planned in")
-        page.shot("goals")
         page.part(f"goal-ghost-{before}").click()
         page.until_state("s.plan.trajectory !== null && s.plan.scrub_s > 0")
         assert page.errors == []
@@ -153,7 +151,6 @@ def test_the_log_is_filtered_and_stands_still_while_it_is_halted(page: OpenPage,
     move_pan(server, 0.2)
     page.part("log-new").wait_for()
     assert page.part("log").text_content() == text
-    page.shot("log")
     page.part("log-new").click()
     page.part("log-filter").fill("no such message")
     page.part("log-empty").wait_for()
@@ -168,4 +165,3 @@ def test_health_of_bus_and_loop_is_in_words(page: OpenPage) -> None:
     page.until_text("health-loop", "ms late")
     page.until_text("health-bus", "simulated")
     page.until_text("health-latency", "ms")
-    page.shot("health")

@@ -96,6 +96,12 @@ def test_a_panel_that_was_closed_works_after_a_reload(page: OpenPage, server: Ru
     assert page.part("jog-z-plus").is_enabled()
 
 
+def test_an_episode_is_not_offered_where_nothing_is_recorded(page: OpenPage) -> None:
+    page.open_panel("recording", "episodes")
+    page.part("recording-off").wait_for()
+    assert page.part("episode-start").is_disabled()
+
+
 def test_a_sequence_that_the_browser_does_not_store_is_not_called_saved(
     browser: Browser, server: RunningServer
 ) -> None:

@@ -56,7 +56,6 @@ def test_a_page_without_a_token_asks_for_one_and_tries_a_wrong_one_once(
         page.part("token").fill("nobody's token, wrong")
         page.part("use-token").click()
         page.until_text("token-refused", "invalid token")
-        page.shot("wrong_token")
         page.part("token").fill(OPERATOR)
         page.page.keyboard.press("Enter")
         page.until_state("s.link.connected && s.identity?.role === 'operate'")
@@ -79,7 +78,6 @@ def test_who_may_only_look_sees_why_and_can_stop(browser: Browser, server: Runni
         page.part("named-home").click()
         for test_id in ("primary", "plan-and-move", "gripper-open", "relax", "save", "pace", "speed-limit"):
             assert page.part(test_id).is_disabled(), test_id
-        page.shot("read_only")
         assert_stops(page)
         assert page.errors == []
 
@@ -95,7 +93,6 @@ def test_while_another_drives_the_page_says_who_and_can_plan_and_stop(browser: B
                 assert page.part(test_id).is_disabled(), test_id
             assert page.part("take-over").is_hidden()
             assert page.offers("plan")
-            page.shot("another_drives")
             # It belongs to the operators, not to the one who drives.
             page.part("speed-limit").fill("0.25")
             page.until_text("speed-limit-text", "25 %")

@@ -252,6 +252,5 @@ def test_a_scenario_is_there_by_one_press_and_is_put_back_by_reset(page: OpenPag
     page.wait(lambda: scene(server) != begun)
     page.part("scenario-reset").click()
     page.wait(lambda: scene(server) == begun)
-    page.shot("scenario")
     page.part("scenario-empty").click()
     page.until_state("s.objects.length === 0")

@@ -13,6 +13,7 @@ import { subscribeServoNode } from "./link/servo-node";
 import { resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
 import { loadPreference } from "./state/preferences";
+import { onConnect } from "./state/store";
 import { chosenLanguage, useLanguage } from "./texts/texts";
 import { startView } from "./view/view";
 
@@ -38,15 +39,11 @@ async function startPage(): Promise<void> {
   new RegionScan(connection, store);
   subscribeDisplayedPlans(connection, store, moveGroup);
   const subscribed_topics = new Set<string>();
-  store.subscribe(
-    (state) => state.link.connected,
-    (connected) => {
-      if (!connected) return;
-      resetAfterReconnect(store);
-      subscribeControllerState(connection, store, subscribed_topics).catch(() => undefined);
-      fetchGoalHistory(connection, store).catch(() => undefined);
-    },
-  );
+  onConnect(store, () => {
+    resetAfterReconnect(store);
+    subscribeControllerState(connection, store, subscribed_topics).catch(() => undefined);
+    fetchGoalHistory(connection, store).catch(() => undefined);
+  });
   connection.open();
   const canvas = document.querySelector<HTMLCanvasElement>("#view");
   exposeToConsole(store, canvas && startView(canvas, store, (...pose) => void sceneEditor.move(...pose)));

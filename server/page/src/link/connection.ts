@@ -319,6 +319,11 @@ export async function ask<Response extends Answer>(
   }
 }
 
+/** Return the names that a service lists; null from a server that is gone, or of a version without the service. */
+export async function askNames(connection: Pick<Connection, "call">, service: string): Promise<string[] | null> {
+  return connection.call<{ names: string[] }>(service, {}).then(({ names }) => names, () => null);
+}
+
 interface Answer {
   success: boolean;
   message: string;

@@ -50,3 +50,17 @@ test("a point that is no target any more is not", async () => {
   await settled();
   expect(asked()).toBe(1);
 });
+
+test("a target that had no answer in time is asked about again while it is the target", async () => {
+  vi.useFakeTimers();
+  const { store, asked, link } = checked();
+  store.patch("link", { connected: true });
+  link.connected = false;
+  selectTarget(store, [0.2, 0, 0.2]);
+  await vi.advanceTimersByTimeAsync(1500);
+  expect(asked()).toBe(2);
+  selectGoal(store, "none", null);
+  await vi.advanceTimersByTimeAsync(5000);
+  expect(asked()).toBe(2);
+  vi.useRealTimers();
+});

@@ -1,5 +1,5 @@
 import type { Orientation, Point, State } from "../state/state";
-import type { PageStore } from "../state/store";
+import { onConnect, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import { checkGoalsRequest, POINT_TOLERANCE_M, valuesByJoint, type GoalCheck } from "./messages";
 
@@ -22,8 +22,11 @@ export function latestOnly<Request>(send: (request: Request) => Promise<void>): 
   };
 }
 
-/** Time for an answer of /check_goals [s], which takes 5 ms: a server that needs longer is gone. */
+/** Time for an answer of /check_goals [s], which takes 5 ms on a quiet machine. */
 const CHECK_TIMEOUT_S = 3;
+
+/** Time until a target without an answer is asked about again [ms]: the planner may have been busy. */
+const AGAIN_MS = 1000;
 
 type CheckedPose = { position_m: Point; orientation: Orientation | null };
 
@@ -36,19 +39,19 @@ export function checkReachability(connection: Connection, store: PageStore): voi
       if (results[0]) store.set(applyGoalCheck(store.state, position_m, results[0]));
     } catch {
       store.patch("target", { reachable: null });
+      setTimeout(checkAgain, AGAIN_MS);
     }
   });
+  const checkAgain = (): void => {
+    const { link, selection, target: { position_m, orientation } } = store.state;
+    if (link.connected && selection.kind === "target" && position_m) check({ position_m, orientation });
+  };
   store.subscribe(
     (state) => state.target.position_m,
     (position_m, { target: { orientation } }) => position_m && check({ position_m, orientation }),
   );
-  // A target set while the server was away has no answer, and a restarted server may answer differently.
-  store.subscribe(
-    (state) => state.link.connected,
-    (connected, { selection, target: { position_m, orientation } }) => {
-      if (connected && selection.kind === "target" && position_m) check({ position_m, orientation });
-    },
-  );
+  // A restarted server may answer differently.
+  onConnect(store, checkAgain);
 }
 
 /** Return the changes of the state after a check of a point, which may no longer be the target. */

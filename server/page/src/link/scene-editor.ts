@@ -2,9 +2,9 @@ import { planningGroup } from "../logic/robot-info";
 import { undoing, withChange } from "../logic/scene-history";
 import { duplicateOf, placedOn } from "../logic/scene-objects";
 import type { Color, Orientation, Point, SceneChange, SceneObject, State } from "../state/state";
-import type { PageStore } from "../state/store";
+import { onConnect, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import { ask, type Connection } from "./connection";
+import { ask, askNames, type Connection } from "./connection";
 import type { TriggerResponse } from "./messages";
 import {
   addObject,
@@ -42,10 +42,7 @@ export class SceneEditor {
         void this.add(placedOn(placing, clicked, objects));
       },
     );
-    store.subscribe(
-      (state) => state.link.connected,
-      (connected) => connected && void this.listSaved(),
-    );
+    onConnect(store, () => void this.listSaved());
   }
 
   async add(object: SceneObject): Promise<boolean> {
@@ -96,13 +93,7 @@ export class SceneEditor {
   }
 
   async listSaved(): Promise<void> {
-    try {
-      const { names } = await this.connection.call<{ names: string[] }>("/arm/scenes/list", {});
-      this.edit({ saved: names });
-    } catch {
-      // A server of another version has no saved scenes.
-      this.edit({ saved: null });
-    }
+    this.edit({ saved: await askNames(this.connection, "/arm/scenes/list") });
   }
 
   async scenes(work: "save" | "load" | "delete", name: string): Promise<boolean> {

@@ -3,7 +3,7 @@ import { summed, type JogCommand } from "../logic/jog";
 import { denialReason } from "../logic/permissions";
 import { planningGroup } from "../logic/robot-info";
 import type { State } from "../state/state";
-import { setNotice, type PageStore } from "../state/store";
+import { onConnect, setNotice, type PageStore } from "../state/store";
 import type { ArmCommands } from "./commands";
 import type { Connection } from "./connection";
 import { jointJog, readArmState, twistStamped } from "./messages";
@@ -51,7 +51,7 @@ export function subscribeServoNode(connection: Pick<Connection, "subscribe">, st
     });
     if (namespace !== "") connection.subscribe(`${namespace}/arm/state`, "diagnostic_msgs/msg/DiagnosticStatus", (status) => limit(namespace, readArmState(status).speed_limit));
   });
-  store.subscribe((state) => state.link.connected, (connected) => connected && store.patch("servo_node", { code: 0, message: "" }));
+  onConnect(store, () => store.patch("servo_node", { code: 0, message: "" }));
 }
 
 /**

@@ -3,9 +3,9 @@ import { planningGroup } from "../logic/robot-info";
 import { asWaypoints, MAX_WAYPOINTS, taughtWaypoint, type Waypoint } from "../logic/sequence";
 import { duration_s } from "../logic/trajectory";
 import type { Plan } from "../state/state";
-import type { PageStore } from "../state/store";
+import { onConnect, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
-import { ask, type Connection, type GoalHandle } from "./connection";
+import { ask, askNames, type Connection, type GoalHandle } from "./connection";
 import { readPlan, type JointTrajectory, type ReplayMotionResult, type TriggerResponse } from "./messages";
 import { setWaypoints } from "./sequence";
 
@@ -29,10 +29,7 @@ export class Teaching {
       // Another client may have recorded, too.
       if (!recording) void this.list();
     });
-    store.subscribe(
-      (state) => state.link.connected,
-      (connected) => connected && void this.list(),
-    );
+    onConnect(store, () => void this.list());
   }
 
   async edit(name: string | null): Promise<void> {
@@ -100,13 +97,7 @@ export class Teaching {
   }
 
   private async list(): Promise<void> {
-    try {
-      const { names } = await this.connection.call<{ names: string[] }>("/teach/list", {});
-      this.store.patch("teaching", { motions: names });
-    } catch {
-      // A server without motions, or one that is gone: the list is asked for again with the next connection.
-      this.store.patch("teaching", { motions: null });
-    }
+    this.store.patch("teaching", { motions: await askNames(this.connection, "/teach/list") });
   }
 
   /** Record, keep or change a motion by the service of this name; true when it has done what it was asked for. */

@@ -21,20 +21,20 @@ export function axisText(axis: TipAxis): string {
 }
 
 export function useStored<Value extends string>(key: string, values: readonly Value[]): [Value, (value: string) => void] {
-  const known = (value: string): Value => values.find((each) => each === value) ?? (values[0] as Value);
-  const [chosen, choose] = useState(() => known(loadPreference(key, "")));
-  const change = (value: string): void => {
-    storePreference(key, value);
-    choose(known(value));
-  };
-  return [chosen, change];
+  const [chosen, choose] = useStoredText(key, "");
+  return [values.find((each) => each === chosen) ?? (values[0] as Value), choose];
 }
 
 export function useStoredNumber(key: string, initial: number): [number, (value: number) => void] {
-  const [chosen, choose] = useState(() => Number(loadPreference(key, String(initial))));
-  const change = (value: number): void => {
-    storePreference(key, String(value));
-    choose(value);
+  const [chosen, choose] = useStoredText(key, String(initial));
+  return [Number(chosen), (value) => choose(String(value))];
+}
+
+function useStoredText(key: string, initial: string): [string, (text: string) => void] {
+  const [chosen, choose] = useState(() => loadPreference(key, initial));
+  const change = (text: string): void => {
+    storePreference(key, text);
+    choose(text);
   };
   return [chosen, change];
 }

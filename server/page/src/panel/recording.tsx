@@ -57,7 +57,7 @@ export function EpisodesSection(): JSX.Element {
       <Gate to="work">
         <Line text={t("recording.task")}><input type="text" data-testid="episode-task" autocomplete="off" maxlength={MAX_TASK_CHARACTERS} value={task} onInput={({ currentTarget }) => setTask(currentTarget.value)} /></Line>
         <div class="buttons">
-          <Button testid="episode-start" disabled={in_progress} press={() => call("/dataset/start_episode", { task })}>{t("recording.start")}</Button>
+          <Button testid="episode-start" disabled={in_progress || values.recording === "false"} press={() => call("/dataset/start_episode", { task })}>{t("recording.start")}</Button>
           <Button testid="episode-keep" disabled={!in_progress} aria-keyshortcuts="ArrowRight" press={keep}>{t("recording.keep")}</Button>
           <Button testid="episode-drop" disabled={!in_progress && (values.episodes ?? "0") === "0"} aria-keyshortcuts="ArrowLeft" press={drop}>{t("recording.drop")}</Button>
         </div>
@@ -91,7 +91,7 @@ export function LeaderSection(): JSX.Element {
     <Section name="leader" title={t("recording.leader")}>
       <Gate to="drive">
         <div class="buttons">
-          <Select testid="leader-topic" label={t("recording.leader")} value={leader} options={leaders.map((topic) => [topic, topic] as const)} take={choose} disabled={follows} />
+          {leader !== "" && <Select testid="leader-topic" label={t("recording.leader")} value={leader} options={leaders.map((topic) => [topic, topic] as const)} take={choose} disabled={follows} />}
           <Button testid="leader-look" press={look}>{t("recording.leader.look")}</Button>
           <Button testid="leader-on" hidden={follows} disabled={leader === ""} press={() => call("/teleop/start", { follower: "", leader })}>{t("recording.leader.on")}</Button>
           <Button testid="leader-off" hidden={!follows} press={() => call("/teleop/stop")}>{t("recording.leader.off")}</Button>

@@ -165,11 +165,7 @@ export interface ServoState {
   values: Record<string, string>;
 }
 
-export interface ArmHealth {
-  level: number;
-  message: string;
-  values: Record<string, string>;
-}
+export type ArmHealth = Pick<ServoState, "level" | "message" | "values">;
 
 /** Range that a joint has been moved through, in the ticks of its servo. */
 export interface SweptJoint {

@@ -52,6 +52,11 @@ export class Store<State extends object> {
 
 export type PageStore = Store<State>;
 
+/** Call a function at every opening of the connection, and at once where it is open. */
+export function onConnect(store: PageStore, act: () => void): void {
+  store.subscribe((state) => state.link.connected, (connected) => connected && act());
+}
+
 /** Show a notice, which stays until its cause is gone; an empty text removes it. */
 export function setNotice(store: PageStore, key: string, text: string): void {
   const { notices } = store.state;

@@ -106,13 +106,8 @@ export class Materials {
 
   setTheme(theme: Theme): void {
     this.theme = theme;
-    this.arm.color.set(theme.arm);
-    this.arm_dark.color.set(theme.arm_dark);
-    this.collision.color.set(theme.collision);
-    this.path.color.set(theme.path);
-    this.swept.color.set(theme.swept);
+    for (const name of ["arm", "arm_dark", "collision", "path", "swept", "object"] as const) this[name].color.set(theme[name]);
     this.swept_now.color.set(theme.swept);
-    this.object.color.set(theme.object);
     this.setOffTarget(this.off_target);
   }
 

@@ -33,7 +33,7 @@ OBJECTS = 10
 # The physics has convex links, the planners their exact surfaces: certified plans were 0.7 mm deep in such links.
 MAX_DEPTH_M = 0.002
 
-# The tip was up to 7 mm beside its path in 19 motions that touched nothing.
+# The tip was 4.4 mm (p50) and up to 10.5 mm beside its path in 40 motions, at 30 % of the speed up to 6.3 mm in 12.
 FOLLOWING_M = 0.01
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)

@@ -37,6 +37,7 @@ from planners.scene import Box, Cylinder, Pose, Scene, SceneObject, Shape
 from robot.description import model, robot_folder
 from robot.description.meshes import with_mesh_paths
 from robot.description.model import RobotModel
+from robot.description.urdf import JointLimits
 from robot.trajectory import Vector
 
 SEED = 1
@@ -291,12 +292,18 @@ def _unchecked(robot: RobotModel) -> frozenset[frozenset[str]]:
 
 
 def _with_meshes(name: str, robot: RobotModel) -> RobotModel | None:
-    """Return an arm with the shapes of its URDF, None if these are not there."""
+    """Return an arm with its own limits and the shapes of its URDF, None if these are not there."""
     if not robot.hulls:
         return robot
     folder = REFERENCE / name
     urdf = next(folder.glob("*.urdf"), None)
-    return None if urdf is None else model.parse(urdf.read_text(), robot.srdf, mesh_directory=folder)
+    if urdf is None:
+        return None
+    limits = {
+        joint.name: JointLimits(joint.lower, joint.upper, joint.max_velocity, joint.max_acceleration)
+        for joint in robot.movable_joints
+    }
+    return model.parse(urdf.read_text(), robot.srdf, mesh_directory=folder, limits=limits)
 
 
 def _ours(robot: RobotModel, passages: Sequence[Passage]) -> Iterator[Answer]:

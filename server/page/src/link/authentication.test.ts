@@ -1,15 +1,7 @@
 import { afterEach, beforeEach, expect, test, vi } from "vitest";
 import { emptyState } from "../state/state";
 import { Store, type PageStore } from "../state/store";
-import {
-  Authentication,
-  authorizationHeaders,
-  storedToken,
-  storeToken,
-  takeTokenFromUrl,
-  tokenFromUrl,
-  urlWithoutToken,
-} from "./authentication";
+import { Authentication, authorizationHeaders, storedToken, storeToken, takeTokenFromUrl, tokenFromUrl, urlWithoutToken } from "./authentication";
 import type { Connection } from "./connection";
 
 test.each([

@@ -1,22 +1,8 @@
 import type { DiagnosticStatus, JointState, KinematicSolverInfo, Messages, MoveItErrorCodes, RobotTrajectory, Time } from "../../../../clients/js/armbridge";
 import type { TipVelocity } from "../logic/jog";
 import {
-  NO_GOAL,
-  type ArmHealth,
-  type ArmState,
-  type Commissioning,
-  type Control,
-  type GoalState,
-  type Joints,
-  type JointValues,
-  type LogEntry,
-  type Orientation,
-  type Plan,
-  type Point,
-  type ServoState,
-  type State,
-  type SuggestedGoal,
-  type SweptJoint,
+  NO_GOAL, type ArmHealth, type ArmState, type Commissioning, type Control, type GoalState, type Joints, type JointValues,
+  type LogEntry, type Orientation, type Plan, type Point, type ServoState, type State, type SuggestedGoal, type SweptJoint,
 } from "../state/state";
 
 // Messages of the server, spelled as in ROS 2: JSON has null for a number that is not finite.

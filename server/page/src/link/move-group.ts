@@ -5,16 +5,7 @@ import { NO_GOAL, NO_PLAN, type JointValues, type PendingRequest, type Plan, typ
 import type { PageStore } from "../state/store";
 import { t } from "../texts/texts";
 import type { Connection, GoalHandle } from "./connection";
-import {
-  goalConstraints,
-  jointConstraints,
-  moveGroupGoal,
-  PREEMPTED,
-  readPlan,
-  SUCCESS,
-  type MotionResult,
-  type RobotTrajectory,
-} from "./messages";
+import { goalConstraints, jointConstraints, moveGroupGoal, PREEMPTED, readPlan, SUCCESS, type MotionResult, type RobotTrajectory } from "./messages";
 import { isCheckingLegs } from "./sequence";
 
 /** Client of MoveIt's actions; every rejection becomes the message of the shown goal. */

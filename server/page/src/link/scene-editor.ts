@@ -7,17 +7,8 @@ import { t } from "../texts/texts";
 import { ask, askNames, type Connection } from "./connection";
 import type { TriggerResponse } from "./messages";
 import {
-  addObject,
-  attachObject,
-  detachObject,
-  differenceMessage,
-  moveObject,
-  readSceneText,
-  removeObject,
-  sceneDiff,
-  sceneText,
-  type SceneDiff,
-  type SceneFile,
+  addObject, attachObject, detachObject, differenceMessage, moveObject, readSceneText, removeObject, sceneDiff, sceneText,
+  type SceneDiff, type SceneFile,
 } from "./planning-scene";
 
 const APPLY = "/apply_planning_scene";

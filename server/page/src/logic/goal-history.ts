@@ -17,8 +17,7 @@ export function withStatus(history: readonly GoalEntry[], goal: GoalState, now_s
   const before = history[known];
   // A server that was started anew counts from 1 again.
   if (before === undefined || (before.goal.state === "done" && goal.state !== "done")) {
-    const others = history.filter((entry) => entry !== before);
-    return [...others, { goal, began_s: now_s, stamp_s: now_s }].slice(-MAX_GOALS);
+    return [...history.filter((entry) => entry !== before), { goal, began_s: now_s, stamp_s: now_s }].slice(-MAX_GOALS);
   }
   return history.map((entry, index) => (index === known ? { ...entry, goal, stamp_s: now_s } : entry));
 }

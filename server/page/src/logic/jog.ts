@@ -18,8 +18,7 @@ const AXES_BY_JOINT: readonly TipAxis[] = ["x", "y", "z", "pitch", "roll", "yaw"
 
 /** Return the axes that the tip of an arm with so many joints can be moved along and about. */
 export function tipAxes(joints: number): TipAxis[] {
-  const known = AXES_BY_JOINT.slice(0, joints);
-  return TIP_AXES.filter((axis) => known.includes(axis));
+  return TIP_AXES.filter((axis) => AXES_BY_JOINT.slice(0, joints).includes(axis));
 }
 
 export function isRotation(axis: TipAxis): boolean {

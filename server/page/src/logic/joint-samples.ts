@@ -51,8 +51,7 @@ function sampleValues({ joints, commanded_rad, servos }: SampledState): number[]
     const position = joints.position_rad[index] ?? Number.NaN;
     const goal = commanded_rad[name] ?? Number.NaN;
     const velocity = joints.velocity[index] ?? Number.NaN;
-    const load = joints.effort[index] ?? Number.NaN;
-    return [position, goal, goal - position, velocity, load, temperatures[name] ?? Number.NaN];
+      return [position, goal, goal - position, velocity, joints.effort[index] ?? Number.NaN, temperatures[name] ?? Number.NaN];
   });
 }
 

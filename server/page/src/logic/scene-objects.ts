@@ -41,8 +41,7 @@ export function meshShape(vertices: Point[], triangles: Shape["triangles"]): Sha
 }
 
 export function sizesOf({ kind, dimensions }: Pick<Shape, "kind" | "dimensions">): Size[] {
-  const names = SIZE_NAMES[kind as SizedKind] ?? [];
-  return names.map((name, index) => ({ name, value_m: dimensions[index] ?? 0 }));
+  return (SIZE_NAMES[kind as SizedKind] ?? []).map((name, index) => ({ name, value_m: dimensions[index] ?? 0 }));
 }
 
 export function withSize(object: SceneObject, index: number, value_m: number): SceneObject {

@@ -7,8 +7,7 @@ const MAX_SHARE = 0.3;
 
 /** Return the length of the target's handles, which begin beyond half the width of the gripper, for the height of the picture there. */
 export function handleLength_m(clearance_m: number, picture_m: number): number {
-  const wished_m = Math.max(clearance_m / HANDLE_START, MIN_SHARE * picture_m);
-  return Math.min(wished_m, MAX_SHARE * picture_m);
+  return Math.min(Math.max(clearance_m / HANDLE_START, MIN_SHARE * picture_m), MAX_SHARE * picture_m);
 }
 
 /** Return the half width of a gripper from the sizes of its bounds: that of the middle one, as fingers are long. */

@@ -120,8 +120,7 @@ function itemText(id: string, source: string, outcome: string, place = ""): stri
 }
 
 function stateText(state: string): string {
-  const key = `goals.state.${state}`;
-  return ["queued", "planning", "planned", "executing", "done"].includes(state) ? t(key as TextKey) : state;
+  return ["queued", "planning", "planned", "executing", "done"].includes(state) ? t(`goals.state.${state}` as TextKey) : state;
 }
 
 function outcomeOf({ state, code }: GoalState): "open" | "done" | "stopped" | "failed" {

@@ -1,19 +1,4 @@
-import {
-  BufferAttribute,
-  DirectionalLight,
-  DoubleSide,
-  HemisphereLight,
-  Mesh,
-  MeshBasicMaterial,
-  MeshLambertMaterial,
-  MeshPhongMaterial,
-  PlaneGeometry,
-  Vector3,
-  type Material,
-  type Object3D,
-  type Scene,
-  type WebGLRenderer,
-} from "three";
+import * as THREE from "three";
 import type { UnitSystem } from "../logic/numbers";
 import { backgroundMaterial, srgb } from "./flat-material";
 import { Ground } from "./ground";
@@ -79,9 +64,9 @@ const GHOST_OPACITY = 0.45;
 /** Materials of the view, which follow the theme and are shared by all shapes. */
 export class Materials {
   // The shine of matt plastic; it is computed for the arm's pixels alone.
-  readonly arm = new MeshPhongMaterial({ shininess: 24, specular: 0x222222 });
-  readonly arm_dark = new MeshPhongMaterial({ shininess: 24, specular: 0x222222 });
-  readonly ghost = new MeshLambertMaterial({
+  readonly arm = new THREE.MeshPhongMaterial({ shininess: 24, specular: 0x222222 });
+  readonly arm_dark = new THREE.MeshPhongMaterial({ shininess: 24, specular: 0x222222 });
+  readonly ghost = new THREE.MeshLambertMaterial({
     transparent: true,
     opacity: GHOST_OPACITY,
     depthWrite: false,
@@ -90,12 +75,12 @@ export class Materials {
     polygonOffsetFactor: 1,
     polygonOffsetUnits: 1,
   });
-  readonly collision = new MeshBasicMaterial({ wireframe: true, transparent: true, opacity: 0.7, depthTest: false });
-  readonly path = new MeshBasicMaterial();
+  readonly collision = new THREE.MeshBasicMaterial({ wireframe: true, transparent: true, opacity: 0.7, depthTest: false });
+  readonly path = new THREE.MeshBasicMaterial();
   // Seen through the arm, which stands in the middle of it.
-  readonly swept = new MeshBasicMaterial({ transparent: true, opacity: 0.4, side: DoubleSide, depthTest: false });
-  readonly swept_now = new MeshBasicMaterial({ side: DoubleSide, depthTest: false, transparent: true });
-  readonly object = new MeshLambertMaterial({ transparent: true, opacity: 0.8, side: DoubleSide });
+  readonly swept = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.4, side: THREE.DoubleSide, depthTest: false });
+  readonly swept_now = new THREE.MeshBasicMaterial({ side: THREE.DoubleSide, depthTest: false, transparent: true });
+  readonly object = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.8, side: THREE.DoubleSide });
   private theme: Theme;
   private off_target = false;
 
@@ -117,7 +102,7 @@ export class Materials {
   }
 
   /** Return the arm's material for shapes without a colour of their own. */
-  readonly armMaterial: MaterialSelector = (shape, link_index): Material | null => {
+  readonly armMaterial: MaterialSelector = (shape, link_index): THREE.Material | null => {
     if (shape?.querySelector("material") != null) return null;
     // Adjacent links differ, so that the moving joint is visible.
     return link_index % 2 === 0 ? this.arm_dark : this.arm;
@@ -126,20 +111,20 @@ export class Materials {
 
 // Bands of the background's gradient, each of which is even.
 const SKY_BANDS = 16;
-const LIGHT_DIRECTION = new Vector3(0.35, -0.55, 1.3);
+const LIGHT_DIRECTION = new THREE.Vector3(0.35, -0.55, 1.3);
 
 /** Ground, lights, shadow and background. */
 export class Environment {
   private readonly ground = new Ground();
   private readonly shadow: SoftShadow;
-  private readonly hemisphere = new HemisphereLight();
-  readonly sky = new Mesh(new PlaneGeometry(2, 2, 1, SKY_BANDS), backgroundMaterial());
+  private readonly hemisphere = new THREE.HemisphereLight();
+  readonly sky = new THREE.Mesh(new THREE.PlaneGeometry(2, 2, 1, SKY_BANDS), backgroundMaterial());
 
-  constructor(scene: Scene) {
-    const sun = new DirectionalLight(0xfff6ea, 1.75);
+  constructor(scene: THREE.Scene) {
+    const sun = new THREE.DirectionalLight(0xfff6ea, 1.75);
     sun.position.copy(LIGHT_DIRECTION);
     // From behind, so that dark parts stand out from a dark background.
-    const rim = new DirectionalLight(0xdbe8ff, 0.8);
+    const rim = new THREE.DirectionalLight(0xdbe8ff, 0.8);
     rim.position.set(-0.9, 0.9, 0.5);
     this.hemisphere.position.set(0, 0, 1);
     this.shadow = new SoftShadow(scene, LIGHT_DIRECTION);
@@ -158,17 +143,17 @@ export class Environment {
     this.shadow.setStrength(theme.shadow);
   }
 
-  castShadow(renderer: WebGLRenderer, object: Object3D): void {
+  castShadow(renderer: THREE.WebGLRenderer, object: THREE.Object3D): void {
     this.shadow.cast(renderer, object);
   }
 }
 
-function colorSky(geometry: PlaneGeometry, theme: Theme): void {
+function colorSky(geometry: THREE.PlaneGeometry, theme: Theme): void {
   const [upper, lower] = [srgb(theme.sky), srgb(theme.background)];
   const at = geometry.getAttribute("position");
   const colors = Array.from({ length: at.count }, (_, vertex) => {
     const share = ((at.getY(vertex) + 1) / 2) ** 1.5;
     return [...lower.map((value, channel) => value + share * (upper[channel]! - value)), 1];
   });
-  geometry.setAttribute("color", new BufferAttribute(new Float32Array(colors.flat()), 4));
+  geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(colors.flat()), 4));
 }

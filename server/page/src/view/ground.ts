@@ -1,18 +1,4 @@
-import {
-  BufferGeometry,
-  CanvasTexture,
-  Color,
-  Float32BufferAttribute,
-  Group,
-  LineSegments,
-  Mesh,
-  RingGeometry,
-  Sprite,
-  SpriteMaterial,
-  SRGBColorSpace,
-  type ColorRepresentation,
-  type MeshBasicMaterial,
-} from "three";
+import * as THREE from "three";
 import { distanceText, type UnitSystem } from "../logic/numbers";
 import type { Theme } from "./appearance";
 import { flatMaterial, srgb } from "./flat-material";
@@ -40,7 +26,7 @@ export function groundVisibility(distance_m: number): number {
 
 /** Ground of the scene: a lit disc and a grid of 5 cm, which fade away, with lengths beside the x axis. */
 export class Ground {
-  readonly group = new Group();
+  readonly group = new THREE.Group();
   private theme: Theme | null = null;
   private units: UnitSystem | null = null;
 
@@ -56,7 +42,7 @@ export class Ground {
 
   private clear(): void {
     for (const part of this.group.children) {
-      const { geometry, material } = part as Mesh<BufferGeometry, MeshBasicMaterial>;
+      const { geometry, material } = part as THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>;
       geometry.dispose();
       material.map?.dispose();
       material.dispose();
@@ -65,14 +51,14 @@ export class Ground {
   }
 }
 
-function disc(color: ColorRepresentation): Mesh {
-  const geometry = new RingGeometry(0, HALF_M, 40, 8).translate(0, 0, DISC_Z_M);
-  const mesh = new Mesh(faded(geometry, color), flatMaterial(true));
+function disc(color: THREE.ColorRepresentation): THREE.Mesh {
+  const geometry = new THREE.RingGeometry(0, HALF_M, 40, 8).translate(0, 0, DISC_Z_M);
+  const mesh = new THREE.Mesh(faded(geometry, color), flatMaterial(true));
   mesh.renderOrder = -3;
   return mesh;
 }
 
-function grid(color: ColorRepresentation, major: boolean): LineSegments {
+function grid(color: THREE.ColorRepresentation, major: boolean): THREE.LineSegments {
   const at: number[] = [];
   const count = Math.round(HALF_M / MINOR_M);
   const lines = Array.from({ length: 2 * count + 1 }, (_, index) => index - count);
@@ -83,19 +69,19 @@ function grid(color: ColorRepresentation, major: boolean): LineSegments {
       at.push(across, from, GRID_Z_M, across, to, GRID_Z_M, from, across, GRID_Z_M, to, across, GRID_Z_M);
     }
   }
-  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(at, 3));
-  const segments = new LineSegments(faded(geometry, color), flatMaterial(true));
+  const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(at, 3));
+  const segments = new THREE.LineSegments(faded(geometry, color), flatMaterial(true));
   segments.renderOrder = -2;
   return segments;
 }
 
-function faded(geometry: BufferGeometry, color: ColorRepresentation): BufferGeometry {
+function faded(geometry: THREE.BufferGeometry, color: THREE.ColorRepresentation): THREE.BufferGeometry {
   const at = geometry.getAttribute("position");
   const colors = Array.from({ length: at.count }, (_, index) => [...srgb(color), groundVisibility(Math.hypot(at.getX(index), at.getY(index)))]);
-  return geometry.setAttribute("color", new Float32BufferAttribute(colors.flat(), 4));
+  return geometry.setAttribute("color", new THREE.Float32BufferAttribute(colors.flat(), 4));
 }
 
-function label(text: string, x_m: number, color: ColorRepresentation): Sprite {
+function label(text: string, x_m: number, color: THREE.ColorRepresentation): THREE.Sprite {
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = LABEL_PX;
   const context = canvas.getContext("2d");
@@ -103,12 +89,12 @@ function label(text: string, x_m: number, color: ColorRepresentation): Sprite {
     context.font = "500 34px system-ui, sans-serif";
     context.textAlign = "center";
     context.textBaseline = "middle";
-    context.fillStyle = new Color(color).getStyle();
+    context.fillStyle = new THREE.Color(color).getStyle();
     context.fillText(text, LABEL_PX[0] / 2, LABEL_PX[1] / 2);
   }
-  const map = new CanvasTexture(canvas);
-  map.colorSpace = SRGBColorSpace;
-  const sprite = new Sprite(new SpriteMaterial({ map, transparent: true, depthWrite: false }));
+  const map = new THREE.CanvasTexture(canvas);
+  map.colorSpace = THREE.SRGBColorSpace;
+  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map, transparent: true, depthWrite: false }));
   sprite.scale.set((LABEL_HEIGHT_M * LABEL_PX[0]) / LABEL_PX[1], LABEL_HEIGHT_M, 1);
   sprite.position.set(x_m, LABEL_Y_M, 0.004);
   sprite.renderOrder = -1;

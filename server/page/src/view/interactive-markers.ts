@@ -1,14 +1,4 @@
-import {
-  BufferGeometry,
-  CylinderGeometry,
-  LatheGeometry,
-  Mesh,
-  MeshBasicMaterial,
-  SphereGeometry,
-  Vector2,
-  type Material,
-  type Object3D,
-} from "three";
+import * as THREE from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
 import { isOneArm, takesOrientation } from "../logic/joints";
 import { isOpen } from "../logic/layout";
@@ -41,20 +31,20 @@ const GRIP_RADIUS = 0.11;
 const GRIP_FROM = 0.75;
 
 /** Form a ball that moves in the plane of the picture, and arrows that begin beside it; return the materials of the arrows. */
-function offsetHandles(controls: TransformControls): Material[] {
-  const materials: Material[] = [];
+function offsetHandles(controls: TransformControls): THREE.Material[] {
+  const materials: THREE.Material[] = [];
   const start = (HANDLE_START / HANDLE_END) * ARROWS_END;
   controls.getHelper().traverse((node) => {
     const axis = AXES.indexOf(node.name as (typeof AXES)[number]);
-    const part = node instanceof Mesh ? partOfTranslation(node) : null;
-    if (!(node instanceof Mesh) || part === null) return;
+    const part = node instanceof THREE.Mesh ? partOfTranslation(node) : null;
+    if (!(node instanceof THREE.Mesh) || part === null) return;
     node.geometry.dispose();
     // The planes would cover the gripper; the ball is drawn by the marker.
-    if (axis < 0) node.geometry = node.name === "XYZ" && part === "grip" ? new SphereGeometry(start * GRIP_FROM, 12, 8) : new BufferGeometry();
+    if (axis < 0) node.geometry = node.name === "XYZ" && part === "grip" ? new THREE.SphereGeometry(start * GRIP_FROM, 12, 8) : new THREE.BufferGeometry();
     if (axis < 0) return;
     const is_first = node.parent?.children.find((other) => other.name === node.name) === node;
-    node.geometry = !is_first ? new BufferGeometry() : part === "grip" ? grip(start) : arrow(start);
-    if (part === "arrow") materials.push(node.material as Material);
+    node.geometry = !is_first ? new THREE.BufferGeometry() : part === "grip" ? grip(start) : arrow(start);
+    if (part === "arrow") materials.push(node.material as THREE.Material);
     // The form points along y.
     if (axis === 0) node.geometry.rotateZ(-Math.PI / 2);
     if (axis === 2) node.geometry.rotateX(Math.PI / 2);
@@ -63,7 +53,7 @@ function offsetHandles(controls: TransformControls): Material[] {
 }
 
 /** Return which part of a handle that moves a mesh is; null for those that turn and scale, which have the same names. */
-function partOfTranslation(node: Mesh): "arrow" | "grip" | null {
+function partOfTranslation(node: THREE.Mesh): "arrow" | "grip" | null {
   const group = node.parent;
   const gizmo = group?.parent as { gizmo?: Record<string, unknown>; picker?: Record<string, unknown> } | null | undefined;
   if (!group || !gizmo) return null;
@@ -72,12 +62,12 @@ function partOfTranslation(node: Mesh): "arrow" | "grip" | null {
 }
 
 /** Create what the pointer meets of an arrow along y: a little longer, and nearer to the middle than what is seen. */
-function grip(start: number): BufferGeometry {
+function grip(start: number): THREE.BufferGeometry {
   const [from, to] = [start * GRIP_FROM, ARROWS_END + GRIP_RADIUS / 2];
-  return new CylinderGeometry(GRIP_RADIUS, GRIP_RADIUS, to - from, 8).translate(0, (from + to) / 2, 0);
+  return new THREE.CylinderGeometry(GRIP_RADIUS, GRIP_RADIUS, to - from, 8).translate(0, (from + to) / 2, 0);
 }
 
-function arrow(start: number): BufferGeometry {
+function arrow(start: number): THREE.BufferGeometry {
   const length = ARROWS_END - start;
   const shaft = length - HEAD_LENGTH;
   const profile = [
@@ -86,8 +76,8 @@ function arrow(start: number): BufferGeometry {
     [SHAFT_RADIUS, shaft],
     [HEAD_RADIUS, shaft],
     [0, length],
-  ].map(([x, y]) => new Vector2(x, y));
-  return new LatheGeometry(profile, 12).translate(0, start, 0);
+  ].map(([x, y]) => new THREE.Vector2(x, y));
+  return new THREE.LatheGeometry(profile, 12).translate(0, start, 0);
 }
 
 /** Create handles in the scene of a viewer, whose camera stands still while they are dragged. */
@@ -105,9 +95,9 @@ function createHandles(viewer: Viewer, canvas: HTMLCanvasElement, drag: (draggin
 
 /** Marker of the target, dragged by its ball or by three arrows; without a target it is at the tool of the ghost or the arm. */
 export class TargetMarker implements SceneComponent {
-  private readonly ball: Mesh<SphereGeometry, MeshBasicMaterial>;
+  private readonly ball: THREE.Mesh<THREE.SphereGeometry, THREE.MeshBasicMaterial>;
   private readonly arrows: TransformControls;
-  private readonly arrow_materials: readonly Material[];
+  private readonly arrow_materials: readonly THREE.Material[];
   private readonly has_hover = matchMedia("(hover: hover)");
   private moved = false;
   private measured: RobotModel | null = null;
@@ -120,8 +110,8 @@ export class TargetMarker implements SceneComponent {
     private readonly ghost: Ghost,
     private readonly robot: Robot,
   ) {
-    const material = new MeshBasicMaterial({ transparent: true, opacity: BALL_OPACITY, depthTest: false });
-    this.ball = new Mesh(new SphereGeometry(BALL_RADIUS_M, 20, 14), material);
+    const material = new THREE.MeshBasicMaterial({ transparent: true, opacity: BALL_OPACITY, depthTest: false });
+    this.ball = new THREE.Mesh(new THREE.SphereGeometry(BALL_RADIUS_M, 20, 14), material);
     this.arrows = createHandles(viewer, canvas, (dragging) => this.drag(dragging), () => this.dragged());
     this.arrow_materials = offsetHandles(this.arrows);
     this.arrows.attach(this.ball);
@@ -192,7 +182,7 @@ export type ObjectMoved = (id: string, position_m: Point, orientation: Orientati
 export class ObjectMarkers implements SceneComponent {
   // Created with the first selection, as that delays the first picture of the arm otherwise.
   private arrows: TransformControls | null = null;
-  private attached: Object3D | null = null;
+  private attached: THREE.Object3D | null = null;
   private pressed: [number, number] = [0, 0];
   /** True once the present drag has moved or turned the object. */
   private is_moved = false;
@@ -244,7 +234,7 @@ export class ObjectMarkers implements SceneComponent {
     this.moved(name, position.toArray(), [x, y, z, w]);
   }
 
-  private attach(object: Object3D): void {
+  private attach(object: THREE.Object3D): void {
     this.attached = object;
     this.arrows ??= createHandles(this.viewer, this.canvas, (dragging) => this.drag(dragging), () => void (this.is_moved = true));
     this.arrows.setSize(OBJECT_ARROWS_SIZE);

@@ -1,13 +1,4 @@
-import {
-  BoxGeometry,
-  BufferAttribute,
-  BufferGeometry,
-  CylinderGeometry,
-  LatheGeometry,
-  Mesh,
-  Vector2,
-  type Object3D,
-} from "three";
+import * as THREE from "three";
 
 // Share of the shortest edge, and its limit: an edge of 6 mm already looks like a printed part of that size.
 const EDGE_SHARE = 0.22;
@@ -26,7 +17,7 @@ export function edgeRadius_m(shortest_m: number): number {
  * Each edge is one flat bevel between the vertices of two faces, whose normals are interpolated over it: 24 vertices
  * instead of the 900 of three's RoundedBoxGeometry, which took 40 % of a frame in software.
  */
-export function roundedBox(x_m: number, y_m: number, z_m: number): BufferGeometry {
+export function roundedBox(x_m: number, y_m: number, z_m: number): THREE.BufferGeometry {
   const half_m = [x_m / 2, y_m / 2, z_m / 2];
   const edge_m = edgeRadius_m(Math.min(x_m, y_m, z_m));
   const positions: number[] = [];
@@ -38,9 +29,9 @@ export function roundedBox(x_m: number, y_m: number, z_m: number): BufferGeometr
       normals.push(...AXES_OF_BOX.map((axis) => (axis === face ? signs[axis]! : 0)));
     }
   }
-  const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new BufferAttribute(new Float32Array(positions), 3));
-  geometry.setAttribute("normal", new BufferAttribute(new Float32Array(normals), 3));
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(positions), 3));
+  geometry.setAttribute("normal", new THREE.BufferAttribute(new Float32Array(normals), 3));
   geometry.setIndex(BOX_TRIANGLES);
   return geometry;
 }
@@ -82,22 +73,22 @@ function boxTriangles(): number[] {
 }
 
 /** Create a cylinder about y with round rims; it fills the same bounds as the cylinder. */
-export function roundedCylinder(radius_m: number, length_m: number): BufferGeometry {
+export function roundedCylinder(radius_m: number, length_m: number): THREE.BufferGeometry {
   const edge_m = edgeRadius_m(Math.min(radius_m, length_m));
-  const rim = (sign: number): Vector2[] =>
+  const rim = (sign: number): THREE.Vector2[] =>
     Array.from({ length: BEVEL_STEPS + 1 }, (_, step) => {
       const angle_rad = (step / BEVEL_STEPS) * (Math.PI / 2);
       const out_m = radius_m - edge_m * (1 - Math.sin(angle_rad));
-      return new Vector2(out_m, sign * (length_m / 2 - edge_m * (1 - Math.cos(angle_rad))));
+      return new THREE.Vector2(out_m, sign * (length_m / 2 - edge_m * (1 - Math.cos(angle_rad))));
     });
-  const profile = [new Vector2(0, -length_m / 2), ...rim(-1), ...rim(1).reverse(), new Vector2(0, length_m / 2)];
-  return new LatheGeometry(profile, CYLINDER_SEGMENTS);
+  const profile = [new THREE.Vector2(0, -length_m / 2), ...rim(-1), ...rim(1).reverse(), new THREE.Vector2(0, length_m / 2)];
+  return new THREE.LatheGeometry(profile, CYLINDER_SEGMENTS);
 }
 
-export function roundShapes(shape: Object3D): void {
+export function roundShapes(shape: THREE.Object3D): void {
   shape.traverse((node) => {
-    if (!(node instanceof Mesh)) return;
-    const rounded = roundedOf(node as Mesh);
+    if (!(node instanceof THREE.Mesh)) return;
+    const rounded = roundedOf(node as THREE.Mesh);
     if (rounded === null) return;
     node.geometry.dispose();
     node.geometry = rounded;
@@ -106,7 +97,7 @@ export function roundShapes(shape: Object3D): void {
 }
 
 /** Return the rounded form of urdf-loader's unit box or cylinder, whose scale is its size; null for other meshes. */
-function roundedOf({ geometry, scale }: Mesh): BufferGeometry | null {
-  if (geometry instanceof BoxGeometry) return roundedBox(scale.x, scale.y, scale.z);
-  return geometry instanceof CylinderGeometry ? roundedCylinder(scale.x, scale.y) : null;
+function roundedOf({ geometry, scale }: THREE.Mesh): THREE.BufferGeometry | null {
+  if (geometry instanceof THREE.BoxGeometry) return roundedBox(scale.x, scale.y, scale.z);
+  return geometry instanceof THREE.CylinderGeometry ? roundedCylinder(scale.x, scale.y) : null;
 }

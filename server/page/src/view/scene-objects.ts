@@ -1,24 +1,4 @@
-import {
-  BoxGeometry,
-  BufferGeometry,
-  Color,
-  ConeGeometry,
-  CylinderGeometry,
-  ExtrudeGeometry,
-  Float32BufferAttribute,
-  Group,
-  Mesh,
-  Plane,
-  PlaneGeometry,
-  Quaternion,
-  Shape as Outline,
-  SphereGeometry,
-  Vector2,
-  Vector3,
-  type Material,
-  type MeshLambertMaterial,
-  type Scene,
-} from "three";
+import * as THREE from "three";
 import type { Point, SceneObject, Shape, State } from "../state/state";
 import { setNotice, type PageStore } from "../state/store";
 import { t } from "../texts/texts";
@@ -30,27 +10,27 @@ import type { SceneComponent } from "./viewer";
 const SEGMENTS = 24;
 // Edge of the piece of an infinite plane that is drawn, as large as the table.
 const PLANE_EDGE_M = 1;
-const PLANE_NORMAL = new Vector3(0, 0, 1);
+const PLANE_NORMAL = new THREE.Vector3(0, 0, 1);
 
-export function shapeMesh(shape: Shape, material: Material): Mesh {
-  const mesh = new Mesh(geometryOf(shape), material);
+export function shapeMesh(shape: Shape, material: THREE.Material): THREE.Mesh {
+  const mesh = new THREE.Mesh(geometryOf(shape), material);
   mesh.position.set(...shape.position_m);
   mesh.quaternion.copy(toQuaternion(shape.orientation));
   return mesh;
 }
 
-function geometryOf(shape: Shape): BufferGeometry {
+function geometryOf(shape: Shape): THREE.BufferGeometry {
   const [first = 0, second = 0, third = 0] = shape.dimensions;
   switch (shape.kind) {
     case "box":
-      return new BoxGeometry(first, second, third);
+      return new THREE.BoxGeometry(first, second, third);
     case "sphere":
-      return new SphereGeometry(first, SEGMENTS, SEGMENTS / 2);
+      return new THREE.SphereGeometry(first, SEGMENTS, SEGMENTS / 2);
     // Cylinders of three stand along y, those of ROS along z, with the height before the radius.
     case "cylinder":
-      return new CylinderGeometry(second, second, first, SEGMENTS).rotateX(Math.PI / 2);
+      return new THREE.CylinderGeometry(second, second, first, SEGMENTS).rotateX(Math.PI / 2);
     case "cone":
-      return new ConeGeometry(second, first, SEGMENTS).rotateX(Math.PI / 2);
+      return new THREE.ConeGeometry(second, first, SEGMENTS).rotateX(Math.PI / 2);
     case "plane":
       return plane(shape.dimensions);
     case "prism":
@@ -61,30 +41,30 @@ function geometryOf(shape: Shape): BufferGeometry {
 }
 
 /** Lay a plane a x + b y + c z + d = 0 about its point that is nearest to the origin. */
-function plane([a = 0, b = 0, c = 1, d = 0]: number[]): BufferGeometry {
-  const { normal, constant } = new Plane(new Vector3(a, b, c), d).normalize();
-  const turn = new Quaternion().setFromUnitVectors(PLANE_NORMAL, normal);
+function plane([a = 0, b = 0, c = 1, d = 0]: number[]): THREE.BufferGeometry {
+  const { normal, constant } = new THREE.Plane(new THREE.Vector3(a, b, c), d).normalize();
+  const turn = new THREE.Quaternion().setFromUnitVectors(PLANE_NORMAL, normal);
   const [x, y, z] = normal.clone().multiplyScalar(-constant).toArray();
-  return new PlaneGeometry(PLANE_EDGE_M, PLANE_EDGE_M).applyQuaternion(turn).translate(x, y, z);
+  return new THREE.PlaneGeometry(PLANE_EDGE_M, PLANE_EDGE_M).applyQuaternion(turn).translate(x, y, z);
 }
 
 /** Stand a prism on its polygon, half its height below and above it. */
-function prism(polygon: Point[], height_m: number): BufferGeometry {
-  const outline = new Outline(polygon.map(([x, y]) => new Vector2(x, y)));
-  return new ExtrudeGeometry(outline, { depth: height_m, bevelEnabled: false }).translate(0, 0, -height_m / 2);
+function prism(polygon: Point[], height_m: number): THREE.BufferGeometry {
+  const outline = new THREE.Shape(polygon.map(([x, y]) => new THREE.Vector2(x, y)));
+  return new THREE.ExtrudeGeometry(outline, { depth: height_m, bevelEnabled: false }).translate(0, 0, -height_m / 2);
 }
 
-function surface({ vertices, triangles }: Shape): BufferGeometry {
+function surface({ vertices, triangles }: Shape): THREE.BufferGeometry {
   // Corners are not shared, so that edges look sharp.
   const corners = triangles.flat().flatMap((index) => vertices[index] ?? [0, 0, 0]);
-  const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(corners, 3));
+  const geometry = new THREE.BufferGeometry().setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
   geometry.computeVertexNormals();
   return geometry;
 }
 
 interface Drawn {
   object: SceneObject;
-  group: Group;
+  group: THREE.Group;
 }
 
 export class SceneObjects implements SceneComponent {
@@ -93,7 +73,7 @@ export class SceneObjects implements SceneComponent {
   private arm: RobotModel | null = null;
 
   constructor(
-    private readonly scene: Scene,
+    private readonly scene: THREE.Scene,
     private readonly robot: Robot,
     private readonly store: PageStore,
     private readonly materials: Materials,
@@ -111,12 +91,12 @@ export class SceneObjects implements SceneComponent {
     setNotice(this.store, "view:frames", problems.join(" "));
   }
 
-  worldObjects(): Group[] {
+  worldObjects(): THREE.Group[] {
     return [...this.drawn.values()].filter(({ object }) => !object.attached).map(({ group }) => group);
   }
 
   private show(object: SceneObject): void {
-    const group = new Group();
+    const group = new THREE.Group();
     group.name = object.id;
     group.position.set(...object.position_m);
     group.quaternion.copy(toQuaternion(object.orientation));
@@ -132,11 +112,11 @@ export class SceneObjects implements SceneComponent {
     return is_known ? "" : t("picture.object.no_link", { link: object.frame, name: object.id });
   }
 
-  private material(object: SceneObject): Material {
+  private material(object: SceneObject): THREE.Material {
     if (object.color === null) return this.materials.object;
     const [red, green, blue, alpha] = object.color;
-    const material: MeshLambertMaterial = this.materials.object.clone();
-    material.color = new Color().setRGB(red, green, blue);
+    const material: THREE.MeshLambertMaterial = this.materials.object.clone();
+    material.color = new THREE.Color().setRGB(red, green, blue);
     // Messages that leave out alpha have 0; an invisible object is never meant.
     material.opacity = alpha > 0 ? Math.min(alpha, 1) : 1;
     return material;
@@ -146,9 +126,9 @@ export class SceneObjects implements SceneComponent {
     const drawn = this.drawn.get(id);
     drawn?.group.removeFromParent();
     drawn?.group.traverse((node) => {
-      if (!(node instanceof Mesh)) return;
+      if (!(node instanceof THREE.Mesh)) return;
       node.geometry.dispose();
-      if (node.material !== this.materials.object) (node.material as Material).dispose();
+      if (node.material !== this.materials.object) (node.material as THREE.Material).dispose();
     });
     this.drawn.delete(id);
   }

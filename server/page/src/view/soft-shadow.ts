@@ -1,16 +1,4 @@
-import {
-  DoubleSide,
-  LinearFilter,
-  Mesh,
-  OrthographicCamera,
-  PlaneGeometry,
-  Scene,
-  ShaderMaterial,
-  type Vector3,
-  WebGLRenderTarget,
-  type Object3D,
-  type WebGLRenderer,
-} from "three";
+import * as THREE from "three";
 
 // 1.2 m around the robot's root in 192 pixels: 6 mm each, which the blur hides. More pixels cost frames in software.
 const HALF_M = 0.6;
@@ -65,42 +53,42 @@ const LAY = /* glsl */ `
 export class SoftShadow {
   private readonly sharp = target();
   private readonly blurred = target();
-  private readonly camera = new OrthographicCamera(-100, 100, 100, -100, -100, 100);
-  private readonly flatten: ShaderMaterial;
-  private readonly blur: ShaderMaterial;
-  private readonly ground: Mesh<PlaneGeometry, ShaderMaterial>;
-  private readonly blur_scene = new Scene();
+  private readonly camera = new THREE.OrthographicCamera(-100, 100, 100, -100, -100, 100);
+  private readonly flatten: THREE.ShaderMaterial;
+  private readonly blur: THREE.ShaderMaterial;
+  private readonly ground: THREE.Mesh<THREE.PlaneGeometry, THREE.ShaderMaterial>;
+  private readonly blur_scene = new THREE.Scene();
 
   constructor(
-    private readonly scene: Scene,
-    light: Vector3,
+    private readonly scene: THREE.Scene,
+    light: THREE.Vector3,
   ) {
     this.camera.layers.set(SHADOW_LAYER);
     const plain = { depthTest: false, depthWrite: false };
-    this.flatten = new ShaderMaterial({
+    this.flatten = new THREE.ShaderMaterial({
       vertexShader: FLATTEN,
       fragmentShader: DARKEN,
       uniforms: { light: { value: light }, half_m: { value: HALF_M } },
-      side: DoubleSide,
+      side: THREE.DoubleSide,
       ...plain,
     });
-    this.blur = new ShaderMaterial({
+    this.blur = new THREE.ShaderMaterial({
       vertexShader: FULL_SCREEN,
       fragmentShader: BLUR,
       uniforms: { picture: { value: null }, step_uv: { value: [0, 0] } },
       ...plain,
     });
-    const full = new Mesh(new PlaneGeometry(2, 2), this.blur);
+    const full = new THREE.Mesh(new THREE.PlaneGeometry(2, 2), this.blur);
     full.frustumCulled = false;
     this.blur_scene.add(full);
-    const lay = new ShaderMaterial({
+    const lay = new THREE.ShaderMaterial({
       vertexShader: ON_GROUND,
       fragmentShader: LAY,
       uniforms: { picture: { value: this.sharp.texture }, strength: { value: 0 } },
       transparent: true,
       depthWrite: false,
     });
-    this.ground = new Mesh(new PlaneGeometry(2 * HALF_M, 2 * HALF_M), lay);
+    this.ground = new THREE.Mesh(new THREE.PlaneGeometry(2 * HALF_M, 2 * HALF_M), lay);
     this.ground.position.z = SHADOW_Z_M;
     this.ground.renderOrder = -1;
     this.ground.visible = false;
@@ -112,7 +100,7 @@ export class SoftShadow {
   }
 
   /** Draw the shadow of an object into its texture; to be called when the object has moved. */
-  cast(renderer: WebGLRenderer, object: Object3D): void {
+  cast(renderer: THREE.WebGLRenderer, object: THREE.Object3D): void {
     object.traverse((node) => node.layers.enable(SHADOW_LAYER));
     this.scene.overrideMaterial = this.flatten;
     renderer.setClearColor(0x000000, 0);
@@ -125,17 +113,17 @@ export class SoftShadow {
     this.ground.visible = true;
   }
 
-  private pass(renderer: WebGLRenderer, from: WebGLRenderTarget, to: WebGLRenderTarget, step_uv: number[]): void {
+  private pass(renderer: THREE.WebGLRenderer, from: THREE.WebGLRenderTarget, to: THREE.WebGLRenderTarget, step_uv: number[]): void {
     this.blur.uniforms.picture!.value = from.texture;
     this.blur.uniforms.step_uv!.value = step_uv;
     renderer.setRenderTarget(to);
     renderer.render(this.blur_scene, this.camera_of_blur);
   }
 
-  private readonly camera_of_blur = new OrthographicCamera();
+  private readonly camera_of_blur = new THREE.OrthographicCamera();
 }
 
-function target(): WebGLRenderTarget {
-  const options = { depthBuffer: false, minFilter: LinearFilter, magFilter: LinearFilter, generateMipmaps: false };
-  return new WebGLRenderTarget(PIXELS, PIXELS, options);
+function target(): THREE.WebGLRenderTarget {
+  const options = { depthBuffer: false, minFilter: THREE.LinearFilter, magFilter: THREE.LinearFilter, generateMipmaps: false };
+  return new THREE.WebGLRenderTarget(PIXELS, PIXELS, options);
 }

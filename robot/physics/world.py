@@ -74,6 +74,7 @@ class World:
         self._bodies: dict[str, Body] = {}
         self._version = 0
         self._reported: dict[str, BodyState] = {}
+        self._overlaps: Set[tuple[str, str]] = frozenset()  # pairs that are known, which are logged once
         self.place(position_rad)
 
     @property
@@ -158,8 +159,10 @@ class World:
             if name in wanted:
                 self._put(name, *pose)
         mujoco.mj_forward(self.model, self.data)
-        for name, other, depth_m in self.overlaps(placed & wanted.keys()):
-            log.warning("physics: %r overlaps %r by %.0f mm; they push each other apart", name, other, 1e3 * depth_m)
+        overlaps = {(name, other): depth_m for name, other, depth_m in self.overlaps(placed & wanted.keys())}
+        for pair in overlaps.keys() - self._overlaps:
+            log.warning("physics: %r overlaps %r by %.0f mm; they push each other apart", *pair, 1e3 * overlaps[pair])
+        self._overlaps = overlaps.keys()
 
     def moved_bodies(self, *, every: bool) -> BodyStates | None:
         """Return the movable bodies that have moved since they were returned last, or every one; None for none."""

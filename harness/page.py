@@ -369,7 +369,7 @@ def opened(
     """A page in a context of its own: nothing is kept from the one before.
 
     Args:
-        draws: for whoever looks at the picture of the arm; without it the picture stays empty.
+        draws: for tests that look at the picture of the arm, which is empty without it.
     """
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
     if not draws:

@@ -37,6 +37,7 @@ from server.execution.monitors import (
 from server.execution.motions import (
     FIRST_SENDING_S,
     HORIZON_S,
+    NEXT_SENDING_S,
     SENDING_S,
     START_TOLERANCE_RAD,
     ExternalTrajectory,
@@ -248,10 +249,9 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
-        sending_s = FIRST_SENDING_S
-        while not goal.reason:
+        for sending_s in (FIRST_SENDING_S, NEXT_SENDING_S, SENDING_S):
             asked_s, version = self._context.clock(), self._scene.scene.version
-            if (joined := self._joined(goal, request, asked_s, sending_s)) is None:
+            if goal.reason or (joined := self._joined(goal, request, asked_s, sending_s)) is None:
                 break
             whole, point, leaves_s = joined
             planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
@@ -261,10 +261,9 @@ class GoalExecutor:
             self._check_s = self._context.clock() - asked_s
             if self._context.clock() + sending_s <= leaves_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, checked, point)
-                if answer is not None or sending_s == SENDING_S:
+                if answer is not None:
                     return answer
             # The arm has passed the point, or will have: the next point is further ahead.
-            sending_s = SENDING_S
         return None
 
     def _joined(

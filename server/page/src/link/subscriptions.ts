@@ -70,10 +70,7 @@ function subscribeRobot(connection: Connection, store: PageStore): void {
   });
 }
 
-/**
- * Have the commanded joint positions of all controllers while they are of use: the arm moves, which the plots keep, or
- * a panel that shows them or steps from them is open. At rest they cost the server as much as all else that the page has.
- */
+/** Have the commanded positions while the arm moves, or a panel needs them: at rest they would cost the server as much as all else. */
 export function followCommands(connection: Connection, store: PageStore): void {
   const type = "control_msgs/msg/JointTrajectoryControllerState";
   const ends: (() => void)[] = [];
@@ -83,18 +80,15 @@ export function followCommands(connection: Connection, store: PageStore): void {
     const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
     if (!wanted(store.state) || ends.length > 0) return;
     // Each controller has its state under an old and a new name.
-    const of_controllers = topics.filter((name) => name.endsWith("/controller_state"));
-    for (const topic of of_controllers.length > 0 ? of_controllers : topics.slice(0, 1)) {
-      ends.push(connection.subscribe(topic, type, ({ joint_names, reference }) => {
-        const commanded = valuesByJoint(joint_names, reference.positions);
-        store.set({ commanded_rad: { ...store.state.commanded_rad, ...commanded } });
-      }, REDRAW_PERIOD_MS));
-    }
+    const new_names = topics.filter((name) => name.endsWith("/controller_state"));
+    ends.push(...new_names.map((topic) => connection.subscribe(topic, type, ({ joint_names, reference }) => {
+      store.set({ commanded_rad: { ...store.state.commanded_rad, ...valuesByJoint(joint_names, reference.positions) } });
+    }, REDRAW_PERIOD_MS)));
   };
   store.subscribe(wanted, (is_wanted) => {
-    if (is_wanted) return void begin().catch(() => undefined);
     for (const end of ends.splice(0)) end();
     store.set({ commanded_rad: {} });
+    if (is_wanted) begin().catch(() => undefined);
   });
 }
 

@@ -22,6 +22,7 @@ from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm_group import AnyArm
+from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
@@ -262,7 +263,10 @@ class GoalExecutor:
             goal.defer_replacement()
             await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
             self._checks_s.append(self._context.clock() - asked_s)
-            if self._context.clock() + sending_s <= leaves_s and not goal.reason:
+            # The arm's path is that of its last tick, so that a late point may still be ahead of it; it refuses others.
+            # Where another goal waits, it would take the place of a motion that the arm has refused.
+            least_s = sending_s if goal.replacement_waits else -PERIOD_S
+            if leaves_s - self._context.clock() >= least_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, checked, point)
                 if answer is not None:
                     return answer

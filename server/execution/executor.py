@@ -263,8 +263,8 @@ class GoalExecutor:
             goal.defer_replacement()
             await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
             self._checks_s.append(self._context.clock() - asked_s)
-            # The arm's path is that of its last tick, so that a late point may still be ahead of it; it refuses others.
-            # Where another goal waits, it would take the place of a motion that the arm has refused.
+            # The arm compares the point with its last tick, so that a late one may still be ahead; it refuses others.
+            # Where another goal waits, that goal would continue a motion that the arm has refused.
             least_s = sending_s if goal.replacement_waits else -PERIOD_S
             if leaves_s - self._context.clock() >= least_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, checked, point)

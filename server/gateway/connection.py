@@ -30,7 +30,7 @@ UNREAD_TIMEOUT_S = 10.0
 # How often it is looked within such a time whether a client has read anything.
 LOOKS = 5
 
-# Resolution of the loop's timers: one that rings a little early would ring again at once [s].
+# Resolution of the loop's timers, which may ring a little early: they would ring again at once [s].
 LEAST_DELAY_S = 0.001
 
 # Time for what a client has sent before it left, and how often it is looked whether it is done [s].

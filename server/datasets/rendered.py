@@ -43,7 +43,7 @@ class PublishedCamera:
 
     @property
     def image_topics(self) -> list[str]:
-        """Names of its topics with images, of which one may be depth."""
+        """Names of its topics with images, in colour and in depth."""
         return [name for name, type_name in self.topics.items() if type_name != INFO_TYPE]
 
     @property

@@ -3,7 +3,7 @@ import { emptyState, NO_GOAL, type GoalState, type State } from "../state/state"
 import { Store, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import type { DiagnosticStatus } from "./messages";
-import { applyGoalStatus, subscribeControl, followCommands, resetAfterReconnect, subscribeTopics, withLogEntry } from "./subscriptions";
+import { applyGoalStatus, followCommands, resetAfterReconnect, subscribeControl, subscribeTopics, withLogEntry } from "./subscriptions";
 
 const empty = emptyState("ws://here");
 const news = (id: string, state: string, patch: Partial<GoalState> = {}): GoalState => ({ ...NO_GOAL, id, state, ...patch });

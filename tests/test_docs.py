@@ -51,7 +51,7 @@ FOREIGN = (
     "lerobot-",
     "armbridge-dataset ",
     "armbridge-policy ",
-    "pip install lerobot_robot_armbridge ",
+    "pip install 'lerobot_robot_armbridge",
     "git clone REPOSITORY ",
 )
 

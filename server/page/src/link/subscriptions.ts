@@ -114,8 +114,7 @@ export function applyGoalStatus(state: State, goal: GoalState): Partial<State> {
   if (!done) return { active_goals, goal, ...(begins && { executing_selection: state.selection }) };
   if (goal.code === SUCCESS) return { active_goals, goal, ...clearSelection(state) };
   // The arm stands somewhere on the path, and the plan does not start there.
-  const stopped_on_path = state.goal.id === goal.id && state.goal.state === "executing";
-  return stopped_on_path ? { active_goals, goal, plan: NO_PLAN } : { active_goals, goal };
+  return { active_goals, goal, ...(state.goal.id === goal.id && state.goal.state === "executing" && { plan: NO_PLAN }) };
 }
 
 /** Return the active goals after a status of one, each in its place; the same list when nothing of it has changed. */

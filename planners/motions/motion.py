@@ -223,9 +223,10 @@ class _Searching:
         searches = self._task.attempts if np.isfinite(self._task.optimization_time_s) else np.inf
         while searches > 0 and not self._budget.used_up() and not (best and self._space.checks >= self._last_check):
             found = self._found(searches, has_motion=best is not None)
-            searches -= len(found) // 2
+            searches -= len(found)
             longest_s = np.inf if best is None else best.trajectory.duration_s
-            shorter = [(method, curve) for method, curve in found if TICK_S * curve.duration_ticks < longest_s]
+            curves = ((method, curve) for method, stages in found for curve in stages)
+            shorter = [(method, curve) for method, curve in curves if TICK_S * curve.duration_ticks < longest_s]
             motion = self._shortest(shorter)
             best = min(filter(None, (best, motion)), key=lambda each: each.trajectory.duration_s, default=None)
             if shorter and motion is None:
@@ -245,12 +246,12 @@ class _Searching:
                 return Motion(trajectory, method, next(reached))
         return None
 
-    def _found(self, searches: float, *, has_motion: bool) -> list[tuple[str, Curve]]:
-        """Return the curves found in a round, and by which search: as they were and shortened."""
-        found: list[tuple[str, Curve]] = []
+    def _found(self, searches: float, *, has_motion: bool) -> list[tuple[str, list[Curve]]]:
+        """Return the curves found in a round, by which search, each with its shorter and shorter stages."""
+        found: list[tuple[str, list[Curve]]] = []
         self._round_end = self._space.checks + CHECKS_A_ROUND if has_motion else np.inf
         self._last_check = self._last_check if has_motion else np.inf
-        while len(found) < 2 * searches and not self._enough():
+        while len(found) < searches and not self._enough():
             method, path = self._path(next(self._number))
             if path is None:
                 continue
@@ -261,10 +262,10 @@ class _Searching:
                 self._round_end = self._space.checks + CHECKS_A_ROUND
             step_m = CURVE_STEPS_M[self._finer]
             along = partial(curve_free, self._space, step_m=step_m, should_stop=self._budget.used_up)
-            shorter = smooth(curve, self._task.limits, self._space.free, along, self._rng, self._enough)
-            found += [(method, curve), (method, shorter)]
+            stages = smooth(curve, self._task.limits, self._space.free, along, self._rng, self._enough)
+            found.append((method, stages))
             # Obstacles cost it hardly any time.
-            if TICK_S * (shorter.duration_ticks - LEAST_GAIN_TICKS) < self._task.least_s:
+            if TICK_S * (stages[-1].duration_ticks - LEAST_GAIN_TICKS) < self._task.least_s:
                 self._last_check = self._space.checks
         return found
 
@@ -304,14 +305,17 @@ def smooth(
     along: Callable[[Curve], bool],
     rng: np.random.Generator,
     should_stop: Callable[[], bool],
-) -> Curve:
-    """Shorten a free curve in time, by pieces whose points are ``free``, all ``along``; its end states stay."""
-    fruitless, reach = 0, 1.0
+) -> list[Curve]:
+    """Shorten a free curve in time, by pieces whose points are ``free``, all ``along``; its end states stay.
+
+    Return it and the curve after each piece: where one piece touches between its points, those before it need not.
+    """
+    stages, fruitless, reach = [curve], 0, 1.0
     while fruitless < FRUITLESS_ROUNDS and not should_stop():
-        shorter = _shorter(curve, reach, limits, free, along, rng)
+        shorter = _shorter(stages[-1], reach, limits, free, along, rng)
         fruitless, reach = (fruitless + 1, SHRINK * reach) if shorter is None else (0, min(1.0, reach / SHRINK))
-        curve = shorter or curve
-    return curve
+        stages += [] if shorter is None else [shorter]
+    return stages
 
 
 def _shorter(

@@ -225,9 +225,7 @@ class _Searching:
             found = self._found(searches, has_motion=best is not None)
             searches -= len(found)
             longest_s = np.inf if best is None else best.trajectory.duration_s
-            shorter = [
-                (how, curve) for how, stages in found for curve in stages if TICK_S * curve.ticks[-1] < longest_s
-            ]
+            shorter = [(how, each) for how, stages in found for each in stages if TICK_S * each.ticks[-1] < longest_s]
             motion = self._shortest(shorter)
             best = min(filter(None, (best, motion)), key=lambda each: each.trajectory.duration_s, default=None)
             if shorter and motion is None:
@@ -306,10 +304,7 @@ def smooth(
     rng: np.random.Generator,
     should_stop: Callable[[], bool],
 ) -> list[Curve]:
-    """Shorten a free curve in time, by pieces whose points are ``free``, all ``along``; its end states stay.
-
-    Return the curve as it was, and after each piece.
-    """
+    """Return a free curve, then ever shorter ones by pieces whose points are ``free``, all ``along``; ends stay."""
     stages, fruitless, reach = [curve], 0, 1.0
     while fruitless < FRUITLESS_ROUNDS and not should_stop():
         shorter = _shorter(stages[-1], reach, limits, free, along, rng)

@@ -102,11 +102,11 @@ test-pythons:
 test-processes: install-dev
 	$(PYTEST) tests/processes -n 6 --dist loadfile $(ARGS)
 
-# The page from its lock: types and build, then its logic, then in the browser. One worker: where the processor draws, a page
-# that opens takes both of two cores. The pictures of the docs are made by make pictures.
+# The page from its lock: types and build, then its logic, then in the browser. Mostly a test waits for the arm, so two
+# browsers share two cores. The pictures of the docs are made by make pictures.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page --ignore tests/page/test_pictures.py $(ARGS)
+	$(PYTEST) tests/page --ignore tests/page/test_pictures.py -n 2 --dist loadfile $(ARGS)
 
 # The pictures of README.md, docs/page.md and docs/simulation.md, and the digest of the page that they show.
 pictures: install-dev page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import time
 from typing import Any
@@ -11,9 +12,14 @@ from harness.clients import ArmClient, arm_client
 from harness.figures import percentiles, print_table
 from harness.server import FAST, ROOT, RunningServer
 from harness.waiting import running
+from robot.control.pacing import PERIOD_S
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-CHUNKS, POINTS, HZ, EVERY_S = 60, 50, 30.0, 0.33
+CHUNKS, POINTS, HZ, EVERY_S = 200, 50, 30.0, 0.1
+# Swing of the first joint: 1.2 rad/s at most; lags are taken above a speed [rad, rad/s].
+SWING_RAD, SWINGS, FAST_RAD_S = 0.8, 1.5, 0.9
+# A tick is late when its reading comes so long after the one before: half a period more than one [s].
+LATE_S = 0.015
 # Chunks that move an arm at rest, times of a motion and of coming to rest [s], and the least change of a goal [rad].
 CHANGES, MOVES_S, RESTS_S, CHANGED_RAD = 100, 0.3, 0.6, 1e-7
 CAMERA = ROOT / ".venv/bin/armbridge", "camera", "test", "--width", "640", "--fps", "30", "--connect"
@@ -25,24 +31,32 @@ ANSWER = "/arm/chunks/answer"
 
 def run() -> None:
     """Measure a stream of overlapping chunks, and how soon the goals of the arm change, beside a camera at 30 Hz."""
-    latencies_s, lags_s, changes_s = asyncio.run(_measure())
+    late, late_streamed, latencies_s, lags_s, changes_s = asyncio.run(_measure())
     print_table(
         "Chunks of 50 targets into the simulated arm's motion [ms]",
         ["figure", "p50", "p95", "p99"],
         [
             ["from a chunk to its answer, checked whole", *percentiles(latencies_s, 50, 95, 99)],
             ["from a chunk to the first tick of a changed goal", *percentiles(changes_s, 50, 95, 99)],
-            ["goals behind the targets, at 0.6 rad/s", *percentiles(lags_s, 50, 95, 99)],
+            ["goals behind the targets, at 1 rad/s", *percentiles(lags_s, 50, 95, 99)],
         ],
+    )
+    print_table(
+        f"Ticks of the arm whose reading comes more than {1e3 * LATE_S:.0f} ms after the one before",
+        ["beside a camera", "late", "ticks"],
+        [["no chunks", *map(str, late)], [f"{1.0 / EVERY_S:.0f} chunks a second", *map(str, late_streamed)]],
     )
 
 
 def _targets(start_rad: dict[str, float], at_s: float) -> list[float]:
-    swing = 0.4 * math.sin(1.5 * max(at_s, 0.0))
+    swing = SWING_RAD * math.sin(SWINGS * max(at_s, 0.0))
     return [start_rad[name] + (swing if name == "shoulder_pan" else 0.0) for name in JOINTS]
 
 
-async def _measure() -> tuple[list[float], list[float], list[float]]:
+Late = tuple[int, int]
+
+
+async def _measure() -> tuple[Late, Late, list[float], list[float], list[float]]:
     with RunningServer(settings=SETTINGS) as server, running([*CAMERA, f"ws://127.0.0.1:{server.port}"]):
         async with arm_client(server.url) as client:
             await client.say("subscribe", topic="/joint_states", type="sensor_msgs/JointState")
@@ -51,7 +65,16 @@ async def _measure() -> tuple[list[float], list[float], list[float]]:
             states = await client.until("/joint_states", bool, 30.0)
             start_rad = dict(zip(states[-1]["name"], states[-1]["position"], strict=True))
             await client.say("subscribe", topic=STATE, type="control_msgs/JointTrajectoryControllerState")
-            return *await _stream(client, start_rad), await _changes(client, start_rad)
+            await asyncio.sleep(CHUNKS * EVERY_S)
+            resting = _late(client)
+            streamed = await _stream(client, start_rad)
+            return resting, _late(client), *streamed, await _changes(client, start_rad)
+
+
+def _late(client: ArmClient) -> Late:
+    """Return how many of the last ticks were late, and the number of ticks."""
+    stamps_s = [_stamp_s(state) for state in client.topics[STATE]][-round(CHUNKS * EVERY_S / PERIOD_S) :]
+    return sum(after - before > LATE_S for before, after in itertools.pairwise(stamps_s)), len(stamps_s)
 
 
 async def _send(client: ArmClient, name: str, targets: list[list[float]]) -> tuple[float, float]:
@@ -79,8 +102,8 @@ async def _stream(client: ArmClient, start_rad: dict[str, float]) -> tuple[list[
     lags_s = []
     for state in client.topics[STATE]:
         at_s = _stamp_s(state) - began_s
-        speed = 0.6 * math.cos(1.5 * at_s)
-        if at_s > 1.0 and abs(speed) > 0.3:
+        speed = SWING_RAD * SWINGS * math.cos(SWINGS * at_s)
+        if at_s > 1.0 and abs(speed) > FAST_RAD_S:
             behind = _targets(start_rad, at_s)[0] - state["reference"]["positions"][0]
             lags_s.append(abs(behind / speed))
     return latencies_s, lags_s

@@ -196,10 +196,11 @@ class Session:
             encoding = "bson"
         size = subscription.fragment_size or self._fragment_size
         encoded = published.encoded(subscription.spelled_topic, encoding, self.dialect, size)
-        at_once = encoded.ready and not subscription.paced and self.send_queue.empty
+        at_once = encoded.ready and now >= subscription.due_s and self.send_queue.empty
         if not at_once or not send_at_once(encoded):
             self.send_queue.put_topic_data(subscription, encoded, now)
             return True
+        subscription.sent(now)
         return False
 
     def reply(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:

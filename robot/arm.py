@@ -490,7 +490,9 @@ class Arm(ArmClock):
 
     def _disconnect(self, reason: str) -> None:
         names, fault = self.state.joint_names, self.state.fault
-        state = ArmState(time.time(), Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=self.clock_s)
+        # A clock that is ahead of the machine's must not go back.
+        stamp_s = time.time() if self.rate == 1.0 else self.state.stamp_s
+        state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=self.clock_s)
         try:
             self._take_state(state)
         except Exception:  # a bug in one who takes the state must not end the restarts

@@ -5,14 +5,12 @@ import itertools
 import json
 import re
 import socket
-import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 from protocol.dialect import Dialect, spell_type
 from protocol.errors import InterfaceError
-from protocol.messages import Stamp
 from protocol.operations import qualify
 from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
@@ -83,12 +81,9 @@ Handlers: TypeAlias = dict[str, tuple[str, Handler]]
 class RosApi:
     """Offers the services of rosapi on a graph."""
 
-    def __init__(
-        self, graph: Graph, wall_clock: Callable[[], float] = time.time, params: NameFilter | None = None
-    ) -> None:
+    def __init__(self, graph: Graph, params: NameFilter | None = None) -> None:
         self.parameters = Parameters(params)
         self._graph = graph
-        self._wall_clock = wall_clock
         self._services = graph.services
         self._registry = graph.message_types.registry
         # Foxglove asks for the texts of all topics every three seconds; there are no more types than the registry has.
@@ -162,7 +157,7 @@ class RosApi:
             "interfaces": ("rosapi_msgs/srv/Interfaces", self._interfaces),
             "get_time": (
                 "rosapi_msgs/srv/GetTime",
-                lambda _: {"time": Stamp.from_seconds(self._wall_clock()).as_message()},
+                lambda _: {"time": self._graph.message_types.now().as_message()},
             ),
             "get_ros_version": ("rosapi_msgs/srv/GetROSVersion", lambda request: ROS_VERSIONS[request.dialect]),
         }

@@ -48,7 +48,10 @@ FOREIGN = (
     "docker ",
     "docker/",
     "socat ",
-    "lerobot-calibrate ",
+    "lerobot-",
+    "armbridge-dataset ",
+    "armbridge-policy ",
+    "pip install 'lerobot_robot_armbridge",
     "git clone REPOSITORY ",
 )
 
@@ -56,7 +59,11 @@ FOREIGN = (
 def commands(page: str) -> list[str]:
     """The lines of a page's sh blocks, without their comments, and its commands within sentences."""
     text = (ROOT / page).read_text()
-    lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines()]
+    lines = [
+        line
+        for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+        for line in block.replace("\\\n", "").splitlines()
+    ]
     lines += re.findall(r"`((?:armbridge|make) [^`]+)`", text)
     # Without comment, redirection and the variables set for the command.
     stripped = (re.sub(r"^([A-Z_]+=\S* )+", "", re.split(r"\s+#|\s+>", line)[0].strip()) for line in lines)

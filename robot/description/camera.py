@@ -10,6 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from robot.trajectory import Vector
 
+MAX_CAMERAS = 8
+CAMERA_NAME = r"^[a-z][a-z0-9_]{0,30}$"  # first part of names of topics
+
 # Rendering and sending take time by the number of pixels; the server's loop copies each image.
 MAX_WIDTH_PX, MAX_HEIGHT_PX = 1280, 960
 MAX_RATE_HZ = 60.0

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from robot.description.camera import Camera
+from robot.description.camera import CAMERA_NAME, MAX_CAMERAS, Camera
 from robot.description.servo_table import MAX_SERVO_ID, HardwareKind
 from robot.errors import RobotFileError
 
@@ -20,14 +20,13 @@ FILE_NAME = "robot.toml"
 # More than any description names; bounds the work that a file can cause.
 MAX_JOINTS = 100
 MAX_BYTES = 1_000_000
-MAX_CAMERAS = 8
 
 LIKENESS = 0.6  # below this share of equal letters a proposal misleads
 
 Position: TypeAlias = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Rate: TypeAlias = Annotated[float, Field(gt=0.0, le=1e6)]
 Name: TypeAlias = Annotated[str, Field(min_length=1, max_length=200)]
-CameraName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]  # first part of names of topics
+CameraName: TypeAlias = Annotated[str, Field(pattern=CAMERA_NAME)]  # first part of names of topics
 
 
 class _Table(BaseModel):

@@ -184,17 +184,27 @@ def _followed(
         rates: velocities of the targets a sample later.
     """
     states, step = [(position, velocity, acceleration)], most_jerk * SAMPLE_S
+    # Nearer than this the distance shrinks to a third in the time, further away it brakes: both rates are equal there.
+    near = 2.0 * CLOSING_SHARE * most_acceleration * CLOSING_S**2
     for target, rate in zip(targets, rates, strict=True):
         error = target - position
-        braking = math.sqrt(2.0 * CLOSING_SHARE * most_acceleration * abs(error))
-        closing = math.copysign(min(abs(error) / CLOSING_S, braking), error)
-        wanted = min(max(rate + closing, -most_velocity), most_velocity)
+        if -near <= error <= near:
+            wanted = rate + error / CLOSING_S
+        else:
+            wanted = rate + math.copysign(math.sqrt(2.0 * CLOSING_SHARE * most_acceleration * abs(error)), error)
+        if not -most_velocity <= wanted <= most_velocity:
+            wanted = math.copysign(most_velocity, wanted)
         # The jerk does not change within a sample, so that the cubics are exact. The acceleration at its end leads to
         # the wanted velocity if it then falls to 0 in the fewest samples for which the jerk is enough.
         change = wanted - velocity - acceleration * SAMPLE_S / 2.0
-        falls = max(math.ceil((math.sqrt(1.0 + 8.0 * abs(change) / (step * SAMPLE_S)) - 1.0) / 2.0), 1)
-        following = min(max(2.0 * change / ((1 + falls) * SAMPLE_S), -most_acceleration), most_acceleration)
-        following = min(max(following, acceleration - step), acceleration + step)
+        falls = 1
+        if abs(change) > step * SAMPLE_S:
+            falls = math.ceil((math.sqrt(1.0 + 8.0 * abs(change) / (step * SAMPLE_S)) - 1.0) / 2.0)
+        following = 2.0 * change / ((1 + falls) * SAMPLE_S)
+        if abs(following) > most_acceleration:
+            following = math.copysign(most_acceleration, following)
+        if abs(following - acceleration) > step:
+            following = acceleration + math.copysign(step, following - acceleration)
         position += SAMPLE_S * (velocity + SAMPLE_S * (2.0 * acceleration + following) / 6.0)
         velocity += SAMPLE_S * (acceleration + following) / 2.0
         acceleration = following

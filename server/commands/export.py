@@ -20,7 +20,7 @@ def add_export_parser(subparsers: Subparsers) -> None:
         "export",
         _export,
         "write recordings as a dataset for learning (LeRobotDataset v3.0)",
-        "Write recordings of serve --record or ROS 2 as a dataset for learning (docs/recording.md): the states of the"
+        "Write recordings of serve --record or ROS 2 as a dataset for learning (docs/policies.md): the states of the"
         " arm, the actions that were asked for, and what cameras saw, at a fixed rate. Episodes are those marked on"
         " /dataset/episode; a recording without marks is one episode. Omissions count as problems. Needs"
         " armbridge[datasets].",

@@ -52,7 +52,7 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         _camera,
         "publish a camera's images on a running server",
         "Publish the images of a camera as sensor_msgs/CompressedImage on a running server, which records them"
-        " like everything else (docs/recording.md). Images that a slow network cannot take are dropped. It connects"
+        " like everything else (docs/policies.md). Images that a slow network cannot take are dropped. It connects"
         " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], except for the device test.",
     )
     parser.add_argument(

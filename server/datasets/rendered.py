@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import ValidationError
 
 from planners.scene import Pose
 from robot.description.camera import Camera
@@ -41,6 +42,11 @@ class PublishedCamera:
         return self.topic.removesuffix("/compressed").rpartition("/")[0]
 
     @property
+    def image_topics(self) -> list[str]:
+        """Names of its topics with images, in colour and in depth."""
+        return [name for name, type_name in self.topics.items() if type_name != INFO_TYPE]
+
+    @property
     def info_topic(self) -> str:
         """Name of the topic of its sensor_msgs/CameraInfo."""
         return f"{self.namespace}/camera_info"
@@ -57,6 +63,19 @@ class PublishedCamera:
         return f"{self.namespace.strip('/').replace('/', '_') or 'camera'}_optical_frame"
 
 
+def read_camera(robot: RobotModel, settings: Mapping[str, object]) -> Camera:
+    """Return a camera on an arm by the keys of :class:`Camera`; raises CameraError for a wrong value."""
+    frame = settings.get("frame") or robot.root_link
+    if frame not in robot.links:
+        raise CameraError(f"frame: the arm has no link {frame!r}")
+    try:
+        return Camera.model_validate({**settings, "frame": frame})
+    except ValidationError as error:
+        flaw = error.errors(include_url=False)[0]
+    message = flaw["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    raise CameraError(f"{flaw['loc'][0]}: {message}, not {flaw['input']}")
+
+
 @dataclass(frozen=True)
 class SeenScene:
     """Arm and objects at one time; an object is at its pose in a link, and in the root link for an empty name."""
@@ -69,7 +88,7 @@ class SeenScene:
 
 @dataclass(frozen=True)
 class LoadCameras:
-    """First message to the process, which answers :class:`Rendered` without messages, or :class:`CannotRender`."""
+    """First message to the process, and its cameras later; :class:`Rendered` or :class:`CannotRender` answers it."""
 
     robot: RobotModel
     cameras: Sequence[PublishedCamera]

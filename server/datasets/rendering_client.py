@@ -7,15 +7,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from pydantic import ValidationError
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from robot.description import robot_folder
-from robot.description.camera import Camera
 from robot.description.model import RobotModel
-from server.datasets.camera import CameraError
-from server.datasets.rendered import NS_PER_S, PublishedCamera, RenderedCameras, SeenScene, color_of
+from server.datasets.rendered import NS_PER_S, PublishedCamera, RenderedCameras, SeenScene, color_of, read_camera
 from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import read_collision_object
 from server.moveit.scene.physical_bodies import body_of
@@ -33,12 +30,7 @@ STATE_TOPIC = "/joint_states"
 def open_camera(name_or_folder: str, topic: str, quality: int, **settings: Any) -> tuple[RobotModel, PublishedCamera]:
     """Return an arm and a camera on it by the keys of :class:`Camera`; raises CameraError for a wrong value."""
     robot = robot_folder.resolve(name_or_folder).model
-    try:
-        camera = Camera(**{**settings, "frame": settings["frame"] or robot.root_link})
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise CameraError(f"{first['loc'][0]}: {first['msg']}, not {first['input']}") from error
-    return robot, PublishedCamera(camera, topic, quality)
+    return robot, PublishedCamera(read_camera(robot, settings), topic, quality)
 
 
 class RenderingClient:

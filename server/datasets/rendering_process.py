@@ -6,7 +6,7 @@ import logging
 
 from robot.channel import Channel, channel_of_child
 from robot.errors import RobotError
-from server.datasets.rendered import CannotRender, LoadCameras, Rendered, RenderedCameras
+from server.datasets.rendered import CannotRender, Render, Rendered, RenderedCameras
 from server.errors import ServerError
 
 
@@ -14,18 +14,20 @@ def serve(channel: Channel) -> None:
     """Render until the server closes its end."""
     # Its lines are about optional modules.
     logging.getLogger("OpenGL").setLevel(logging.WARNING)
-    load: LoadCameras | None = channel.receive_first()
-    if load is None:
-        return
-    try:
-        cameras = RenderedCameras(load.robot, load.cameras)
-    except (RobotError, ServerError) as error:
-        channel.send(CannotRender(str(error)))
-        return
-    channel.send(Rendered())
+    cameras: RenderedCameras | None = None
     while not channel.closed:
         for order in channel.receive(None):
-            channel.send(Rendered(cameras.messages(order.scene, order.topics)))
+            if cameras is not None and isinstance(order, Render):
+                channel.send(Rendered(cameras.messages(order.scene, order.topics)))
+                continue
+            try:
+                if cameras is not None:
+                    cameras.close()
+                cameras = RenderedCameras(order.robot, order.cameras)
+            except (RobotError, ServerError) as error:
+                channel.send(CannotRender(str(error)))
+                return
+            channel.send(Rendered())
 
 
 if __name__ == "__main__":

@@ -9,7 +9,9 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import statistics
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, TypeVar
@@ -20,6 +22,7 @@ from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm_group import AnyArm
+from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
@@ -84,8 +87,9 @@ GIVEN_DURATION = "the duration of the trajectory"
 PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
 
-# A trajectory takes over from another one in motion after this multiple of the time that the last check took.
-CHECKS_AHEAD = 1.25
+# A trajectory takes over from another one in motion after this multiple of the time that recent checks took: the first
+# attempt by their median, which no busy moment lengthens, others by the longest.
+CHECKS_AHEAD, RECENT_CHECKS = 1.25, 5
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
@@ -150,8 +154,8 @@ class GoalExecutor:
         self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
         self.recorder = MotionRecorder()
         self._player = Player(arm, context.robot, self._scene_monitor, in_progress, context.clock)
-        # Time that the last check of a trajectory in motion took [s]; the first is checked within the horizon.
-        self._check_s = (HORIZON_S - SENDING_S) / CHECKS_AHEAD
+        # Times that recent checks of trajectories in motion took [s]; the first is checked within the horizon.
+        self._checks_s = deque(((HORIZON_S - SENDING_S) / CHECKS_AHEAD,), RECENT_CHECKS)
 
     async def run(self, goal: Goal) -> Answer:
         """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
@@ -219,7 +223,6 @@ class GoalExecutor:
     ) -> Answer | None:
         """Play a motion in the place of the outgoing one; None where the arm has passed the splice point."""
         self._show_soon(planned)
-        goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, planned.duration_s))
         self.recorder.start()
         answer = await self._player.play(goal, motion, self._questions(motion), from_s=point.from_s)
         executed = self.recorder.finish(motion.trajectory.joint_names)
@@ -250,15 +253,20 @@ class GoalExecutor:
         """
         for sending_s in SENDINGS_S:
             asked_s, version = self._context.clock(), self._scene.scene.version
-            if goal.reason or (joined := self._joined(goal, request, asked_s, sending_s)) is None:
+            check_s = statistics.median_low(self._checks_s) if sending_s == SENDINGS_S[0] else max(self._checks_s)
+            horizon_s = sending_s + CHECKS_AHEAD * check_s
+            if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break
             whole, point, leaves_s = joined
             planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
             checked = CheckedMotion(_group_of(self._context.robot, whole), whole, version, planned.summary)
             goal.defer_replacement()
             await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
-            self._check_s = self._context.clock() - asked_s
-            if self._context.clock() + sending_s <= leaves_s and not goal.reason:
+            self._checks_s.append(self._context.clock() - asked_s)
+            # The arm compares the point with its last tick, so that a late one may still be ahead; it refuses others.
+            # Where another goal waits, that goal would continue a motion that the arm has refused.
+            least_s = sending_s if goal.replacement_waits else -PERIOD_S
+            if leaves_s - self._context.clock() >= least_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, checked, point)
                 if answer is not None:
                     return answer
@@ -266,7 +274,7 @@ class GoalExecutor:
         return None
 
     def _joined(
-        self, goal: Goal, request: ExternalTrajectory, now_s: float, sending_s: float
+        self, goal: Goal, request: ExternalTrajectory, now_s: float, horizon_s: float
     ) -> tuple[Trajectory, SplicePoint, float] | None:
         """Return a trajectory behind the lead to the splice point, the point, and its time; None without one."""
         outgoing = self._player.outgoing
@@ -274,11 +282,10 @@ class GoalExecutor:
             return None
         if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
             return None
-        horizon_s = min(sending_s + CHECKS_AHEAD * self._check_s, outgoing.until_s - now_s)
-        point = outgoing.splice_point(now_s, horizon_s)
-        if point is None or horizon_s <= sending_s:
+        leaves_s = min(now_s + horizon_s, outgoing.until_s)
+        point = outgoing.splice_point(now_s, leaves_s - now_s)
+        if point is None or leaves_s <= now_s:
             return None
-        leaves_s = now_s + horizon_s
         whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
         goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         return whole, point, leaves_s
@@ -398,8 +405,6 @@ class GoalExecutor:
                 goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
                 await goal.unless_cancelled(asyncio.wait([in_the_way.ended]))
             elif all(one in beside for one in self._in_progress.beside(joints)):
-                left_s = whole.duration_s + to_come_s
-                goal.report(Progress(GoalState.EXECUTING, planned.summary, 0.0, left_s))
                 return await self._player.play(goal, checked, self._questions(checked), to_come_s=to_come_s)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:

@@ -276,6 +276,11 @@ class Goal(CancelScope):
         """
         self._deferring = True
 
+    @property
+    def replacement_waits(self) -> bool:
+        """True where another goal came that replaces it once its motion has begun."""
+        return bool(self._successor)
+
     def allow_replacement(self) -> None:
         """Have other goals replace it from now on, also those that came meanwhile."""
         self._deferring = False

@@ -47,9 +47,14 @@ class CurrentState:
         """Return the share of the velocity limits that motions of some joints may use."""
         return self._arm.part(joint_names).state.pace.speed_limit
 
+    @property
+    def stamp_s(self) -> float:
+        """Time of the latest state [s since the epoch]; of the arm's clock where that is faster than the machine's."""
+        return self._arm.state.stamp_s
+
     def message(self) -> dict[str, Any]:
         """Return them as a moveit_msgs/RobotState without attached objects; without joints while they are unknown."""
-        return state_message(self.positions_rad() or {}, self._frame, time.time())
+        return state_message(self.positions_rad() or {}, self._frame, self.stamp_s)
 
 
 def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -> dict[str, Any]:

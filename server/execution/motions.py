@@ -181,8 +181,8 @@ OUTGOING_S = 0.5
 SENDING_S = 0.03
 
 # The same of the attempts of a given trajectory, which is sent again if the arm has passed the point. Writing to the
-# arm's socket takes less than 1 ms, and the arm compares the point with the path of its last tick. Without the middle
-# one the first changed goal of a chunk came after 60 ms at p95, with it after 40.
+# arm's socket takes less than 1 ms. Without the middle one the first changed goal of a chunk came after 60 ms at p95,
+# with it after 40.
 SENDINGS_S = (0.003, 0.01, SENDING_S)
 
 # The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.

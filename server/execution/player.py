@@ -204,6 +204,9 @@ class Player:
         self, goal: Goal, ended: asyncio.Future[MotionEnded], motion: CheckedMotion, to_come_s: float
     ) -> Answer:
         goal.deadline.begin(motion.trajectory.duration_s)
+        # Not before the arm has the motion: listeners take milliseconds, in which it would pass the splice point.
+        left_s = motion.trajectory.duration_s + to_come_s
+        goal.report(Progress(GoalState.EXECUTING, motion.summary, 0.0, left_s))
         watch = MotionWatch(self._arm, ended, goal, self._clock)
         while not watch.over:
             progress = await watch.step(PROGRESS_PERIOD_S)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import re
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+from robot.description.camera import CAMERA_NAME, MAX_CAMERAS
 from robot.messages import ArmState
 from robot.physics.bodies import Body
 from robot.processes import Child, RestartDelay, StartedChild
+from server.datasets.camera import CameraError
 from server.datasets.rendered import (
     NS_PER_S,
     CannotRender,
@@ -20,13 +23,17 @@ from server.datasets.rendered import (
     Render,
     Rendered,
     SeenScene,
+    camera_info,
     color_of,
+    read_camera,
 )
+from server.errors import GraphError
 from server.features.context import ServerContext
 from server.features.physics import Physics
 from server.graph.node import Node
+from server.graph.permissions import WORKING
 from server.lifecycle import Feature
-from server.moveit.messages import pose_of, write_transform
+from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.scene.collision_objects import CollisionObject
 from server.moveit.scene.physical_bodies import body_of
 from server.moveit.services.description import STATIC_TRANSFORMS_TOPIC
@@ -37,6 +44,9 @@ NICENESS = 5  # rendering gives way to the servo loop and the server
 # A process loads in a second and renders an image in 20 ms, on a busy machine in seconds.
 SILENT_S = 30.0
 
+# Time without a subscriber of images after which the process ends: a page that is loaded again finds it running.
+IDLE_S = 30.0
+
 MAX_FAILURES = 5  # ends of the process in a row without an image, after which it is not started again
 
 log = logging.getLogger("armbridge.cameras")
@@ -45,18 +55,18 @@ log = logging.getLogger("armbridge.cameras")
 def cameras_of(context: ServerContext, physics: Sequence[Feature]) -> list[Feature]:
     """Return the cameras of a server whose arm has physics."""
     cameras = [
-        (f"{each.graph.resolve('')}/{name}/image/compressed", camera)
+        PublishedCamera(camera, f"{each.graph.resolve('')}/{name}/image/compressed")
         for each, _ in context.single_arms
         for name, camera in each.served.description.cameras.items()
     ]
-    of_physics = [each for each in physics if isinstance(each, Physics)]
-    if not (cameras and of_physics):
-        return []
-    return [Cameras(context, of_physics[0], [PublishedCamera(camera, topic) for topic, camera in cameras])]
+    return [Cameras(context, each, cameras) for each in physics if isinstance(each, Physics)]
 
 
 class Cameras(Feature):
-    """Cameras that see the measured arm and the objects of the scene, at their rates by the arm's clock."""
+    """Cameras that see the measured arm and the objects of the scene, at their rates by the arm's clock.
+
+    Their process runs while images have subscribers, or may be recorded: the arm and OpenGL take 200 MB there.
+    """
 
     name = "the cameras"
     deadline_s = 0.3
@@ -66,76 +76,96 @@ class Cameras(Feature):
         self._scene = context.planning.scene_state
         self._graph = context.graph
         self._physics = physics
-        self._cameras = cameras
+        # An episode that is recorded must not wait for its first images.
+        self._recorded = context.settings.recording.file is not None
+        self._cameras: dict[str, PublishedCamera] = {}  # by name
         self._node = Node("cameras")
-        self._due_s = {each.topic: -math.inf for each in cameras}
+        self._nodes: dict[str, Node] = {}  # publishers of the cameras, by name
+        self._due_s: dict[str, float] = {}  # by name
         self._bodies: dict[str, tuple[CollisionObject, Body]] = {}
         self._child: Child | None = None
+        self._loaded: Sequence[PublishedCamera] = ()  # cameras that the process has
         self._ready = False  # True while the process waits for a scene
-        self._ordered_at_s = 0.0
+        self._ordered_at_s = self._watched_at_s = 0.0
         self._failures = 0
         self._over = False  # True from the stop on, and where no image can come
-        self._restart: asyncio.Task[None] | None = None
+        self._process: asyncio.Task[None] | None = None
+        self._ended = asyncio.Event()
         self._restart_delay = RestartDelay()
-        for camera in cameras:
-            for topic, type_name in camera.topics.items():
-                context.graph.advertise(self._node, topic, type_name)
+        for each in cameras:
+            self._put(each.namespace.strip("/"), each)
+        services = context.graph.services
+        for name, serve in (("Set", self._set), ("Remove", self._remove)):
+            offered, type_name = f"/simulation/{name.lower()}_camera", f"armbridge_msgs/srv/{name}Camera"
+            services.offer(self._node, offered, type_name, serve, rule=WORKING)
 
     async def start(self) -> None:
-        """Start the process, and publish the optical frames with the arm's fixed frames, which are latched together."""
-        latched = self._graph.latched(STATIC_TRANSFORMS_TOPIC)
-        known = [] if latched is None else latched.msg["transforms"]
-        own = [
-            {
-                "header": {"stamp": self._graph.message_types.now().as_message(), "frame_id": each.camera.frame},
-                "child_frame_id": each.optical_frame,
-                "transform": write_transform(pose_of(each.camera.transform_optical_to_frame)),
-            }
-            for each in self._cameras
-        ]
-        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, {"transforms": [*known, *own]}, latch=True)
-        await self._launch()
+        """Publish the optical frames."""
+        self._publish_frames(())
 
     async def stop(self) -> None:
         """End the process."""
         self._over = True
-        if (restart := self._restart) is not None:
-            restart.cancel()
-            await asyncio.wait([restart])
-        if self._child is not None:
-            await self._child.kill()
+        if self._process is not None:
+            self._process.cancel()
+            await asyncio.wait([self._process])
 
     @property
     def observes_states(self) -> bool:
-        return any(map(self._is_watched, self._cameras))
+        return any(any(map(self._graph.subscribers, each.topics)) for each in self._cameras.values())
 
     def on_state(self, arm: str, state: ArmState) -> None:
-        """Order the images that are due."""
-        if arm or state.position_rad is None or self._child is None or self._over or self._restart is not None:
+        """Publish the infos that are due, and order their images."""
+        if arm or state.position_rad is None or self._over:
             return
-        if not self._ready:
-            if time.monotonic() - self._ordered_at_s > SILENT_S:
-                log.warning("the process of the cameras has been silent for %g s and is ended", SILENT_S)
-                self._restart = asyncio.create_task(self._start_again(self._child), name="restart cameras")
+        watched = {name: self._watched_images(each) for name, each in self._cameras.items()}
+        self._keep_process(watched=self._recorded or any(watched.values()))
+        sec, nanosec = divmod(round(state.stamp_s * NS_PER_S), NS_PER_S)
+        ordered: list[str] = []
+        for name, each in self._cameras.items():
+            # An image that waits for the process is due when the process is ready.
+            waits = bool(watched[name]) and not self._ready
+            if not waits and (watched[name] or self._graph.subscribers(each.info_topic)) and self._is_due(name, state):
+                # The info goes along with an image, since users of a recording need it.
+                header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": each.optical_frame}
+                self._graph.publish(self._nodes[name], each.info_topic, {"header": header, **camera_info(each.camera)})
+                ordered += watched[name]
+        if ordered:
+            self._send(Render(ordered, self._seen(state, state.position_rad.tolist())))
+
+    def _watched_images(self, camera: PublishedCamera) -> list[str]:
+        return [topic for topic in camera.image_topics if self._graph.subscribers(topic)]
+
+    def _keep_process(self, *, watched: bool) -> None:
+        """Start the process for the first subscriber, load its cameras, and end it when it is silent or idle."""
+        now_s = time.monotonic()
+        if watched:
+            self._watched_at_s = now_s
+            if self._process is None or self._process.done():
+                self._process = asyncio.create_task(self._render(), name="cameras")
+        if self._child is None:
             return
-        due = [each for each in self._cameras if self._is_watched(each) and self._is_due(each, state)]
-        # The info goes along, since users of a recording need it.
-        wanted = {each.info_topic for each in due}
-        topics = [topic for each in due for topic in each.topics if topic in wanted or self._graph.subscribers(topic)]
-        if topics:
-            self._send(self._child, Render(topics, self._seen(state, state.position_rad.tolist())))
+        cameras = tuple(self._cameras.values())
+        if self._ready and self._loaded != cameras:
+            self._loaded = cameras
+            self._send(LoadCameras(self._robot, cameras))
+        if self._is_idle():
+            self._ended.set()
+        elif not self._ready and now_s - self._ordered_at_s > SILENT_S:
+            log.warning("the process of the cameras has been silent for %g s and is ended", SILENT_S)
+            self._ended.set()
 
-    def _is_watched(self, camera: PublishedCamera) -> bool:
-        return any(map(self._graph.subscribers, camera.topics))
+    def _is_idle(self) -> bool:
+        return time.monotonic() - self._watched_at_s > IDLE_S
 
-    def _is_due(self, camera: PublishedCamera, state: ArmState) -> bool:
+    def _is_due(self, name: str, state: ArmState) -> bool:
         """Return True for an image that is due, and set the time of the next one."""
-        clock_s, due_s, period_s = state.clock_s, self._due_s[camera.topic], 1.0 / camera.camera.rate_hz
+        clock_s, due_s, period_s = state.clock_s, self._due_s[name], 1.0 / self._cameras[name].camera.rate_hz
         # The clock of an arm process that has started again may be behind.
         if due_s - period_s <= clock_s < due_s:
             return False
         # States come at their own rate: the mean of the intervals is the period.
-        self._due_s[camera.topic] = (due_s if due_s <= clock_s < due_s + period_s else clock_s) + period_s
+        self._due_s[name] = (due_s if due_s <= clock_s < due_s + period_s else clock_s) + period_s
         return True
 
     def _seen(self, state: ArmState, positions: list[float]) -> SeenScene:
@@ -163,15 +193,71 @@ class Cameras(Feature):
         pose = each.pose
         return each, replace(before[1], position_m=pose.position_m, orientation=pose.orientation)
 
-    async def _launch(self) -> None:
-        self._ordered_at_s = time.monotonic()
-        child = self._child = Child(StartedChild(MODULE), self._received, self._exited, niceness=NICENESS)
-        await child.connect()
-        self._send(child, LoadCameras(self._robot, self._cameras))
+    def _set(self, request: Message) -> Message:
+        name, refusal = request["name"], ""
+        if name not in self._cameras and not re.fullmatch(CAMERA_NAME, name):
+            refusal = f"name must be at most 31 lower-case letters, digits and _, a letter first, not {name!r}"
+        elif name not in self._cameras and len(self._cameras) >= MAX_CAMERAS:
+            refusal = f"there are {MAX_CAMERAS} cameras at most: remove one first"
+        if refusal:
+            return {"success": False, "message": refusal}
+        try:
+            settings = {key: value for key, value in request.items() if value and key != "name"}
+            camera = PublishedCamera(read_camera(self._robot, settings), f"/{name}/image/compressed")
+            self._change(name, camera)
+        except (CameraError, GraphError) as error:
+            return {"success": False, "message": str(error)}
+        return {"success": True, "message": f"{name} is on {', '.join(camera.topics)}"}
 
-    def _send(self, child: Child, message: object) -> None:
+    def _remove(self, request: Message) -> Message:
+        name = request["name"]
+        if name not in self._cameras:
+            known = ", ".join(self._cameras) or "none"
+            return {"success": False, "message": f"there is no camera {name!r}; there are: {known}"}
+        self._change(name, None)
+        return {"success": True, "message": f"{name} is removed"}
+
+    def _change(self, name: str, camera: PublishedCamera | None) -> None:
+        frames = {each.optical_frame for each in self._cameras.values()}
+        node = self._nodes.pop(name, None)
+        if camera is None:
+            del self._cameras[name]
+        else:
+            self._put(name, camera)
+        if node is not None:
+            self._graph.remove(node)
+        self._publish_frames(frames)
+
+    def _put(self, name: str, camera: PublishedCamera) -> None:
+        """Offer the topics of a camera; raises GraphError where a client has given one of them another type."""
+        node = Node(f"camera {name}")
+        try:
+            for topic, type_name in camera.topics.items():
+                self._graph.advertise(node, topic, type_name)
+        except GraphError:
+            self._graph.remove(node)
+            raise
+        self._cameras[name], self._nodes[name], self._due_s[name] = camera, node, -math.inf
+
+    def _publish_frames(self, before: Collection[str]) -> None:
+        """Publish the optical frames in place of those before, with the arm's fixed frames: one message is latched."""
+        latched = self._graph.latched(STATIC_TRANSFORMS_TOPIC)
+        known = [] if latched is None else latched.msg["transforms"]
+        own = [
+            {
+                "header": {"stamp": self._graph.message_types.now().as_message(), "frame_id": each.camera.frame},
+                "child_frame_id": each.optical_frame,
+                "transform": write_transform(pose_of(each.camera.transform_optical_to_frame)),
+            }
+            for each in self._cameras.values()
+        ]
+        transforms = [each for each in known if each["child_frame_id"] not in before] + own
+        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, {"transforms": transforms}, latch=True)
+
+    def _send(self, message: object) -> None:
         self._ready, self._ordered_at_s = False, time.monotonic()
-        child.send(message)
+        if self._child is not None:
+            self._child.send(message)
 
     def _received(self, message: CannotRender | Rendered) -> None:
         if isinstance(message, CannotRender):
@@ -180,32 +266,39 @@ class Cameras(Feature):
             return
         for topic, each in message.messages:
             self._failures = 0
-            self._graph.publish(self._node, topic, each)
+            # A camera may have been removed meanwhile.
+            if node := next((self._nodes[name] for name, of in self._cameras.items() if topic in of.topics), None):
+                self._graph.publish(node, topic, each)
         self._ready = True
 
-    def _exited(self) -> None:
-        self._ready = False
-        if not self._over and self._restart is None and self._child is not None:
-            self._restart = asyncio.create_task(self._start_again(self._child), name="restart cameras")
+    async def _render(self) -> None:
+        """Run the process while someone watches; start it again where it fails, a few times."""
+        while True:
+            started_at_s = time.monotonic()
+            try:
+                ending = await self._run_process()
+            except OSError as error:
+                ending = str(error)
+            if self._over or self._is_idle():
+                return
+            self._failures += 1
+            if self._failures >= MAX_FAILURES:
+                log.error("the cameras show nothing: their process has ended %d times in a row", MAX_FAILURES)
+                self._over = True
+                return
+            log.warning("the process of the cameras ended (%s); starting it again", ending)
+            await asyncio.sleep(self._restart_delay.after(time.monotonic() - started_at_s))
 
-    async def _start_again(self, ended: Child) -> None:
-        ran_s = time.monotonic() - self._ordered_at_s
-        await ended.kill()
+    async def _run_process(self) -> str:
+        """Run the process to its end, or until it is to end; return how it ended."""
+        self._ended.clear()
+        child = Child(StartedChild(MODULE), self._received, self._ended.set, niceness=NICENESS)
         try:
-            while True:
-                self._failures += 1
-                if self._failures >= MAX_FAILURES:
-                    log.error("the cameras show nothing: their process has ended %d times in a row", MAX_FAILURES)
-                    self._over = True
-                    return
-                log.warning("the process of the cameras ended (%s); starting it again", ended.ending)
-                await asyncio.sleep(self._restart_delay.after(ran_s))
-                try:
-                    await self._launch()
-                except OSError as error:
-                    log.warning("the process of the cameras cannot be started: %s", error)
-                    ran_s = 0.0
-                else:
-                    return
+            await child.connect()
+            self._child, self._loaded = child, tuple(self._cameras.values())
+            self._send(LoadCameras(self._robot, self._loaded))
+            await self._ended.wait()
         finally:
-            self._restart = None
+            self._child, self._ready = None, False
+            await child.kill()
+        return child.ending

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from robot.messages import ArmHealth, ArmState
@@ -112,8 +113,10 @@ class Recording(Feature):
     deadline_s = 0.8
 
     def __init__(self, context: ServerContext) -> None:
-        self.recorder = open_recorder(context.settings.recording, context.graph, context.planning.robot.name)
-        self._looking = BackgroundTask("episodes", EpisodeServices(context.graph, self._records).run)
+        # A recording has the time of the arm where that is faster than the machine's.
+        clock = context.graph.message_types.wall_clock if context.settings.simulation.rate != 1.0 else None
+        self.recorder = open_recorder(context.settings.recording, context.graph, context.planning.robot.name, clock)
+        self._looking = BackgroundTask("episodes", EpisodeServices(context.graph, self._records, clock).run)
 
     async def open_file(self) -> None:
         if self.recorder is not None:
@@ -130,8 +133,13 @@ class Recording(Feature):
         return self.recorder is not None and not self.recorder.ended
 
 
-def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) -> Recorder | None:
-    """Begin to take messages for the recording, if the settings name a file; `Recorder.start` opens it."""
+def open_recorder(
+    settings: RecordingSettings, graph: Graph, robot_name: str, clock: Callable[[], float] | None
+) -> Recorder | None:
+    """Begin to take messages for the recording, if the settings name a file; `Recorder.start` opens it.
+
+    The clock gives seconds since the epoch that never go back; None for the machine's.
+    """
     if settings.file is None:
         return None
     # Imported when it is needed: most servers record nothing, and start without the library.
@@ -139,4 +147,11 @@ def open_recorder(settings: RecordingSettings, graph: Graph, robot_name: str) ->
     from server.recording.recorder import Recorder
 
     check_path(settings.file)
-    return Recorder(graph, settings.file, settings, {"robot": robot_name})
+    facts = {"robot": robot_name}
+    if clock is None:
+        return Recorder(graph, settings.file, settings, facts)
+
+    def clock_ns() -> int:
+        return round(1e9 * clock())
+
+    return Recorder(graph, settings.file, settings, facts, clock_ns, clock_ns)

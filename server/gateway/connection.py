@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -28,6 +29,9 @@ UNREAD_TIMEOUT_S = 10.0
 
 # How often it is looked within such a time whether a client has read anything.
 LOOKS = 5
+
+# Resolution of the loop's timers, which may ring a little early: they would ring again at once [s].
+LEAST_DELAY_S = 0.001
 
 # Time for what a client has sent before it left, and how often it is looked whether it is done [s].
 LEAVE_TIMEOUT_S = 10.0
@@ -76,6 +80,9 @@ class Connection:
         self._closing: asyncio.Task[None] | None = None
         # Runs while anything waits for the client to read.
         self._watch: asyncio.TimerHandle | None = None
+        # When the next throttled message leaves [s], infinity while none waits.
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_s = math.inf
         self._max_delay_s = gateway.limits.max_topic_delay_s
         query = transport.query
         self.node = node = Node(
@@ -124,8 +131,9 @@ class Connection:
         finally:
             if waiting is not None:
                 waiting.cancel()
-            if self._watch is not None:
-                self._watch.cancel()
+            for timer in (self._watch, self._timer):
+                if timer is not None:
+                    timer.cancel()
             self._transport.stop_delivery()
             if self._writer is not None:
                 self._writer.cancel()
@@ -150,17 +158,17 @@ class Connection:
         return {"client": str(self.node)}
 
     async def _write(self, wake: asyncio.Event) -> None:
-        """Send the messages that the socket did not take at once, as it takes them and as they become due."""
+        """Send the messages that the socket did not take at once, as it takes them."""
         while self._transport.is_open:
+            await wake.wait()
             wake.clear()
-            self._flush()
             await self._transport.drain()
             # What the socket had is no longer held.
             self._flush()
-            now_s = time.monotonic()
-            due_s = self._client.session.send_queue.next_due(now_s)
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(wake.wait(), None if due_s is None else due_s - now_s)
+            if not self._send_later() and not self._transport.takes_more:
+                wake.set()
+            # What has been sent in this turn of the loop may only be written at its end.
+            await asyncio.sleep(0)
 
     def wake(self) -> None:
         """Send the messages that are due, or wake the writer; disconnect a client that does not read its replies."""
@@ -170,14 +178,38 @@ class Connection:
         if session.send_queue.overflowed:
             self._give_up()
             return
+        if self._send_later():
+            return
         self._flush()
-        if session.send_queue.size_bytes:
+        if session.send_queue.size_bytes and not self._send_later():
             if self._due is None:
                 self._due = asyncio.Event()
                 self._writer = asyncio.create_task(self._write(self._due), name=f"write to {self.node}")
             self._due.set()
             if self._watch is None:
                 self._expect_reading(time.monotonic())
+
+    def _send_later(self) -> bool:
+        """Have all that waits sent at its time; False where some may leave now, or is still to be encoded.
+
+        By a timer, and not by the writer: throttled topics wait all the time, and a task that waits costs more than
+        the sending itself.
+        """
+        now_s = time.monotonic()
+        due_s = self._client.session.send_queue.next_due(now_s)
+        if due_s is None or due_s <= now_s:
+            return False
+        if due_s < self._timer_s:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer_s = due_s
+            delay_s = max(due_s - now_s, LEAST_DELAY_S)
+            self._timer = asyncio.get_running_loop().call_later(delay_s, self._send_throttled)
+        return True
+
+    def _send_throttled(self) -> None:
+        self._timer_s = math.inf
+        self.wake()
 
     def _expect_reading(self, since_s: float) -> None:
         delay_s = min(self._max_delay_s, UNREAD_TIMEOUT_S) / LOOKS

@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from protocol.messages import Stamp
 from protocol.send_queue import SendBudget
 from robot.logs import LogLimiter
 from server.access.authorization import Access, unlimited
@@ -132,11 +131,8 @@ LIST_PERIOD_S = 0.25
 class ClientList:
     """The connected clients, published after each change, but no more often than every `LIST_PERIOD_S`."""
 
-    def __init__(
-        self, graph: Graph, wall_clock: Callable[[], float] = time.time, call_later: CallLater = call_later
-    ) -> None:
+    def __init__(self, graph: Graph, call_later: CallLater = call_later) -> None:
         self._graph = graph
-        self._wall_clock = wall_clock
         self._call_later = call_later
         self._node = Node("rosbridge_websocket")
         self._clients: dict[Node, dict[str, Any]] = {}
@@ -154,7 +150,7 @@ class ClientList:
             self._pause.cancel()
 
     def add(self, client: Node, address: str) -> None:
-        connected = Stamp.from_seconds(self._wall_clock()).as_message()
+        connected = self._graph.message_types.now().as_message()
         self._clients[client] = {"ip_address": address, "connection_time": connected}
         self._change()
 

@@ -12,7 +12,6 @@ import json
 import logging
 import math
 import re
-import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -319,7 +318,7 @@ class NamedStatesServices:
             raise ServiceError(
                 f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names())}"
             )
-        return {"state": state_message(dict(found[1]), self._robot.root_link, time.time())}
+        return {"state": state_message(dict(found[1]), self._robot.root_link, 0.0)}
 
     async def _rename(self, request: Request) -> Request:
         await self._states.rename(request["old_name"], request["new_name"])

@@ -59,6 +59,7 @@ class TrajectoryTiming:
     stamped: bool  # True where the client has chosen that time
     bridged: bool  # True to take the first point later where the limits do not allow it in time; else it is refused
     speed_limit: float  # share of the velocity limits for the way to the first point
+    rate: float = 1.0  # time by the arm's clock per time of the machine
 
 
 def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTiming | None = None) -> ExternalTrajectory:
@@ -80,7 +81,8 @@ def external_motion(message: Message, robot: RobotModel, timing: TrajectoryTimin
                 if not timing.bridged:
                     raise
             at_s = timing.begins_s
-        return _joined_trajectory(message, robot, held_rad, at_s - timing.begins_s, point, timing.speed_limit)
+        passed_s = (at_s - timing.begins_s) * timing.rate
+        return _joined_trajectory(message, robot, held_rad, passed_s, point, timing.speed_limit)
 
     return ExternalTrajectory(make, joints, spliced=timing is not None)
 

@@ -6,13 +6,11 @@ import asyncio
 import functools
 import logging
 import math
-import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from protocol.errors import MessageError
-from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
@@ -338,7 +336,7 @@ class Teleoperation(Feature):
             self._node,
             TARGETS_TOPIC,
             {
-                "header": {"stamp": Stamp.from_seconds(time.time()).as_message(), "frame_id": ""},
+                "header": {"stamp": self._graph.message_types.now().as_message(), "frame_id": ""},
                 "name": list(present),
                 "position": list(present.values()),
                 "velocity": [],

@@ -80,7 +80,7 @@ class World:
     def __init__(self) -> None:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, self.clock, self.clock, self.clock.call_later)
-        RosApi(self.graph, self.clock)
+        RosApi(self.graph)
         self.topics = self.graph.topic_names.types()
         admin, operator, viewer = TOKENS
         settings = AccessSettings.model_validate(

@@ -100,7 +100,7 @@ class InProcess:
         )
         with_server_rules(self.graph, *arms)
         if rosapi:
-            RosApi(self.graph, self.clock)
+            RosApi(self.graph)
         self.busy: RunningGoal | None = None
         self.access = Access(
             access or AccessSettings(control="shared"),

@@ -6,23 +6,21 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser
 
-from harness.page import PHONE, SHARED, OpenPage, opened
+from harness.page import PHONE, OpenPage, opened
 from harness.server import RunningServer
-
-SETTINGS = SHARED
 
 LYING_PHONE = (844, 390)
 SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
 
-# Texts of controls that their box cuts off, panels that scroll sideways, and what leaves the window.
+# Texts of controls that their box cuts off, panels and tables that scroll sideways, and what leaves the window.
 FIND_CUT = """() => {
-    const kinds = "button, summary, h2, .panel, #bar, #rail, #dock > section, .transport";
-    const shown = [...document.querySelectorAll(kinds)]
-        .filter(each => each.checkVisibility() && !each.closest(".wide"));
+    const kinds = "button, summary, h2, .panel, .wide, #bar, #rail, #dock > section, .transport";
+    const shown = [...document.querySelectorAll(kinds)].filter(each => each.checkVisibility());
     return shown.filter(each => {
         const { left, right } = each.getBoundingClientRect();
         const cut = each.scrollWidth > each.clientWidth + 1 && getComputedStyle(each).display !== "inline";
-        return cut || left < -0.5 || right > innerWidth + 0.5;
+        const high = each.id === "bar" && each.scrollHeight > each.clientHeight + 1;
+        return cut || high || left < -0.5 || right > innerWidth + 0.5;
     }).map(each => `${each.dataset.testid || each.id || each.className}: ${each.textContent.slice(0, 30)}`);
 }"""
 

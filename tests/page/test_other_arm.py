@@ -11,7 +11,7 @@ from playwright.sync_api import Browser
 
 from harness.clients import tip
 from harness.page import SHARED, OpenPage, opened
-from harness.server import ROOT, RunningServer
+from harness.server import FAST_ARMS, ROOT, RunningServer
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.page.test_drive import hold, press_until
 
@@ -59,7 +59,7 @@ def settings(settings: dict[str, str], tmp_path_factory: pytest.TempPathFactory)
     (folder / "arm.urdf").write_text(URDF)
     (folder / "arm.srdf").write_text(SRDF)
     files = {f"ARMBRIDGE_ARM__{kind.upper()}": str(folder / f"arm.{kind}") for kind in ("urdf", "srdf")}
-    return {**settings, **files, **SHARED}
+    return {**settings, **files, **SHARED, **FAST_ARMS}
 
 
 @pytest.fixture(scope="module")

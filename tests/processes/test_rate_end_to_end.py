@@ -1,6 +1,9 @@
 """A running server whose simulated arm is faster than time: goals, stops, steering in real time, and stamps."""
 
 import asyncio
+import os
+import re
+import signal
 from collections.abc import AsyncIterator, Iterator
 from typing import Any
 
@@ -63,3 +66,14 @@ async def test_a_client_that_steers_in_real_time_moves_the_arm(caller: ArmClient
             await caller.publish(JOG, {"joint_names": ["shoulder_pan"], "velocities": [0.5]})
             await asyncio.sleep(0.02)
     assert (await caller.call("/moveit_goal", named="home"))["success"]
+
+
+async def test_the_clock_does_not_go_back_when_the_arm_process_dies(server: RunningServer, caller: ArmClient) -> None:
+    await caller.subscribe(CLOCK, "rosgraph_msgs/Clock")
+    await caller.until(CLOCK, bool)
+    seen = len(caller.messages(CLOCK))
+    pid = int(re.findall(r"\(process (\d+), 100 Hz", "\n".join(server.lines))[0])
+    os.kill(pid, signal.SIGKILL)
+    await caller.until(CLOCK, lambda all_: len(all_) > seen + 50)
+    stamps = [seconds(each["clock"]) for each in caller.messages(CLOCK)]
+    assert stamps == sorted(stamps)

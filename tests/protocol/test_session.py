@@ -147,6 +147,20 @@ def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(
     assert received_data(sent(session)) == ["third", "fourth"]
 
 
+def test_a_message_that_its_throttle_lets_through_leaves_at_once_and_the_next_waits():
+    session, left = subscribed(throttle_rate=1000, queue_length=1), []
+
+    def take(encoded):
+        left.append(encoded.frames[0].data)
+        return True
+
+    queued = [session.deliver(message(str(now)), now, take) for now in (1.0, 1.5, 1.9)]
+    assert queued == [False, True, True]
+    assert received_data(left) == ["1.0"]
+    assert sent(session, 1.9) == []
+    assert received_data(sent(session, 2.0)) == ["1.9"]
+
+
 # What is packed
 
 

@@ -26,7 +26,7 @@ class AskedWorld:
         self.graph = Graph(
             REGISTRY, wall_clock=lambda: 12.5, call_later=FakeClock().call_later, relay_unknown_types=True
         )
-        RosApi(self.graph, lambda: 12.5)
+        RosApi(self.graph)
         self.graph.advertise(ARM, "/joint_states", "sensor_msgs/JointState")
         self.graph.subscribe(CLIENT, "/joint_states", None, Subscriber(lambda _published: None))
         self.graph.advertise(CLIENT, "/chatter", "std_msgs/String")

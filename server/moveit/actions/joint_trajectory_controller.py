@@ -235,17 +235,19 @@ class JointTrajectoryController:
         """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
         context, now_s = self._context, self._context.clock()
         check_duration(trajectory, context.time_limits)
-        starts_in_s = check_trajectory(trajectory, self._group, time.time())
+        starts_in_s = check_trajectory(trajectory, self._group, self._graph.message_types.wall_clock())
         last_s = read_seconds(trajectory["points"][-1]["time_from_start"], "trajectory.points[-1].time_from_start")
         context.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         # A client without a stamp has the stamp of its arrival.
-        stamped = abs(starts_in_s) > SAME_STAMP_S
+        rate = self._arm.rate
+        stamped = abs(starts_in_s) > SAME_STAMP_S * rate
         moving = bool(self._queue.busy(self._group.joints))
         timing = TrajectoryTiming(
-            now_s + starts_in_s,
+            now_s + starts_in_s / rate,
             stamped=stamped,
             bridged=streamed or stamped or moving,
             speed_limit=context.planning.current.speed_limit(self._group.joints),
+            rate=rate,
         )
         motion = external_motion(trajectory, self._robot, timing)
         present_rad = context.planning.current.positions_rad()

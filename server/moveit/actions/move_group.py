@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -82,7 +81,7 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     performed = answer.performed or Performed({})
     return {
         "error_code": _explained_code(answer, robot),
-        "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, time.time()),
+        "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
         "planned_trajectory": _trajectory_message(next(iter(performed.planned), None), robot),
         "executed_trajectory": _trajectory_message(performed.executed, robot),
         "planning_time": performed.planning_time_s,
@@ -94,7 +93,7 @@ def sequence_result(answer: Answer, robot: RobotModel) -> Message:
     performed = answer.performed or Performed({})
     response = {
         "error_code": _explained_code(answer, robot),
-        "sequence_start": state_message(dict(performed.start_rad), robot.root_link, time.time()),
+        "sequence_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
         "planned_trajectories": [_trajectory_message(motion, robot) for motion in performed.planned],
         "planning_time": performed.planning_time_s,
     }

@@ -283,7 +283,7 @@ class SceneServices:
         assumed = self._assumed
         positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
         assumed.note_sent(call.caller, positions_rad)
-        state = state_message(positions_rad, self._state.robot.root_link, time.time())
+        state = state_message(positions_rad, self._state.robot.root_link, self._current.stamp_s)
         components = call.request["components"]["components"]
         call.succeed_prevalidated({"scene": scene_message(self._state.contents, self._state.robot, state, components)})
 

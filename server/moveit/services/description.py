@@ -91,7 +91,8 @@ class TransformsTopics:
         self._published_s = 0.0
         self._graph.advertise(self._node, TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
         self._graph.advertise(self._node, STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
-        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, self._message(self._fixed, {}, time.time()))
+        fixed = self._message(self._fixed, {}, graph.message_types.wall_clock())
+        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, fixed)
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state of the arm, if there are subscribers and it is due."""

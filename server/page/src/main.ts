@@ -10,7 +10,7 @@ import { RegionScan } from "./link/reachable-region";
 import { checkReachability } from "./link/reachability";
 import { createServices } from "./link/services";
 import { subscribeServoNode } from "./link/servo-node";
-import { resetAfterReconnect, subscribeControl, subscribeControllerState, subscribeTopics } from "./link/subscriptions";
+import { followCommands, resetAfterReconnect, subscribeControl, subscribeTopics } from "./link/subscriptions";
 import { createPanel } from "./panel/panel";
 import { loadPreference } from "./state/preferences";
 import { onConnect } from "./state/store";
@@ -32,16 +32,15 @@ async function startPage(): Promise<void> {
   const { connection, store, moveGroup, sceneEditor } = services;
   createPanel(services);
   subscribeTopics(connection, store);
+  followCommands(connection, store);
   subscribeControl(connection, store);
   subscribeCommissioning(connection, store);
   subscribeServoNode(connection, store);
   checkReachability(connection, store);
   new RegionScan(connection, store);
   subscribeDisplayedPlans(connection, store, moveGroup);
-  const subscribed_topics = new Set<string>();
   onConnect(store, () => {
     resetAfterReconnect(store);
-    subscribeControllerState(connection, store, subscribed_topics).catch(() => undefined);
     fetchGoalHistory(connection, store).catch(() => undefined);
   });
   connection.open();

@@ -27,8 +27,8 @@ from tests.server.datasets.test_rendered import CAMERA, VIEW
 @pytest.mark.parametrize(
     ("settings", "refusal"),
     [
-        ({"view": (0.0,) * 6}, "view: Value error, the camera must look at another point"),
-        ({"view": VIEW, "width": 4096}, "width: .*1280, not 4096"),
+        ({"view": (0.0,) * 6}, "view: the camera must look at another point"),
+        ({"view": VIEW, "width": 4096}, "width: must be less than or equal to 1280, not 4096"),
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(settings: dict[str, object], refusal: str) -> None:

@@ -15,8 +15,12 @@ class FakeChannel:
 
     def __init__(self, first: object) -> None:
         self.sent: list[Any] = []
+        self.closed = first is None
+        self._first = first
+
+    def receive(self, _timeout_s: float | None) -> list[object]:
         self.closed = True
-        self.receive_first = lambda: first
+        return [self._first]
 
     def send(self, message: object) -> None:
         self.sent.append(message)

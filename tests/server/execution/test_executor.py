@@ -486,6 +486,33 @@ async def test_a_given_trajectory_changes_the_goals_within_15_ms_of_its_answer(s
     assert len(stage.arm.continued) == 2
 
 
+@pytest.mark.parametrize("busy_s", [(0.1, 0.008), (0.016,)], ids=["a busy moment before", "a little late"])
+async def test_a_check_in_a_busy_moment_does_not_delay_a_trajectory(stage: Stage, busy_s: tuple[float, ...]) -> None:
+    await under_way(stage)
+    for recheck_s in (0.008, 0.008, 0.008, *busy_s):
+        stage.recheck_s, trajectory, stage.news = recheck_s, Given(stage), []
+        await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM)))
+        await until(lambda: any(each.state is GoalState.EXECUTING for each in stage.news))
+        stage.arm.show(0.2)
+        stage.goal.cancel("preempted by a test", replaced=True)
+        await stage.answer()
+    assert trajectory.begins_s[-1] - stage.clock() <= 0.01
+    assert len(trajectory.begins_s) == 1
+    assert stage.arm.stops == []
+
+
+async def test_listeners_hear_of_a_given_trajectory_when_the_arm_has_it(stage: Stage) -> None:
+    await under_way(stage)
+    heard: list[int] = []
+    given = ExternalTrajectory(Given(stage), frozenset(ARM))
+    goal = Goal("2", GoalRequest("/goal", given), lambda _progress: heard.append(len(stage.arm.played)))
+    running = asyncio.create_task(stage.executor.run(goal))
+    await until(lambda: heard)
+    assert heard[0] == 2
+    stage.arm.end()
+    await running
+
+
 @pytest.mark.parametrize("refusals", [1, 2, 3])
 async def test_a_given_trajectory_that_the_arm_got_too_late_is_sent_again_twice(stage: Stage, refusals: int) -> None:
     stage.recheck_s = 0.008

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import AsyncIterator, Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,13 +14,15 @@ import numpy as np
 import pytest
 
 from harness.waiting import until
+from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from robot.description.camera import Camera
 from robot.messages import ArmState, Mode
 from robot.physics.bodies import BodyState
+from server.config import Settings
 from server.datasets.rendered import CannotRender, LoadCameras, PublishedCamera, Render, Rendered
 from server.features import cameras
-from server.features.cameras import MAX_FAILURES, SILENT_S, Cameras, cameras_of
+from server.features.cameras import IDLE_S, MAX_FAILURES, SILENT_S, Cameras, cameras_of
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services.description import TransformsTopics
@@ -55,7 +59,7 @@ class FakeChild:
 class Stage:
     """The feature, its scene and its processes, and the states that the arm sends."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, recorded: Path | None = None) -> None:
         self.children: list[FakeChild] = []
         self.now_s = 0.0
         monkeypatch.setattr(cameras, "Child", self._child)
@@ -65,9 +69,12 @@ class Stage:
         self.physics = SimpleNamespace(body_states={})
         TransformsTopics(self.graph, ROBOT, 50.0)
         planning = SimpleNamespace(scene_state=self.scene)
-        context = SimpleNamespace(planning=planning, whole=SimpleNamespace(robot=ROBOT), graph=self.graph)
+        settings = Settings.model_validate({"recording": {"file": recorded}})
+        whole = SimpleNamespace(robot=ROBOT)
+        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph, settings=settings)
         self.cameras = Cameras(cast(Any, context), cast(Any, self.physics), [FRONT, WRIST])
         self.images: list[str] = []
+        self.messages: list[Any] = []
 
     def _child(self, *arguments: Any, **options: Any) -> FakeChild:
         self.children.append(FakeChild(*arguments, **options))
@@ -75,12 +82,37 @@ class Stage:
 
     def subscribe(self, topic: str, type_name: str = PUBLISHED) -> Node:
         node = Node("client")
-        self.graph.subscribe(node, topic, type_name, Subscriber(lambda published: self.images.append(published.topic)))
+        self.graph.subscribe(node, topic, type_name, Subscriber(self._take))
         return node
+
+    def _take(self, published: PublishedMessage) -> None:
+        self.images.append(published.topic)
+        self.messages.append(published.msg)
+
+    async def watch(self, clock_s: float = 0.0, topic: str = FRONT.topic) -> FakeChild:
+        """Subscribe, and return the process that is ready."""
+        self.subscribe(topic)
+        self.state(clock_s)
+        await asyncio.sleep(0)
+        self.children[-1].answer(Rendered())
+        return self.children[-1]
+
+    def call(self, service: str, **request: Any) -> tuple[bool, str]:
+        answers: list[Any] = []
+        message = {key: list(value) if isinstance(value, tuple) else value for key, value in request.items()}
+        self.graph.services.call(Node("client"), f"/simulation/{service}", message, answers.append)
+        return answers[0].values["success"], answers[0].values["message"]
 
     def state(self, clock_s: float, pan_rad: float = 0.3) -> None:
         state = ArmState(7.25, Mode.HOLDING, ("shoulder_pan",), position_rad=np.array([pan_rad]), clock_s=clock_s)
         self.cameras.on_state("", state)
+
+    @property
+    def frames(self) -> dict[str, str]:
+        """Parents of the latched frames."""
+        latched = self.graph.latched("/tf_static")
+        assert latched is not None
+        return {each["child_frame_id"]: each["header"]["frame_id"] for each in latched.msg["transforms"]}
 
     @property
     def orders(self) -> list[Render]:
@@ -96,9 +128,13 @@ async def stage(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Stage]:
 
 
 async def test_images_are_rendered_at_their_rates_while_someone_subscribes_one_order_at_a_time(stage: Stage) -> None:
-    child = stage.children[0]
-    assert child.sent == [LoadCameras(ROBOT, [FRONT, WRIST])]
+    stage.state(0.0)
+    assert not stage.children, "nobody watches"
     client = stage.subscribe(FRONT.topic)
+    stage.state(0.0)
+    await asyncio.sleep(0)
+    child = stage.children[0]
+    assert child.sent == [LoadCameras(ROBOT, (FRONT, WRIST))]
     stage.state(0.0)
     assert not stage.orders, "before the process is ready"
     child.answer(Rendered())
@@ -106,21 +142,115 @@ async def test_images_are_rendered_at_their_rates_while_someone_subscribes_one_o
         stage.state(0.02 * tick)
         stage.state(0.02 * tick)
         child.answer(Rendered([(FRONT.topic, IMAGE)]))
-    assert [each.topics for each in stage.orders] == [[FRONT.topic, FRONT.info_topic]] * 15
+    assert [each.topics for each in stage.orders] == [[FRONT.topic]] * 15
     assert stage.cameras.observes_states
-    stage.subscribe("/wrist/camera_info", "sensor_msgs/CameraInfo")
+    stage.subscribe(WRIST.topic)
     stage.graph.unsubscribe(client, FRONT.topic)
     stage.state(1.0)
     stage.state(2.0)
-    assert [each.topics for each in stage.orders[15:]] == [[WRIST.info_topic]], "an order before the last was answered"
+    assert [each.topics for each in stage.orders[15:]] == [[WRIST.topic]], "an order before the last was answered"
 
 
-async def test_an_arm_whose_clock_starts_again_is_seen_at_once(stage: Stage) -> None:
-    stage.subscribe(FRONT.topic)
-    for clock_s in (100.0, 1.0, 1.02, 1.08):
-        stage.children[0].answer(Rendered())
-        stage.state(clock_s)
-    assert len(stage.orders) == 3
+async def test_the_info_of_a_camera_needs_no_process_and_comes_with_each_image(stage: Stage) -> None:
+    stage.subscribe(FRONT.info_topic, "sensor_msgs/CameraInfo")
+    for tick in range(50):
+        stage.state(0.02 * tick)
+    assert (stage.images, stage.children) == ([FRONT.info_topic] * 15, [])
+    assert stage.messages[0]["header"] == {
+        "stamp": {"sec": 7, "nanosec": 250_000_000},
+        "frame_id": "front_optical_frame",
+    }
+    child = await stage.watch(1.0)
+    assert len(stage.images) == 15, "the process is not ready"
+    stage.state(1.02)
+    child.answer(Rendered([(FRONT.topic, IMAGE)]))
+    assert stage.images[15:] == [FRONT.info_topic, FRONT.topic]
+
+
+@pytest.mark.stepped_time
+async def test_the_process_ends_a_while_after_the_last_subscriber_and_comes_back_with_the_next(stage: Stage) -> None:
+    child = await stage.watch()
+    for node in stage.graph.subscribers(FRONT.topic):
+        stage.graph.unsubscribe(node, FRONT.topic)
+    stage.now_s = IDLE_S
+    stage.state(1.0)
+    await asyncio.sleep(1.0)
+    assert not child.killed
+    stage.now_s = IDLE_S + 1.0
+    stage.state(1.02)
+    await asyncio.sleep(1.0)
+    assert child.killed
+    assert len(stage.children) == 1
+    assert await stage.watch(2.0) is stage.children[1]
+
+
+async def test_a_server_that_records_has_the_process_ready_for_the_first_episode(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stage = Stage(monkeypatch, Path("run.mcap"))
+    stage.state(0.0)
+    await asyncio.sleep(0)
+    assert len(stage.children) == 1
+    await stage.cameras.stop()
+
+
+async def test_a_service_adds_replaces_and_removes_cameras(stage: Stage) -> None:
+    child = await stage.watch()
+    added = stage.call("set_camera", name="top", view=[0.2, 0.0, 0.8, 0.2, 0.0, 0.0], width=64, depth=True)
+    assert added == (True, "top is on /top/image/compressed, /top/camera_info, /top/depth/image")
+    assert stage.call("set_camera", name="front", view=VIEW, frame="gripper_link", rate_hz=30.0)[0]
+    stage.state(0.0)
+    cameras = child.sent[-1].cameras
+    assert {each.topic: (each.camera.frame, each.camera.width, each.camera.rate_hz) for each in cameras} == {
+        FRONT.topic: ("gripper_link", 320, 30.0),
+        WRIST.topic: ("gripper_link", 320, 5.0),
+        "/top/image/compressed": ("base_link", 64, 15.0),
+    }
+    assert stage.graph.topic_type("/top/depth/image") is not None
+    assert stage.graph.publishers("/front/depth/image") == []
+    assert stage.frames["front_optical_frame"] == "gripper_link"
+    assert stage.call("remove_camera", name="top") == (True, "top is removed")
+    assert stage.graph.publishers("/top/image/compressed") == []
+    child.answer(Rendered([("/top/image/compressed", IMAGE)]))
+    assert "top_optical_frame" not in stage.frames
+
+
+@pytest.mark.parametrize(
+    ("request_", "sentence"),
+    [
+        ({"name": "Top"}, "name must be at most 31 lower-case letters, digits and _, a letter first, not 'Top'"),
+        (
+            {"name": "top", "view": [0.0] * 6},
+            "view: the camera must look at another point than its own place, not [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
+        ),
+        ({"name": "top", "frame": "hand"}, "frame: the arm has no link 'hand'"),
+        ({"name": "top", "width": 2000}, "width: must be less than or equal to 1280, not 2000"),
+        ({"name": "top", "height": 33}, "height: must be a multiple of 2, not 33"),
+        ({"name": "top", "rate_hz": 1000.0}, "rate_hz: must be less than or equal to 60, not 1000.0"),
+        ({"name": "top", "rate_hz": math.nan}, "rate_hz: must be less than or equal to 60, not nan"),
+        ({"name": "top", "field_of_view_deg": -1.0}, "field_of_view_deg: must be greater than or equal to 5, not -1.0"),
+    ],
+)
+async def test_a_camera_that_cannot_be_is_refused_in_one_sentence(
+    stage: Stage, request_: dict[str, Any], sentence: str
+) -> None:
+    done, message = stage.call("set_camera", **{"view": VIEW, **request_})
+    assert (done, message[: len(sentence)]) == (False, sentence)
+    assert stage.graph.topic_type("/top/image/compressed") is None
+
+
+async def test_the_cameras_are_bounded_and_a_topic_of_another_type_is_refused(stage: Stage) -> None:
+    stage.graph.advertise(Node("client", remote=True), "/top/camera_info", "std_msgs/String")
+    assert not stage.call("set_camera", name="top", view=VIEW)[0]
+    assert stage.graph.publishers("/top/image/compressed") == []
+    for count in range(6):
+        assert stage.call("set_camera", name=f"camera{count}", view=VIEW)[0]
+    assert stage.call("set_camera", name="camera6", view=VIEW) == (
+        False,
+        "there are 8 cameras at most: remove one first",
+    )
+    assert stage.call("set_camera", name="camera5", view=VIEW)[0], "in place of the one there is"
+    assert stage.call("remove_camera", name="side")[1].startswith("there is no camera 'side'; there are: front, wrist")
 
 
 async def test_a_camera_sees_the_measured_joints_and_objects_where_the_physics_has_them(stage: Stage) -> None:
@@ -130,8 +260,7 @@ async def test_a_camera_sees_the_measured_joints_and_objects_where_the_physics_h
     stage.scene.apply_diff(diff(world={"collision_objects": objects}, object_colors=[red]), joints)
     stage.scene.apply_diff(diff(robot_state={"attached_collision_objects": [held("tool")], "is_diff": True}), joints)
     stage.physics.body_states["cube"] = BodyState("cube", (0.2, 0.1, 0.3), LEVEL, held=True)
-    stage.subscribe(FRONT.topic)
-    stage.children[0].answer(Rendered())
+    await stage.watch()
     stage.state(0.0)
     scene = stage.orders[0].scene
     assert (scene.stamp_ns, scene.positions_rad) == (7_250_000_000, {"shoulder_pan": 0.3})
@@ -149,20 +278,17 @@ async def test_a_camera_sees_the_measured_joints_and_objects_where_the_physics_h
 
 
 async def test_images_are_published_and_their_frames_stand_beside_the_arms_fixed_frames(stage: Stage) -> None:
-    stage.subscribe(FRONT.topic)
-    stage.children[0].answer(Rendered([(FRONT.topic, IMAGE)]))
+    child = await stage.watch()
+    child.answer(Rendered([(FRONT.topic, IMAGE)]))
     assert stage.images == [FRONT.topic]
-    latched = stage.graph.latched("/tf_static")
-    assert latched is not None
-    frames = {each["child_frame_id"]: each["header"]["frame_id"] for each in latched.msg["transforms"]}
-    assert frames["wrist_optical_frame"] == "gripper_link"
-    assert len(frames) > 2, "the arm's own fixed frames"
+    assert stage.frames["wrist_optical_frame"] == "gripper_link"
+    assert len(stage.frames) > 2, "the arm's own fixed frames"
 
 
 @pytest.mark.stepped_time
 async def test_a_process_that_ends_is_started_again_a_few_times(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
-    stage.subscribe(FRONT.topic)
-    stage.children[-1].answer(Rendered([(FRONT.topic, IMAGE)]))
+    child = await stage.watch()
+    child.answer(Rendered([(FRONT.topic, IMAGE)]))
     for count in range(1, MAX_FAILURES):
         stage.children[-1].exit()
         await until(lambda count=count: len(stage.children) == count + 1)
@@ -173,12 +299,14 @@ async def test_a_process_that_ends_is_started_again_a_few_times(stage: Stage, ca
             lambda: caplog.messages[-1:] == ["the cameras show nothing: their process has ended 5 times in a row"]
         )
     stage.state(1.0)
+    await asyncio.sleep(100.0)
     assert len(stage.children) == MAX_FAILURES
     assert all(child.killed for child in stage.children)
 
 
 @pytest.mark.stepped_time
 async def test_an_image_makes_the_ends_before_it_forgotten(stage: Stage) -> None:
+    await stage.watch()
     for count in range(1, 3 * MAX_FAILURES):
         stage.children[-1].answer(Rendered([(FRONT.topic, IMAGE)]))
         stage.children[-1].exit()
@@ -189,8 +317,9 @@ async def test_an_image_makes_the_ends_before_it_forgotten(stage: Stage) -> None
 @pytest.mark.stepped_time
 async def test_a_machine_that_cannot_render_gets_one_sentence(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
-        stage.children[0].answer(CannotRender("images need OpenGL off screen"))
-        stage.children[0].exit()
+        child = await stage.watch()
+        child.answer(CannotRender("images need OpenGL off screen"))
+        child.exit()
         stage.now_s = SILENT_S + 1.0
         stage.state(1.0)
         await asyncio.sleep(100.0)
@@ -200,28 +329,33 @@ async def test_a_machine_that_cannot_render_gets_one_sentence(stage: Stage, capl
 
 @pytest.mark.stepped_time
 async def test_a_silent_process_is_replaced(stage: Stage) -> None:
+    child = await stage.watch()
+    stage.state(0.0)
     stage.now_s = SILENT_S
     stage.state(1.0)
-    assert not stage.children[0].killed
+    await asyncio.sleep(0)
+    assert not child.killed
     stage.now_s = SILENT_S + 1.0
     stage.state(1.02)
     await until(lambda: len(stage.children) == 2)
-    assert stage.children[0].killed
+    assert child.killed
 
 
 @pytest.mark.stepped_time
 @pytest.mark.parametrize("silent_s", [0.0, SILENT_S + 1.0], ids=["in a restart", "after a rest"])
 async def test_after_a_stop_no_process_is_started(stage: Stage, silent_s: float) -> None:
+    child = await stage.watch()
     if not silent_s:
-        stage.children[0].exit()
+        child.exit()
     await stage.cameras.stop()
     # The arm sends states until it is stopped, after the cameras.
     stage.now_s = silent_s
     stage.state(1.0)
     await asyncio.sleep(100.0)
     assert len(stage.children) == 1
+    assert child.killed
 
 
-def test_an_arm_without_physics_or_cameras_has_none() -> None:
+def test_an_arm_without_physics_has_none() -> None:
     context = SimpleNamespace(single_arms=[], graph=Graph(Registry.load()))
     assert cameras_of(cast(Any, context), []) == []

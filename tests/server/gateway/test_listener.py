@@ -238,9 +238,9 @@ def latest(graph: Graph, topic: str) -> Any:
 
 
 def test_a_late_subscriber_gets_the_list_of_clients() -> None:
-    graph = Graph(Registry.load())
+    graph = Graph(Registry.load(), wall_clock=lambda: 7.0)
     clock = FakeClock()
-    clients = ClientList(graph, lambda: 7.0, clock.call_later)
+    clients = ClientList(graph, clock.call_later)
     clients.open()
     assert latest(graph, COUNT_TOPIC) == {"data": 0}
     first, second = Node("a"), Node("b")
@@ -258,7 +258,7 @@ def test_a_late_subscriber_gets_the_list_of_clients() -> None:
 
 def test_clients_that_come_at_once_are_told_of_together() -> None:
     graph, clock = Graph(Registry.load()), FakeClock()
-    clients = ClientList(graph, lambda: 7.0, clock.call_later)
+    clients = ClientList(graph, clock.call_later)
     counts: list[int] = []
     lengths: list[int] = []
     clients.open()
@@ -283,7 +283,7 @@ def test_clients_that_come_at_once_are_told_of_together() -> None:
 
 def test_a_list_that_is_closed_publishes_no_more() -> None:
     graph, clock = Graph(Registry.load()), FakeClock()
-    clients = ClientList(graph, lambda: 7.0, clock.call_later)
+    clients = ClientList(graph, clock.call_later)
     clients.open()
     for name in ("a", "b"):
         clients.add(Node(name), "10.0.0.1")

@@ -3,7 +3,7 @@ import { emptyState, NO_GOAL, type GoalState, type State } from "../state/state"
 import { Store, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import type { DiagnosticStatus } from "./messages";
-import { applyGoalStatus, subscribeControl, subscribeControllerState, subscribeTopics, withLogEntry } from "./subscriptions";
+import { applyGoalStatus, followCommands, resetAfterReconnect, subscribeControl, subscribeTopics, withLogEntry } from "./subscriptions";
 
 const empty = emptyState("ws://here");
 const news = (id: string, state: string, patch: Partial<GoalState> = {}): GoalState => ({ ...NO_GOAL, id, state, ...patch });
@@ -91,23 +91,48 @@ test("a message of /arm/control is shown", () => {
 });
 
 /** Connection that keeps the listeners of topics and answers calls. */
-function listening(answers: Record<string, unknown>): { connection: Connection; tell: (topic: string, message: unknown) => void } {
+function listening(answers: Record<string, unknown>): { connection: Connection; tell: (topic: string, message: unknown) => void; heard: () => string[] } {
   const listeners = new Map<string, (message: unknown) => void>();
   const connection = {
-    subscribe: (topic: string, _type: string, listener: (message: unknown) => void) => listeners.set(topic, listener),
+    subscribe: (topic: string, _type: string, listener: (message: unknown) => void) => {
+      listeners.set(topic, listener);
+      return () => listeners.delete(topic);
+    },
     call: (service: string) => Promise.resolve(answers[service]),
   } as unknown as Connection;
-  return { connection, tell: (topic, message) => listeners.get(topic)?.(message) };
+  return { connection, tell: (topic, message) => listeners.get(topic)?.(message), heard: () => [...listeners.keys()] };
 }
 
-test("commanded positions come from the controllers of all groups", async () => {
-  const store = new Store(emptyState("ws://here"));
+test("commanded positions come from the controllers of all groups while the arm moves or they are shown", async () => {
+  const blank = emptyState("ws://here");
+  const store = new Store<State>({ ...blank, link: { ...blank.link, connected: true } });
   const topics = ["/arm_controller/state", "/arm_controller/controller_state", "/lift_controller/controller_state"];
-  const { connection, tell } = listening({ "/rosapi/topics_for_type": { topics } });
-  await subscribeControllerState(connection, store, new Set());
-  tell("/arm_controller/controller_state", { joint_names: ["a"], reference: { positions: [1] } });
-  tell("/lift_controller/controller_state", { joint_names: ["b"], reference: { positions: [2] } });
-  expect(store.state.commanded_rad).toEqual({ a: 1, b: 2 });
+  const { connection, tell, heard } = listening({ "/rosapi/topics_for_type": { topics } });
+  followCommands(connection, store);
+  await Promise.resolve();
+  expect(heard()).toEqual([]);
+  for (const use of [{ arm: { ...blank.arm, mode: "moving" } }, { layout: { shown: "plots", pinned: "" } }, { layout: { shown: "", pinned: "drive" } }]) {
+    store.set(use);
+    await Promise.resolve();
+    expect(heard()).toEqual(topics.slice(1));
+    tell("/arm_controller/controller_state", { joint_names: ["a"], reference: { positions: [1] } });
+    tell("/lift_controller/controller_state", { joint_names: ["b"], reference: { positions: [2] } });
+    expect(store.state.commanded_rad).toEqual({ a: 1, b: 2 });
+    store.set({ arm: blank.arm, layout: blank.layout });
+    expect([heard(), store.state.commanded_rad]).toEqual([[], {}]);
+  }
+  store.set({ layout: { shown: "drive", pinned: "" } });
+  store.set({ layout: blank.layout });
+  await Promise.resolve();
+  expect(heard()).toEqual([]);
+});
+
+test("after a break of the connection no plan is offered, and no goal is in progress", () => {
+  const blank = emptyState("ws://here");
+  const plan = { ...blank.plan, trajectory: { names: ["a"], points: [] } };
+  const store = new Store<State>({ ...blank, plan, goal: news("1", "executing"), active_goals: [{ id: "1", name: "", state: "executing" }] });
+  resetAfterReconnect(store);
+  expect(store.state).toMatchObject({ plan: { trajectory: null }, active_goals: [], goal: { id: "", state: "" } });
 });
 
 test("the group of the server is that of the page, and telling it again keeps what the user has selected", () => {

@@ -1,4 +1,5 @@
 import { withStatus } from "../logic/goal-history";
+import { isOpen } from "../logic/layout";
 import { NO_GOAL, NO_PLAN, type ActiveGoal, type GoalState, type Identity, type LogEntry, type State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
@@ -69,32 +70,34 @@ function subscribeRobot(connection: Connection, store: PageStore): void {
   });
 }
 
-/** Subscribe, each topic once, to the commanded joint positions on the state topics of the groups' controllers. */
-export async function subscribeControllerState(
-  connection: Connection,
-  store: PageStore,
-  subscribed_topics: Set<string>,
-): Promise<void> {
+/** Have the commanded positions while the arm moves, or a panel needs them: at rest they would cost the server as much as all else. */
+export function followCommands(connection: Connection, store: PageStore): void {
   const type = "control_msgs/msg/JointTrajectoryControllerState";
-  const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
-  // Each controller has its state under an old and a new name.
-  const of_controllers = topics.filter((name) => name.endsWith("/controller_state"));
-  for (const topic of of_controllers.length > 0 ? of_controllers : topics.slice(0, 1)) {
-    if (subscribed_topics.has(topic)) continue;
-    subscribed_topics.add(topic);
-    connection.subscribe(topic, type, ({ joint_names, reference }) => {
-      const commanded = valuesByJoint(joint_names, reference.positions);
-      store.set({ commanded_rad: { ...store.state.commanded_rad, ...commanded } });
-    }, REDRAW_PERIOD_MS);
-  }
+  const ends: (() => void)[] = [];
+  const wanted = ({ link, arm, layout }: State): boolean =>
+    link.connected && (arm.mode === "moving" || isOpen(layout, "drive") || isOpen(layout, "plots"));
+  const begin = async (): Promise<void> => {
+    const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
+    if (!wanted(store.state) || ends.length > 0) return;
+    // Each controller has its state under an old and a new name.
+    const new_names = topics.filter((name) => name.endsWith("/controller_state"));
+    ends.push(...new_names.map((topic) => connection.subscribe(topic, type, ({ joint_names, reference }) => {
+      store.set({ commanded_rad: { ...store.state.commanded_rad, ...valuesByJoint(joint_names, reference.positions) } });
+    }, REDRAW_PERIOD_MS)));
+  };
+  store.subscribe(wanted, (is_wanted) => {
+    for (const end of ends.splice(0)) end();
+    store.set({ commanded_rad: {} });
+    if (is_wanted) begin().catch(() => undefined);
+  });
 }
 
-/** Forget goals and commands that may have ended while the page was disconnected. */
+/** Forget goals that may have ended while the page was disconnected. */
 export function resetAfterReconnect(store: PageStore): void {
   const in_progress = ["queued", "planning", "executing"].includes(store.state.goal.state);
   const goal = in_progress ? NO_GOAL : store.state.goal;
   // Another server knows nothing of the plan; the same one sends its last plan again.
-  store.set({ active_goals: [], commanded_rad: {}, goal, plan: NO_PLAN });
+  store.set({ active_goals: [], goal, plan: NO_PLAN });
   setNotice(store, "link", "");
 }
 

@@ -19,7 +19,7 @@ from PIL import Image
 
 from harness.clients import arm_client, call
 from harness.server import ROOT, RunningServer
-from harness.waiting import wait_until
+from harness.waiting import until
 from robot.description.camera import Camera
 from server.commands.publish import RENDERED
 from server.datasets.camera import IMAGE_TYPE
@@ -88,6 +88,7 @@ async def test_the_arms_own_cameras_are_published_and_come_back_when_their_proce
     front, wrist = "/front/image/compressed", "/wrist/image/compressed"
     # The page asks for its tiles like this.
     assert {front, wrist} <= set(call(server.url, "/rosapi/topics_for_type", {"type": IMAGE_TYPE})["topics"])
+    assert process_of_cameras(server) is None, "nobody watches"
     async with arm_client(server.url) as client:
         for topic in (front, wrist):
             await client.subscribe(topic, IMAGE_TYPE)
@@ -103,14 +104,23 @@ async def test_the_arms_own_cameras_are_published_and_come_back_when_their_proce
         assert server.has_logged("the process of the cameras ended (SIGKILL); starting it again")
         before = len(client.messages(front))
         await client.until(front, lambda images: len(images) > before + 1, 60.0)
-        assert process_of_cameras(server) not in (None, died)
+        restarted = process_of_cameras(server)
+        assert restarted not in (None, died)
+        top = {"name": "top", "view": [0.2, 0.0, 0.6, 0.2, 0.0, 0.0], "width": 64, "height": 48}
+        assert await client.call("/simulation/set_camera", **top)
+        await client.subscribe("/top/image/compressed", IMAGE_TYPE)
+        image = (await client.until("/top/image/compressed", bool, 60.0))[0]
+        assert Image.open(io.BytesIO(base64.b64decode(image["data"]))).size == (64, 48)
+        assert process_of_cameras(server) == restarted
 
 
-def test_a_server_that_ends_takes_its_cameras_along() -> None:
+async def test_a_server_that_ends_takes_its_cameras_along() -> None:
     with RunningServer("--port 0 --simulation physics") as running:
-        wait_until(lambda: process_of_cameras(running) is not None)
-        pid = process_of_cameras(running)
-    wait_until(lambda: not Path(f"/proc/{pid}").exists())
+        async with arm_client(running.url) as client:
+            await client.subscribe("/front/image/compressed", IMAGE_TYPE)
+            await until(lambda: process_of_cameras(running) is not None)
+            pid = process_of_cameras(running)
+    await until(lambda: not Path(f"/proc/{pid}").exists())
 
 
 def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> None:

@@ -117,6 +117,17 @@ async def test_a_stamp_too_far_in_the_future_is_refused(desk: Desk) -> None:
     assert desk.asked == []
 
 
+async def test_stamps_are_of_the_servers_time_which_is_the_arms_where_that_is_faster(desk: Desk) -> None:
+    desk.graph.message_types.wall_clock = lambda: 5000.0
+    durations_s = []
+    for stamp in (0, 5003):
+        await desk.publish(**TRAJECTORY, header={"stamp": {"sec": stamp}})
+        motion = desk.asked[-1]
+        assert isinstance(motion, ExternalTrajectory)
+        durations_s.append(motion.trajectory(dict.fromkeys(JOINTS, 0.2), time.monotonic(), None).duration_s)
+    assert durations_s == pytest.approx([2.0, 5.0], abs=0.5)
+
+
 async def test_the_publisher_hears_of_each_refusal_of_a_stream_and_others_of_the_first_in_a_row(desk: Desk) -> None:
     for stream in ([TOO_LONG] * 3, [TRAJECTORY], [TOO_LONG] * 3):
         for trajectory in stream:

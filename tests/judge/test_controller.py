@@ -45,8 +45,8 @@ def planner() -> Planner:
     return Planner(ROBOT, partial(next, itertools.count(0.0, 0.002)))
 
 
-def planned(start_rad: dict[str, float], **goal_rad: float) -> Trajectory:
-    plan = planner().plan(PlanningProblem("arm", start_rad, JointGoal(goal_rad)))
+def planned(start_rad: dict[str, float], speed: float = 1.0, **goal_rad: float) -> Trajectory:
+    plan = planner().plan(PlanningProblem("arm", start_rad, JointGoal(goal_rad), velocity_scaling=speed))
     assert isinstance(plan, Plan)
     return plan.trajectory
 
@@ -69,15 +69,15 @@ def test_following_error_droop_and_settling_are_near_the_light_emulations(target
     assert ticks[1] == pytest.approx(ticks[0], abs=30)
 
 
-@pytest.mark.parametrize("after_s", [0.3, 0.6])
-def test_a_stop_ends_where_the_light_emulation_stops(after_s: float) -> None:
+@pytest.mark.parametrize(("after_s", "speed"), [(0.3, 1.0), (0.6, 1.0), (0.6, 0.5), (0.6, 0.2)])
+def test_a_stop_ends_where_the_light_emulation_stops(after_s: float, speed: float) -> None:
     light, physical = (ArmInWorld(physics=physics) for physics in (False, True))
-    trajectory = planned(light.goals_rad, shoulder_pan=1.5, shoulder_lift=0.6)
+    trajectory = planned(light.goals_rad, speed, shoulder_pan=1.5, shoulder_lift=0.6)
     motions = [arm.play(trajectory, stop_after_s=after_s) for arm in (light, physical)]
     assert [each.outcome for each in motions] == [Outcome.STOPPED] * 2
     stop = round(after_s / 0.01)
     way_rad = [np.subtract(each.position_rad[-1], each.position_rad[stop]) for each in motions]
-    assert abs(way_rad[0]).max() > 0.02
+    assert abs(way_rad[0]).max() > 0.02 * speed
     assert way_rad[1] == pytest.approx(way_rad[0], abs=0.03)
     past_rad = [
         np.ptp(np.array(each.position_rad[stop:]), axis=0) - abs(way)

@@ -3,7 +3,7 @@ import { emptyState, NO_GOAL, type GoalState, type State } from "../state/state"
 import { Store, type PageStore } from "../state/store";
 import type { Connection } from "./connection";
 import type { DiagnosticStatus } from "./messages";
-import { applyGoalStatus, subscribeControl, followCommands, subscribeTopics, withLogEntry } from "./subscriptions";
+import { applyGoalStatus, followCommands, resetAfterReconnect, subscribeControl, subscribeTopics, withLogEntry } from "./subscriptions";
 
 const empty = emptyState("ws://here");
 const news = (id: string, state: string, patch: Partial<GoalState> = {}): GoalState => ({ ...NO_GOAL, id, state, ...patch });
@@ -125,6 +125,14 @@ test("commanded positions come from the controllers of all groups while the arm 
   store.set({ layout: blank.layout });
   await Promise.resolve();
   expect(heard()).toEqual([]);
+});
+
+test("after a break of the connection no plan is offered, and no goal is in progress", () => {
+  const blank = emptyState("ws://here");
+  const plan = { ...blank.plan, trajectory: { names: ["a"], points: [] } };
+  const store = new Store<State>({ ...blank, plan, goal: news("1", "executing"), active_goals: [{ id: "1", name: "", state: "executing" }] });
+  resetAfterReconnect(store);
+  expect(store.state).toMatchObject({ plan: { trajectory: null }, active_goals: [], goal: { id: "", state: "" } });
 });
 
 test("the group of the server is that of the page, and telling it again keeps what the user has selected", () => {

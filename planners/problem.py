@@ -107,7 +107,7 @@ class PlanningProblem:
     velocity_scaling: float = 1.0  # share of the velocity limits to use, in (0, 1]
     acceleration_scaling: float = 1.0  # share of the acceleration limits to use, in (0, 1]
     allowed_time_s: float = 5.0  # planning time after which the answer is TIMED_OUT [s]
-    attempts: int = 5  # number of independent searches at most; the shortest motion is taken
+    attempts: int = 100  # number of independent searches at most; the shortest motion is taken
     seed: int = 0  # same problem and seed, same plan
     # Velocities of joints that move at the start; those not named stand still [rad/s].
     start_velocity_rad_s: Mapping[str, float] = field(default_factory=dict)
@@ -115,7 +115,7 @@ class PlanningProblem:
     planner_id: str = ""  # which search to use, as planner_name knows it; empty for the default
     # Planning time to spend on shortening the motion once there is one; the allowed time or more: all that is left, in
     # as many searches as that takes [s].
-    optimization_time_s: float = 0.024
+    optimization_time_s: float = 0.016
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from server.errors import invalid, refused
 from server.execution.motions import PlannedMotion, Positions
 from server.moveit.messages import Message, composed, read_point, read_pose
 from server.moveit.named_states import NamedStates
-from server.moveit.parameters import MAX_PLANNING_ATTEMPTS, MoveItParameters
+from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.constraints import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import GoalStep
@@ -87,9 +87,6 @@ class GoalTranslator:
         """Read the fields of an armbridge_msgs/MoveitGoal that choose group, speed and planning time."""
         group = self._group(message["group"]) if message["group"] else None
         chosen = {field: message[field] for field in PARAMETER_FIELDS if message[field]}
-        if "optimization_time" in chosen:
-            # Time that a goal asks for is spent, however many searches that takes.
-            chosen["num_planning_attempts"] = MAX_PLANNING_ATTEMPTS
         for field in ("velocity_scaling", "acceleration_scaling"):
             value = float(message[field])
             if not 0.0 <= value <= 1.0:

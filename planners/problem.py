@@ -115,7 +115,7 @@ class PlanningProblem:
     planner_id: str = ""  # which search to use, as planner_name knows it; empty for the default
     # Planning time to spend on shortening the motion once there is one; the allowed time or more: all that is left, in
     # as many searches as that takes [s].
-    optimization_time_s: float = 0.016
+    optimization_time_s: float = 0.012
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ class MoveItParameters(SettingsSection):
     """searches for each goal; the shortest result is kept."""
     optimization: Literal["first", "short", "best"] = "short"
     """shorten a motion that was found: not, for ``optimization_time``, or until ``allowed_planning_time`` is over."""
-    optimization_time: float = Field(default=0.016, ge=0.0, le=10.0)
+    optimization_time: float = Field(default=0.012, ge=0.0, le=10.0)
     """planning time spent on shortening a motion [s]."""
     allowed_planning_time: float = Field(default=5.0, gt=0.0, le=MAX_ALLOWED_PLANNING_TIME_S)
     """planning time after which a goal is answered TIMED_OUT [s]."""

@@ -155,10 +155,12 @@ class ClientTopics:
             raise
         if first:
             subscription = self._session.subscriptions.get(topic)
-            # Under a throttle that drops, one message gets through: the newest.
-            newest_only = self._session.newest_only or (subscription is not None and subscription.skips)
-            queued = [self._queue(published) for published in (earlier[-1:] if newest_only else earlier)]
-            # Not before all are there: of the messages that wait for a throttle, only the last are sent.
+            # A throttle lets the newest message through, or the last ones where they wait for it.
+            if self._session.newest_only or (subscription is not None and subscription.skips):
+                earlier = earlier[-1:]
+            elif subscription is not None and subscription.paced:
+                earlier = earlier[-subscription.queue_length :]
+            queued = [self._queue(published) for published in earlier]
             if any(queued):
                 self._client.wake()
             self._doubt_misspelt(operation, topic)

@@ -17,9 +17,9 @@ from server.zenoh.settings import ZenohSettings
 
 
 def test_a_recording_begins_with_a_file_that_can_be_written(tmp_path: Path) -> None:
-    assert open_recorder(RecordingSettings(), Graph(Registry.load()), "so101") is None
+    assert open_recorder(RecordingSettings(), Graph(Registry.load()), "so101", None) is None
     with pytest.raises(ConfigurationError, match=r"recording\.file: .* cannot be written"):
-        open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101")
+        open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101", None)
 
 
 async def test_session_settings_reach_the_graph_and_the_bridge() -> None:

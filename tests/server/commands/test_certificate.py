@@ -88,6 +88,6 @@ def test_a_token_that_cannot_be_kept_is_one_sentence(folder):
 def test_the_page_about_phones_shows_the_command_that_is_printed(folder, capsys):
     cli.main(["certificate"])
     told = capsys.readouterr().out
-    shown = (ROOT / "docs" / "phone.md").read_text().replace("/home/me/.local/share/armbridge/tls", str(folder))
+    shown = (ROOT / "docs" / "page.md").read_text().replace("/home/me/.local/share/armbridge/tls", str(folder))
     command = told[told.index("  armbridge serve") :].split("\nA server")[0]
     assert "\n".join(line[2:] for line in command.splitlines()) in shown.replace("\n    --", "\n  --")

@@ -15,6 +15,7 @@ from robot.description.camera import Camera
 from robot.description.model import RobotModel
 from robot.physics.bodies import MAX_BODIES, Body
 from server.datasets.camera import IMAGE_TYPE, CameraError, to_jpeg
+from server.errors import sentence_of
 from server.moveit.messages import Message
 from server.moveit.scene.frames import in_root
 
@@ -72,7 +73,7 @@ def read_camera(robot: RobotModel, settings: Mapping[str, object]) -> Camera:
         return Camera.model_validate({**settings, "frame": frame})
     except ValidationError as error:
         flaw = error.errors(include_url=False)[0]
-    message = flaw["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    message = sentence_of(flaw).replace("Input should be", "must be")
     raise CameraError(f"{flaw['loc'][0]}: {message}, not {flaw['input']}")
 
 

@@ -7,9 +7,10 @@ and result, which returns when the coroutine has ended.
 from __future__ import annotations
 
 import asyncio
-import concurrent.futures
+import contextlib
 import enum
 import functools
+import queue
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from types import TracebackType
@@ -46,36 +47,41 @@ class LoopThread:
         self._thread.start()
 
     def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
-        """Run a coroutine to its end; an exception here, such as KeyboardInterrupt, cancels it."""
-        ended = threading.Event()
+        """Run a coroutine to its end; an exception here, such as KeyboardInterrupt, cancels it.
 
-        async def tracked() -> T:
-            try:
-                return await coroutine
-            finally:
-                ended.set()
+        A signal handler may call this in the middle of another call of the same thread. So this thread never holds a
+        lock that the loop's thread takes, as one who waits for a future or an event does: SimpleQueue.put takes none.
+        """
+        ended: queue.SimpleQueue[asyncio.Task[T]] = queue.SimpleQueue()
+        begun: list[asyncio.Task[T]] = []
 
-        running = tracked()
+        def begin() -> None:
+            begun.append(self._loop.create_task(coroutine))
+            begun[0].add_done_callback(ended.put)
+
         try:
-            future = asyncio.run_coroutine_threadsafe(running, self._loop)
+            self._loop.call_soon_threadsafe(begin)
         except RuntimeError as error:
-            running.close()
             coroutine.close()
             raise ConnectionLost(_CLOSED) from error
         try:
-            while not concurrent.futures.wait([future], POLL_S).done:
-                if not self._thread.is_alive():
-                    raise ConnectionLost(_CLOSED)
-            return future.result()
-        except concurrent.futures.CancelledError as error:
-            raise ConnectionLost(_CLOSED) from error
-        except KeyboardInterrupt:
-            # Until the coroutine has ended, its objects are in use.
-            future.cancel()
-            ended.wait(END_TIMEOUT_S)
+            task = self._when_ended(ended)
+        except BaseException:  # KeyboardInterrupt, or what a signal handler raises
+            with contextlib.suppress(RuntimeError, queue.Empty):
+                self._loop.call_soon_threadsafe(lambda: begun[0].cancel())
+                # Until the coroutine has ended, its objects are in use.
+                ended.get(timeout=END_TIMEOUT_S)
             raise
-        finally:
-            future.cancel()
+        if task is None or task.cancelled():
+            raise ConnectionLost(_CLOSED)
+        return task.result()
+
+    def _when_ended(self, ended: queue.SimpleQueue[asyncio.Task[T]]) -> asyncio.Task[T] | None:
+        """Wait for a task; None where the thread has ended before."""
+        while self._thread.is_alive():
+            with contextlib.suppress(queue.Empty):
+                return ended.get(timeout=POLL_S)
+        return None if ended.empty() else ended.get()
 
     def end(self) -> None:
         """End the thread and its loop."""
@@ -85,8 +91,10 @@ class LoopThread:
 
     def _serve(self) -> None:
         self._loop.run_forever()
-        for task in asyncio.all_tasks(self._loop):
+        for task in (tasks := asyncio.all_tasks(self._loop)):
             task.cancel()
+        if tasks:  # some say good-bye, for which the loop needs all that it has
+            self._loop.run_until_complete(asyncio.wait(tasks, timeout=END_TIMEOUT_S / 2))
         self._loop.run_until_complete(self._loop.shutdown_asyncgens())
         self._loop.close()
 

@@ -1,5 +1,6 @@
 """A stop ends what is driven by hand, whatever is held and whoever stops; the server's record is the judge."""
 
+import functools
 import json
 import threading
 import time
@@ -14,6 +15,7 @@ from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from harness.server import RunningServer
 from harness.waiting import join
 from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
+from tests.page.test_drive import GAMEPAD
 
 SETTINGS = SHARED
 
@@ -35,6 +37,7 @@ def record(server: RunningServer) -> Iterator[ArmRecord]:
 def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     """A phone that shows Drive, with the arm in a pose from which it can be driven everywhere."""
     with opened(browser, PHONE, has_touch=True, is_mobile=True) as open_page:
+        open_page.page.add_init_script(GAMEPAD)
         open_page.open(server.port)
         open_page.open_panel("drive")
         open_page.until("document.querySelectorAll('.jog-row').length > 5")
@@ -93,6 +96,32 @@ def test_a_page_that_stood_still_moves_nothing_after_the_stop_of_another(
     time.sleep(0.2)
     assert record.stands(WATCHED_S)
     page.until_state(f"s.arm.last_stop !== '{last_stop}'")
+
+
+@pytest.mark.parametrize("stop", ["page", "service", "topic"])
+def test_a_held_stick_moves_nothing_after_a_stop_until_its_button_was_let_go(
+    page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer, stop: str
+) -> None:
+    page.open_panel("drive", "drive-gamepad")
+    page.part("gamepad").check()
+    page.page.bring_to_front()
+    hold, let_go = (functools.partial(page.page.evaluate, f"holdPad([1, 0, 0, 0], {held})") for held in ("[4]", "[]"))
+    let_go()
+    page.until_text("gamepad-state", "hold a shoulder")
+    move(record, hold, let_go)
+    last_stop = page.state("arm.last_stop")
+    if stop == "page":
+        fingers.press(1, "stop")
+    else:
+        stop_from_elsewhere(server.url, stop)
+    page.until_state(f"s.arm.last_stop !== '{last_stop}'")
+    time.sleep(BRAKES_WITHIN_S)
+    assert record.stands(WATCHED_S)
+    let_go()
+    page.until_text("gamepad-state", "hold a shoulder")
+    assert record.stands(WATCHED_S)
+    move(record, hold, let_go)
+    let_go()
 
 
 def stop_from_elsewhere(url: str, way: str) -> None:

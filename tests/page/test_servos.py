@@ -60,7 +60,7 @@ def test_the_state_of_the_torque_is_told_in_the_language_of_the_page(browser: Br
         page.open(arm.server.port)
         page.open_panel("arm", "servos")
         page.part("servo-open-gripper").click()
-        page.until_text("servo-condition", "Drehmoment an")
+        page.until_text("servo-condition", "Kraft an")
         page.part("servo-gripper").get_by_text("an", exact=True).wait_for()
 
 

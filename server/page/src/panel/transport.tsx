@@ -57,7 +57,7 @@ export function TransportBar(): JSX.Element {
   return (
     <div class="transport" data-testid="transport" role="group" aria-label={t("move.title")} hidden={!moving && trajectory === null && !isOpen(layout, "move")}>
       <PrimaryButton />
-      <Gate to="drive"><SignButton sign="⏮" testid="step-back" title={t("bar.back.title")} label={t("bar.back")} hidden={!moving} press={() => void commands.trigger("/arm/step_back")} /></Gate>
+      <Gate to="drive"><SignButton sign="◀" testid="step-back" title={t("bar.back.title")} label={t("bar.back")} hidden={!moving} press={() => void commands.trigger("/arm/step_back")} /></Gate>
       <SignButton sign={replaying ? "❚❚" : "▶"} testid="replay" label={t(replaying ? "scrubber.halt" : "scrubber.replay")} hidden={!has_plan} press={() => store.patch("plan", { replaying: !store.state.plan.replaying })} />
       <input
         type="range" data-testid="scrubber" aria-label={t("scrubber.time")} min="0" max={end_s} step="0.01" value={shown_s} hidden={!has_plan}

@@ -14,7 +14,7 @@ SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
 
 # Texts of controls that their box cuts off, panels and tables that scroll sideways, and what leaves the window.
 FIND_CUT = """() => {
-    const kinds = "button, summary, h2, .panel, .wide, #bar, #rail, #dock > section, .transport";
+    const kinds = "button, summary, h2, .panel, .wide, #bar, #rail, #dock > section, .transport, .first-motion";
     const shown = [...document.querySelectorAll(kinds)].filter(each => each.checkVisibility());
     return shown.filter(each => {
         const { left, right } = each.getBoundingClientRect();

@@ -1,7 +1,5 @@
 """Cameras of a server with physics: orders to their process, what it renders, and its end."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

@@ -1,7 +1,5 @@
 """MoveIt's interface over the wire: a whole server, as clients of both generations and clients of topics see it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

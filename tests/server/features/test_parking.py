@@ -1,7 +1,5 @@
 """The way to the rest pose that the arm process keeps, and the last client, in a time of their own."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The planning scene as the world of a simulated arm: bodies out, poses and dropped objects back."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

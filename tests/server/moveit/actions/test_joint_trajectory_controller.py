@@ -1,7 +1,5 @@
 """FollowJointTrajectory and the controller's topics."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -1,7 +1,5 @@
 """Saving and loading the geometry of a scene."""
 
-from __future__ import annotations
-
 import logging
 import math
 

@@ -1,7 +1,5 @@
 """Topics and services of the planning scene."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from copy import copy

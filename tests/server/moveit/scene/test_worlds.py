@@ -1,7 +1,5 @@
 """Files of worlds: the built-in ones are read, and each thing that is wrong with one has a sentence."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The servo loop and the commands it follows."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from protocol.errors import MessageError
-from protocol.registry import Registry
 from server.graph.topics import Graph
 from server.moveit.scene.worlds import read_world
+from tests.helpers.messages import REGISTRY
 
-MESSAGE_TYPES = Graph(Registry.load()).message_types
+MESSAGE_TYPES = Graph(REGISTRY).message_types
 CUBE = {"id": "cube", "primitives": [{"type": 1, "dimensions": [0.03, 0.03, 0.03]}]}
 
 

@@ -467,7 +467,7 @@ class Arm(ArmClock):
         # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
         # not be switched on.
         last = self._last_connected
-        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.torque_enabled)
+        hardware = self._config.hardware.resumed(_position_rad(last), self.clock_s, driven=last.torque_enabled)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
         while True:
             await asyncio.sleep(self._restart_delay.after(ran_s))

@@ -82,7 +82,7 @@ class ArmLoop:
         self._clock = (
             LoopClock()
             if isinstance(hardware, SerialConfig)
-            else SimulationClock(now_s, hardware.rate, hardware.since_s)
+            else SimulationClock(now_s, hardware.rate, hardware.clock_s)
         )
         self._opener: Callable[[], HardwareInterface] | None = None
         self._supervisor = Supervisor(config, self._send, self._clock, scheduling)

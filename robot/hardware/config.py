@@ -36,7 +36,7 @@ class SerialConfig(_ServosConfig):
     baud: int = 1_000_000  # bits per second
     profile: ServoProfile | None = None  # settings that Feetech's should have; None for the nearest known profile
 
-    def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> Self:
+    def resumed(self, _position_rad: Mapping[str, float], _clock_s: float | None = None, *, driven: bool) -> Self:
         """Return the same: servos stay where they are when the arm process ends."""
         return self
 
@@ -50,11 +50,15 @@ class _SimulatedConfig:
     driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
     physics: bool = False  # True if MuJoCo moves the joints (:mod:`robot.physics`)
     rate: float = 1.0  # arm's time per machine's time
-    since_s: float = 0.0  # monotonic time from which on the rate counts [s]
+    clock_s: float | None = None  # time of its clock at the start [s]; None for the machine's monotonic time
 
-    def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
-        """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""
-        return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
+    def resumed(self, position_rad: Mapping[str, float], clock_s: float | None = None, *, driven: bool) -> Self:
+        """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed.
+
+        A clock that is not the machine's goes on from the time that it reported last [s].
+        """
+        clock_s = None if self.rate == 1.0 else clock_s
+        return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven, clock_s=clock_s)
 
 
 @dataclass(frozen=True)
@@ -80,9 +84,9 @@ class EmulatedConfig(_SimulatedConfig, _ServosConfig):
         lossless = self.kind == "feetech" and not self.drop and not self.corrupt
         return lossless and self.control is None and not self.physics
 
-    def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
+    def resumed(self, position_rad: Mapping[str, float], clock_s: float | None = None, *, driven: bool) -> Self:
         """Return the servos as an arm process that has ended left them."""
-        return replace(super().resumed(position_rad, driven=driven), resumes=True)
+        return replace(super().resumed(position_rad, clock_s, driven=driven), resumes=True)
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,7 @@ def test_ticks_that_were_skipped_on_purpose_lose_no_time() -> None:
 def faster(*gaps_s: float) -> SimulationClock:
     """A clock ten times as fast as the machine's, whose ticks came so long after one another."""
     machine_s = 50.0
-    clock = SimulationClock(machine_s, rate=10.0, since_s=machine_s)
+    clock = SimulationClock(machine_s, rate=10.0)
     for gap_s in gaps_s:
         machine_s += gap_s
         clock.start_tick(machine_s)
@@ -232,10 +232,12 @@ def test_a_faster_clock_is_as_fast_as_the_machines_while_the_arm_is_steered() ->
     assert (clock.rate, clock()) == (10.0, pytest.approx(50.0 + 2 * PERIOD_S))
 
 
-def test_the_clock_of_the_next_arm_process_is_not_behind() -> None:
-    after = SimulationClock(51.5, rate=10.0, since_s=50.0)
-    assert after() == pytest.approx(65.0)
-    assert after() > faster(0.5, 0.5)()
+def test_a_faster_clock_goes_on_in_the_next_arm_process() -> None:
+    before = faster(0.1 * PERIOD_S, 5.0)
+    after = SimulationClock(56.0, 10.0, before())
+    assert after() == before() == pytest.approx(50.0 + PERIOD_S + MAX_TICK_S)
+    after.start_tick(56.0 + 0.1 * PERIOD_S)
+    assert after() == pytest.approx(before() + PERIOD_S)
 
 
 def test_stamps_have_the_time_of_a_clock_that_is_not_the_machines(monkeypatch: pytest.MonkeyPatch) -> None:

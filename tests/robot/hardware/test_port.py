@@ -353,5 +353,10 @@ def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_them
     assert feetech.resumed(POSE, driven=True) == replace(feetech, start_rad=POSE, driven=True, resumes=True)
     assert dynamixel.resumed(POSE, driven=True) == replace(dynamixel, start_rad=POSE, driven=True, resumes=True)
     assert IdealConfig(0.2).resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
+    faster = replace(feetech, rate=10.0)
+    assert faster.resumed(POSE, 7.0, driven=True) == replace(
+        faster, start_rad=POSE, driven=True, resumes=True, clock_s=7.0
+    )
+    assert feetech.resumed(POSE, 7.0, driven=True).clock_s is None
     for real in (SerialConfig(CALIBRATION, "/dev/arm"), SerialConfig(CALIBRATION, "/dev/arm", "dynamixel")):
         assert real.resumed(POSE, driven=True) == real

@@ -1,7 +1,5 @@
 """Socket pair between the server and a child: pickled dataclasses behind a length, never from a client."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import select

@@ -1,7 +1,5 @@
 """Faults of a running arm and alerts of its servos: code, meaning and remedy of each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """Child processes from the server's side: fresh interpreters that share only the sockets of :mod:`robot.channel`."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -5,8 +5,6 @@ A goal on ``NAME/goal`` is sent to the action as anyone's goal; its progress is 
 action's goals are kept as actionlib keeps them.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass

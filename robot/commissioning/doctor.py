@@ -1,7 +1,5 @@
 """Examination of an arm: findings with a remedy each, from registers and measured times. Nothing is written."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum

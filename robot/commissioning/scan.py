@@ -1,7 +1,5 @@
 """Reads of the bus that write nothing: the servos that answer, their registers, and the time of replies and cycles."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence

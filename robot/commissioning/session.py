@@ -5,8 +5,6 @@ middle pose makes a joint cross the seam between ticks 4095 and 0. Here position
 is written before the sweep is complete, and the middle of what was swept becomes the middle of the turn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum

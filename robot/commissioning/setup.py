@@ -9,8 +9,6 @@ replaced as a whole each time, and a file that is there already is never touched
 recognised by its id.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Robot description: links, joints, limits, groups and named states, read from any URDF and SRDF."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

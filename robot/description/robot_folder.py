@@ -3,8 +3,6 @@
 The package example-robot-data brings the descriptions of some fifty published robots, which are found by their names.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

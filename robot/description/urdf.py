@@ -1,7 +1,5 @@
 """URDF: elements, links and joints with their limits, and frames; held joints are fixed where they stay."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping

@@ -6,8 +6,6 @@ goal after power-up is 0 at any position, torque on does not move the goal to th
 is cleared goes on to its old goal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 

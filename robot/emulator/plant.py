@@ -1,7 +1,5 @@
 """Plant of a servo: motor and gear under external loads, and the motor's temperature. Pure: time is passed in."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 A rehearsal has live commands at given times, from a script of JSON lines (docs/simulation.md) or ready-made.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

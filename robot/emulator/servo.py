@@ -1,7 +1,5 @@
 """Emulated servo, alike in every family: memory, plant, heat and protection. Pure: time is passed in."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

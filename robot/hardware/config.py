@@ -1,7 +1,5 @@
 """Configuration of an arm's hardware, one class for each kind."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Calibration as a procedure of the server: the session's questions, the arm's orders, the file, and the new start."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -4,8 +4,6 @@ One procedure at a time, for all admins alike: it outlives the connection of the
 page may be loaded again, and ends when nobody has answered for a quarter of an hour.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

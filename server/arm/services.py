@@ -1,7 +1,5 @@
 """Orders to the arm: the services under ``/arm/`` and the topics ``/emergency_stop`` and ``/arm/speed_factor``."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging

@@ -4,8 +4,6 @@ This process loads every module and the robot once; the servers and their arms' 
 that memory. Planners are processes of the host, and the servers take turns with them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import http.client
 import importlib

@@ -1,7 +1,5 @@
 """Students of a classroom: a port, a folder and a token each, and the list of them that a teacher hands out."""
 
-from __future__ import annotations
-
 import csv
 import os
 import secrets

@@ -4,8 +4,6 @@ This process has no threads and no event loop, so that a fork of it is whole at 
 of a child (SIGCHLD), or its own (SIGINT, SIGTERM). What it has loaded before the first fork is in memory once for all.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import logging

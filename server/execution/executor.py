@@ -4,8 +4,6 @@ Goals of groups without a common joint are executed at the same time. A motion b
 another group, wherever each of both is on its way; else it waits for the other's end.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging

@@ -1,7 +1,5 @@
 """Monitors of execution: the arm's current state, its readiness, and the scene around a motion in progress."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

@@ -1,7 +1,5 @@
 """Features of each arm by its names: orders, state and control, commissioning, teaching and teleoperation."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import os

@@ -1,7 +1,5 @@
 """Clients of the server: the ports that they connect to, the tokens for them, and ``GET /armbridge/interface.json``."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import hashlib

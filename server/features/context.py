@@ -1,7 +1,5 @@
 """Context in which the features of the server are made: its arms, its planning, and the way of goals to the arms."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ A replay is a goal as others: the arm goes to the motion's start by a planned mo
 taught, as fast as it was taught or slower where limits demand it, checked in the scene at that time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Teaching by clients: the services under ``/teach/`` and the topic of the recording in progress."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from typing import Any

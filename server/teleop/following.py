@@ -1,7 +1,5 @@
 """Following: when a follower moves, and how fast; pure logic, time is an argument."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

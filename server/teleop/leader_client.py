@@ -1,7 +1,5 @@
 """Rosbridge client that publishes the joints of a relaxed arm: the newest sample alone."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any

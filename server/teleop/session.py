@@ -1,7 +1,5 @@
 """Following in progress: from a leader's samples to a follower's ramp, joints and gripper, tick by tick."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

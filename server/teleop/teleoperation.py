@@ -1,7 +1,5 @@
 """Teleoperation by clients: the services and topics below ``/teleop/``, and where leaders' samples come from."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging

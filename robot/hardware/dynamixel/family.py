@@ -8,8 +8,6 @@ counts what follows it, little endian. Behind every ``FF FF FD`` from INST to th
 stuffed, so that no header can be in a packet; LEN and CRC count the stuffed bytes (e-manual, DYNAMIXEL Protocol 2.0).
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import struct

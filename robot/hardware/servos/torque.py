@@ -6,8 +6,6 @@ is a sequence (:mod:`robot.hardware.interface`) that may be abandoned between an
 calibration counts (:mod:`robot.hardware.servos.family`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Bridge between actions and the goal queue: goals in, the queue's answers back as feedback and results."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Callable

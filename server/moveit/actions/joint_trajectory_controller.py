@@ -3,8 +3,6 @@
 https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/doc/userdoc.html
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import math

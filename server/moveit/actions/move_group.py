@@ -1,7 +1,5 @@
 """Actions of MoveIt's move_group: MoveGroup under its two names, MoveGroupSequence, and ExecuteTrajectory."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

@@ -1,7 +1,5 @@
 """Check of many goals of topics at once, without planning or moving: the service ``/check_goals``."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -1,7 +1,5 @@
 """The last goals of all clients: their answers, what was asked, the planned motions, and problem files of them."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections import OrderedDict

@@ -1,7 +1,5 @@
 """Goals of clients that know only topics, one per message on ``/moveit_goal_*``: confirmation, status and result."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

@@ -1,7 +1,5 @@
 """Context in which the fields of a request are read, and moveit_msgs/Constraints read as goal and path constraints."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -6,8 +6,6 @@ its center (``center``):
 https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Collision objects and attached ones as moveit_msgs/CollisionObject describes them, and their shapes (shape_msgs)."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import operator

@@ -6,8 +6,6 @@ figures, pose and colour, and the number of its subframes, each with name and po
 Files of older versions have neither the objects' poses nor subframes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Mapping

@@ -8,8 +8,6 @@ by a service, which names a topic. A transform is sent again once it has moved b
 ``/armbridge/robot`` has the joint groups as JSON, for a page that reads neither URDF nor SRDF for them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import functools

@@ -4,8 +4,6 @@ These plan motions, describe planners and groups, and answer for kinematics and 
 Their functions raise RefusedError. Here it is caught, logged and written into the response.
 """
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 import logging

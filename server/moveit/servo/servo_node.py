@@ -1,7 +1,5 @@
 """Topics and services of MoveIt Servo: commands, status, and the services of both its generations."""
 
-from __future__ import annotations
-
 import functools
 import json
 import logging

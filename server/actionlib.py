@@ -128,7 +128,6 @@ class BridgedAction:
         graph.subscribe(self._node, f"{name}/cancel", GOAL_ID, Subscriber(self._take_cancel))
 
     def publish_status(self) -> None:
-        """Tell how all goals are, if anybody listens."""
         # Drop what ended long ago, and of very many goals the oldest that have ended.
         now_s = self._clock()
         self._goals = {

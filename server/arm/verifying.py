@@ -117,13 +117,11 @@ class VerificationProcedure:
             readings.done.set_result(None)
 
     def take_health(self, health: ArmHealth) -> None:
-        """Take the position gains of the servos."""
         for joint in health.joints:
             if (gain := joint.registers.get(P_GAIN)) is not None:
                 self._gains[joint.joint] = gain
 
     def close(self) -> None:
-        """Stop the motion in progress, if there is one."""
         if self._goal is not None:
             self._cancel(self._goal.goal_id, "the verification has ended")
 

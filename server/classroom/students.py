@@ -82,7 +82,6 @@ def places(count: int, first_port: int, folder: Path, host: str) -> list[Student
 
 
 def new_token() -> str:
-    """Return a token that nobody can guess."""
     return secrets.token_hex(TOKEN_BYTES)
 
 

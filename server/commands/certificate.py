@@ -97,7 +97,6 @@ def ensure_token(directory: Path) -> tuple[Path, str]:
 
 
 def description_of(files: CertificateFiles, outcome: Outcome, tokens: Path, token: str) -> str:
-    """Return what was made, and what to do with it."""
     certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"
     made = f"{certificate}; it was made because {outcome.reason}." if outcome.reason else f"{certificate}; it stays."
     known = "" if outcome.made_authority else " Phones that trust it already need nothing."

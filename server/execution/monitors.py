@@ -145,7 +145,6 @@ class SceneMonitor:
         source.on_change(self._on_change)
 
     async def check(self, questions: Callable[[], Questions]) -> None:
-        """Check a motion in the present scene."""
         until_s = self._clock() + self._retry_for_s
         while True:
             scene = self._source.scene

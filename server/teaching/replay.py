@@ -39,8 +39,6 @@ MAX_REPEAT = 100
 def offer_replay(
     graph: Graph, robot: RobotModel, motions: MotionFiles, queue: GoalQueue, problems: ProblemBuilder
 ) -> None:
-    """Offer ``/replay_motion``."""
-
     async def submit(goal: Goal) -> None:
         name, repeat = goal.request["name"], goal.request["repeat"]
         try:
@@ -84,7 +82,6 @@ class TaughtStep(Step):
     speed: float
 
     def problem(self, start_rad: Positions) -> JointPathProblem:
-        """Build the problem to follow the motion."""
         return self.taught.problem(start_rad, self.speed, CHECK_TIME_S)
 
 

@@ -69,12 +69,10 @@ class TeachingRecorder:
 
     @property
     def duration_s(self) -> float:
-        """Time that has been recorded [s]."""
         return self._time_s[-1] - self._time_s[0] if self._time_s else 0.0
 
     @property
     def points(self) -> int:
-        """Number of positions that have been recorded."""
         return len(self._time_s)
 
     @property

@@ -118,7 +118,6 @@ class Following:
         return Act.BRAKE
 
     def end(self, reason: str) -> Act:
-        """End the following for a reason."""
         if self.ended:
             return Act.NOTHING
         self.phase, self.message = Phase.IDLE, reason

@@ -59,7 +59,6 @@ class Follower:
 
     @property
     def joints(self) -> frozenset[str]:
-        """All of its joints."""
         return frozenset(joint.name for joint in self.robot.movable_joints)
 
     @property

@@ -52,7 +52,6 @@ UNKNOWN = -1.0
 
 
 def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: PlanningContext) -> None:
-    """Offer ``/check_goals``."""
     turn = asyncio.Lock()
 
     async def check(request: dict[str, Any]) -> dict[str, Any]:

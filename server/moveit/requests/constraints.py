@@ -92,7 +92,6 @@ def chooses_orientation(group: Group) -> bool:
 
 
 def checked_tip(link: str, group: Group) -> str:
-    """Return the tip of a group."""
     if not link:
         raise refused(
             MoveItErrorCode.INVALID_LINK_NAME,

@@ -89,7 +89,6 @@ class Fault:
 
     @property
     def remedy(self) -> str:
-        """Advice to the person at the arm, one sentence."""
         return remedy_of(self.code, simulated=self.simulated)
 
     def __str__(self) -> str:

@@ -83,7 +83,6 @@ class Sweep:
             upper_end.add(position)
 
     def width(self, servo_id: int) -> int:
-        """Return the width of a servo's range [ticks]."""
         return self.highest[servo_id] - self.lowest[servo_id]
 
 
@@ -384,7 +383,6 @@ class CalibrationSession:
         )
 
     def take(self, ticks: Mapping[int, int]) -> None:
-        """Take positions of some servos, by id [ticks]."""
         if self._sweep is not None and self.calibration is None:
             self._sweep.add(ticks)
 

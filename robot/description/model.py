@@ -89,7 +89,6 @@ class RobotModel:
 
     @property
     def movable_joints(self) -> tuple[Joint, ...]:
-        """Joints with a position, in the order of the URDF."""
         return tuple(joint for joint in self.joints.values() if joint.movable)
 
 

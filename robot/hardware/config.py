@@ -96,7 +96,6 @@ class IdealConfig(_SimulatedConfig):
         return not self.physics
 
     def joint_names(self, robot: RobotModel) -> tuple[str, ...]:
-        """Return every movable joint of the robot."""
         return tuple(joint.name for joint in robot.movable_joints)
 
 

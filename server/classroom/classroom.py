@@ -4,7 +4,6 @@ This process loads every module and the robot once; the servers and their arms' 
 that memory. Planners are processes of the host, and the servers take turns with them.
 """
 
-import asyncio
 import http.client
 import importlib
 import logging
@@ -30,7 +29,7 @@ from server.classroom.students import LIST_FILE, TEACHER, Student, new_token, pl
 from server.classroom.supervisor import Member, supervise
 from server.config import Settings
 from server.errors import ConfigurationError, StartError
-from server.lifecycle import stop_signals
+from server.lifecycle import run_until_signal
 
 log = logging.getLogger("armbridge.classroom")
 
@@ -77,25 +76,13 @@ def run_classroom(
 
         def serve_planners() -> None:
             memory_bytes = settings.planning.memory_limit_bytes
-            uvloop.run(
-                _serve(PlannerHost(description.robot, inherited.planners, count, planners, QUESTIONS, memory_bytes))
-            )
+            shared = PlannerHost(description.robot, inherited.planners, count, planners, QUESTIONS, memory_bytes)
+            uvloop.run(run_until_signal(shared.run()))
 
         planner_host = Member("the planners", serve_planners, folder / "planners.log")
         servers = [_server_member(student, own, inherited) for student, own in zip(students, all_settings, strict=True)]
         supervise([planner_host, *servers], _Readiness(students, host, file, tls=bool(settings.server.tls_certificate)))
     log.info("stopped")
-
-
-async def _serve(host: PlannerHost) -> None:
-    ending, _ = stop_signals()
-    serving = asyncio.create_task(host.run())
-    ended = asyncio.create_task(ending.wait())
-    await asyncio.wait([serving, ended], return_when=asyncio.FIRST_COMPLETED)
-    serving.cancel()
-    await asyncio.wait([serving])
-    if not serving.cancelled():
-        serving.result()
 
 
 def _server_member(student: Student, settings: Settings, inherited: Inherited) -> Member:

@@ -278,12 +278,15 @@ async def test_steps_need_a_pause_and_come_one_call_after_the_other(stage: Stage
     assert await stage.answer("/simulation/step", steps=1) == (False, "other steps are in progress")
 
 
-async def test_an_arm_that_does_not_answer_ends_the_wait(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_arm_that_does_not_answer_ends_the_wait_and_the_pause(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("server.features.physics.ANSWER_TIMEOUT_S", 0.0)
     assert await stage.answer("/simulation/pause", data=True) == (
         False,
         "the arm process did not answer within 0 s",
     )
+    assert [each.paused for each in stage.arm.pauses] == [True, False]
 
 
 async def test_the_scene_follows_each_step(stage: Stage) -> None:

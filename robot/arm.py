@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from robot.calibration import Calibration
+from robot.hardware.config import ClockReading
 from robot.logs import LogLimiter
 from robot.messages import (
     END_LIMIT_S,
@@ -204,12 +205,10 @@ class Arm(ArmClock):
 
     @property
     def pid(self) -> int | None:
-        """Process id; None before the first launch."""
         return self._process.pid
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Process id, as of several arms; empty before the first launch."""
         return () if self.pid is None else (self.pid,)
 
     def part(self, _joint_names: Collection[str]) -> Arm:
@@ -223,12 +222,10 @@ class Arm(ArmClock):
 
     @property
     def state_age_s(self) -> float:
-        """Age of the latest state [s]."""
         return time.monotonic() - self._state_at_s
 
     @property
     def clock_s(self) -> float:
-        """Clock of the arm's control loop, from the latest state [s]."""
         return self.state.clock_s
 
     def execute(
@@ -281,7 +278,6 @@ class Arm(ArmClock):
             self._process.send(Stop(number))
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, direction or speed limit of motions, from now on."""
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
         self._process.send(change)
@@ -467,7 +463,8 @@ class Arm(ArmClock):
         # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
         # not be switched on.
         last = self._last_connected
-        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.torque_enabled)
+        clock = ClockReading(self.clock_s, self.state.stamp_s)
+        hardware = self._config.hardware.resumed(_position_rad(last), clock, driven=last.torque_enabled)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
         while True:
             await asyncio.sleep(self._restart_delay.after(ran_s))
@@ -545,7 +542,6 @@ class ArmProcess:
 
     @property
     def pid(self) -> int | None:
-        """Process id; None before the first launch."""
         return None if self._child is None else self._child.pid
 
     @property
@@ -593,11 +589,9 @@ class ArmProcess:
             await self._child.wait(SILENT_S)
 
     def close(self) -> None:
-        """Give the descriptors for the start of another process back."""
         self._reserve.close()
 
     async def kill(self) -> None:
-        """Kill the process."""
         if self._child is not None:
             await self._child.kill()
 

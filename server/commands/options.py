@@ -53,8 +53,17 @@ def add_command(
     return parser
 
 
-def number(kind: type[int] | type[float], least: float, greatest: float) -> Callable[[str], float]:
-    """Return a reader of an option's number, within bounds."""
+def add_number(
+    parser: argparse.ArgumentParser,
+    option: str,
+    metavar: str,
+    bounds: tuple[float, float],
+    default: float | None,
+    text: str,
+) -> None:
+    """Describe an option with a number within bounds: a whole number where they are whole."""
+    least, greatest = bounds
+    kind = int if isinstance(greatest, int) else float
     wanted = f"a whole number from {least:g} to {greatest:g}" if kind is int else f"{least:g} to {greatest:g}"
 
     def read(text: str) -> float:
@@ -66,7 +75,7 @@ def number(kind: type[int] | type[float], least: float, greatest: float) -> Call
             raise argparse.ArgumentTypeError(f"must be {wanted}, not {text!r}")
         return value
 
-    return read
+    parser.add_argument(option, type=read, default=default, metavar=metavar, help=text)
 
 
 def add_connect(parser: argparse.ArgumentParser) -> None:
@@ -86,7 +95,6 @@ def add_token_file(parser: argparse.ArgumentParser, tokens: str) -> None:
 
 
 def read_token(options: argparse.Namespace) -> str | None:
-    """Read the token that a client shows, if it has one."""
     file: Path | None = options.token_file
     try:
         return os.environ.get(TOKEN_VARIABLE) if file is None else file.read_text().strip()
@@ -144,7 +152,6 @@ def open_bus(options: argparse.Namespace) -> Bus:
 
 
 def read_calibration(options: argparse.Namespace) -> Calibration | None:
-    """Read the calibration that the options name, if they name one."""
     return None if options.calibration is None else load_calibration(options.calibration, read_hardware(options))
 
 

@@ -1,7 +1,5 @@
 """Context in which the features of the server are made: its arms, its planning, and the way of goals to the arms."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Sequence
@@ -29,7 +27,7 @@ from server.graph.topics import Graph
 from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
-from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator, OneArm
+from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator
 from server.moveit.goals.goal_topics import Confirmation
 from server.moveit.named_states import NamedStates, NamedStatesFile, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
@@ -114,7 +112,6 @@ class ArmContext:
 
     @cached_property
     def joints(self) -> frozenset[str]:
-        """All joints that it can move."""
         return frozenset(joint.name for joint in self.robot.movable_joints)
 
     @property
@@ -124,13 +121,12 @@ class ArmContext:
 
     @cached_property
     def translator(self) -> GoalTranslator:
-        """Translator of the goals that are sent by its names."""
-        only = OneArm(self.served.prefix, self.joints) if self.name else None
-        return GoalTranslator(self.planning, self.parameters, self.goals.named_states, only)
+        return GoalTranslator(
+            self.planning, self.parameters, self.goals.named_states, self.served.prefix, self.only_joints
+        )
 
     @cached_property
     def gripper(self) -> Gripper | None:
-        """Its gripper; None without one."""
         if self.robot.gripper is None:
             return None
         return Gripper(
@@ -178,7 +174,6 @@ class ServerContext:
 
     @property
     def whole(self) -> ArmContext:
-        """The only arm, or all arms together."""
         return self.arms[0]
 
     @property

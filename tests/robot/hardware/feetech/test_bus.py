@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import contextlib
 import random
 from collections import deque
@@ -473,7 +471,6 @@ def test_telemetry_is_read_as_its_registers_are(block):
     parsed = parse_telemetry(block)
     values = {
         Register.PRESENT_POSITION: parsed.position_ticks,
-        Register.PRESENT_VELOCITY: parsed.velocity_ticks_s,
         Register.PRESENT_VELOCITY: parsed.velocity_ticks_s,
         Register.PRESENT_LOAD: round(1000.0 * parsed.load),
         Register.PRESENT_VOLTAGE: round(10.0 * parsed.voltage_v),

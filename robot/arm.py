@@ -204,12 +204,10 @@ class Arm(ArmClock):
 
     @property
     def pid(self) -> int | None:
-        """Process id; None before the first launch."""
         return self._process.pid
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Process id, as of several arms; empty before the first launch."""
         return () if self.pid is None else (self.pid,)
 
     def part(self, _joint_names: Collection[str]) -> Arm:
@@ -223,12 +221,10 @@ class Arm(ArmClock):
 
     @property
     def state_age_s(self) -> float:
-        """Age of the latest state [s]."""
         return time.monotonic() - self._state_at_s
 
     @property
     def clock_s(self) -> float:
-        """Clock of the arm's control loop, from the latest state [s]."""
         return self.state.clock_s
 
     def execute(
@@ -281,7 +277,6 @@ class Arm(ArmClock):
             self._process.send(Stop(number))
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, direction or speed limit of motions, from now on."""
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
         self._process.send(change)
@@ -545,7 +540,6 @@ class ArmProcess:
 
     @property
     def pid(self) -> int | None:
-        """Process id; None before the first launch."""
         return None if self._child is None else self._child.pid
 
     @property
@@ -593,11 +587,9 @@ class ArmProcess:
             await self._child.wait(SILENT_S)
 
     def close(self) -> None:
-        """Give the descriptors for the start of another process back."""
         self._reserve.close()
 
     async def kill(self) -> None:
-        """Kill the process."""
         if self._child is not None:
             await self._child.kill()
 

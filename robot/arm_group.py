@@ -71,14 +71,12 @@ class ArmGroup(ArmClock):
 
     @property
     def last_stop(self) -> int:
-        """Stop epoch of the last stop of all motion of any."""
         return max(arm.last_stop for arm in self._arms.values())
 
     rate = 1.0  # time by the arms' clocks per time of the machine
 
     @property
     def states(self) -> dict[str, ArmState]:
-        """Latest state of each, by the name of the arm."""
         return {name: arm.state for name, arm in self._arms.items()}
 
     @property
@@ -94,7 +92,6 @@ class ArmGroup(ArmClock):
 
     @property
     def state_age_s(self) -> float:
-        """Age of the oldest of the latest states [s]."""
         return max(arm.state_age_s for arm in self._arms.values())
 
     @property
@@ -104,11 +101,9 @@ class ArmGroup(ArmClock):
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Process ids of all."""
         return tuple(pid for arm in self._arms.values() for pid in arm.pids)
 
     def part(self, joint_names: Collection[str]) -> AnyArm:
-        """Return the arm, or the arms together, that have some joints."""
         names = frozenset(self._arm_of[joint] for joint in joint_names if joint in self._arm_of)
         if len(names) == 1:
             return self._arms[next(iter(names))]
@@ -123,19 +118,15 @@ class ArmGroup(ArmClock):
     # Start and end.
 
     async def launch(self) -> None:
-        """Start the processes, as :meth:`robot.arm.Arm.launch`."""
         await asyncio.gather(*(arm.launch() for arm in self._arms.values()))
 
     async def start(self, timeout_s: float) -> None:
-        """Configure the processes, and wait for the first state of each, as :meth:`robot.arm.Arm.start`."""
         await asyncio.gather(*(arm.start(timeout_s) for arm in self._arms.values()))
 
     async def until_started(self, timeout_s: float) -> None:
-        """Wait while :meth:`start` is in progress."""
         await self._each(lambda arm: arm.until_started(timeout_s))
 
     async def close(self) -> None:
-        """Bring each arm to its end state and end the processes, as :meth:`robot.arm.Arm.close`."""
         await self._each(lambda arm: arm.close())
 
     # Motions.
@@ -210,7 +201,6 @@ class ArmGroup(ArmClock):
         return part.stream(joint_names, epoch, gripping=gripping)
 
     async def end_streams(self, timeout_s: float) -> bool:
-        """Bring every stream to rest; return True when all have ended within ``timeout_s``."""
         return all(await self._each(lambda arm: arm.end_streams(timeout_s)))
 
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
@@ -225,12 +215,10 @@ class ArmGroup(ArmClock):
                 self._arms[name].stop(one)
 
     def change_pace(self, change: ChangePace) -> None:
-        """Change speed factor, direction or speed limit of the motions of all."""
         for arm in self._arms.values():
             arm.change_pace(change)
 
     async def rest(self, timeout_s: float) -> bool:
-        """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
         return all(await self._each(lambda arm: arm.rest(timeout_s)))
 
     def order(
@@ -265,7 +253,6 @@ def states_of(arm: AnyArm) -> dict[str, ArmState]:
 
 
 def moves(arm: AnyArm) -> bool:
-    """Return True while a motion is in progress, of any of several arms."""
     return any(state.mode is Mode.MOVING for state in states_of(arm).values())
 
 

@@ -59,21 +59,17 @@ class JointCalibration:
 
     @property
     def joint(self) -> str:
-        """Name of the joint in the URDF."""
         return self.servo.joint
 
     @property
     def lower_rad(self) -> float:
-        """Lower end of the calibrated range [rad]."""
         return min(self.rad_from_ticks(self.range_min), self.rad_from_ticks(self.range_max))
 
     @property
     def upper_rad(self) -> float:
-        """Upper end of the calibrated range [rad]."""
         return max(self.rad_from_ticks(self.range_min), self.rad_from_ticks(self.range_max))
 
     def rad_from_ticks(self, ticks: float) -> float:
-        """Convert a present position [ticks] to a joint position [rad]."""
         return self._zero_rad + (ticks - self._zero_ticks) * self._rad_per_tick
 
     def ticks_from_rad(self, position_rad: float) -> int:
@@ -81,11 +77,9 @@ class JointCalibration:
         return round(self._zero_ticks + (position_rad - self._zero_rad) / self._rad_per_tick)
 
     def rad_s_from_ticks_s(self, velocity_ticks_s: float) -> float:
-        """Convert a servo velocity [ticks/s] to a joint velocity [rad/s]."""
         return velocity_ticks_s * self._rad_per_tick
 
     def ticks_s_from_rad_s(self, velocity_rad_s: float) -> float:
-        """Convert a joint velocity [rad/s] to a servo velocity [ticks/s]."""
         return velocity_rad_s / self._rad_per_tick
 
     @property

@@ -1,7 +1,5 @@
 """Socket pair between the server and a child: pickled dataclasses behind a length, never from a client."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import select
@@ -29,7 +27,6 @@ SIGNALS_OF_SERVER = (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
 
 
 def encode(message: object) -> bytes:
-    """Frame one message for the other end."""
     payload = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     if len(payload) > MAX_MESSAGE_BYTES:
         raise ValueError(f"a message of {len(payload)} bytes is over the limit of {MAX_MESSAGE_BYTES}")
@@ -70,7 +67,6 @@ class Channel:
         self.closed = False  # True when the server has closed its end, or has died
 
     def fileno(self) -> int:
-        """File descriptor, for ``select``."""
         return self._socket.fileno()
 
     def receive(self, timeout_s: float | None) -> list[Any]:

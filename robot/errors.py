@@ -1,7 +1,5 @@
 """Exceptions of ``robot``: one class per fact, with the facts as attributes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Faults of a running arm and alerts of its servos: code, meaning and remedy of each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -91,7 +89,6 @@ class Fault:
 
     @property
     def remedy(self) -> str:
-        """Advice to the person at the arm, one sentence."""
         return remedy_of(self.code, simulated=self.simulated)
 
     def __str__(self) -> str:

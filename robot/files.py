@@ -4,8 +4,6 @@ The lock of a file is ``.NAME.lock`` beside it, with the number of the process t
 stays, since removing it would let two processes lock two files of one name.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

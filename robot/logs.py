@@ -50,7 +50,6 @@ def configure(level: int | str, log_format: LogFormat, process: str = "server", 
 
 
 def format_in_use() -> LogFormat:
-    """Return the format in which this process logs."""
     found = any(isinstance(handler.formatter, JsonFormatter) for handler in logging.getLogger().handlers)
     return "json" if found else "plain"
 
@@ -73,7 +72,6 @@ class PlainFormatter(logging.Formatter):
         return super().formatMessage(record)
 
     def format(self, record: logging.LogRecord) -> str:
-        """Format the line, and the traceback below it."""
         return without_secrets(super().format(record))
 
 
@@ -109,7 +107,6 @@ def message_of(record: logging.LogRecord) -> str:
 
 
 def without_secrets(text: str) -> str:
-    """Blot out the tokens in a text."""
     return _SECRET.sub(r"\1***", text)
 
 
@@ -256,12 +253,10 @@ class LineHandler(logging.Handler):
         logging.getLogger(OUR_LOGGER).addHandler(self)
 
     def close(self) -> None:
-        """Pass on no more lines."""
         logging.getLogger(OUR_LOGGER).removeHandler(self)
         super().close()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Pass a record on."""
         text = message_of(record)
         if record.exc_info:
             text = f"{text}\n{without_secrets(logging.Formatter().formatException(record.exc_info))}"

@@ -4,8 +4,6 @@ First the server's (configuration, motions, streams, pace, orders), then the arm
 states, health).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Child processes from the server's side: fresh interpreters that share only the sockets of :mod:`robot.channel`."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
@@ -114,12 +112,10 @@ class ForkedProcess:
         return self._code
 
     def kill(self) -> None:
-        """Kill it, if it runs."""
         if self.poll() is None:
             os.kill(self.pid, signal.SIGKILL)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the exit code."""
         until_s = None if timeout is None else time.monotonic() + timeout
         while (code := self.poll()) is None:
             if until_s is not None and time.monotonic() >= until_s:
@@ -207,12 +203,10 @@ class Child(asyncio.Protocol):
 
     @property
     def pid(self) -> int:
-        """Process id."""
         return self._process.pid
 
     @property
     def running(self) -> bool:
-        """True until the child has ended."""
         return self._process.poll() is None
 
     @property
@@ -259,13 +253,11 @@ class Child(asyncio.Protocol):
             await asyncio.wait_for(self._ended.wait(), CLOSE_TIMEOUT_S)
 
     async def kill(self) -> None:
-        """Kill the child."""
         if self.running:
             self._process.kill()
         await self.wait(KILL_TIMEOUT_S)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keep the transport."""
         self._transport = cast(asyncio.Transport, transport)
 
     def data_received(self, data: bytes) -> None:
@@ -285,7 +277,6 @@ class Child(asyncio.Protocol):
                 self._deliver(message)
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the base class's signature
-        """Report the end of the channel."""
         self._ended.set()
         self._on_exit()
 

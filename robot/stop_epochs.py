@@ -5,8 +5,6 @@ long it then waits; an arm refuses a request from an epoch before its own last s
 a process, so that one number orders a request and the stops of each arm.
 """
 
-from __future__ import annotations
-
 STOPPED_SINCE = "a stop came after this motion was requested"
 
 

@@ -36,7 +36,6 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first sample to the last [s]."""
         return float(self.time_s[-1])
 
     @property

@@ -5,8 +5,6 @@ A goal on ``NAME/goal`` is sent to the action as anyone's goal; its progress is 
 action's goals are kept as actionlib keeps them.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -130,7 +128,6 @@ class BridgedAction:
         graph.subscribe(self._node, f"{name}/cancel", GOAL_ID, Subscriber(self._take_cancel))
 
     def publish_status(self) -> None:
-        """Tell how all goals are, if anybody listens."""
         # Drop what ended long ago, and of very many goals the oldest that have ended.
         now_s = self._clock()
         self._goals = {

@@ -1,6 +1,7 @@
 """Life of the server: features start in order and stop in reverse, each within a deadline."""
 
 import asyncio
+import contextlib
 import logging
 import os
 import signal
@@ -134,6 +135,19 @@ def stop_signals() -> tuple[asyncio.Event, asyncio.Event]:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, take)
     return ending, hurry
+
+
+async def run_until_signal(work: Coroutine[Any, Any, None]) -> bool:
+    """Run some work to its end, or until SIGINT or SIGTERM; return True when a signal has ended it."""
+    ending, _hurry = stop_signals()
+    running, ended = asyncio.create_task(work), asyncio.create_task(ending.wait())
+    await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
+    for task in (running, ended):
+        task.cancel()
+    await asyncio.gather(ended, return_exceptions=True)
+    with contextlib.suppress(asyncio.CancelledError):
+        await running
+    return ending.is_set()
 
 
 def on_hangup(

@@ -58,7 +58,6 @@ class NamedFiles:
         self._max_files = max_files
 
     async def names(self) -> list[str]:
-        """Return the names of the files, in alphabetical order."""
         return await in_thread(self._folder, f"the saved {self._kind}s cannot be listed", self._names)
 
     async def check_new(self, name: str) -> None:
@@ -86,7 +85,6 @@ class NamedFiles:
         await self._in_thread(name, "saved", write)
 
     async def read(self, name: str, read: Callable[[Path], Result], done: str = "read") -> Result:
-        """Return what a function reads from a file, in a thread."""
         path = self._path(name)
         return await self._in_thread(name, done, lambda: self._known(path, read))
 

@@ -4,14 +4,12 @@ import asyncio
 import contextlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import WebSocketException
-
-from server.lifecycle import stop_signals
 
 OPEN_TIMEOUT_S = 10.0
 
@@ -95,16 +93,3 @@ def complaint_of(answer: Any) -> str:
     if not isinstance(answer, dict) or answer.get("op") != "status" or answer.get("level") not in ("error", "warning"):
         return ""
     return str(answer.get("msg", ""))
-
-
-async def run_until_signal(work: Coroutine[Any, Any, None]) -> bool:
-    """Run some work to its end, or until SIGINT or SIGTERM; return True when a signal has ended it."""
-    ending, _hurry = stop_signals()
-    running, ended = asyncio.create_task(work), asyncio.create_task(ending.wait())
-    await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
-    for task in (running, ended):
-        task.cancel()
-    await asyncio.gather(ended, return_exceptions=True)
-    with contextlib.suppress(asyncio.CancelledError):
-        await running
-    return ending.is_set()

@@ -1,7 +1,5 @@
 """Examination of an arm: findings with a remedy each, from registers and measured times. Nothing is written."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -49,7 +47,6 @@ class Finding:
 
 
 def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Calibration | None) -> list[Finding]:
-    """Judge the result of a scan."""
     servos = result.servos
     missing = "; ".join(explain_missing(result, joints))
     listed = f"servos {_list(sorted(result.ids))} answer"
@@ -61,7 +58,6 @@ def judge_scan(result: ScanResult, joints: Sequence[ServoSpec], calibration: Cal
 
 
 def judge_cycles(times: CycleTimes) -> list[Finding]:
-    """Judge the timing of bus and machine."""
     lost = f"{times.lost_replies} of {times.expected_replies} replies lost"
     late = f"cycles start at most {times.lateness_p99_s * 1e3:.2f} ms late (p99)"
     many_lost = times.lost_replies > USUAL_LOST_SHARE * times.expected_replies

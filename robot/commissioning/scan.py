@@ -1,7 +1,5 @@
 """Reads of the bus that write nothing: the servos that answer, their registers, and the time of replies and cycles."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -60,7 +58,6 @@ class ServoRegisters:
 
     @property
     def voltage_v(self) -> float:
-        """Supply [V]."""
         return self[Register.PRESENT_VOLTAGE] * VOLT_PER_UNIT
 
     @property
@@ -70,7 +67,6 @@ class ServoRegisters:
 
 
 def read_registers(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
-    """Read every register of a servo, as a sequence."""
     values: dict[Register, int] = {}
     for block in BLOCKS:
         values |= yield from servo_bus.read_registers(bus, servo_id, block)
@@ -87,7 +83,6 @@ class ScanResult:
 
     @property
     def registers(self) -> dict[int, Mapping[Register, int]]:
-        """Registers of the servos by id."""
         return {servo.servo_id: servo.registers for servo in self.servos}
 
     @property
@@ -115,7 +110,6 @@ def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
 
 
 def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
-    """Read the telemetry of a servo."""
     attempts = 3  # as a single read of the bus
     for _ in range(attempts):
         frame = bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES).get(servo_id)

@@ -5,8 +5,6 @@ middle pose makes a joint cross the seam between ticks 4095 and 0. Here position
 is written before the sweep is complete, and the middle of what was swept becomes the middle of the turn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -85,7 +83,6 @@ class Sweep:
             upper_end.add(position)
 
     def width(self, servo_id: int) -> int:
-        """Return the width of a servo's range [ticks]."""
         return self.highest[servo_id] - self.lowest[servo_id]
 
 
@@ -386,7 +383,6 @@ class CalibrationSession:
         )
 
     def take(self, ticks: Mapping[int, int]) -> None:
-        """Take positions of some servos, by id [ticks]."""
         if self._sweep is not None and self.calibration is None:
             self._sweep.add(ticks)
 

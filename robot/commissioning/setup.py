@@ -9,8 +9,6 @@ replaced as a whole each time, and a file that is there already is never touched
 recognised by its id.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -90,7 +88,6 @@ class BackupFile:
 
     @property
     def empty(self) -> bool:
-        """True until a servo is saved."""
         return not self._servos
 
     def save(self, servo: SavedServo, now: datetime) -> None:
@@ -108,7 +105,6 @@ class BackupFile:
 
 
 def read_backup(path: Path) -> tuple[SavedServo, ...]:
-    """Read a backup."""
     try:
         with path.open("rb") as file:
             return _Content.model_validate_json(file.read(MAX_FILE_BYTES)).servos
@@ -172,18 +168,15 @@ class ServoLine:
         self._baudrate = 0
 
     def at(self, baudrate: int) -> Bus:
-        """Return the bus at a baud rate."""
         if self._bus is None or self._baudrate != baudrate:
             self.close()
             self._bus, self._baudrate = self._open(baudrate), baudrate
         return self._bus
 
     def run(self, steps: Steps[Result]) -> Result:
-        """Run a sequence on the bus to its end."""
         return run_to_end(steps, self._wait)
 
     def close(self) -> None:
-        """Close the port, if it is open."""
         bus, self._bus = self._bus, None
         if bus is not None:
             bus.close()

@@ -1,7 +1,5 @@
 """Verification of a calibrated arm: the poses to compare with the model, and the meaning of a comparison. Pure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Camera of an arm's description: a pinhole camera in the frame of a link."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, TypeAlias
 

@@ -1,7 +1,5 @@
 """Forward kinematics of a URDF without a kinematics library, for frames and markers."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Links, joints, materials and groups of the arm ``left`` begin with ``left_``. A 
 ``both_arms`` or ``all_arms``, has the named states that every arm has under the same name.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import xml.etree.ElementTree as ET

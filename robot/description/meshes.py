@@ -4,8 +4,6 @@ A mesh ``package://NAME/meshes/base.stl`` is sought below the package folders an
 folder NAME there, and in the folder itself where it is the package (the standard layouts of ROS).
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Robot description: links, joints, limits, groups and named states, read from any URDF and SRDF."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -91,7 +89,6 @@ class RobotModel:
 
     @property
     def movable_joints(self) -> tuple[Joint, ...]:
-        """Joints with a position, in the order of the URDF."""
         return tuple(joint for joint in self.joints.values() if joint.movable)
 
 

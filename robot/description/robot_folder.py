@@ -3,8 +3,6 @@
 The package example-robot-data brings the descriptions of some fifty published robots, which are found by their names.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -101,7 +99,6 @@ class RobotFolder:
 
 
 def built_in_names() -> list[str]:
-    """Return the names of the arms that come with the program."""
     return sorted(path.parent.name for path in BUILT_IN.glob(f"*/{robot_file.FILE_NAME}"))
 
 
@@ -123,7 +120,6 @@ def find(name_or_folder: str) -> Path:
 
 
 def built_in(name: str) -> RobotFolder:
-    """Load a built-in arm."""
     return load(find(name))
 
 

@@ -1,7 +1,5 @@
 """Groups, named states, end effectors and unchecked pairs of an SRDF."""
 
-from __future__ import annotations
-
 import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence

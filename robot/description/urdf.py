@@ -1,7 +1,5 @@
 """URDF: elements, links and joints with their limits, and frames; held joints are fixed where they stay."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
@@ -40,7 +38,6 @@ def root_of(text: str, source: str) -> ET.Element:
 
 
 def attribute(element: ET.Element, name: str, source: str) -> str:
-    """Return an attribute that must be there."""
     value = element.get(name)
     if value is None:
         raise DescriptionError(source, f"<{element.tag}> {element.attrib} has no attribute {name!r}")
@@ -114,7 +111,6 @@ class Joint:
 
     @property
     def unit(self) -> str:
-        """Unit of its positions."""
         return "m" if self.type == "prismatic" else "rad"
 
     def degrees_hint(self, position: float) -> str:

@@ -86,7 +86,6 @@ class InProcessPort(Adapter):
         self._plugged = True
 
     def plug_in(self, *, renamed: bool = False) -> None:  # noqa: ARG002 - only the name of a real port would change
-        """Make the port usable again."""
         self._plugged = True
 
     def unplug(self) -> None:
@@ -96,12 +95,10 @@ class InProcessPort(Adapter):
         self._outbox.clear()
 
     def check(self) -> None:
-        """Raise PortError while the port is unplugged."""
         if not self._plugged:
             raise PortError(self.port_name, "is unplugged by a command to the emulator")
 
     def clearPort(self) -> None:  # noqa: N802 - the SDK's name
-        """Discard the input that has arrived."""
         self.discarded_bytes += len(self._arrived())
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
@@ -113,7 +110,6 @@ class InProcessPort(Adapter):
         return len(packet)
 
     def receive(self, timeout_s: float, /) -> bytes:  # noqa: ARG002 - the time that bytes take passes between ticks
-        """Return the bytes that have arrived by now."""
         self._require_plugged()
         return self._arrived()
 

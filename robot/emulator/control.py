@@ -173,7 +173,6 @@ class Controller:
         self.gone = False  # True once it has closed its end, or sends no line end
 
     def handle(self, emulation: Emulation) -> None:
-        """Carry out and answer the lines of commands that have arrived."""
         try:
             data = os.read(self.reader, READ_BYTES)
         except BlockingIOError:
@@ -297,7 +296,6 @@ class CommandedPort(InProcessPort):
         super().check()
 
     def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        """Carry out the commands that have arrived, then pass a packet to the servos."""
         if self._clock() != self._polled_s:
             self._poll()
         return super().writePort(packet)
@@ -327,7 +325,6 @@ class ControlSocket:
         self._controllers: dict[socket.socket, Controller] = {}
 
     def poll(self, emulation: Emulation) -> None:
-        """Carry out and answer the commands that have arrived; never waits."""
         with contextlib.suppress(OSError):
             connection, _ = self._listener.accept()
             if len(self._controllers) < MAX_CONTROLLERS:

@@ -6,8 +6,6 @@ goal after power-up is 0 at any position, torque on does not move the goal to th
 is cleared goes on to its old goal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 
@@ -207,7 +205,6 @@ class DynamixelServo(EmulatedServo[Register]):
         return self.value(Register.STATUS_RETURN_LEVEL) >= _ANSWERED_FROM.get(code, ANSWERS_ALL)
 
     def ping(self) -> bytes:
-        """Return model and firmware, the data of its reply to a ping."""
         return self.memory.read(Register.MODEL_NUMBER, 2) + self.memory.read(Register.FIRMWARE_VERSION, 1)
 
     def maintain(self, code: int) -> bool:

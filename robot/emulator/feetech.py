@@ -1,7 +1,5 @@
 """Emulated Feetech STS3215, and an arm of it (memory table V3.6 and SCS/STS protocol manual)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Plant of a servo: motor and gear under external loads, and the motor's temperature. Pure: time is passed in."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -95,7 +93,6 @@ class Plant:
             self.walls_ticks = (max(lower, obstacle_ticks), upper)
 
     def step(self, duration_s: float, drive: Drive) -> None:
-        """Advance by ``duration_s`` [s]."""
         # Everything that can move the joint; while it is unchanged a joint at rest stays so, and costs nothing.
         under = (
             drive,
@@ -180,7 +177,6 @@ class Motor:
     heating: Heating = WELL_COOLED  # heat of the real motor
 
     def step(self, duration_s: float, current_a: float) -> None:
-        """Advance by ``duration_s`` [s] at a current [A]."""
         heating = self.heating
         target_c = AMBIENT_C + heating.kelvin * abs(current_a) ** heating.exponent
         constant_s = heating.warming_s if target_c > self.temperature_c else heating.cooling_s

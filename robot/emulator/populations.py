@@ -1,7 +1,5 @@
 """Populations of servos: the states in which the servos of real arms are found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType

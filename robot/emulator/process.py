@@ -3,8 +3,6 @@
 A rehearsal has live commands at given times, from a script of JSON lines (docs/simulation.md) or ready-made.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -78,7 +76,6 @@ class Rehearsal:
         self._next = 0
 
     def start(self, now_s: float) -> None:
-        """Start at a monotonic time [s], unless it has started."""
         if self._start_s is None:
             self._start_s = now_s
 
@@ -209,7 +206,6 @@ class UsbAdapter(Adapter):
 
     @property
     def descriptors(self) -> list[int]:
-        """File descriptors to wait on for bytes from the host."""
         return [] if self.frozen or self._terminal is None else [self._terminal[0]]
 
     @property
@@ -218,7 +214,6 @@ class UsbAdapter(Adapter):
         return 0 if self._terminal is None else _BAUDRATES.get(termios.tcgetattr(self._terminal[1])[_OSPEED], 0)
 
     def plug_in(self, *, renamed: bool = False) -> None:
-        """Create the port, under another name if ``renamed``, unless it is there."""
         if self._terminal is not None:
             return
         master, slave = os.openpty()
@@ -243,7 +238,6 @@ class UsbAdapter(Adapter):
         self._outbox.clear()
 
     def read(self) -> bytes:
-        """Return what the host has written."""
         with contextlib.suppress(BlockingIOError):
             return b"" if self._terminal is None else os.read(self._terminal[0], READ_BYTES)
         return b""
@@ -277,7 +271,6 @@ _SWITCHES_OF_SERVOS = ("overload_latches", "powers_up_holding")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the emulator's options to a parser."""
     add = parser.add_argument
     for name in _NUMBERS:
         meaning = LiveCommand.model_fields[name].description
@@ -350,7 +343,6 @@ def build_bus(
 
 
 def configure(options: argparse.Namespace, emulation: Emulation) -> None:
-    """Carry out the live commands among the options."""
     joints = [servo.joint for servo in emulation.bus.servos]
     values: dict[str, object] = {
         name: value for name in (*_NUMBERS, *_SWITCHES) if (value := getattr(options, name)) not in (None, False)

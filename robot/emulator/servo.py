@@ -1,7 +1,5 @@
 """Emulated servo, alike in every family: memory, plant, heat and protection. Pure: time is passed in."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -28,7 +26,6 @@ class Memory(Generic[RegisterT]):
         }
 
     def value(self, register: RegisterT) -> int:
-        """Return the value of a register."""
         value = self._values[register]
         if value is None:
             value = register.decode(self.read(register, register.size))
@@ -113,12 +110,10 @@ class Protection:
         self.latched |= errors
 
     def torque_off(self) -> None:
-        """Clear the latches that switching torque off clears."""
         if not self.latches:
             self.power_up()
 
     def power_up(self) -> None:
-        """Clear timers and latches."""
         self._overload_s = self._overcurrent_s = 0.0
         self.status &= ~self.latched | self.forced
         self.latched = 0
@@ -194,11 +189,9 @@ class EmulatedServo(ABC, Generic[RegisterT]):
 
     @property
     def torque_limit_permille(self) -> int:
-        """Limit of the motor's duty [0.1 %]."""
         return round(abs(self.value(self.torque_limit)) / self.full_torque * FULL_DUTY_PERMILLE)
 
     def ping(self) -> bytes:
-        """Return the data of its reply to a ping."""
         return b""
 
     @property
@@ -273,12 +266,10 @@ class EmulatedServo(ABC, Generic[RegisterT]):
         return self.memory.read(address, length)
 
     def step(self, duration_s: float) -> None:
-        """Advance by ``duration_s`` [s]."""
         self.plant.step(duration_s, self._drive)
         self.update_protection(duration_s)
 
     def update_protection(self, duration_s: float = 0.0) -> None:
-        """Advance motor temperature and protection by ``duration_s`` [s]."""
         current_a, before = self.plant.current_a, self.protection.status
         self.motor.step(duration_s, current_a)
         heat_c, volts = self.motor.temperature_c, self.voltage_v

@@ -52,7 +52,6 @@ class WriteLog:
     def record_write(
         self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[EmulatedServo[Any]]
     ) -> None:
-        """Append the line of a write."""
         memory = servos[0].memory
         what = {
             "instruction": _NAMES[code],
@@ -66,11 +65,9 @@ class WriteLog:
         self._append(now_s, what, servos)
 
     def record_command(self, now_s: float, command: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
-        """Append the line of a live command."""
         self._append(now_s, {"instruction": "command", "address": None, "data": {}, "command": command}, servos)
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _append(self, now_s: float, what: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
@@ -114,7 +111,6 @@ class Faults:
     random: random.Random = field(default_factory=lambda: random.Random(0))  # noqa: S311 - repeatable faults, no secret
 
     def happens(self, probability: float) -> bool:
-        """Draw; return True with a probability."""
         return probability > 0.0 and self.random.random() < probability
 
     def id_of_reply(self, servo_id: int) -> int:
@@ -267,7 +263,6 @@ class ServoBus(Generic[S]):
         self._on_wire: list[Reply] = []
 
     def advance(self, now_s: float) -> None:
-        """Advance the servos to the monotonic time ``now_s`` [s]."""
         if now_s <= self._now_s:
             return
         duration_s, self._now_s = now_s - self._now_s, now_s

@@ -4,8 +4,6 @@ A USB id names the board's serial chip, not the board: chips of the boards that 
 chips that a few servo boards share with other devices are taken only where no board of the first class is plugged in.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence

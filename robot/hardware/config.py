@@ -1,7 +1,5 @@
 """Configuration of an arm's hardware, one class for each kind."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -98,7 +96,6 @@ class IdealConfig(_SimulatedConfig):
         return not self.physics
 
     def joint_names(self, robot: RobotModel) -> tuple[str, ...]:
-        """Return every movable joint of the robot."""
         return tuple(joint.name for joint in robot.movable_joints)
 
 

@@ -4,8 +4,6 @@ Not modelled: inertia, load, gravity, contact, heat, supply. They are NaN or zer
 them never trip. The emulated servos (:mod:`robot.emulator`) model load, gravity, heat and supply of the SO-101.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

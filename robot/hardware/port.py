@@ -79,7 +79,6 @@ class BusPort(Protocol):
 
 
 def wire_time_s(byte_count: int, baudrate: int) -> float:
-    """Compute the time of bytes on the wire [s]."""
     return byte_count * BITS_PER_BYTE / baudrate
 
 

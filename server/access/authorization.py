@@ -65,7 +65,6 @@ def rule_of_service(name: str, graph: Graph) -> Rule:
 
 
 def rule_of_action(name: str, graph: Graph) -> Rule:
-    """Return the rule of an action, as :func:`rule_of_service`."""
     return graph.actions.rules.get(name) or (GOAL if name.endswith(CONTROLLER_ACTIONS) else WORKING)
 
 
@@ -97,7 +96,6 @@ def is_stop(operation: Operation, graph: Graph) -> bool:
 
 
 def is_cancel(operation: Operation, graph: Graph) -> bool:
-    """Return True for an operation that cancels a goal."""
     match operation:
         case CancelActionGoal():
             return True

@@ -1,7 +1,5 @@
 """Control of the arm: the lease that lets one client drive at a time, with its topic and services."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

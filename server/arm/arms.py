@@ -1,7 +1,5 @@
 """Arms of one server: their files and their processes. One arm is the case of n = 1, whose name is empty."""
 
-from __future__ import annotations
-
 import functools
 import math
 import time

@@ -4,8 +4,6 @@ One procedure at a time, for all admins alike: it outlives the connection of the
 page may be loaded again, and ends when nobody has answered for a quarter of an hour.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging
@@ -100,7 +98,6 @@ class Dialogue:
         self._changed()
 
     async def until(self, done: asyncio.Future[Accepted], timeout_s: float) -> Accepted:
-        """Wait for something."""
         await self._unless_failed(done, timeout_s)
         if not done.done():
             raise ProcedureFailed(f"{self.step.name} took more than {timeout_s:g} s")
@@ -127,7 +124,6 @@ class Dialogue:
         return f"{step}: {answer}"
 
     def fail(self, reason: str) -> None:
-        """Have the procedure end."""
         if not self._failure.done():
             self._failure.set_exception(ProcedureFailed(reason))
             # A procedure that ends of itself at the same time does not ask for it.
@@ -171,7 +167,6 @@ class Commissioning:
         self._show()
 
     def take_state(self, state: ArmState) -> None:
-        """Pass the arm's latest state on to the procedure in progress."""
         if self._procedure is None or self._dialogue is None:
             return
         self._procedure.take_state(state, self._dialogue)
@@ -179,7 +174,6 @@ class Commissioning:
             self._show()
 
     def take_health(self, health: ArmHealth) -> None:
-        """Keep the arm's latest health, and pass it on to the procedure in progress."""
         self._health = health
         if self._procedure is not None:
             self._procedure.take_health(health)

@@ -1,7 +1,5 @@
 """Orders to the arm: the services under ``/arm/`` and the topics ``/emergency_stop`` and ``/arm/speed_factor``."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging
@@ -90,13 +88,11 @@ async def _standstill(arm: AnyArm) -> CommandDone:
 
 
 async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
-    """Await an order's answer and return it as a response of std_srvs/Trigger."""
     done = await answered
     return {"success": done.done, "message": done.message}
 
 
 def _log_end(answered: asyncio.Future[CommandDone]) -> None:
-    """Log the answer to an emergency stop that no client waits for."""
     if not answered.cancelled():
         done = answered.result()
         log.log(logging.WARNING if done.done else logging.ERROR, "emergency stop: %s", done.message)

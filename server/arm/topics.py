@@ -1,7 +1,5 @@
 """State of the arm as topics: ``/joint_states``, and the latched ``/arm/state`` and ``/arm/joint_limits``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from protocol.messages import Stamp

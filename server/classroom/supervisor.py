@@ -4,8 +4,6 @@ This process has no threads and no event loop, so that a fork of it is whole at 
 of a child (SIGCHLD), or its own (SIGINT, SIGTERM). What it has loaded before the first fork is in memory once for all.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import logging
@@ -50,7 +48,6 @@ class Member:
         return None if self._process is None else self._process.pid
 
     def start_if_due(self, now_s: float) -> None:
-        """Start the process, unless it runs or its time has not come."""
         if self._process is not None or now_s < self._due_s:
             return
         self._started_s = now_s
@@ -77,7 +74,6 @@ class Member:
         return self._process is None or self._process.poll() is not None
 
     def signal(self, number: signal.Signals) -> None:
-        """Send the process a signal, if it runs."""
         if self._process is not None and not self.ended():
             os.kill(self._process.pid, number)
 

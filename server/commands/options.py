@@ -86,7 +86,6 @@ def add_token_file(parser: argparse.ArgumentParser, tokens: str) -> None:
 
 
 def read_token(options: argparse.Namespace) -> str | None:
-    """Read the token that a client shows, if it has one."""
     file: Path | None = options.token_file
     try:
         return os.environ.get(TOKEN_VARIABLE) if file is None else file.read_text().strip()
@@ -144,7 +143,6 @@ def open_bus(options: argparse.Namespace) -> Bus:
 
 
 def read_calibration(options: argparse.Namespace) -> Calibration | None:
-    """Read the calibration that the options name, if they name one."""
     return None if options.calibration is None else load_calibration(options.calibration, read_hardware(options))
 
 

@@ -153,7 +153,6 @@ class _Visit:
         return self._end()
 
     def restore(self, file: Path) -> ExitCode:
-        """Write the registers of a backup back to the servos that are connected."""
         saved = read_backup(file)
         found = self._find({each for servo in saved for each in (servo.servo_id, servo.new_id)})
         known = match_saved(saved, [servo.servo_id for servo in found])

@@ -18,7 +18,8 @@ from PIL import Image
 from websockets.asyncio.client import ClientConnection
 
 from server.errors import ServerError
-from server.publishing_client import PublishedTopic, PublishingClient, run_until_signal
+from server.lifecycle import run_until_signal
+from server.publishing_client import PublishedTopic, PublishingClient
 
 TEST_DEVICE = "test"
 TEST_WIDTH, TEST_HEIGHT = 640, 480

@@ -4,8 +4,6 @@ Goals of groups without a common joint are executed at the same time. A motion b
 another group, wherever each of both is on its way; else it waits for the other's end.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging
@@ -102,11 +100,9 @@ class MotionRecorder:
         self._states: list[ArmState] | None = None
 
     def start(self) -> None:
-        """Start a new recording."""
         self._states = []
 
     def take_state(self, state: ArmState) -> None:
-        """Record a state of the arm, while a motion runs."""
         if self._states is None or state.position_rad is None or state.velocity_rad_s is None:
             return
         if len(self._states) < MAX_SAMPLES and (not self._states or state.clock_s > self._states[-1].clock_s):
@@ -489,7 +485,6 @@ class GoalExecutors:
         return self._executors[joints]
 
     def last_stop(self, joints: Joints) -> int:
-        """Return the stop epoch of the last stop of the arms that have some joints."""
         return self._arm.part(joints).last_stop
 
     def stop(self, joints: Iterable[str] | None = None) -> None:
@@ -498,6 +493,5 @@ class GoalExecutors:
         stopped.stop()
 
     def take_state(self, state: ArmState) -> None:
-        """Record a state of the arm for the goals in progress."""
         for executor in self._executors.values():
             executor.recorder.take_state(state)

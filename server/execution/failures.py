@@ -1,7 +1,5 @@
 """Goals that cannot be planned: files for ``armbridge plan``, and the nearest goals that can be planned."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Callable

@@ -40,7 +40,6 @@ class TimeLimits:
     trajectory_s: float = 600.0  # limit of the planned duration of a goal's motions together [s]
 
     def allowed_s(self, duration_s: float) -> float:
-        """Return the allowed execution time of a motion with a planned duration [s]."""
         return duration_s * self.scaling + self.margin_s
 
     def check_duration(self, duration_s: float, field: str, code: MoveItErrorCode, advice: str = "") -> None:
@@ -136,7 +135,6 @@ class Answer:
 
     @classmethod
     def of(cls, failure: PlanningFailure, performed: Performed | None = None) -> Answer:
-        """Return the answer that reports a planning failure."""
         return cls(failure.code, failure.message, failure.details, performed)
 
 
@@ -237,7 +235,6 @@ class GoalRequest:
 
     @property
     def joints(self) -> Joints:
-        """Joints that it moves."""
         return frozenset() if self.motion is None else self.motion.joints
 
 

@@ -1,7 +1,5 @@
 """Monitors of execution: the arm's current state, its readiness, and the scene around a motion in progress."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time
@@ -147,7 +145,6 @@ class SceneMonitor:
         source.on_change(self._on_change)
 
     async def check(self, questions: Callable[[], Questions]) -> None:
-        """Check a motion in the present scene."""
         until_s = self._clock() + self._retry_for_s
         while True:
             scene = self._source.scene

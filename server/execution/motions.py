@@ -107,7 +107,6 @@ class PlannedSequence:
 
     @property
     def duration_s(self) -> float:
-        """Duration of all motions together [s]."""
         return sum(motion.duration_s for motion in self.performed.planned)
 
     @property
@@ -127,7 +126,6 @@ class PlannedSequence:
         return f"a motion of {self.duration_s:.1f} s{f' ({found})' if found else ''}"
 
     def with_plan(self, plan: Plan | CartesianPlan) -> PlannedSequence:
-        """Return the sequence with one more motion."""
         note = deviation_note(plan.deviation)
         performed = replace(
             self.performed,
@@ -218,17 +216,14 @@ class SplicePoint:
 
     @property
     def start_rad(self) -> dict[str, float]:
-        """Joint positions at the start of the lead [rad]."""
         return dict(zip(self.lead.joint_names, self.lead.positions_rad[0].tolist(), strict=True))
 
     @property
     def positions_rad(self) -> dict[str, float]:
-        """Joint positions at the point [rad]."""
         return dict(zip(self.lead.joint_names, self.lead.positions_rad[-1].tolist(), strict=True))
 
     @property
     def velocities_rad_s(self) -> dict[str, float]:
-        """Joint velocities at the point [rad/s]."""
         return dict(zip(self.lead.joint_names, self.lead.velocities_rad_s[-1].tolist(), strict=True))
 
     def splice(self, motion: Trajectory) -> Trajectory:
@@ -263,7 +258,6 @@ class PathTime:
     at_tick: bool = False  # True where the arm has a tick at that time
 
     def at(self, now_s: float) -> float:
-        """Return the time on the path at a later moment [s]."""
         return self.path_s + (now_s - self.at_s) * self.rate
 
     def earliest_leave_s(self, arrives_s: float) -> float:

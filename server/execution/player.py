@@ -280,17 +280,14 @@ class MotionsInProgress:
         self._announced[joints] = end_rad
 
     def withdraw(self, joints: Joints) -> None:
-        """Forget what was announced of some joints."""
         self._announced.pop(joints, None)
 
     def add(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> None:
-        """Add a motion, until it ends."""
         if not ended.done():
             self._motions[ended] = MotionInProgress(trajectory, ended)
             ended.add_done_callback(lambda _ended: self._motions.pop(ended, None))
 
     def of(self, joints: Iterable[str]) -> list[MotionInProgress]:
-        """Return the motions of any of some joints."""
         wanted = frozenset(joints)
         return [one for one in self._live if wanted & set(one.trajectory.joint_names)]
 

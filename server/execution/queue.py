@@ -3,8 +3,6 @@
 Goals that have a joint in common run one after the other, in the order of their arrival; others run at the same time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

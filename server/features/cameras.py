@@ -1,7 +1,5 @@
 """Cameras of ``robot.toml``: images of an arm with physics, rendered by a process of its own for subscribers."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math

@@ -1,7 +1,5 @@
 """Context in which the features of the server are made: its arms, its planning, and the way of goals to the arms."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Sequence
@@ -114,7 +112,6 @@ class ArmContext:
 
     @cached_property
     def joints(self) -> frozenset[str]:
-        """All joints that it can move."""
         return frozenset(joint.name for joint in self.robot.movable_joints)
 
     @property
@@ -124,13 +121,11 @@ class ArmContext:
 
     @cached_property
     def translator(self) -> GoalTranslator:
-        """Translator of the goals that are sent by its names."""
         only = OneArm(self.served.prefix, self.joints) if self.name else None
         return GoalTranslator(self.planning, self.parameters, self.goals.named_states, only)
 
     @cached_property
     def gripper(self) -> Gripper | None:
-        """Its gripper; None without one."""
         if self.robot.gripper is None:
             return None
         return Gripper(
@@ -178,7 +173,6 @@ class ServerContext:
 
     @property
     def whole(self) -> ArmContext:
-        """The only arm, or all arms together."""
         return self.arms[0]
 
     @property

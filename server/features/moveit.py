@@ -1,7 +1,5 @@
 """Features of MoveIt's clients, and of clients that know only topics: scene, planning, goals, gripper and servo."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

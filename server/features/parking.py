@@ -186,7 +186,6 @@ class Parking:
 
     @property
     def holds(self) -> bool:
-        """True while the arm holds where it is."""
         return self._arm.state.mode is Mode.HOLDING
 
     async def plan_way(self, start_rad: Positions) -> Plan | PlanningFailure:
@@ -203,7 +202,6 @@ class Parking:
         )
 
     def keep(self, plan: Plan, start_rad: Positions) -> None:
-        """Have the arm process keep a way from where it holds [rad]."""
         if plan.trajectory.duration_s > PARKING_TIMEOUT_S:
             log.warning(
                 "the way to the rest pose takes %.1f s from here, above the limit of %g s: the arm would be relaxed at "
@@ -217,7 +215,6 @@ class Parking:
         log.debug("the way to the rest pose is known: %.2f s", plan.trajectory.duration_s)
 
     def forget(self) -> None:
-        """Have the arm process keep no way."""
         if self._keeps:
             self._arm.keep_parking(None)
             self._keeps = False
@@ -259,7 +256,6 @@ class KeptWays:
             self.forget()
 
     def forget(self) -> None:
-        """Have no arm process keep a way."""
         self._place = None
         for each in self._parkings:
             each.forget()

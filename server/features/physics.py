@@ -1,7 +1,5 @@
 """Physics: the planning scene's objects are bodies around the simulated arm, and their poses come back as they move."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging

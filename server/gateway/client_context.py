@@ -212,7 +212,6 @@ class ClientContext:
         self.status = ClientStatus(self)
 
     def wake(self) -> None:
-        """Have the connection send the queued messages."""
         if not self.left:
             self.connection.wake()
 

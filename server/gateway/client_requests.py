@@ -121,24 +121,17 @@ class ClientServices(_Offers):
 
     def reject_call(self, service: str, id_: Mark, problem: str) -> None:
         """Answer a call that is not made; ``service`` is as the client spells it."""
-        fields = {"op": "service_response", "service": service, "values": problem, "result": False}
-        self._client.send(with_id(fields, id_))
+        self._answer(service, id_, Response(ok=False, values=problem))
+
+    def _answer(self, service: str, id_: Mark, response: Response, type_name: str | None = None) -> None:
+        fields = {"op": "service_response", "service": service, "values": response.values, "result": response.ok}
+        self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Response" if response.ok else "")
 
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
         """Call a service, or raise PostponedError while its request is completed in the background."""
         name, id_ = name_and_id(operation)
         self._client.detect_dialect(operation.type, "srv")
         type_name, plans = self._services.names.type_of(name), self._services.rules.get(name, WORKING).plans
-
-        def answer(response: Response) -> None:
-            fields = {
-                "op": "service_response",
-                "service": operation.service,
-                "values": response.values,
-                "result": response.ok,
-            }
-            self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Response" if response.ok else "")
-
         values, ended = 0, False
 
         def end(response: Response) -> None:
@@ -149,11 +142,11 @@ class ClientServices(_Offers):
             self._values_in_flight -= values
             if response.reason:
                 self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
-            answer(response)
+            self._answer(operation.service, id_, response, type_name)
 
         problem = self._problem(plans=plans)
         if problem is not None:
-            answer(Response(ok=False, values=problem))
+            self.reject_call(operation.service, id_, problem)
             return
         self._calls_in_flight += 1
         self._planning_calls += plans
@@ -263,15 +256,7 @@ class ClientActions(_Offers):
         type_name = self._actions.names.type_of(name)
 
         def on_result(result: Result) -> None:
-            fields = {
-                "op": "action_result",
-                "action": operation.action,
-                "values": result.values,
-                "status": int(result.status),
-                "result": result.ok,
-            }
-            message_type = f"{type_name}_Result" if result.ok else ""
-            self._client.send_message(with_id(fields, operation.id), "values", message_type)
+            self._answer(operation.action, operation.id, result, type_name)
 
         def on_feedback(feedback: dict[str, Any]) -> None:
             fields = {"op": "action_feedback", "action": operation.action, "values": feedback}
@@ -279,11 +264,11 @@ class ClientActions(_Offers):
 
         if len(self._sent) >= self._limits.max_calls_in_flight:
             problem = f"{len(self._sent)} goals of this client are on their way, which is the limit"
-            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
+            self.reject_goal(operation.action, operation.id, problem)
             return
         if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
             problem = f"goals of this client with {self._values_in_flight} values are on their way, {VALUES_LIMIT}"
-            on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
+            self.reject_goal(operation.action, operation.id, problem)
             return
         arguments = self._client.from_client(message)
         listener = on_feedback if operation.feedback else None
@@ -301,9 +286,12 @@ class ClientActions(_Offers):
 
     def reject_goal(self, action: str, id_: Mark, problem: str) -> None:
         """Answer a goal that is not sent; ``action`` is as the client spells it."""
-        status = int(GoalStatus.UNKNOWN)
-        fields = {"op": "action_result", "action": action, "values": problem, "status": status, "result": False}
-        self._client.send(with_id(fields, id_))
+        self._answer(action, id_, Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
+
+    def _answer(self, action: str, id_: Mark, result: Result, type_name: str | None = None) -> None:
+        fields = {"op": "action_result", "action": action, "values": result.values}
+        fields |= {"status": int(result.status), "result": result.ok}
+        self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Result" if result.ok else "")
 
     def cancel(self, operation: CancelActionGoal) -> None:
         """Cancel the goal of this id; an unknown goal has most likely just ended.

@@ -293,11 +293,9 @@ class Transport(asyncio.Protocol):
             self.abort()
 
     def hold_reading(self) -> None:
-        """Read nothing more for now, because the client's inbox is full."""
         self._held = True
 
     def release_reading(self) -> None:
-        """Read again."""
         self._held = False
         self._take_turn_later()
 
@@ -307,7 +305,6 @@ class Transport(asyncio.Protocol):
         self._take_turn_later()
 
     def stop_delivery(self) -> None:
-        """Hand no more frames over."""
         self._client, self._discards = None, False
 
     # What goes to the client.

@@ -143,7 +143,6 @@ class Metrics(Collector):
         return encode(self.registry), media_type
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the metrics of all parts that have been started."""
         sources = self._sources
         health = check_health(sources)
         yield GaugeMetricFamily("armbridge_live", "Whether the server does what it can.", int(health.live))

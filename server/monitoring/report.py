@@ -110,7 +110,6 @@ class Report:
             self.add(name, file.read(MAX_FILE_BYTES).decode(errors="replace"))
 
     def note(self, problem: str) -> None:
-        """Note what could not be had, a sentence."""
         self._problems.append(problem)
 
     @contextlib.contextmanager

@@ -1,7 +1,5 @@
 """Topics for viewers: planned motions, contacts, and the state of the pipeline."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

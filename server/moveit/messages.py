@@ -1,7 +1,5 @@
 """Conversions between messages and the planners' types: poses, positions of joints, and error codes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from typing import Any, TypeAlias

@@ -95,11 +95,9 @@ class NamedStates:
         return {**self.saved, **described}
 
     def on_change(self, listener: Callable[[], None]) -> None:
-        """Have this called after every change."""
         self._listeners.append(listener)
 
     async def save(self, name: str, positions_rad: Positions) -> None:
-        """Save a state, in place of one of the same name."""
         spelled = " ".join(name.split())
         self._check(spelled, positions_rad)
 

@@ -1,7 +1,5 @@
 """Trajectories in messages: moveit_msgs/RobotTrajectory written, trajectory_msgs/JointTrajectory read."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -83,11 +83,9 @@ class TaughtMotion:
         return NaturalSpline(self.time_s, self.positions_rad)(time_s)
 
     def reversed(self) -> TaughtMotion:
-        """Return the motion from its end to its start."""
         return TaughtMotion(self.joint_names, (self.time_s[-1] - self.time_s)[::-1], self.positions_rad[::-1])
 
     def part(self, from_s: float, to_s: float) -> TaughtMotion:
-        """Return the part between two times."""
         if not 0.0 <= from_s < to_s <= self.duration_s + 10.0**-DIGITS:
             raise ServiceError(
                 f"from_s and to_s: must be 0 to {self.duration_s:g} s, from_s before to_s, not {from_s:g} and {to_s:g}"
@@ -304,8 +302,6 @@ class MotionFiles(NamedFiles):
         return await self.read(name, self._read)
 
     async def save(self, name: str, motion: TaughtMotion) -> None:
-        """Save a motion, in place of one of the same name."""
-
         def content() -> bytes:
             fields = {
                 "joint_names": list(motion.joint_names),

@@ -1,7 +1,5 @@
 """Following: when a follower moves, and how fast; pure logic, time is an argument."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -120,7 +118,6 @@ class Following:
         return Act.BRAKE
 
     def end(self, reason: str) -> Act:
-        """End the following for a reason."""
         if self.ended:
             return Act.NOTHING
         self.phase, self.message = Phase.IDLE, reason

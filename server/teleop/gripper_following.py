@@ -1,7 +1,5 @@
 """Following of a gripper: its fingers go where they are led, and grip where they stall."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Samples of a leader, freed of a network's jitter and checked for gaps and jumps, and the map of its joints."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Rosbridge client that publishes the joints of a relaxed arm: the newest sample alone."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -14,7 +12,8 @@ from robot.messages import ArmState, Mode
 from server.arm.setup import Description, arm_config
 from server.config import Settings
 from server.execution.monitors import ARM_START_TIMEOUT_S
-from server.publishing_client import PublishedTopic, PublishingClient, run_until_signal
+from server.lifecycle import run_until_signal
+from server.publishing_client import PublishedTopic, PublishingClient
 
 SAMPLE_TYPE = "sensor_msgs/JointState"
 

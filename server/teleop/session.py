@@ -1,7 +1,5 @@
 """Following in progress: from a leader's samples to a follower's ramp, joints and gripper, tick by tick."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging
@@ -61,7 +59,6 @@ class Follower:
 
     @property
     def joints(self) -> frozenset[str]:
-        """All of its joints."""
         return frozenset(joint.name for joint in self.robot.movable_joints)
 
     @property

@@ -1,7 +1,5 @@
 """Teleoperation by clients: the services and topics below ``/teleop/``, and where leaders' samples come from."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging
@@ -76,7 +74,6 @@ class Leader:
         self._logged_at_s = -math.inf
 
     def take_state(self, state: ArmState) -> None:
-        """Take the state of an arm of this server."""
         # What an arm with a fault reads may be old.
         if state.position_rad is not None and state.fault is None:
             self._take(

@@ -140,7 +140,6 @@ class Network:
         self.warnings.write(log, logging.WARNING, f"zenoh: {text}", text)
 
     def declare(self, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> Declaration:
-        """Declare entities on the session soon; see `Declaration`."""
         return Declaration(self.thread, declare)
 
     def endpoint(self, network_name: str, type_name: str, kind: SharedKind) -> Endpoint | None:

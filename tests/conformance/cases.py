@@ -23,6 +23,10 @@ server.
 
 In what is expected ``"<any>"`` stands for any value, ``"<... words ...>"`` for text that contains the words, and
 ``"<hex 0a 0b>"`` for these bytes.
+
+Cases that differ by values are a family: ``{"section", "default", "steps", "each": [row, ...]}``. Each row is a case
+with these steps, in which ``"<=id>"`` stands for the row's ``"id"``, or for that of ``"default"``. A field whose value
+neither has is left out. A row has its own name, and a section where the family's is not right for it.
 """
 
 import json
@@ -42,6 +46,7 @@ INTERFACES = FOLDER / "interfaces"
 ANY = "<any>"
 CONTAINS = ("<... ", " ...>")
 BYTES = ("<hex ", ">")
+VALUE = ("<=", ">")
 
 
 class Player(Protocol):
@@ -58,7 +63,34 @@ class Player(Protocol):
 
 def cases() -> list[dict[str, Any]]:
     """Every case of every file."""
-    return [case for path in sorted(FOLDER.glob("*.json")) for case in json.loads(path.read_text())]
+    entries = [entry for path in sorted(FOLDER.glob("*.json")) for entry in json.loads(path.read_text())]
+    return [case for entry in entries for case in (_family(**entry) if "each" in entry else [entry])]
+
+
+def _family(
+    each: list[dict[str, Any]], steps: list[Any], default: dict[str, Any] | None = None, **shared: Any
+) -> Iterator[dict[str, Any]]:
+    """Go over the cases of a family."""
+    for row in each:
+        own = {key: row[key] for key in ("name", "section") if key in row}
+        unused = [key for key in row.keys() - own.keys() if f'"<={key}>"' not in json.dumps(steps)]
+        assert not unused, f"{row['name']}: no step has {unused}"
+        yield {**shared, **own, "steps": _filled(steps, {**(default or {}), **row})}
+
+
+def _filled(part: Any, values: dict[str, Any]) -> Any:
+    """Return a part of a family's steps with the values of a row."""
+    if isinstance(part, list):
+        return [_filled(each, values) for each in part]
+    if isinstance(part, dict):
+        return {key: _filled(value, values) for key, value in part.items() if _name(value) in (None, *values)}
+    return part if (name := _name(part)) is None else values[name]
+
+
+def _name(part: Any) -> str | None:
+    """Return the name of the value that a part of a step stands for."""
+    is_named = isinstance(part, str) and part.startswith(VALUE[0])
+    return part.removeprefix(VALUE[0]).removesuffix(VALUE[1]) if is_named else None
 
 
 def covering_cases(suits: Callable[[dict[str, Any]], bool] = lambda _case: True) -> list[dict[str, Any]]:

@@ -8,8 +8,6 @@ counts what follows it, little endian. Behind every ``FF FF FD`` from INST to th
 stuffed, so that no header can be in a packet; LEN and CRC count the stuffed bytes (e-manual, DYNAMIXEL Protocol 2.0).
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import struct
@@ -66,12 +64,10 @@ _SDK = PacketHandler(PROTOCOL)
 
 
 def crc16(data: bytes) -> int:
-    """Compute the CRC of a packet's bytes before it."""
     return _SDK.updateCRC(0, data, len(data))
 
 
 def packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Build a whole packet."""
     body = bytes([instruction]) + parameters
     body = body.replace(_HEADER_IN_BODY, STUFFED)
     head = HEADER + bytes([servo_id]) + (len(body) + LENGTH_OVERHEAD - 1).to_bytes(2, "little") + body

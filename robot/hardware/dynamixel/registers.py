@@ -6,8 +6,6 @@ GOAL_CURRENT (102), and address 126 holds its present current where the XL430 ha
 endian, signed ones in two's complement. The EEPROM can be written only while torque is off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum

@@ -9,8 +9,6 @@ read asks for at least 15, and after any disturbance for another number than bef
 the wrong length for the present instruction and is skipped.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Sequence
 from functools import partial

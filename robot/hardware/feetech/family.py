@@ -3,8 +3,6 @@
 A servo whose supply dips reboots, with torque off and its torque limit at register MAX_TORQUE.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections import Counter

@@ -30,7 +30,6 @@ class ServoProfile:
     gripper: Mapping[Register, int] = field(default_factory=dict)  # those that are others at the gripper's servo
 
     def expected(self, *, gripper: bool) -> dict[Register, int]:
-        """Return the values that a servo should have."""
         return {**self.registers, **(self.gripper if gripper else {})}
 
     def differences(self, settings: Mapping[Register, int], *, gripper: bool) -> dict[Register, int]:

@@ -4,8 +4,6 @@ Addresses follow Feetech's STS3215 memory table V3.6; two-byte values are little
 sign-magnitude with the sign in a bit that differs per register.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -5,8 +5,6 @@ is taken for the next one. A family's subclass is the codec of its packets. Read
 also sequences, which share the bus with the 100 Hz tick.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from abc import ABC, abstractmethod

@@ -8,8 +8,6 @@ its position may differ from the calibrated one by whole turns. No joint turns f
 of its calibrated range, so the turns are those that bring a position nearest to that middle.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence

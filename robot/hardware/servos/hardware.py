@@ -4,8 +4,6 @@ A servo that does not answer must not hold up the others, nor silence them: a se
 turn is asked last, since servos wait for the reply before theirs, and a servo that stays silent is asked now and then.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -1,7 +1,5 @@
 """Table of a servo family's registers (address, size, sign, memory area), their codec, and the measurements in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Generic, Self, TypeVar

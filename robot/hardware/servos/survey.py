@@ -1,7 +1,5 @@
 """Survey of the servos before anything is written to them, and the reasons not to drive them."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Iterator, Mapping

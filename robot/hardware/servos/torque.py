@@ -6,8 +6,6 @@ is a sequence (:mod:`robot.hardware.interface`) that may be abandoned between an
 calibration counts (:mod:`robot.hardware.servos.family`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import replace
 
@@ -162,7 +160,6 @@ class ServoTorque:
         return {servo: self._limit(servo, share) for servo, share in shares.items()}
 
     def full_limits(self) -> dict[int, Limit]:
-        """Return the torque limit of each servo that holds, by id."""
         return self.limits(self._servos.by_servo(self._servos.full_torque))
 
     def disarm_watchdogs(self) -> None:

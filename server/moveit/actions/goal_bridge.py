@@ -1,7 +1,5 @@
 """Bridge between actions and the goal queue: goals in, the queue's answers back as feedback and results."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Callable
@@ -85,7 +83,6 @@ def finish_goal(goal: Goal, answer: Answer, result: Callable[[Answer], Message])
 
 
 def goal_status(code: MoveItErrorCode) -> GoalStatus:
-    """Return the value of action_msgs/GoalStatus for an error code."""
     if code is MoveItErrorCode.SUCCESS:
         return GoalStatus.SUCCEEDED
     return GoalStatus.CANCELED if code is MoveItErrorCode.PREEMPTED else GoalStatus.ABORTED

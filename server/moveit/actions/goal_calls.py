@@ -4,8 +4,6 @@ A request has one goal of those that ``/moveit_goal_*`` take, and goes their way
 confirmation and status. The answer comes at the end of the motion.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging

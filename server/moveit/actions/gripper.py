@@ -5,8 +5,6 @@ The newest command wins, and a stall on the way is a grip. ros2_control's two gr
 ``gripper_action``.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging

@@ -3,8 +3,6 @@
 https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/doc/userdoc.html
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import math
@@ -320,7 +318,6 @@ class TrajectoryGoal:
 
 
 def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
-    """Read the tolerances of a goal."""
     path = read_tolerances(goal["path_tolerance"], "path_tolerance", group.joints)
     end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
     time_s = read_seconds(goal["goal_time_tolerance"], "goal_time_tolerance")
@@ -392,7 +389,6 @@ def check_duration(trajectory: Message, limits: TimeLimits) -> None:
 
 
 def follow_code(answer: Answer) -> FollowCode:
-    """Return the action's error code for an answer of the queue."""
     if answer.code is MoveItErrorCode.SUCCESS:
         return FollowCode.SUCCESSFUL
     if answer.details.get("outcome") == Outcome.TRACKING_LOST.value:

@@ -1,7 +1,5 @@
 """Actions of MoveIt's move_group: MoveGroup under its two names, MoveGroupSequence, and ExecuteTrajectory."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math
@@ -250,7 +248,6 @@ def _check_requests(requests: Sequence[Message], start_rad: Positions, context: 
 
 
 def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
-    """Offer ExecuteTrajectory, for trajectories of any origin."""
     robot, current = context.planning.robot, context.planning.current
 
     def result(answer: Answer) -> Message:

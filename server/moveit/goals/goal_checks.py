@@ -1,7 +1,5 @@
 """Check of many goals of topics at once, without planning or moving: the service ``/check_goals``."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools
@@ -54,7 +52,6 @@ UNKNOWN = -1.0
 
 
 def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: PlanningContext) -> None:
-    """Offer ``/check_goals``."""
     turn = asyncio.Lock()
 
     async def check(request: dict[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """The last goals of all clients: their answers, what was asked, the planned motions, and problem files of them."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections import OrderedDict
@@ -65,7 +63,6 @@ class GoalHistory:
         offer(node, "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord", self._record, rule=LOOKING)
 
     def on_progress(self, goal: Goal, progress: Progress) -> None:
-        """Note the scene of a goal that is being planned, and the summary of its plan."""
         if progress.state is GoalState.PLANNING:
             self._planned_in[goal.goal_id] = self._planning.scene_state.scene
         elif progress.state is GoalState.EXECUTING:

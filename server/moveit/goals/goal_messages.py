@@ -1,7 +1,5 @@
 """Goal messages on ``/moveit_goal_*``: their translation into motions, and suggestions of goals that would work."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Goals of clients that know only topics, one per message on ``/moveit_goal_*``: confirmation, status and result."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging
@@ -162,7 +160,6 @@ class GoalStatusTopics:
         self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
     def publish_progress(self, goal: Goal, progress: Progress) -> None:
-        """Publish the progress of a goal, whatever topic or action it came by."""
         self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
     def publish_answer(self, goal: Goal, answer: Answer, *, logged: bool = False) -> None:

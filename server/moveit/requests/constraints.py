@@ -1,7 +1,5 @@
 """Context in which the fields of a request are read, and moveit_msgs/Constraints read as goal and path constraints."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -94,7 +92,6 @@ def chooses_orientation(group: Group) -> bool:
 
 
 def checked_tip(link: str, group: Group) -> str:
-    """Return the tip of a group."""
     if not link:
         raise refused(
             MoveItErrorCode.INVALID_LINK_NAME,

@@ -1,7 +1,5 @@
 """Start states, scenes and everything else that services and actions plan with."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass, field

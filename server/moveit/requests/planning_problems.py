@@ -6,8 +6,6 @@ its center (``center``):
 https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -108,7 +106,6 @@ class ProblemBuilder:
         return planning_group(self._robot, name, self._parameters.configured)
 
     def context(self, group: Group, start_rad: Positions) -> RequestContext:
-        """Return the context in which the fields of a request for a group are read."""
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
     def goal(
@@ -242,7 +239,6 @@ class GoalStep(Step):
     frame: str | None = None
 
     def problem(self, start_rad: Positions) -> PlanningProblem:
-        """Build the problem of the goal at its place for this start."""
         goal = self.goal if self.frame is None else self.problems.placed(self.goal, self.frame, start_rad)
         return self.problems.goal(self.group, goal, start_rad, self.parameters)
 

@@ -42,7 +42,6 @@ class AllowedCollisionMatrix:
 
     @cached_property
     def message(self) -> dict[str, Any]:
-        """The moveit_msgs/AllowedCollisionMatrix."""
         index = {name: i for i, name in enumerate(self.names)}
         enabled = np.zeros((len(index), len(index)), dtype=bool)
         for pair in self.allowed:
@@ -57,7 +56,6 @@ class AllowedCollisionMatrix:
         }
 
     def without(self, name: str) -> AllowedCollisionMatrix:
-        """Return the matrix without the entries of a name."""
         if name not in self.names and name not in self.defaults:
             return self
         return replace(

@@ -1,7 +1,5 @@
 """Collision objects and attached ones as moveit_msgs/CollisionObject describes them, and their shapes (shape_msgs)."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import operator
@@ -195,7 +193,6 @@ class CollisionObject:
 
     @cached_property
     def scene_object(self) -> SceneObject:
-        """The object as planners have it."""
         return SceneObject(self.name, self.shapes, self.pose)
 
     @cached_property
@@ -240,12 +237,10 @@ class AttachedCollisionObject:
 
     @property
     def link(self) -> str:
-        """The link that holds it."""
         return self.collision_object.frame
 
     @cached_property
     def attached_object(self) -> AttachedObject:
-        """The object as planners have it."""
         return AttachedObject(self.collision_object.scene_object, self.link, frozenset(self.touch_links))
 
     @cached_property
@@ -269,7 +264,6 @@ class AttachedCollisionObject:
 
 
 def has_geometry(message: Message) -> bool:
-    """Tell if a moveit_msgs/CollisionObject has any shape."""
     return any(message[field] for field, _, _ in GEOMETRY_KINDS)
 
 

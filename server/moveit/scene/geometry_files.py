@@ -6,8 +6,6 @@ figures, pose and colour, and the number of its subframes, each with name and po
 Files of older versions have neither the objects' poses nor subframes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Mapping
@@ -212,8 +210,6 @@ _READERS: Mapping[str, tuple[str, Callable[[_Lines], Message]]] = {
 def offer_geometry_files(
     graph: Graph, node: Node, state: SceneState, current: CurrentState, directory: Path | None
 ) -> None:
-    """Offer ``/save_geometry_to_file`` and ``/load_geometry_from_file``, for files in one directory."""
-
     async def save(path: Path) -> None:
         try:
             await asyncio.to_thread(_write_bounded, path, state.contents)

@@ -1,7 +1,5 @@
 """Topics and services of the planning scene, under MoveIt's names."""
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import logging

@@ -1,7 +1,5 @@
 """Collision objects as bodies of the physics."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -91,7 +91,6 @@ class SceneContents:
         )
 
     def as_scene(self, version: int, robot: RobotModel) -> Scene:
-        """Return the scene as planners have it."""
         known = [*robot.links, *self.objects, *self.attached]
         return Scene(
             version,
@@ -159,13 +158,11 @@ class SceneDraft:
         self.padding_m, self.scale, self.colors, self.fixed_frames = {}, {}, {}, {}
 
     def forget(self, name: str) -> None:
-        """Remove the colour and the matrix entries of an object."""
         self.colors.pop(name, None)
         self.allowed_collisions = self.allowed_collisions.without(name)
 
 
 def apply_collision_object(draft: SceneDraft, message: Message, where: str) -> None:
-    """Apply a moveit_msgs/CollisionObject."""
     name, operation = message["id"], message["operation"]
     present = draft.objects.get(name)
     if operation == APPEND and present is not None:
@@ -250,7 +247,6 @@ def _unknown(draft: SceneDraft, name: str, where: str) -> RefusedError:
 
 
 def apply_attached_object(draft: SceneDraft, message: Message, where: str) -> None:
-    """Apply a moveit_msgs/AttachedCollisionObject."""
     operation, name, link = message["object"]["operation"], message["object"]["id"], message["link_name"]
     # An object can be detached without naming its link.
     if link not in draft.links.robot.links and (link or operation != REMOVE):

@@ -4,8 +4,6 @@ A file holds a moveit_msgs/PlanningScene as JSON, without joints. One server has
 its start to its end; two servers would take the other's obstacles for their own.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

@@ -1,7 +1,5 @@
 """The planning scene of the server, and the joint states that clients assume in it."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import logging
@@ -103,11 +101,9 @@ class SceneState:
         return SceneChange(change, _elements(message["collision_objects"]))
 
     def collision_object(self, message: Message) -> SceneChange:
-        """Return the change by a moveit_msgs/CollisionObject."""
         return SceneChange(lambda draft: apply_collision_object(draft, message, "object"), _elements([message]))
 
     def attached_object(self, message: Message) -> SceneChange:
-        """Return the change by a moveit_msgs/AttachedCollisionObject."""
         elements = _elements([message["object"]])
         return SceneChange(lambda draft: apply_attached_object(draft, message, "attached_object"), elements)
 
@@ -140,7 +136,6 @@ class SceneState:
 
     @property
     def pending(self) -> bool:
-        """True while changes wait."""
         return self._applying is not None
 
     async def settled(self) -> None:

@@ -1,7 +1,5 @@
 """Worlds of the physics: files with a planning scene, and mass, friction and freedom of its objects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -119,7 +119,6 @@ class JumpThresholds:
 
     @property
     def any(self) -> bool:
-        """True if there is a threshold."""
         return self.step_rad > 0.0 or self.factor > 0.0
 
     def limit_rad(self, steps_rad: Vector) -> float:
@@ -173,13 +172,11 @@ def first_jump(
 
 
 def length_m(start: Pose, lines: Sequence[Line]) -> float:
-    """Compute the length of a path of straight lines [m]."""
     points = np.array([start.position_m, *(line.end.position_m for line in lines)])
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def cut_lines(start: Pose, lines: Sequence[Line], along_m: float) -> tuple[Line, ...]:
-    """Cut a path of straight lines off at a length."""
     kept: list[Line] = []
     before, left_m = start, along_m
     for line in lines:

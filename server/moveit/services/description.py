@@ -8,8 +8,6 @@ by a service, which names a topic. A transform is sent again once it has moved b
 ``/armbridge/robot`` has the joint groups as JSON, for a page that reads neither URDF nor SRDF for them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import functools
@@ -58,7 +56,6 @@ EARLY_S = 0.005
 
 
 def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
-    """Publish topics and parameters of the description, and offer its files."""
     node, files = Node("robot description"), RobotFiles(robot)
     texts = {URDF_TOPIC: with_package_urls(robot.urdf, package_name(robot)), SRDF_TOPIC: robot.srdf}
     for topic, text in texts.items():

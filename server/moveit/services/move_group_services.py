@@ -4,8 +4,6 @@ These plan motions, describe planners and groups, and answer for kinematics and 
 Their functions raise RefusedError. Here it is caught, logged and written into the response.
 """
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 import logging
@@ -237,7 +235,6 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
 
 
 def query_planner_interface(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
-    """List the planners; returns the response of moveit_msgs/QueryPlannerInterfaces."""
     interfaces = [
         {"name": INTERFACE_NAMES[pipeline], "pipeline_id": pipeline, "planner_ids": list(planners)}
         for pipeline, planners in PIPELINES.items()

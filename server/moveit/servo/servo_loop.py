@@ -1,7 +1,5 @@
 """Servo loop of MoveIt Servo: from messages of commands to velocities of the joints, many times a second."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

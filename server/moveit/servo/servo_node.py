@@ -1,7 +1,5 @@
 """Topics and services of MoveIt Servo: commands, status, and the services of both its generations."""
 
-from __future__ import annotations
-
 import functools
 import json
 import logging
@@ -212,7 +210,6 @@ class CommandGate:
 
 
 def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
-    """Return the setup of a servo loop of the configured group."""
     group, servo = planning_group(robot, "", parameters), parameters.servo
     link = tip_link(robot, group, parameters)
     return ServoSetup(group.name, group.joints, link, servo.limits, 1.0 / servo.rate_hz, servo.incoming_command_timeout)

@@ -183,8 +183,8 @@ SENDING_S = 0.03
 # arm's socket takes less than 1 ms.
 SENDINGS_S = (0.001, 0.005, SENDING_S)
 
-# A tick is later by at most this, unless other programs use every core [s].
-TICK_LATE_S = 0.001
+# A tick is later by at most this, unless other programs use every core [s]; an arm that has passed the point refuses.
+TICK_LATE_S = 0.003
 
 # The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.
 STATE_AGE_S = 0.1

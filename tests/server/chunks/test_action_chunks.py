@@ -173,8 +173,8 @@ async def test_a_chunk_has_a_tick_s_motion_in_the_first_tick_after_its_check(pol
         await asyncio.sleep(0.0005)
         changes_s = asyncio.get_running_loop().time()
     assert changes_s - sent_s <= stage_module.PLANNING_S + SENDINGS_S[0] + PERIOD_S + 0.001
-    # The motion began 9 ms before the tick, with the jerk that the limits allow.
-    assert policy.here_rad == pytest.approx(3.6e-5, rel=0.1)
+    # The motion began 7 ms before the tick or earlier, with the jerk that the limits allow.
+    assert policy.here_rad > 1.6e-5
 
 
 @pytest.mark.parametrize("planning_s", [0.06, 0.2])

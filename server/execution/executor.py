@@ -85,8 +85,8 @@ GIVEN_DURATION = "the duration of the trajectory"
 PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
 
-# A trajectory is expected at the arm after the time that recent checks took: the first attempt by their median, which
-# no busy moment lengthens, others by this multiple of the longest.
+# A trajectory is expected at the arm after this multiple of the time that recent checks took: the first attempt by the
+# median, which no busy moment lengthens, others by the longest.
 CHECKS_AHEAD, RECENT_CHECKS = 1.25, 5
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
@@ -151,7 +151,7 @@ class GoalExecutor:
         self.recorder = MotionRecorder()
         self._player = Player(arm, context.robot, self._scene_monitor, in_progress, context.clock)
         # Times that recent checks of trajectories in motion took [s]; the first is checked within the horizon.
-        self._checks_s = deque((HORIZON_S - SENDING_S,), RECENT_CHECKS)
+        self._checks_s = deque(((HORIZON_S - SENDING_S) / CHECKS_AHEAD,), RECENT_CHECKS)
 
     async def run(self, goal: Goal) -> Answer:
         """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
@@ -249,9 +249,8 @@ class GoalExecutor:
         """
         for sending_s in SENDINGS_S:
             asked_s, version = self._context.clock(), self._scene.scene.version
-            first = sending_s == SENDINGS_S[0]
-            check_s = statistics.median_low(self._checks_s) if first else CHECKS_AHEAD * max(self._checks_s)
-            horizon_s = sending_s + check_s
+            check_s = statistics.median_low(self._checks_s) if sending_s == SENDINGS_S[0] else max(self._checks_s)
+            horizon_s = sending_s + CHECKS_AHEAD * check_s
             if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break
             whole, point, arrives_s = joined

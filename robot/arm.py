@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from robot.calibration import Calibration
+from robot.hardware.config import ClockReading
 from robot.logs import LogLimiter
 from robot.messages import (
     END_LIMIT_S,
@@ -462,7 +463,8 @@ class Arm(ArmClock):
         # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
         # not be switched on.
         last = self._last_connected
-        hardware = self._config.hardware.resumed(_position_rad(last), driven=last.torque_enabled)
+        clock = ClockReading(self.clock_s, self.state.stamp_s)
+        hardware = self._config.hardware.resumed(_position_rad(last), clock, driven=last.torque_enabled)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
         while True:
             await asyncio.sleep(self._restart_delay.after(ran_s))

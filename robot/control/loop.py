@@ -80,9 +80,7 @@ class ArmLoop:
         self._simulated = config.hardware.simulated
         hardware, now_s = config.hardware, time.monotonic()
         self._clock = (
-            LoopClock()
-            if isinstance(hardware, SerialConfig)
-            else SimulationClock(now_s, hardware.rate, hardware.since_s)
+            LoopClock() if isinstance(hardware, SerialConfig) else SimulationClock(now_s, hardware.rate, hardware.clock)
         )
         self._opener: Callable[[], HardwareInterface] | None = None
         self._supervisor = Supervisor(config, self._send, self._clock, scheduling)

@@ -20,6 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robot.hardware.config import ClockReading
+
 PERIOD_S = 0.01
 
 TICKS_KEPT = round(1.0 / PERIOD_S)  # ticks over which lateness and the real-time factor are kept: the last second
@@ -98,13 +100,13 @@ class LoopClock:
 class SimulationClock(LoopClock):
     """Clock that advances at the start of each tick only, ``rate`` times as fast as the machine's where it can.
 
-    It starts where a clock of this rate is that had the machine's time at ``since_s``: it does not go back in the next
-    arm process.
+    It starts with the machine's time, or goes on from the time of an arm process that has ended.
     """
 
-    def __init__(self, machine_s: float, rate: float = 1.0, since_s: float = 0.0) -> None:
+    def __init__(self, machine_s: float, rate: float = 1.0, start: ClockReading | None = None) -> None:
         self._nominal_rate = self.rate = rate
-        self._now_s = since_s + rate * (machine_s - since_s)
+        self._now_s, stamp_s = start or ClockReading(machine_s, time.time())
+        self._epoch_s = stamp_s - self._now_s
         self._tick_s = machine_s
         self._ticks_left = 0  # single ticks to come while the time stands still
         # Reports and /diagnostics come once a second each: of a report that /diagnostics misses, the next has the half.
@@ -136,10 +138,10 @@ class SimulationClock(LoopClock):
         self.rate = 1.0 if steered else self._nominal_rate
 
     def stamp_s(self, wall_s: float) -> float:
-        """Return the wall clock's time at ``since_s`` plus the arm's time since then, where the rate is not 1."""
+        """Return the wall clock's time at the first start plus the arm's time since then, where the rate is not 1."""
         if self._nominal_rate == 1.0:
             return wall_s
-        return time.time() - time.monotonic() + self._now_s
+        return self._epoch_s + self._now_s
 
     @property
     def real_time_factor(self) -> float:

@@ -3,13 +3,20 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Literal, Self, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, Self, TypeAlias
 
 from robot.calibration import Calibration
 from robot.description.model import RobotModel
 from robot.hardware.feetech.profiles import ServoProfile
 
 ServoKind: TypeAlias = Literal["feetech", "dynamixel"]
+
+
+class ClockReading(NamedTuple):
+    """Reading of a simulated arm's clock."""
+
+    now_s: float  # time [s]
+    stamp_s: float  # stamp of that time [s since the epoch]
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class SerialConfig(_ServosConfig):
     baud: int = 1_000_000  # bits per second
     profile: ServoProfile | None = None  # settings that Feetech's should have; None for the nearest known profile
 
-    def resumed(self, _position_rad: Mapping[str, float], *, driven: bool) -> Self:
+    def resumed(self, _position_rad: Mapping[str, float], _clock: ClockReading | None = None, *, driven: bool) -> Self:
         """Return the same: servos stay where they are when the arm process ends."""
         return self
 
@@ -48,11 +55,15 @@ class _SimulatedConfig:
     driven: bool = False  # True if the joints start with torque on, as an arm process leaves them
     physics: bool = False  # True if MuJoCo moves the joints (:mod:`robot.physics`)
     rate: float = 1.0  # arm's time per machine's time
-    since_s: float = 0.0  # monotonic time from which on the rate counts [s]
+    clock: ClockReading | None = None  # its clock at the start; None for the machine's
 
-    def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
-        """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed."""
-        return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven)
+    def resumed(self, position_rad: Mapping[str, float], clock: ClockReading | None = None, *, driven: bool) -> Self:
+        """Return the joints at the positions that an arm process reported last [rad]: real ones would have stayed.
+
+        A clock that is not the machine's goes on from its last reading.
+        """
+        clock = None if self.rate == 1.0 else clock
+        return replace(self, start_rad={**self.start_rad, **position_rad}, driven=driven, clock=clock)
 
 
 @dataclass(frozen=True)
@@ -78,9 +89,9 @@ class EmulatedConfig(_SimulatedConfig, _ServosConfig):
         lossless = self.kind == "feetech" and not self.drop and not self.corrupt
         return lossless and self.control is None and not self.physics
 
-    def resumed(self, position_rad: Mapping[str, float], *, driven: bool) -> Self:
+    def resumed(self, position_rad: Mapping[str, float], clock: ClockReading | None = None, *, driven: bool) -> Self:
         """Return the servos as an arm process that has ended left them."""
-        return replace(super().resumed(position_rad, driven=driven), resumes=True)
+        return replace(super().resumed(position_rad, clock, driven=driven), resumes=True)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -107,14 +106,13 @@ def arm_config(settings: Settings, description: Description) -> ArmConfig:
 
 def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     emulator, physics, rate = settings.emulator, settings.simulation.kind == "physics", settings.simulation.rate
-    since_s = 0.0 if rate == 1.0 else time.monotonic()
     if physics and settings.arm.serial is None and importlib.util.find_spec("mujoco") is None:
         raise ConfigurationError("simulation.kind: physics needs MuJoCo: pip install 'armbridge[physics]'")
     if description.calibration is None:
         no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
         _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)
         driven = settings.arm.start_enabled
-        return IdealConfig(settings.arm.ideal_lag_s, driven=driven, physics=physics, rate=rate, since_s=since_s)
+        return IdealConfig(settings.arm.ideal_lag_s, driven=driven, physics=physics, rate=rate)
     kind: ServoKind = "dynamixel" if description.hardware.kind == "dynamixel" else "feetech"
     profile = None if kind == "dynamixel" else _profile(description)
     if settings.arm.serial is not None:
@@ -135,7 +133,6 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
         driven=settings.arm.start_enabled,
         physics=physics,
         rate=rate,
-        since_s=since_s,
         **emulator.model_dump(),
     )
 

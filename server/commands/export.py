@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from server.commands.options import Subparsers, add_command, add_interfaces, number
+from server.commands.options import Subparsers, add_command, add_interfaces, add_number
 from server.commands.terminal import ExitCode, Terminal
 from server.datasets.episodes import MAX_GAP_S
 from server.interfaces import load_registry
@@ -28,13 +28,8 @@ def add_export_parser(subparsers: Subparsers) -> None:
     parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="MCAP files, or bags of ROS 2")
     parser.add_argument("--format", choices=("lerobot",), default="lerobot", help="LeRobotDataset v3.0 (lerobot)")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to make")
-    parser.add_argument(
-        "--fps",
-        type=number(int, 1, MAX_FPS),
-        default=DEFAULT_FPS,
-        metavar="N",
-        help=f"frames a second, 1 to {MAX_FPS} ({DEFAULT_FPS})",
-    )
+    text = f"frames a second, 1 to {MAX_FPS} ({DEFAULT_FPS})"
+    add_number(parser, "--fps", "N", (1, MAX_FPS), DEFAULT_FPS, text)
     parser.add_argument("--task", metavar="TEXT", help="what the arm does, for episodes whose marks do not say it")
     parser.add_argument(
         "--action-topic",
@@ -52,13 +47,8 @@ def add_export_parser(subparsers: Subparsers) -> None:
         default="rad",
         help="radians, or degrees with the gripper in percent of its range, as lerobot has them (rad)",
     )
-    parser.add_argument(
-        "--max-gap",
-        type=number(float, 0.0, GREATEST_GAP_S),
-        default=MAX_GAP_S,
-        metavar="S",
-        help=f"longest time without a state, action or image in an episode that is exported [s] ({MAX_GAP_S})",
-    )
+    text = f"longest time without a state, action or image in an episode that is exported [s] ({MAX_GAP_S})"
+    add_number(parser, "--max-gap", "S", (0.0, GREATEST_GAP_S), MAX_GAP_S, text)
     parser.add_argument("--no-video", action="store_true", help="leave the cameras out")
     add_interfaces(parser)
 

@@ -53,8 +53,17 @@ def add_command(
     return parser
 
 
-def number(kind: type[int] | type[float], least: float, greatest: float) -> Callable[[str], float]:
-    """Return a reader of an option's number, within bounds."""
+def add_number(
+    parser: argparse.ArgumentParser,
+    option: str,
+    metavar: str,
+    bounds: tuple[float, float],
+    default: float | None,
+    text: str,
+) -> None:
+    """Describe an option with a number within bounds: a whole number where they are whole."""
+    least, greatest = bounds
+    kind = int if isinstance(greatest, int) else float
     wanted = f"a whole number from {least:g} to {greatest:g}" if kind is int else f"{least:g} to {greatest:g}"
 
     def read(text: str) -> float:
@@ -66,7 +75,7 @@ def number(kind: type[int] | type[float], least: float, greatest: float) -> Call
             raise argparse.ArgumentTypeError(f"must be {wanted}, not {text!r}")
         return value
 
-    return read
+    parser.add_argument(option, type=read, default=default, metavar=metavar, help=text)
 
 
 def add_connect(parser: argparse.ArgumentParser) -> None:

@@ -15,9 +15,9 @@ from server.commands.options import (
     Subparsers,
     add_command,
     add_connect,
+    add_number,
     add_robot,
     add_token_file,
-    number,
     read_token,
 )
 from server.commands.terminal import ExitCode, Terminal
@@ -75,22 +75,10 @@ def add_camera_parser(subparsers: Subparsers) -> None:
     add_robot(parser)
     add_connect(parser)
     parser.add_argument("--topic", default=CAMERA_TOPIC, help=f"of the images ({CAMERA_TOPIC})")
-    parser.add_argument(
-        "--fps", type=number(int, 1, MAX_FPS), default=DEFAULT_FPS, metavar="N", help=f"images a second ({DEFAULT_FPS})"
-    )
-    parser.add_argument(
-        "--width",
-        type=number(int, MIN_WIDTH, MAX_WIDTH),
-        metavar="PIXELS",
-        help="width to scale images to (the camera's)",
-    )
-    parser.add_argument(
-        "--quality",
-        type=number(int, 1, MAX_QUALITY),
-        default=DEFAULT_QUALITY,
-        metavar="N",
-        help=f"of JPEG, 1 to {MAX_QUALITY} ({DEFAULT_QUALITY})",
-    )
+    add_number(parser, "--fps", "N", (1, MAX_FPS), DEFAULT_FPS, f"images a second ({DEFAULT_FPS})")
+    add_number(parser, "--width", "PIXELS", (MIN_WIDTH, MAX_WIDTH), None, "width to scale images to (the camera's)")
+    text = f"of JPEG, 1 to {MAX_QUALITY} ({DEFAULT_QUALITY})"
+    add_number(parser, "--quality", "N", (1, MAX_QUALITY), DEFAULT_QUALITY, text)
     add_token_file(parser, "access.operate_tokens")
 
 
@@ -154,13 +142,7 @@ def add_leader_parser(subparsers: Subparsers) -> None:
     add_robot(parser, None)
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
     parser.add_argument("--topic", default=LEADER_TOPIC, help=f"of the joints ({LEADER_TOPIC})")
-    parser.add_argument(
-        "--rate",
-        type=number(int, 1, MAX_RATE_HZ),
-        default=DEFAULT_RATE_HZ,
-        metavar="HZ",
-        help=f"samples a second ({DEFAULT_RATE_HZ})",
-    )
+    add_number(parser, "--rate", "HZ", (1, MAX_RATE_HZ), DEFAULT_RATE_HZ, f"samples a second ({DEFAULT_RATE_HZ})")
     parser.add_argument(
         "--emulator-control", type=Path, metavar="PATH", help="Unix socket that takes commands to the emulated servos"
     )

@@ -11,10 +11,10 @@ from robot.emulator.process import run as run_emulator
 from server.commands.options import (
     Subparsers,
     add_command,
+    add_number,
     add_server_options,
     add_setting_options,
     configure_logs,
-    number,
     read_settings,
 )
 from server.commands.terminal import EXIT_CODES, ExitCode, Terminal
@@ -67,20 +67,10 @@ def add_replay_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
     add_server_options(parser)
-    parser.add_argument(
-        "--rate",
-        type=number(float, MIN_RATE, MAX_RATE),
-        default=1.0,
-        metavar="FACTOR",
-        help=f"{MIN_RATE:g} to {MAX_RATE:g} times as fast as it was (1.0)",
-    )
-    parser.add_argument(
-        "--delay",
-        type=number(float, 0.0, MAX_DELAY_S),
-        default=0.0,
-        metavar="S",
-        help=f"seconds before it begins, for clients to connect; up to {MAX_DELAY_S:g} (0)",
-    )
+    text = f"{MIN_RATE:g} to {MAX_RATE:g} times as fast as it was (1.0)"
+    add_number(parser, "--rate", "FACTOR", (MIN_RATE, MAX_RATE), 1.0, text)
+    text = f"seconds before it begins, for clients to connect; up to {MAX_DELAY_S:g} (0)"
+    add_number(parser, "--delay", "S", (0.0, MAX_DELAY_S), 0.0, text)
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until a signal")
 
 
@@ -111,9 +101,7 @@ def add_classroom_parser(subparsers: Subparsers) -> None:
         "Start a server with a simulated arm for each student on this machine. All share the planners. "
         "Names, addresses and tokens are written to students.csv in the folder of --data.",
     )
-    parser.add_argument(
-        "--students", type=number(int, 1, MAX_STUDENTS), default=20, metavar="N", help=f"1 to {MAX_STUDENTS} (20)"
-    )
+    add_number(parser, "--students", "N", (1, MAX_STUDENTS), 20, f"1 to {MAX_STUDENTS} (20)")
     parser.add_argument(
         "--physics",
         type=lambda text: text.split(","),
@@ -128,13 +116,9 @@ def add_classroom_parser(subparsers: Subparsers) -> None:
         metavar="DIR",
         help="folder for the list of students and what their servers keep (classroom)",
     )
-    parser.add_argument(
-        "--planners",
-        type=number(int, 1, MAX_PLANNERS),
-        default=max(LEAST_PLANNERS, (os.cpu_count() or 1) // 2),
-        metavar="N",
-        help="motions that may be planned at the same time, for all together (half the cores, at least 2)",
-    )
+    half_the_cores = max(LEAST_PLANNERS, (os.cpu_count() or 1) // 2)
+    text = "motions that may be planned at the same time, for all together (half the cores, at least 2)"
+    add_number(parser, "--planners", "N", (1, MAX_PLANNERS), half_the_cores, text)
     add_setting_options(parser)
 
 

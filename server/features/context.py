@@ -27,7 +27,7 @@ from server.graph.topics import Graph
 from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
-from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator, OneArm
+from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator
 from server.moveit.goals.goal_topics import Confirmation
 from server.moveit.named_states import NamedStates, NamedStatesFile, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
@@ -121,8 +121,9 @@ class ArmContext:
 
     @cached_property
     def translator(self) -> GoalTranslator:
-        only = OneArm(self.served.prefix, self.joints) if self.name else None
-        return GoalTranslator(self.planning, self.parameters, self.goals.named_states, only)
+        return GoalTranslator(
+            self.planning, self.parameters, self.goals.named_states, self.served.prefix, self.only_joints
+        )
 
     @cached_property
     def gripper(self) -> Gripper | None:

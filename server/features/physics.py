@@ -385,6 +385,8 @@ class Physics(Feature):
         if not (paused and self._stepping):
             self._simulate(PauseSimulation(paused))
         if not await self._reach(lambda world: (world.ticks >= 0) == paused, ANSWER_TIMEOUT_S):
+            # The time of one arm must not stand still alone: another's process may be starting again.
+            self._simulate(PauseSimulation(paused=False))
             return {"success": False, "message": f"the arm process did not answer within {ANSWER_TIMEOUT_S:g} s"}
         return {"success": True, "message": f"the time of the simulation {'stands still' if paused else 'passes'}"}
 

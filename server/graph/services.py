@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
-from server.errors import ServiceError, UnsuccessfulError
+from server.errors import RefusedError, ServiceError, UnsuccessfulError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -131,12 +131,12 @@ Work: TypeAlias = Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]
 
 
 def telling(name: str, work: Work, log: logging.Logger) -> Work:
-    """Return a service that answers a ServiceError by its fields ``success`` and ``message``, and logs it."""
+    """Return a service that answers a refusal by its fields ``success`` and ``message``, and logs it."""
 
     async def serve(request: Mapping[str, Any]) -> dict[str, Any]:
         try:
             return await work(request)
-        except ServiceError as error:
+        except (ServiceError, RefusedError) as error:
             log.warning("%s: %s", name, error)
             return {"success": False, "message": str(error)}
 

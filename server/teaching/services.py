@@ -279,10 +279,7 @@ class Teaching(Feature):
         return {"success": True, "message": message, "trajectory": to_message(motion)}
 
     async def _check(self, request: Message) -> dict[str, Any]:
-        try:
-            speed = read_speed(request["speed"])
-        except RefusedError as error:
-            raise ServiceError(str(error)) from error
+        speed = read_speed(request["speed"])
         motion = await self._motions.load(request["name"])
         answer = await self._planned(motion, speed)
         if isinstance(answer, str):
@@ -292,10 +289,7 @@ class Teaching(Feature):
 
     async def _save(self, request: Message) -> dict[str, Any]:
         name = request["name"]
-        try:
-            motion = await asyncio.to_thread(from_message, request["trajectory"], self._robot)
-        except RefusedError as error:
-            raise ServiceError(str(error)) from error
+        motion = await asyncio.to_thread(from_message, request["trajectory"], self._robot)
         await self._motions.save(name, motion)
         return {"success": True, "message": f"the motion {name!r} is saved; {await self._checked(motion)}"}
 

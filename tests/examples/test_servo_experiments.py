@@ -1,7 +1,5 @@
 """Experiments on the servos, on emulated ones: each has a finding, and leaves the servos as it found them."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest

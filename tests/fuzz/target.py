@@ -17,7 +17,7 @@ from protocol.framing import StreamSplitter
 from protocol.interface_files import Generation, read_file
 from protocol.limits import Limits
 from protocol.publication import Frame
-from protocol.registry import Kind, Registry
+from protocol.registry import Kind
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
@@ -31,8 +31,8 @@ from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import AtOnce, UnreadSocket
+from tests.helpers.messages import REGISTRY
 
-REGISTRY = Registry.load()
 CORPUS = Path(__file__).parent / "corpus"
 
 # Small limits are reached by small inputs.

@@ -14,7 +14,6 @@ from harness.waiting import TIMEOUT_S, until
 from protocol.interface_packages import read_packages
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage, Frame
-from protocol.registry import Registry
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
@@ -33,9 +32,9 @@ from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
 from tests.helpers.clock import FakeClock
+from tests.helpers.messages import REGISTRY
 from tests.helpers.rules import with_server_rules
 
-REGISTRY = Registry.load()
 USER_REGISTRY = read_packages([INTERFACES]).registry()
 
 

@@ -11,6 +11,9 @@ import numpy as np
 from protocol.registry import TEXTS, Field, MessageType, Registry
 from protocol.values import INTEGER_RANGES
 
+# Of all tests: the types that it has compiled for one of them are there for the others.
+REGISTRY = Registry.load()
+
 # Of each width in UTF-8; zero, which ends text in C, among them.
 CHARACTERS = "a\x00 ü€😀"
 

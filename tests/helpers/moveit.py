@@ -15,7 +15,6 @@ from planners import problem
 from planners.problem import MoveItErrorCode, PlanningFailure, Request
 from planners.scene import EMPTY_SCENE, Pose, Scene
 from protocol.messages import Stamp, complete
-from protocol.registry import Registry
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
@@ -40,12 +39,12 @@ from server.moveit.services.move_group_services import offer_services
 from tests.helpers.fake_arm import JOINTS, FakeArm, settle
 from tests.helpers.goal_runner import GoalRunner
 from tests.helpers.graph import listen
+from tests.helpers.messages import REGISTRY
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF, so101
 
 if TYPE_CHECKING:
     from planners.pipeline import Planner
 
-REGISTRY = Registry.load()
 ROBOT = so101()
 BENT = dict.fromkeys(JOINTS, 0.2)
 FORWARD = ForwardPlacements(ROBOT)

@@ -15,7 +15,6 @@ import pytest
 from planners.interface import Planners
 from planners.problem import Answer, Request
 from planners.scene import EMPTY_SCENE, Scene
-from protocol.registry import Registry
 from robot.arm import Arm, ArmProcess
 from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
 from robot.control.pacing import PERIOD_S
@@ -37,7 +36,7 @@ from server.graph.topics import Graph
 from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, DirectPool, box, diff
+from tests.helpers.moveit import REGISTRY, ROBOT, DirectPool, box, diff
 from tests.helpers.moveit import point as frame_point
 
 # The planners' time for each question [s].
@@ -77,7 +76,7 @@ class ServerStage:
     """Server without sockets, and a client."""
 
     def __init__(self, arm: Arm, settings: Settings = DEFAULTS) -> None:
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         served = ServedArm("", settings.arm, Description("", ROBOT, HardwareTable(), None), arm)
         pool = cast("Planners", TimedPool())
         self.context = context_of(settings, self.graph, (served, (served,)), pool)

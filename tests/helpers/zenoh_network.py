@@ -20,7 +20,6 @@ from rosbags.typesys import Stores, get_typestore
 from harness.server import free_port
 from harness.waiting import TIMEOUT_S, until
 from protocol.publication import PublishedMessage
-from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.graph.node import Node
@@ -28,9 +27,9 @@ from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge
 from server.zenoh.settings import ZenohSettings
+from tests.helpers.messages import REGISTRY
 from tests.helpers.rules import with_server_rules
 
-REGISTRY = Registry.load()
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 TRIGGER_KEY = "std_srvs::srv::dds_::Trigger_/RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"

@@ -11,11 +11,10 @@ from protocol.codecs import cdr
 from protocol.errors import InterfaceFilesError, MessageError
 from protocol.interface_packages import UserInterfaces, read_packages
 from protocol.messages import Stamp, complete
-from protocol.registry import Registry
 from protocol.strict_messages import strict_type
 from protocol.type_descriptions import full_text, message_hash, service_hash
 from tests.conformance.cases import INTERFACES
-from tests.helpers.messages import made_up
+from tests.helpers.messages import REGISTRY, made_up
 
 
 def package(folder: Path, *files: tuple[str, str], tool: str | None = "ament_cmake", name: str | None = None) -> Path:
@@ -285,10 +284,10 @@ def test_text_in_cdr_that_is_longer_than_its_bound_is_refused() -> None:
 
 
 def test_wide_text_in_cdr_that_is_no_utf_16_is_refused() -> None:
-    octets = cdr.serialize(Registry.load(), "example_interfaces/WString", {"data": "a"})
+    octets = cdr.serialize(REGISTRY, "example_interfaces/WString", {"data": "a"})
     assert octets == cdr.HEADER + b"\x01\0\0\0a\0"
     with pytest.raises(MessageError, match="wanted text in UTF-16"):
-        cdr.deserialize(Registry.load(), "example_interfaces/WString", octets[:-2] + b"\x00\xd8")
+        cdr.deserialize(REGISTRY, "example_interfaces/WString", octets[:-2] + b"\x00\xd8")
 
 
 # Without wide text, which neither reader has.

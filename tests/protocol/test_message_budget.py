@@ -5,9 +5,7 @@ import pytest
 
 from protocol.errors import LargeMessageError, MessageError
 from protocol.messages import MAX_VALUES, MessageBudget, Stamp, complete, values_in
-from protocol.registry import Registry
-
-REGISTRY = Registry.load()
+from tests.helpers.messages import REGISTRY
 
 
 def completed(type_name: str, message: dict[str, Any]) -> dict[str, Any]:

@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 
 from protocol.errors import MessageError
 from protocol.messages import Stamp, complete
-from protocol.registry import Registry
+from tests.helpers.messages import REGISTRY
 
 RECEIVED = Stamp(1700000000, 250)
 RECEIVED_TIME = {"sec": 1700000000, "nanosec": 250}
-REGISTRY = Registry.load()
 MESSAGE_NAMES = [name for name, definition in REGISTRY._table.items() if definition["kind"] == "msg"]
 
 

@@ -14,7 +14,7 @@ from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.limits import MAX_PIECES
 from protocol.messages import Stamp, complete
 from protocol.publication import LARGE_BYTES, EncodedMessage, Frame, PublishedMessage, pack
-from protocol.registry import Registry
+from tests.helpers.messages import REGISTRY
 
 
 def text_frame(length):
@@ -64,7 +64,6 @@ def test_on_the_wire_a_frame_is_a_whole_message_of_its_kind(length, text):
     assert (read.opcode, read.data, read.fin) == (Opcode.TEXT if text else Opcode.BINARY, frame.data, True)
 
 
-REGISTRY = Registry.load()
 RECEIVED = Stamp(5, 6)
 ENCODINGS = ["none", "png", "cbor", "cbor-raw", "bson"]
 

@@ -9,11 +9,9 @@ from protocol.limits import Limits
 from protocol.messages import Stamp
 from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS, OPERATIONS, Operation, Publish
 from protocol.publication import PublishedMessage
-from protocol.registry import Registry
 from protocol.send_queue import BEHIND_S, BULKY_BYTES
 from protocol.session import DROPS_TOLD_EVERY_S, SEND_BUDGET_BYTES, Packed, Refusal, Session
-
-REGISTRY = Registry.load()
+from tests.helpers.messages import REGISTRY
 
 
 def read(session, frame, now=1.0):

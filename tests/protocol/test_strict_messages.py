@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 from protocol import messages
 from protocol.codecs.json import decode, encode
 from protocol.messages import BUDGET, MAX_VALUES, Stamp
-from protocol.registry import Registry
 from protocol.strict_messages import PublicationReader, strict_type
-
-REGISTRY = Registry.load()
+from tests.helpers.messages import REGISTRY
 
 RECEIVED = Stamp(1700000000, 250)
 MESSAGE_NAMES = [name for name, definition in REGISTRY._table.items() if definition["kind"] == "msg"]

@@ -1,7 +1,5 @@
 """The server's handle on an arm process, whose servos are emulated within it; all tests have the same process."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 

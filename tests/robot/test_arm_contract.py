@@ -1,7 +1,5 @@
 """The contract of an arm on servos within the arm process; tests/processes/robot has it on every kind of arm."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 
 import pytest

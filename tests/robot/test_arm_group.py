@@ -1,7 +1,5 @@
 """Several arms as one: their states, and motions, stops and orders that reach each of them."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
 from typing import cast

@@ -1,7 +1,5 @@
 """The delay before a child is started again; tests/processes has the children themselves."""
 
-from __future__ import annotations
-
 import pytest
 
 from robot.processes import RestartDelay

@@ -3,14 +3,13 @@ from typing import Any
 import pytest
 
 from protocol.dialect import to_ros1
-from protocol.registry import Registry
 from server.actionlib import MAX_GOALS, ActionlibBridge, Status, has_actionlib_types
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
+from tests.helpers.messages import REGISTRY
 
-REGISTRY = Registry.load()
 MOVE, MOVE_TYPE = "/move_group", "moveit_msgs/action/MoveGroup"
 FOLLOW, FOLLOW_TYPE = "/follow", "control_msgs/action/FollowJointTrajectory"
 

@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 
 from protocol.limits import Limits
-from protocol.registry import Registry
 from server.app import App
 from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
@@ -14,12 +13,13 @@ from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
 from server.recording.replay import Recording as RecordedMessages
 from server.zenoh.settings import ZenohSettings
+from tests.helpers.messages import REGISTRY
 
 
 def test_a_recording_begins_with_a_file_that_can_be_written(tmp_path: Path) -> None:
-    assert open_recorder(RecordingSettings(), Graph(Registry.load()), "so101", None) is None
+    assert open_recorder(RecordingSettings(), Graph(REGISTRY), "so101", None) is None
     with pytest.raises(ConfigurationError, match=r"recording\.file: .* cannot be written"):
-        open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(Registry.load()), "so101", None)
+        open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(REGISTRY), "so101", None)
 
 
 async def test_session_settings_reach_the_graph_and_the_bridge() -> None:

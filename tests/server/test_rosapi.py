@@ -4,7 +4,6 @@ from typing import Any
 import pytest
 
 from protocol.dialect import Dialect
-from protocol.registry import Registry
 from server import rosapi
 from server.errors import ServiceError
 from server.graph.node import Node
@@ -14,8 +13,8 @@ from server.graph.topics import Graph, Subscriber
 from server.rosapi import DONE, MAX_PARAMETER_BYTES, Parameters, Request, RosApi
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls
+from tests.helpers.messages import REGISTRY
 
-REGISTRY = Registry.load()
 ARM, CLIENT = Node("arm"), Node("client 127.0.0.1:53944", remote=True)
 
 

@@ -47,21 +47,19 @@ AS_SELECTED = GoalOptions()
 PARAMETER_FIELDS = ("optimization", "optimization_time", "allowed_planning_time")
 
 
-@dataclass(frozen=True)
-class OneArm:
-    """One of several arms."""
-
-    prefix: str
-    joints: frozenset[str]
-
-
 class GoalTranslator:
-    """Translator of goal messages for one robot, or for one of several arms: ``only``, which is None for all."""
+    """Translator of goal messages for one robot, or for one of several arms: the prefix of its names, its joints."""
 
     def __init__(
-        self, planning: PlanningContext, parameters: MoveItParameters, states: NamedStates, only: OneArm | None = None
+        self,
+        planning: PlanningContext,
+        parameters: MoveItParameters,
+        states: NamedStates,
+        prefix: str = "",
+        only_joints: frozenset[str] | None = None,
     ) -> None:
-        self._only = only
+        self._prefix = prefix
+        self._only_joints = only_joints
         self._robot = planning.robot
         self._parameters = parameters
         self._states = states
@@ -78,7 +76,7 @@ class GoalTranslator:
     def select_group(self, name: str) -> None:
         """Choose the planning group of goals to come; an empty name means the default."""
         self.group = self._group(name)
-        if self._only is None:
+        if not self._prefix:
             self._states.select_group(self.group.name)
 
     def options(self, message: Message) -> GoalOptions:
@@ -140,23 +138,19 @@ class GoalTranslator:
 
     def _group(self, name: str) -> Group:
         """Return a planning group by its name, or by its name without the arm's."""
-        if self._only is not None and name and name not in self._robot.groups:
-            name = f"{self._only.prefix}{name}"
-        group = planning_group(self._robot, name, self._parameters)
+        known = not name or name in self._robot.groups
+        group = planning_group(self._robot, name if known else f"{self._prefix}{name}", self._parameters)
         self._check_own(group)
         return group
 
     def _check_own(self, group: Group) -> None:
-        if self._only is not None and not self._only.joints.issuperset(group.joints):
-            raise refused(
-                MoveItErrorCode.INVALID_GROUP_NAME,
-                f"group {group.name} moves other arms than {self._only.prefix.removesuffix('_')}",
-                group=group.name,
-            )
+        if self._only_joints is not None and not self._only_joints.issuperset(group.joints):
+            text = f"group {group.name} moves other arms than {self._prefix.removesuffix('_')}"
+            raise refused(MoveItErrorCode.INVALID_GROUP_NAME, text, group=group.name)
 
     def _joint(self, name: str) -> str:
         """Return the name of a joint in the description: messages for one arm may leave its name out."""
-        return name if self._only is None or name in self._robot.joints else f"{self._only.prefix}{name}"
+        return name if name in self._robot.joints else f"{self._prefix}{name}"
 
     def _group_of(self, names: Sequence[str]) -> Group:
         """Return the group of a joint goal: the smallest that has all of its joints, or else the selected one."""

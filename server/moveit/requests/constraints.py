@@ -73,17 +73,19 @@ class RequestContext:
         """Return the name of a link; the tip's for an empty name."""
         if not name:
             return checked_tip(tip_link(self.robot, self.group, self.parameters), self.group)
-        if name not in self.robot.links:
-            known = ", ".join(self.robot.links)
-            raise refused(
-                MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {name!r}; it has: {known}", link=name
-            )
-        return name
+        return known_link(self.robot, name)
 
     def placed(self, frame_id: str, message: Message, where: str) -> Pose:
         """Transform a geometry_msgs/Pose from a frame, empty for the root link, into the root link."""
         frame = self.frames.resolve(frame_id, self.start_rad)
         return in_root(frame, read_pose(message, where))
+
+
+def known_link(robot: RobotModel, name: str) -> str:
+    if name not in robot.links:
+        text = f"the robot has no link {name!r}; it has: {', '.join(robot.links)}"
+        raise refused(MoveItErrorCode.INVALID_LINK_NAME, text, link=name)
+    return name
 
 
 def chooses_orientation(group: Group) -> bool:

@@ -17,7 +17,7 @@ from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, St
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
-from server.errors import RefusedError, ServiceError, UnsuccessfulError, refused, required
+from server.errors import RefusedError, ServiceError, UnsuccessfulError, required
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
@@ -28,7 +28,7 @@ from server.graph.topics import Graph
 from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.messages import Message, error_code, pose_of, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
-from server.moveit.requests.constraints import read_path_constraints
+from server.moveit.requests.constraints import known_link, read_path_constraints
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import (
     OMPL,
@@ -87,12 +87,8 @@ def compute_fk(context: PlanningContext, request: Message, caller: Node) -> dict
     header = {"stamp": Stamp(0, 0).as_message(), "frame_id": frame_id}
     poses: dict[str, Message] = {}
     for name in dict.fromkeys(names):
-        if name not in transforms:
-            known = ", ".join(context.robot.links)
-            raise refused(
-                MoveItErrorCode.INVALID_LINK_NAME, f"the robot has no link {name!r}; it has: {known}", link=name
-            )
-        poses[name] = {"header": header, "pose": write_pose(seen_from(frame, pose_of(transforms[name])))}
+        transform = transforms[known_link(context.robot, name)]
+        poses[name] = {"header": header, "pose": write_pose(seen_from(frame, pose_of(transform)))}
     return {"pose_stamped": [poses[name] for name in names], "fk_link_names": names, "error_code": success()}
 
 

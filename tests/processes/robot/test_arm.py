@@ -126,6 +126,23 @@ async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(r
     assert joint.rad_from_ticks(first[1] | first[2] << 8) == pytest.approx(held_rad, abs=0.1)
 
 
+async def test_a_clock_that_is_faster_than_the_machines_goes_on_from_where_a_dead_process_left_it() -> None:
+    def ended(state: ArmState) -> bool:
+        return state.reason == "the arm process ended and is starting again"
+
+    states: list[ArmState] = []
+    arm = Arm(replace(CONFIG, hardware=replace(CONFIG.hardware, rate=10.0)), states.append)
+    try:
+        await arm.start(SOON_S)
+        assert arm.pid is not None
+        os.kill(arm.pid, signal.SIGKILL)
+        await until(lambda: states[-1].mode is Mode.HOLDING and any(map(ended, states)))
+        lost = next(number for number, state in enumerate(states) if ended(state))
+        assert states[lost].clock_s < states[lost + 1].clock_s < states[lost].clock_s + 1.0
+    finally:
+        await arm.close()
+
+
 async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     hanging = rig.arm.pid
     assert hanging is not None

@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 
 from protocol.codecs import cbor
 from protocol.messages import Stamp, complete
-from protocol.registry import Registry
+from tests.helpers.messages import REGISTRY
 
-REGISTRY = Registry.load()
 NOW = Stamp(1, 2)
 
 # rosbridge's tags (cbor_conversion.py) and the formats of one element.

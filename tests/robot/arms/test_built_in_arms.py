@@ -1,7 +1,5 @@
 """Built-in arms are data: each is complete, and none is known by name to the program."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The reasons themselves are shown by the controller's tests; here is what must be accepted."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

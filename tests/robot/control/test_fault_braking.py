@@ -1,7 +1,5 @@
 """Faults in the midst of a motion, on the emulated bus."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

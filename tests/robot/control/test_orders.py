@@ -1,7 +1,5 @@
 """Orders: the causes that keep a fault from being reset; the rest is shown by the supervisor's tests."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

@@ -26,6 +26,7 @@ from robot.control.pacing import (
     lock_memory,
     percentiles,
 )
+from robot.hardware.config import ClockReading
 
 
 def test_deadlines_are_absolute_so_that_lateness_does_not_add_up() -> None:
@@ -200,7 +201,7 @@ def test_ticks_that_were_skipped_on_purpose_lose_no_time() -> None:
 def faster(*gaps_s: float) -> SimulationClock:
     """A clock ten times as fast as the machine's, whose ticks came so long after one another."""
     machine_s = 50.0
-    clock = SimulationClock(machine_s, rate=10.0, since_s=machine_s)
+    clock = SimulationClock(machine_s, rate=10.0)
     for gap_s in gaps_s:
         machine_s += gap_s
         clock.start_tick(machine_s)
@@ -232,14 +233,20 @@ def test_a_faster_clock_is_as_fast_as_the_machines_while_the_arm_is_steered() ->
     assert (clock.rate, clock()) == (10.0, pytest.approx(50.0 + 2 * PERIOD_S))
 
 
-def test_the_clock_of_the_next_arm_process_is_not_behind() -> None:
-    after = SimulationClock(51.5, rate=10.0, since_s=50.0)
-    assert after() == pytest.approx(65.0)
-    assert after() > faster(0.5, 0.5)()
+def test_a_faster_clock_goes_on_in_the_next_arm_process() -> None:
+    before = faster(0.1 * PERIOD_S, 5.0)
+    after = SimulationClock(56.0, 10.0, ClockReading(before(), before.stamp_s(0.0)))
+    assert after() == before() == pytest.approx(50.0 + PERIOD_S + MAX_TICK_S)
+    after.start_tick(56.0 + 0.1 * PERIOD_S)
+    assert after() == pytest.approx(before() + PERIOD_S)
+    assert after.stamp_s(0.0) - before.stamp_s(0.0) == pytest.approx(PERIOD_S, abs=1e-6)
 
 
 def test_stamps_have_the_time_of_a_clock_that_is_not_the_machines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "time", lambda: 2050.0)
-    monkeypatch.setattr(time, "monotonic", lambda: 50.0)
-    assert faster(0.1 * PERIOD_S).stamp_s(2050.0) == pytest.approx(2050.0 + PERIOD_S)
+    clock = faster(0.1 * PERIOD_S)
+    assert clock.stamp_s(2050.0) == pytest.approx(2050.0 + PERIOD_S)
     assert ticked(MAX_TICK_S).stamp_s(2049.9) == 2049.9
+    # A clock that stands still has one stamp, also where the machine's clock is set.
+    monkeypatch.setattr(time, "time", lambda: 2000.0)
+    assert clock.stamp_s(2000.0) == pytest.approx(2050.0 + PERIOD_S)

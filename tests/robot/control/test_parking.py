@@ -1,7 +1,5 @@
 """The end of an arm that is parked, on emulated servos, ticked in their own time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A simulated arm whose time stands still: a slow clock for motions and orders, and no obstacle to a stop or an end."""
 
-from __future__ import annotations
-
 import pytest
 
 from robot.control.loop import hardware_opener

@@ -1,7 +1,5 @@
 """The pinhole camera of an arm's description."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Descriptions of several arms as one: names, places, limits, groups of all, and pairs that are never near."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import xml.etree.ElementTree as ET

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from robot.description.srdf import Semantics, read_srdf

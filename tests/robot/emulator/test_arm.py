@@ -1,7 +1,5 @@
 """Emulated servos of an arm as a source of hardware, and the weight of its links on them."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import warnings

@@ -1,7 +1,5 @@
 """What servos of every family do alike."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Servos on one wire: what both families do alike, Feetech's wire and maintenance, Dynamixel's errors."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import random

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import errno
 import fcntl
 import grp
@@ -18,7 +16,7 @@ from serial.tools.list_ports_common import ListPortInfo
 from robot.errors import PortBusy, PortError, PortLost
 from robot.hardware import boards
 from robot.hardware.boards import SERVO_BOARDS, SHARED_CHIPS, resolve_port, usb_id_text
-from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
+from robot.hardware.config import ClockReading, EmulatedConfig, IdealConfig, SerialConfig
 from robot.hardware.port import (
     LOCAL_LATENCY_S,
     NETWORK_LATENCY_S,
@@ -353,5 +351,7 @@ def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_them
     assert feetech.resumed(POSE, driven=True) == replace(feetech, start_rad=POSE, driven=True, resumes=True)
     assert dynamixel.resumed(POSE, driven=True) == replace(dynamixel, start_rad=POSE, driven=True, resumes=True)
     assert IdealConfig(0.2).resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
+    assert replace(feetech, rate=10.0).resumed(POSE, ClockReading(7.0, 2007.0), driven=True).clock == (7.0, 2007.0)
+    assert feetech.resumed(POSE, ClockReading(7.0, 2007.0), driven=True).clock is None
     for real in (SerialConfig(CALIBRATION, "/dev/arm"), SerialConfig(CALIBRATION, "/dev/arm", "dynamixel")):
         assert real.resumed(POSE, driven=True) == real

@@ -7,7 +7,6 @@ import pytest
 from harness.clients import ArmClient
 from harness.server import ROOT
 from protocol.operations import Auth, CallService, Publish, SendActionGoal, parse
-from protocol.registry import Registry
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
 from server.access.settings import AccessSettings
@@ -17,12 +16,11 @@ from server.graph.permissions import ANYONE, WORKING, Identity, NameFilter, Role
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services import description
 from tests.helpers.clock import FakeClock
+from tests.helpers.messages import REGISTRY
 from tests.helpers.rules import server_rules, with_server_rules
 
 SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
 
-
-REGISTRY = Registry.load()
 
 SERVER, SEVERAL = with_server_rules(Graph(REGISTRY)), with_server_rules(Graph(REGISTRY), "left", "right")
 

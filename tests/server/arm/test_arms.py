@@ -1,7 +1,5 @@
 """Several arms by their settings: files with prefixed names, and the beat in which their states are told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

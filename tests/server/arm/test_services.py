@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -8,7 +6,6 @@ import pytest
 from harness.clients import ArmClient, values_of
 from harness.server import ServerOnBus
 from protocol.errors import MessageError
-from protocol.registry import Registry
 from robot.messages import ChangePace
 from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, offer_pace
 from server.graph.local_graph import LocalGraph
@@ -16,6 +13,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.graph import answered
+from tests.helpers.messages import REGISTRY
 from tests.server.conftest import JOINTS
 
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
@@ -114,7 +112,7 @@ GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
 
 class Desk:
     def __init__(self) -> None:
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         self.arm = FakeArm()
         offer_pace(LocalGraph(self.graph), self.arm.as_arm)
 

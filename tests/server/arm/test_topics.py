@@ -1,10 +1,7 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from harness.clients import ArmClient, values_of
-from protocol.registry import Registry
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, JointStates, states_are_observed
@@ -12,6 +9,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.graph import listen
+from tests.helpers.messages import REGISTRY
 from tests.helpers.robots import nominal_calibration, so101
 
 ROBOT = so101()
@@ -22,7 +20,7 @@ class Heard:
     """The topics, and what was said on them."""
 
     def __init__(self) -> None:
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         self.topics = ArmStateTopics(LocalGraph(self.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
         self.states = listen(self.graph, STATE_TOPIC)
         # The state at the start, which is latched.
@@ -128,7 +126,7 @@ def test_an_arm_that_is_not_there_has_no_joint_states(heard: Heard) -> None:
     ],
 )
 def test_states_are_observed_while_somebody_subscribes_to_what_follows_them(topic: str, observed: bool) -> None:
-    graph, node = Graph(Registry.load()), Node("test")
+    graph, node = Graph(REGISTRY), Node("test")
     publisher = Node("arm")
     graph.advertise(publisher, topic, "std_msgs/String")
     assert not states_are_observed(graph)

@@ -1,7 +1,5 @@
 """Verification without a process: an arm that is where it is put, and goals that end as a test says."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 from dataclasses import replace

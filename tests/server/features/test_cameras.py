@@ -1,7 +1,5 @@
 """Cameras of a server with physics: orders to their process, what it renders, and its end."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import math
@@ -15,7 +13,6 @@ import pytest
 
 from harness.waiting import until
 from protocol.publication import PublishedMessage
-from protocol.registry import Registry
 from robot.description.camera import Camera
 from robot.messages import ArmState, Mode
 from robot.physics.bodies import BodyState
@@ -26,7 +23,7 @@ from server.features.cameras import IDLE_S, MAX_FAILURES, SILENT_S, Cameras, cam
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services.description import TransformsTopics
-from tests.helpers.moveit import ROBOT, box, diff, held, pose, scene_state
+from tests.helpers.moveit import REGISTRY, ROBOT, box, diff, held, pose, scene_state
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 VIEW = (0.6, 0.0, 0.4, 0.0, 0.0, 0.0)
@@ -65,7 +62,7 @@ class Stage:
         monkeypatch.setattr(cameras, "Child", self._child)
         monkeypatch.setattr(cameras, "StartedChild", lambda _module: None)
         monkeypatch.setattr(cameras.time, "monotonic", lambda: self.now_s)
-        self.graph, self.scene = Graph(Registry.load()), scene_state()
+        self.graph, self.scene = Graph(REGISTRY), scene_state()
         self.physics = SimpleNamespace(body_states={})
         TransformsTopics(self.graph, ROBOT, 50.0)
         planning = SimpleNamespace(scene_state=self.scene)
@@ -357,5 +354,5 @@ async def test_after_a_stop_no_process_is_started(stage: Stage, silent_s: float)
 
 
 def test_an_arm_without_physics_has_none() -> None:
-    context = SimpleNamespace(single_arms=[], graph=Graph(Registry.load()))
+    context = SimpleNamespace(single_arms=[], graph=Graph(REGISTRY))
     assert cameras_of(cast(Any, context), []) == []

@@ -1,7 +1,5 @@
 """Features of one arm and of several: the same names, each below the arm's own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

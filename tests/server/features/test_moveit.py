@@ -1,13 +1,10 @@
 """MoveIt's interface over the wire: a whole server, as clients of both generations and clients of topics see it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 from harness.clients import ArmClient, values_of
 from planners.pool import PlannerPool
-from protocol.registry import Registry
 from robot.description.model import RobotModel, parse
 from robot.description.servo_table import HardwareTable
 from server.arm.arms import ServedArm
@@ -21,6 +18,7 @@ from server.moveit.actions.gripper import GripperLimits
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.fake_arm import FakeArm
+from tests.helpers.messages import REGISTRY
 from tests.helpers.robots import so101
 
 CANCELED, SUCCEEDED = 5, 4
@@ -87,7 +85,7 @@ async def test_settings_reach_their_parts() -> None:
 def context_for(robot: RobotModel, settings: Settings | None = None) -> ServerContext:
     settings = settings or Settings()
     served = ServedArm("", settings.arm, Description("", robot, HardwareTable(), None), FakeArm().as_arm)
-    return context_of(settings, Graph(Registry.load()), (served, (served,)), PlannerPool(robot))
+    return context_of(settings, Graph(REGISTRY), (served, (served,)), PlannerPool(robot))
 
 
 def test_joints_that_brake_slowly_are_named_for_steering() -> None:

@@ -1,7 +1,5 @@
 """The way to the rest pose that the arm process keeps, and the last client, in a time of their own."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,7 +19,6 @@ from planners.problem import (
     Request,
 )
 from planners.scene import EMPTY_SCENE, Scene
-from protocol.registry import Registry
 from robot.arm import Arm
 from robot.arm_group import ArmGroup
 from robot.description.joined import prefixed
@@ -40,6 +37,7 @@ from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
+from tests.helpers.messages import REGISTRY
 from tests.helpers.motions import smooth_move
 from tests.server.teleop.test_two_followers import ROBOT_PAIR, SIDES
 
@@ -106,7 +104,7 @@ class World:
         )
         self.goals = SimpleNamespace(queue=self, listeners=[])
         self.access = SimpleNamespace(drivers=set())
-        graph = Graph(Registry.load())
+        graph = Graph(REGISTRY)
         self.whole = SimpleNamespace(served=SimpleNamespace(arm=whole), graph=LocalGraph(graph))
         arm_settings = ArmSettings.model_validate({"on_server_lost": "park", **settings})
         self.single_arms = [(self._context(arm.name, graph, arm_settings), arm.as_arm) for arm in self.arms]

@@ -1,7 +1,5 @@
 """The planning scene as the world of a simulated arm: bodies out, poses and dropped objects back."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging
@@ -13,7 +11,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from protocol.registry import Registry
 from robot.messages import ArmState, Mode, PauseSimulation
 from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
 from server.config import NamedArmSettings, Settings
@@ -23,7 +20,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import Role, Rule
 from server.graph.topics import Graph
-from tests.helpers.moveit import ROBOT, box, current_state, diff, held, pose, scene_state
+from tests.helpers.moveit import REGISTRY, ROBOT, box, current_state, diff, held, pose, scene_state
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 FINGERS = ("gripper_link", "moving_jaw_so101_v1_link")
@@ -54,7 +51,7 @@ class Stage:
     def __init__(self, **simulation: Any) -> None:
         self.arm = PhysicalArm()
         self.scene = scene_state()
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         planning = SimpleNamespace(scene_state=self.scene, current=current_state())
         settings = Settings.model_validate({"simulation": {"kind": "physics", **simulation}})
         served = SimpleNamespace(settings=settings.arm)
@@ -281,12 +278,15 @@ async def test_steps_need_a_pause_and_come_one_call_after_the_other(stage: Stage
     assert await stage.answer("/simulation/step", steps=1) == (False, "other steps are in progress")
 
 
-async def test_an_arm_that_does_not_answer_ends_the_wait(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_arm_that_does_not_answer_ends_the_wait_and_the_pause(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("server.features.physics.ANSWER_TIMEOUT_S", 0.0)
     assert await stage.answer("/simulation/pause", data=True) == (
         False,
         "the arm process did not answer within 0 s",
     )
+    assert [each.paused for each in stage.arm.pauses] == [True, False]
 
 
 async def test_the_scene_follows_each_step(stage: Stage) -> None:
@@ -384,7 +384,7 @@ class TwoArms(Stage):
     """The same with two arms at their places; the right one is turned by 90 degrees."""
 
     def __init__(self, roll_rad: float = 0.0) -> None:
-        self.scene, self.graph = scene_state(), Graph(Registry.load())
+        self.scene, self.graph = scene_state(), Graph(REGISTRY)
         self.arms = {"left": PhysicalArm(), "right": PhysicalArm()}
         settings = Settings.model_validate({"simulation": {"kind": "physics"}})
         worlds = []

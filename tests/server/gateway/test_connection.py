@@ -10,7 +10,6 @@ from websockets.exceptions import ConnectionClosed
 
 from harness.waiting import until
 from protocol.limits import Limits
-from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway import connection
@@ -19,13 +18,14 @@ from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import TIMEOUT_S, listening, warnings_of
+from tests.helpers.messages import REGISTRY
 
 TALKER = Node("talker")
 
 
 @pytest.fixture
 async def graph() -> Graph:
-    made = Graph(Registry.load())
+    made = Graph(REGISTRY)
     made.advertise(TALKER, "/t", "std_msgs/String")
     return made
 

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from protocol.codecs import png
 from protocol.operations import Auth, CancelActionGoal, Operation, Publish
-from protocol.registry import Registry
 from protocol.session import Packed, Refusal, Session
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
@@ -25,9 +24,10 @@ from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, Schedulin
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import UnreadSocket
+from tests.helpers.messages import REGISTRY
 from tests.helpers.rules import server_rules
 
-TYPES = MessageTypes(Registry.load())
+TYPES = MessageTypes(REGISTRY)
 READER = TYPES.strict_reader("std_msgs/msg/String")
 
 

@@ -11,7 +11,6 @@ from websockets.asyncio.client import ClientConnection, connect
 from harness.waiting import until
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage
-from protocol.registry import Registry
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import Transport
@@ -19,6 +18,7 @@ from server.gateway.turns import Threads, encode_or_log
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import listening
+from tests.helpers.messages import REGISTRY
 
 TALKER = Node("talker")
 TIMEOUT_S = 60.0
@@ -66,7 +66,7 @@ async def numbers(client: ClientConnection, count: int) -> list[int]:
 
 @contextlib.asynccontextmanager
 async def world_with(limits: Limits | None = None, max_queued_bytes: int = 256_000_000) -> AsyncIterator[World]:
-    graph = Graph(Registry.load())
+    graph = Graph(REGISTRY)
     graph.advertise(TALKER, "/t", "std_msgs/String")
     settings = ServerSettings(port=0, limits=limits or Limits(), max_queued_bytes=max_queued_bytes)
     async with listening(settings, graph=graph) as listener:

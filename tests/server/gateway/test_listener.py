@@ -14,7 +14,6 @@ import uvloop
 from websockets.asyncio.client import connect
 
 from protocol.limits import Limits
-from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
@@ -48,6 +47,7 @@ from tests.helpers.gateway import (
     status,
     until_empty,
 )
+from tests.helpers.messages import REGISTRY
 from tests.helpers.resources import Pair, make_pair, openssl
 
 
@@ -238,7 +238,7 @@ def latest(graph: Graph, topic: str) -> Any:
 
 
 def test_a_late_subscriber_gets_the_list_of_clients() -> None:
-    graph = Graph(Registry.load(), wall_clock=lambda: 7.0)
+    graph = Graph(REGISTRY, wall_clock=lambda: 7.0)
     clock = FakeClock()
     clients = ClientList(graph, clock.call_later)
     clients.open()
@@ -257,7 +257,7 @@ def test_a_late_subscriber_gets_the_list_of_clients() -> None:
 
 
 def test_clients_that_come_at_once_are_told_of_together() -> None:
-    graph, clock = Graph(Registry.load()), FakeClock()
+    graph, clock = Graph(REGISTRY), FakeClock()
     clients = ClientList(graph, clock.call_later)
     counts: list[int] = []
     lengths: list[int] = []
@@ -282,16 +282,13 @@ def test_clients_that_come_at_once_are_told_of_together() -> None:
 
 
 def test_a_list_that_is_closed_publishes_no_more() -> None:
-    graph, clock = Graph(Registry.load()), FakeClock()
+    graph, clock = Graph(REGISTRY), FakeClock()
     clients = ClientList(graph, clock.call_later)
     clients.open()
     for name in ("a", "b"):
         clients.add(Node(name), "10.0.0.1")
     clients.close()
     assert clock.waiting == 0
-
-
-REGISTRY = Registry.load()
 
 
 @pytest.fixture
@@ -479,7 +476,7 @@ async def test_other_machines_find_the_page_at_the_addresses_of_this_one(
 ) -> None:
     monkeypatch.setattr("server.gateway.listener.host_addresses", lambda: ["10.0.0.2", "fd00::2"])
     access = Access(AccessSettings(insecure=True))
-    listener = Listener(Graph(Registry.load()), ServerSettings(host=host, port=0), access=access)
+    listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0), access=access)
     await listener.bind()
     try:
         assert listener.page_urls_elsewhere == [url.format(port=listener.port) for url in urls]

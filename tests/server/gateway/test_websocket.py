@@ -18,7 +18,6 @@ from websockets.frames import Frame, Opcode
 from harness.waiting import until
 from protocol.publication import EncodedMessage
 from protocol.publication import Frame as Payload
-from protocol.registry import Registry
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway import listener as listener_module
@@ -43,6 +42,7 @@ from tests.helpers.gateway import (
     until_empty,
     warnings_of,
 )
+from tests.helpers.messages import REGISTRY
 
 TALKER = Node("talker")
 NUMBERS = [str(number) for number in range(1000)]
@@ -66,7 +66,7 @@ class Link(NamedTuple):
 
 @contextlib.asynccontextmanager
 async def linked() -> AsyncIterator[Link]:
-    graph = Graph(Registry.load())
+    graph = Graph(REGISTRY)
     graph.advertise(TALKER, "/t", "std_msgs/String")
     async with listening(graph=graph) as listener, connect(listener.url, compression=None) as client:
         (server,) = listener._transports

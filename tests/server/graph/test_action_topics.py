@@ -3,14 +3,13 @@ from typing import Any
 import pytest
 
 from protocol.publication import PublishedMessage
-from protocol.registry import Registry
 from server.graph.action_topics import ENDED_KEPT_S, MAX_PUBLISHED
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
+from tests.helpers.messages import REGISTRY
 
-REGISTRY = Registry.load()
 GRIPPER, STATUS, FEEDBACK = "control_msgs/GripperCommand", "/grip/_action/status", "/grip/_action/feedback"
 CLIENT = Node("client", remote=True)
 

@@ -3,7 +3,6 @@ from typing import Any
 
 import pytest
 
-from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph.actions import MAX_GOAL_S, Goal, GoalStatus, Result
 from server.graph.message_types import MessageTypes
@@ -11,8 +10,9 @@ from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
+from tests.helpers.messages import REGISTRY
 
-INTERFACES = MessageTypes(Registry.load())
+INTERFACES = MessageTypes(REGISTRY)
 
 
 class Sent:
@@ -54,8 +54,6 @@ def test_a_goal_that_ended_is_not_cancelled_and_a_sender_that_left_hears_nothing
     sent.goal.feedback({})
     assert sent.feedback == []
 
-
-REGISTRY = Registry.load()
 
 SERVER, SENDER = Node("server"), Node("sender", remote=True)
 GRIPPER = "control_msgs/GripperCommand"

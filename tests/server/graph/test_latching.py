@@ -2,12 +2,10 @@ import pytest
 
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from protocol.registry import Registry
 from server.graph import latching
 from server.graph.latching import LatchedMessages
 from server.graph.node import Node
-
-REGISTRY = Registry.load()
+from tests.helpers.messages import REGISTRY
 
 
 def published(data: str, topic: str = "/t") -> PublishedMessage:

@@ -5,15 +5,14 @@ from typing import Any
 import pytest
 
 from protocol.errors import MessageError
-from protocol.registry import Registry
 from server.graph.actions import Result
 from server.graph.list_limits import MAX_VALUES, ListLimits
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.graph import answered
+from tests.helpers.messages import REGISTRY
 
-REGISTRY = Registry.load()
 SEQUENCE = "moveit_msgs/srv/GetMotionSequence"
 ITEMS = "moveit_msgs/msg/MotionSequenceRequest.items"
 SERVER, CLIENT = Node("server"), Node("client", remote=True)

@@ -4,17 +4,17 @@ import asyncio
 from dataclasses import replace
 from typing import Any
 
-from protocol.registry import Registry
 from server.graph.actions import Goal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL, STOPPING
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.graph import listen
+from tests.helpers.messages import REGISTRY
 
 
 def graph_with_left() -> tuple[Graph, LocalGraph]:
-    graph = Graph(Registry.load())
+    graph = Graph(REGISTRY)
     return graph, LocalGraph(graph, "left")
 
 

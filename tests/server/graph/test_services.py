@@ -3,14 +3,14 @@ from typing import Any
 
 import pytest
 
-from protocol.registry import Registry
 from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.services import LOCAL_TIMEOUT_S, MAX_TIMEOUT_S, Call, Response, Services, answer
 from tests.helpers.clock import FakeClock
+from tests.helpers.messages import REGISTRY
 
-INTERFACES = MessageTypes(Registry.load())
+INTERFACES = MessageTypes(REGISTRY)
 
 
 @pytest.fixture
@@ -35,8 +35,6 @@ async def test_an_awaited_service_error_is_a_failure(call: Call, responses: list
         await asyncio.sleep(0)
     assert responses == [Response(ok=False, values="no power")]
 
-
-REGISTRY = Registry.load()
 
 SERVER, CALLER = Node("server"), Node("caller", remote=True)
 SET_BOOL = "std_srvs/SetBool"

@@ -5,7 +5,6 @@ import pytest
 
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
-from protocol.registry import Registry
 from server.errors import GraphError
 from server.graph import latching, topics
 from server.graph.node import Node
@@ -13,8 +12,7 @@ from server.graph.permissions import Identity, Role
 from server.graph.topics import MAX_TOPICS_FOR_VIEWERS, MAX_TOPICS_OF_PUBLISHER, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls
-
-REGISTRY = Registry.load()
+from tests.helpers.messages import REGISTRY
 
 
 class Listening:

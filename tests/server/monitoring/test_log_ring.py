@@ -4,12 +4,12 @@ from collections.abc import Iterator
 import pytest
 
 from harness.clients import ArmClient
-from protocol.registry import Registry
 from robot import logs
 from robot.logs import MAX_LINE_CHARACTERS, LogLine
 from server.graph.topics import Graph
 from server.monitoring.log_ring import MAX_CHARACTERS, MAX_LINES, SERVICE, LogRing, shown
 from tests.helpers.graph import answered
+from tests.helpers.messages import REGISTRY
 
 LOG = logging.getLogger("armbridge.test")
 
@@ -75,7 +75,7 @@ def test_a_burst_does_not_push_everything_else_out(ring: LogRing) -> None:
 
 
 async def test_the_service_tells_the_lines_with_time_level_and_process(ring: LogRing) -> None:
-    graph = Graph(Registry.load())
+    graph = Graph(REGISTRY)
     ring.offer(graph)
     ring.take(line("the arm holds", 1.5))
     told = "1970-01-01T00:00:01.500+00:00 INFO    robot.control.loop armbridge.arm: the arm holds"

@@ -10,7 +10,6 @@ import pytest
 from harness.clients import ArmClient, values_of
 from harness.server import ServerOnBus
 from harness.waiting import until
-from protocol.registry import Registry
 from robot import logs as changed
 from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import StatusFlag
@@ -31,6 +30,7 @@ from server.monitoring.ros_topics import (
     offer_level_services,
 )
 from tests.helpers.graph import answered, listen
+from tests.helpers.messages import REGISTRY
 
 WARM = ServoWarning(ServoAlert.WARM, "warm: 56 degC")
 SERVO = JointHealth("elbow_flex", "servo 3", 0.5, 31, 5.0, 0.1, -0.2, True, 0, 0.01, 2)
@@ -178,7 +178,7 @@ def test_what_says_nothing_more_is_stale() -> None:
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
 def test_an_arm_is_as_old_as_a_clock_says_that_is_never_set(jump_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph, now_s = Graph(Registry.load()), 100.0
+    graph, now_s = Graph(REGISTRY), 100.0
     diagnostics = Diagnostics(graph, "so101", lambda: None, lambda: now_s)
     heard = listen(graph, TOPIC)
     diagnostics.take_state(STATE)
@@ -211,7 +211,7 @@ LOG = logging.getLogger("armbridge.test")
 
 @pytest.fixture
 async def heard() -> AsyncIterator[list[Any]]:
-    graph = Graph(Registry.load())
+    graph = Graph(REGISTRY)
     rosout = Rosout(graph, asyncio.get_running_loop())
     yield listen(graph, ROSOUT_TOPIC)
     rosout.close()
@@ -226,7 +226,7 @@ async def test_a_record_is_published_with_level_name_and_place_and_without_a_tok
 
 
 async def test_a_new_subscriber_gets_the_last_records() -> None:
-    graph = Graph(Registry.load())
+    graph = Graph(REGISTRY)
     rosout = Rosout(graph, asyncio.get_running_loop())
     for number in range(LOG_DEPTH + 5):
         LOG.warning("line %d", number)
@@ -257,7 +257,7 @@ async def test_a_burst_is_bounded(heard: list[Any]) -> None:
 
 @pytest.fixture
 async def graph() -> Graph:
-    made = Graph(Registry.load())
+    made = Graph(REGISTRY)
     offer_level_services(made)
     return made
 

@@ -4,12 +4,12 @@ from typing import Any
 import pytest
 
 from harness.clients import ArmClient
-from protocol.registry import Registry
 from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
 from server.monitoring.servo_history import MAX_EVENTS, MAX_SAMPLES, SERVICE, ServoHistory
 from tests.helpers.graph import answered
+from tests.helpers.messages import REGISTRY
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
 
 NAN = float("nan")
@@ -22,7 +22,7 @@ class World:
 
     def __init__(self) -> None:
         self.now_s = 1000.0
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         self.history = ServoHistory(self.graph, lambda: self.now_s)
 
     def report(self, joint: str = "gripper", after_s: float = 1.0, **fields: Any) -> None:

@@ -1,23 +1,20 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from protocol.registry import Registry
 from robot.trajectory import Trajectory
 from server.execution.motions import Performed
 from server.graph.topics import Graph
 from server.moveit.display import CONTACTS_TOPIC, PATH_TOPIC, PIPELINE_TOPIC, DisplayTopics
 from tests.helpers.fake_arm import HOME
 from tests.helpers.graph import listen
-from tests.helpers.moveit import ROBOT
+from tests.helpers.moveit import REGISTRY, ROBOT
 
 MOTION = Trajectory(("elbow_flex",), np.array([0.0, 1.0]), np.array([[0.0], [0.5]]), np.zeros((2, 1)), np.zeros((2, 1)))
 
 
 @pytest.fixture
 def graph() -> Graph:
-    return Graph(Registry.load())
+    return Graph(REGISTRY)
 
 
 @pytest.fixture

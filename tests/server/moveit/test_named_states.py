@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -9,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from protocol.registry import Registry
 from robot import files
 from server.errors import ServiceError
 from server.execution.monitors import CurrentState
@@ -28,6 +25,7 @@ from server.moveit.named_states import (
 )
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.graph import called, listen
+from tests.helpers.messages import REGISTRY
 
 BENT = {"elbow_flex": 0.4}
 ONE_NAME = {"joint_state": {"name": ["elbow_flex"], "position": []}}
@@ -199,7 +197,7 @@ class Office:
     """The services, for an arm that says where it is."""
 
     def __init__(self, states: NamedStates) -> None:
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         self.states = states
         self.arm = FakeArm(None)
         NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))

@@ -1,7 +1,5 @@
 """Trajectories in messages."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Replays of taught motions: goals read, and motions made of them."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The services of teaching, on a fake arm and with a planner in the process."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import replace

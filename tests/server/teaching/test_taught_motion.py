@@ -1,7 +1,5 @@
 """Recordings that become motions: their rests, their smoothing, their parts, and their messages."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

@@ -1,7 +1,5 @@
 """Following: phases, and velocities that keep all limits whatever the leader does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -3,8 +3,6 @@
 Server, supervisor and controller are the real ones, in stepped time; the joints are ideal.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable

@@ -4,8 +4,6 @@ The following, its servo loop, the arm's streaming and the planner are the real 
 the planners is an argument.
 """
 
-from __future__ import annotations
-
 import asyncio
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """Samples of leaders: jitter, order, gaps, and jumps."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """A leader at another machine: what it sends on a slow network."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """A following in progress: when it steps, and what it tells of its latency."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Mapping
 from typing import cast

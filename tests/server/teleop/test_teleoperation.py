@@ -1,7 +1,5 @@
 """Samples from a topic: read, refused with the field, and taken from one client at a time."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

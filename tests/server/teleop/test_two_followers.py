@@ -1,7 +1,5 @@
 """Two followers beside each other, whose leaders lead them through each other's place: they touch nothing."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import os

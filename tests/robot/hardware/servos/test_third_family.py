@@ -1,7 +1,5 @@
 """A family that was added as ARCHITECTURE.md says is driven like the others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

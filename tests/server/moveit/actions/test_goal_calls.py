@@ -1,7 +1,5 @@
 """The service and the action ``/moveit_goal``: on the queue, and through the executor on a graph."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """FollowJointTrajectory and the controller's topics."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time
@@ -13,7 +11,6 @@ import numpy as np
 import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from protocol.registry import Registry
 from robot.messages import ArmState, Outcome
 from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress, TimeLimits
@@ -36,7 +33,7 @@ from server.moveit.actions.joint_trajectory_controller import (
 from server.moveit.trajectories import external_trajectory
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
-from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
+from tests.helpers.moveit import REGISTRY, ROBOT, ActionDesk, message, outcome
 
 ACTION = "/arm_controller/follow_joint_trajectory"
 TOPIC = "/arm_controller/joint_trajectory"
@@ -153,7 +150,7 @@ async def test_an_empty_trajectory_on_the_topic_stops_the_arm(desk: Desk) -> Non
 ARM = ROBOT.groups["arm"].joints
 END = Performed({}, (smooth_move(dict.fromkeys(ARM, (0.0, 0.5)), 1.0),))
 REACHED = Answer(MoveItErrorCode.SUCCESS, "the arm is there", performed=END)
-INTERFACES = MessageTypes(Registry.load())
+INTERFACES = MessageTypes(REGISTRY)
 
 
 def at(position_rad: float, goal_rad: float, clock_s: float = 1.0, stamp_s: float = 1.0) -> ArmState:

@@ -1,7 +1,5 @@
 """The actions of move_group."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from typing import Any

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +7,6 @@ import pytest
 from planners.goals import JointGoal
 from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
-from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
 from server.graph.services import Response
 from server.graph.topics import Graph
@@ -26,7 +23,7 @@ from server.moveit.goals.goal_checks import (
 from server.moveit.messages import composed, pose_of
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.graph import called
-from tests.helpers.moveit import TRANSLATOR, DirectPool, planning_of
+from tests.helpers.moveit import REGISTRY, TRANSLATOR, DirectPool, planning_of
 from tests.helpers.robots import so101
 
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
@@ -41,7 +38,7 @@ FOUND = IkAnswer((TURNED,), (Deviation(0.002),))
 
 class Desk:
     def __init__(self) -> None:
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         self.arm = FakeArm()
         planning = planning_of(self.arm, ROBOT, pool=DirectPool())
         self.scene = planning.scene_state

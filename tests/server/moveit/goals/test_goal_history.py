@@ -1,7 +1,5 @@
 """The records of answered goals, as the services of the goal history tell them."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import json

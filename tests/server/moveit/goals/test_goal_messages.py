@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -10,17 +8,14 @@ from planners.goals import JointGoal, PoseGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
 from protocol.messages import Stamp, complete
-from protocol.registry import Registry
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from server.errors import RefusedError
 from server.execution.motions import PlannedMotion
 from server.moveit.goals.goal_messages import GoalTranslator, suggestion
 from tests.helpers.fake_arm import HOME, FakeArm
-from tests.helpers.moveit import ROBOT, TRANSLATOR, rejection, translator
+from tests.helpers.moveit import REGISTRY, ROBOT, TRANSLATOR, rejection, translator
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF
-
-REGISTRY = Registry.load()
 
 
 def joint_state(**fields: Any) -> dict[str, Any]:

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator
@@ -10,7 +8,6 @@ import pytest
 from harness.clients import values_of
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
-from protocol.registry import Registry
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion, PlannedSequence
 from server.execution.queue import GoalQueue
@@ -31,10 +28,9 @@ from server.moveit.goals.goal_topics import (
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
 from tests.helpers.graph import answered, listen
-from tests.helpers.moveit import translator
+from tests.helpers.moveit import REGISTRY, translator
 from tests.helpers.robots import so101
 
-REGISTRY = Registry.load()
 CLIENT = Node("client")
 
 

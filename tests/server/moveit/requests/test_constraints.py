@@ -1,7 +1,5 @@
 """moveit_msgs/Constraints as goals and as path constraints."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

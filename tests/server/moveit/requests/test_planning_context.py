@@ -1,7 +1,5 @@
 """Start states, scenes and problems of requests."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

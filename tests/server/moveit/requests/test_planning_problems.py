@@ -1,7 +1,5 @@
 """moveit_msgs/MotionPlanRequest and MotionSequenceRequest."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

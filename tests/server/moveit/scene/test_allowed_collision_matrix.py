@@ -1,7 +1,5 @@
 """The allowed collision matrix."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

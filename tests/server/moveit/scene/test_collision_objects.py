@@ -1,7 +1,5 @@
 """Collision objects as moveit_msgs/CollisionObject describes them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,14 +1,11 @@
 """Saving and loading the geometry of a scene."""
 
-from __future__ import annotations
-
 import logging
 import math
 
 import pytest
 
 from planners.scene import Cylinder
-from protocol.registry import Registry
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -22,7 +19,7 @@ from server.moveit.scene.geometry_files import (
     write_geometry,
 )
 from tests.helpers.graph import called
-from tests.helpers.moveit import BENT, box, current_state, diff, message, pose, rejection, scene_state
+from tests.helpers.moveit import BENT, REGISTRY, box, current_state, diff, message, pose, rejection, scene_state
 
 
 class Files:
@@ -30,7 +27,7 @@ class Files:
 
     def __init__(self, directory):
         self.state = scene_state(box("cup"), box("pen"))
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         offer_geometry_files(self.graph, Node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):

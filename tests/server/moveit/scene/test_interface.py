@@ -1,7 +1,5 @@
 """Topics and services of the planning scene."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from copy import copy
@@ -12,7 +10,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from protocol.errors import MessageError
-from protocol.registry import Registry
 from server.errors import RefusedError
 from server.execution.monitors import state_message
 from server.graph.node import Node
@@ -43,6 +40,7 @@ from tests.helpers.graph import answered, listen
 from tests.helpers.moveit import (
     BENT,
     FORWARD,
+    REGISTRY,
     ROBOT,
     box,
     collision_object,
@@ -54,8 +52,6 @@ from tests.helpers.moveit import (
     scene_state,
 )
 from tests.helpers.resources import examples
-
-REGISTRY = Registry.load()
 
 
 def opened():
@@ -248,7 +244,7 @@ class Watched:
 
     def __init__(self):
         self.clock, self.state = FakeClock(), scene_state(box("table"))
-        self.graph = Graph(Registry.load(), self.clock, call_later=self.clock.call_later)
+        self.graph = Graph(REGISTRY, self.clock, call_later=self.clock.call_later)
         self.monitored = MonitoredScenePublisher(
             self.graph, self.state, current_state(), 2.0, self.clock, self.clock.call_later
         )

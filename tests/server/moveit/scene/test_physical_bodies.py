@@ -1,7 +1,5 @@
 """Shapes of collision objects as bodies of the physics."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contents of a planning scene, and how messages change them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

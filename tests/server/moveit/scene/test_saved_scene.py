@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from protocol.registry import Registry
 from robot import files
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Role
@@ -230,7 +229,7 @@ class Scenes:
 
     def __init__(self, folder, *objects):
         self.state = scene_state(*objects)
-        self.graph = Graph(Registry.load())
+        self.graph = Graph(REGISTRY)
         scenes = NamedScenes(folder, self.state, self.graph.message_types)
         offer_named_scenes(self.graph, scenes, current_state())
 

@@ -1,7 +1,5 @@
 """The planning scene of the server, and the joint states that clients assume."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import logging

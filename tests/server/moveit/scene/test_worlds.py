@@ -1,7 +1,5 @@
 """Files of worlds: the built-in ones are read, and each thing that is wrong with one has a sentence."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -9,11 +7,11 @@ from typing import Any
 import pytest
 
 from protocol.errors import MessageError
-from protocol.registry import Registry
 from server.graph.topics import Graph
 from server.moveit.scene.worlds import read_world
+from tests.helpers.messages import REGISTRY
 
-MESSAGE_TYPES = Graph(Registry.load()).message_types
+MESSAGE_TYPES = Graph(REGISTRY).message_types
 CUBE = {"id": "cube", "primitives": [{"type": 1, "dimensions": [0.03, 0.03, 0.03]}]}
 
 

@@ -1,7 +1,5 @@
 """``/compute_cartesian_path``."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

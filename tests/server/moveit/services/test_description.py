@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import base64
 import json
 import xml.etree.ElementTree as ET
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 
 from planners.scene import Pose
-from protocol.registry import Registry
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server import robot_files
@@ -36,9 +33,8 @@ from server.moveit.services.description import (
 from server.robot_files import RobotFiles, with_package_urls
 from tests.helpers.gateway import InProcess
 from tests.helpers.graph import called, listen
-from tests.helpers.moveit import ROBOT
+from tests.helpers.moveit import REGISTRY, ROBOT
 
-REGISTRY = Registry.load()
 PACKAGE = "so101_description"
 
 

@@ -1,7 +1,5 @@
 """Services of MoveIt that plan, and those that describe planners and groups."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -4,14 +4,13 @@ import json
 
 import pytest
 
-from protocol.registry import Registry
 from robot.description import model
 from robot.description.joined import PlacedArm, joined, prefixed
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.services.description import ROBOT_TOPIC, groups_document, publish_groups
 from tests.helpers.graph import listen
-from tests.helpers.moveit import ROBOT
+from tests.helpers.moveit import REGISTRY, ROBOT
 
 PARAMETERS = MoveItParameters()
 
@@ -80,7 +79,7 @@ def test_of_several_arms_each_group_names_its_arm_and_a_group_of_both_has_none()
 
 
 def test_the_groups_are_latched_as_json() -> None:
-    graph = Graph(Registry.load())
+    graph = Graph(REGISTRY)
     publish_groups(graph, ROBOT, {"": ROBOT}, PARAMETERS)
     (kept,) = listen(graph, ROBOT_TOPIC)
     (arm,) = json.loads(kept["data"])["groups"]

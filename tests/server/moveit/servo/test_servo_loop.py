@@ -1,7 +1,5 @@
 """The servo loop and the commands it follows."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable
@@ -16,7 +14,6 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from planners.servo.question import Anchor, JointVelocities, ServoAnswer, ServoLimits, ServoQuestion, ServoStatus
 from protocol.messages import Stamp, complete
-from protocol.registry import Registry
 from robot.control.motion import SETPOINT_LASTS_S
 from robot.messages import MotionEnded, Outcome, Setpoint
 from server.errors import refused
@@ -35,9 +32,8 @@ from server.moveit.servo.servo_loop import (
 )
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm
-from tests.helpers.moveit import outcome
+from tests.helpers.moveit import REGISTRY, outcome
 
-REGISTRY = Registry.load()
 UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0.5)
 SPEEDS = ServoParameters(command_in_type="speed_units")
 STEERED_JOINTS = ("shoulder_pan", "elbow_flex")

@@ -1,7 +1,5 @@
 """Topics and services of MoveIt Servo."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

@@ -269,12 +269,13 @@ def run(seed: int = SEED, problems: int = PROBLEMS) -> None:
         planners: dict[str, list[Answer]] = {"armbridge": list(_ours(draw.robot, passages))}
         if draw.meshes is not None:
             planners |= {peer: _theirs(peer, draw.meshes, draw.group.joints, passages) for peer in PEERS}
-        for planner, answers in planners.items():
-            if answers:
-                rows.append([name, planner, *_cells(draw.judge, passages, answers)])
-        for passage, answer in zip(passages, planners["armbridge"], strict=True):
-            if answer.positions is None:
-                print(f"{name}, {passage.name}: {answer.code}")
+        planners = {planner: answers for planner, answers in planners.items() if answers}
+        rows += [[name, planner, *_cells(draw.judge, passages, answers)] for planner, answers in planners.items()]
+        for i, passage in enumerate(passages):
+            if planners["armbridge"][i].positions is None:
+                solvers = [planner for planner, answers in planners.items() if answers[i].positions is not None]
+                others = f"solved by {', '.join(solvers)}" if solvers else "solved by no planner"
+                print(f"{name}, {passage.name}: {planners['armbridge'][i].code}; {others}")
     header = [
         "arm",
         "planner",

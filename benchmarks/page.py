@@ -104,7 +104,9 @@ def run(seconds: float = WATCHED_S, parts: Sequence[str] = PARTS) -> None:
         if "watched" in parts:
             _print_watched(_watched(browser, server, seconds), seconds)
         if "costs" in parts:
-            _print_costs(_costs(browser, server))
+            _print_costs(_costs(browser, server), "at rest")
+            with _moving(server):
+                _print_costs(_costs(browser, server), "in motion")
 
 
 def _print_sizes() -> None:
@@ -143,10 +145,10 @@ def _print_watched(watched: Watched, seconds: float) -> None:
     )
 
 
-def _print_costs(costs_percent: dict[str, list[float]]) -> None:
+def _print_costs(costs_percent: dict[str, list[float]], arm: str) -> None:
     medians = {name: statistics.median(percents) for name, percents in costs_percent.items()}
     print_table(
-        f"What the server's process spends, medians, the page to be {MAX_COST_RATIO:g} times the subscriber",
+        f"What the server's process spends, the arm {arm}, medians, to be {MAX_COST_RATIO:g} times the subscriber",
         ["for", "CPU % of a core", "beyond nobody", "of the subscriber's"],
         [
             [name, f"{percent:.2f}", f"{percent - medians['nobody']:.2f}", f"{percent / medians[JOINT_STATES]:.2f}"]
@@ -173,7 +175,7 @@ def _watched(browser: Browser, server: RunningServer, seconds: float) -> Watched
 
 
 def _costs(browser: Browser, server: RunningServer) -> dict[str, list[float]]:
-    """Measure the server with the arm at rest, in turns [% of a core]: without a client, a subscriber, the page."""
+    """Measure the server, in turns [% of a core]: without a client, a subscriber, the page."""
     process = psutil.Process(server.process.pid)
     costs_percent: dict[str, list[float]] = {"nobody": [], JOINT_STATES: [], "the page": []}
     for _ in range(TURNS):

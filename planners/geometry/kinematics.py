@@ -23,23 +23,18 @@ class JointMap:
         own = [name for name in names if robot.joints[name].movable]
         self.joint_names = tuple(own if joint_names is None else joint_names)
         # The position of each of pinocchio's joints is a multiple of one of ours.
-        mimics = [robot.joints[name].mimic or Mimic(name, 1.0, 0.0) for name in names]
-        self._leaders = np.array([self.joint_names.index(mimic.joint) for mimic in mimics], dtype=np.intp)
-        self._multipliers = np.array([mimic.multiplier for mimic in mimics])
         self._matrix = np.zeros((len(names), len(self.joint_names)))
-        self._matrix[np.arange(len(names)), self._leaders] = self._multipliers
+        for row, name in enumerate(names):
+            mimic = robot.joints[name].mimic or Mimic(name, 1.0, 0.0)
+            self._matrix[row, self.joint_names.index(mimic.joint)] = mimic.multiplier
         self._same = np.array_equal(self._matrix, np.eye(len(names)))
 
     def positions(self, q: Vector) -> Vector:
         """Return the positions of pinocchio's joints at a configuration."""
-        if self._same:
-            return q
-        return np.asarray(q[self._leaders] * self._multipliers)
+        return q if self._same else np.asarray(self._matrix.dot(q))
 
     def by_joint(self, rows: Vector, *, bounds: bool = False) -> Vector:
         """Return derivatives, or ``bounds`` of them, by a configuration's joints, (..., n), of those by pinocchio's."""
-        if self._same:
-            return rows
         return np.asarray(rows @ (np.abs(self._matrix) if bounds else self._matrix))
 
 

@@ -86,14 +86,6 @@ class Rig:
                 return ended, self.now_s - started_s
         raise AssertionError("the motion never ended")
 
-    def until_rest(self, **tick: object) -> tuple[MotionEnded, float]:
-        """The end of the motion, and the time until nothing moves [s]."""
-        started_s, ended = self.now_s, None
-        while self.controller.moving:
-            ended = self.tick(**tick) or ended  # type: ignore[arg-type]
-        assert ended is not None
-        return ended, self.now_s - started_s
-
     def largest_step(self) -> np.ndarray:
         return np.abs(np.diff(np.array(self.goals), axis=0)).max(axis=0)
 

@@ -105,8 +105,6 @@ def test_moveit_s_limits_are_read_and_give_way_to_the_file_s(tmp_path: Path) -> 
     assert (second.max_velocity, second.max_jerk, second.lower, second.upper) == (2.0, 30.0, -1.0, 1.0)
 
 
-NINE_CAMERAS = "".join(f"[cameras.a{number}]\nview = [0, 0, 1, 0, 0, 0]\n" for number in range(9))
-
 WRONG = {
     "no file": ('[robot]\nurdf = "eight.urdf"', "robot.urdf: there is no file .*eight.urdf"),
     "gripper": (

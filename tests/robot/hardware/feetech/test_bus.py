@@ -472,7 +472,6 @@ def test_telemetry_is_read_as_its_registers_are(block):
     values = {
         Register.PRESENT_POSITION: parsed.position_ticks,
         Register.PRESENT_VELOCITY: parsed.velocity_ticks_s,
-        Register.PRESENT_VELOCITY: parsed.velocity_ticks_s,
         Register.PRESENT_LOAD: round(1000.0 * parsed.load),
         Register.PRESENT_VOLTAGE: round(10.0 * parsed.voltage_v),
         Register.STATUS: parsed.status,

@@ -262,22 +262,7 @@ class Draw:
 
 def run(seed: int = SEED, problems: int = PROBLEMS) -> None:
     """Plan the problems of a seed for each arm by each planner."""
-    rows = []
-    for name, read in (ARMS | {"fetch": lambda: robot_folder.resolve("fetch").model}).items():
-        draw = Draw(name, read(), seed)
-        passages = [each for kind in KINDS for each in islice(draw.passages(kind), problems)]
-        planners: dict[str, list[Answer]] = {"armbridge": list(_ours(draw.robot, passages))}
-        if draw.meshes is not None:
-            planners |= {peer: _theirs(peer, draw.meshes, draw.group.joints, passages) for peer in PEERS}
-        planners = {planner: answers for planner, answers in planners.items() if answers}
-        rows += [[name, planner, *_cells(draw.judge, passages, answers)] for planner, answers in planners.items()]
-        for i, passage in enumerate(passages):
-            if planners["armbridge"][i].positions is None:
-                solvers = [planner for planner, answers in planners.items() if answers[i].positions is not None]
-                others = f"solved by {', '.join(solvers)}" if solvers else "solved by no planner"
-                print(f"{name}, {passage.name}: {planners['armbridge'][i].code}; {others}")
     header = [
-        "arm",
         "planner",
         "problems",
         "solved in 5 s",
@@ -285,7 +270,20 @@ def run(seed: int = SEED, problems: int = PROBLEMS) -> None:
         "CPU p50 / p95 / p99 [ms]",
         "duration p50 [s]",
     ]
-    print_table(f"Narrow passages, seed {seed}", header, rows)
+    for name, read in (ARMS | {"fetch": lambda: robot_folder.resolve("fetch").model}).items():
+        draw = Draw(name, read(), seed)
+        passages = [each for kind in KINDS for each in islice(draw.passages(kind), problems)]
+        planners: dict[str, list[Answer]] = {"armbridge": list(_ours(draw.robot, passages))}
+        if draw.meshes is not None:
+            planners |= {peer: _theirs(peer, draw.meshes, draw.group.joints, passages) for peer in PEERS}
+        planners = {planner: answers for planner, answers in planners.items() if answers}
+        rows = [[planner, *_cells(draw.judge, passages, answers)] for planner, answers in planners.items()]
+        print_table(f"Narrow passages of {name}, seed {seed}", header, rows)
+        for i, passage in enumerate(passages):
+            if planners["armbridge"][i].positions is None:
+                solvers = [planner for planner, answers in planners.items() if answers[i].positions is not None]
+                others = f"solved by {', '.join(solvers)}" if solvers else "solved by no planner"
+                print(f"{passage.name}: {planners['armbridge'][i].code}; {others}")
 
 
 def _unchecked(robot: RobotModel) -> frozenset[frozenset[str]]:

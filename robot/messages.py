@@ -337,6 +337,7 @@ class ArmState(Frequent):
     # Start of the latest ticks after their deadlines, one value each [s].
     lateness_s: tuple[float, ...] = field(default=())
     fault: Fault | None = None  # latched fault, to be reset before the arm moves again
+    tick_s: float = 0.0  # monotonic time of the machine at its tick; 0 for several arms, which tick by themselves [s]
     clock_s: float = 0.0  # time of the control loop, which on a simulated arm passes no faster than the loop runs [s]
     torque_enabled: bool = False  # True while torque is on
     bodies: BodyStates | None = None  # bodies around an arm with physics that have moved; None for none

@@ -106,8 +106,7 @@ class Broadphase:
         self._any, self._contact, self._near = (self._geometry.createData() for _ in range(3))
         pin.forwardKinematics(model, self._data, pin.neutral(model))
         self._any_contact = self._detector(self._any, stop_at_first=True)
-        self._contacts = self._detector(self._contact)
-        self._vicinity = self._detector(self._near)
+        self._contacts, self._vicinity = self._detector(self._contact), self._detector(self._near)
         self._contact_results = list(self._contact.collisionResults)
         self._near_results = list(self._near.collisionResults)
         # Pairs that are checked one by one have margins of their own.

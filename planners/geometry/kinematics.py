@@ -31,13 +31,10 @@ class JointMap:
 
     def positions(self, q: Vector) -> Vector:
         """Return the positions of pinocchio's joints at a configuration."""
-        positions: Vector = q if self._same else self._matrix.dot(q)
-        return positions
+        return q if self._same else np.asarray(self._matrix.dot(q))
 
     def by_joint(self, rows: Vector, *, bounds: bool = False) -> Vector:
         """Return derivatives, or ``bounds`` of them, by a configuration's joints, (..., n), of those by pinocchio's."""
-        if self._same:
-            return rows
         return np.asarray(rows @ (np.abs(self._matrix) if bounds else self._matrix))
 
 

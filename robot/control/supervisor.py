@@ -239,6 +239,7 @@ class Supervisor:
             return
         lateness_s = pacer.latest(self._ticks_per_state)
         state = arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock)
+        state = replace(state, tick_s=pacer.tick_s)
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)

@@ -85,8 +85,8 @@ GIVEN_DURATION = "the duration of the trajectory"
 PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
 
-# A trajectory takes over from another one in motion after this multiple of the time that recent checks took: the first
-# attempt by their median, which no busy moment lengthens, others by the longest.
+# A trajectory is expected at the arm after this multiple of the time that recent checks took: the first attempt by the
+# median, which no busy moment lengthens, others by the longest.
 CHECKS_AHEAD, RECENT_CHECKS = 1.25, 5
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
@@ -253,7 +253,7 @@ class GoalExecutor:
             horizon_s = sending_s + CHECKS_AHEAD * check_s
             if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break
-            whole, point, leaves_s = joined
+            whole, point, arrives_s = joined
             planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
             checked = CheckedMotion(_group_of(self._context.robot, whole), whole, version, planned.summary)
             goal.defer_replacement()
@@ -262,7 +262,7 @@ class GoalExecutor:
             # The arm compares the point with its last tick, so that a late one may still be ahead; it refuses others.
             # Where another goal waits, that goal would continue a motion that the arm has refused.
             least_s = sending_s if goal.replacement_waits else -PERIOD_S
-            if leaves_s - self._context.clock() >= least_s and not goal.reason:
+            if arrives_s - self._context.clock() >= least_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, checked, point)
                 if answer is not None:
                     return answer
@@ -272,19 +272,20 @@ class GoalExecutor:
     def _joined(
         self, goal: Goal, request: ExternalTrajectory, now_s: float, horizon_s: float
     ) -> tuple[Trajectory, SplicePoint, float] | None:
-        """Return a trajectory behind the lead to the splice point, the point, and its time; None without one."""
+        """Return a trajectory behind the lead to the splice point, the point, and the time to arrive; else None."""
         outgoing = self._player.outgoing
         if outgoing is None or not request.spliced:
             return None
         if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
             return None
-        leaves_s = min(now_s + horizon_s, outgoing.until_s)
+        arrives_s = min(now_s + horizon_s, outgoing.until_s)
+        leaves_s = outgoing.path_time.earliest_leave_s(arrives_s)
         point = outgoing.splice_point(now_s, leaves_s - now_s)
-        if point is None or leaves_s <= now_s:
+        if point is None or arrives_s <= now_s:
             return None
         whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
         goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        return whole, point, leaves_s
+        return whole, point, arrives_s
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         if (answer := await self._splice_external(goal, request)) is not None:

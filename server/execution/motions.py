@@ -25,6 +25,7 @@ from planners.problem import (
     PlanningProblem,
 )
 from planners.scene import Scene
+from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
@@ -179,9 +180,11 @@ OUTGOING_S = 0.5
 SENDING_S = 0.03
 
 # The same of the attempts of a given trajectory, which is sent again if the arm has passed the point. Writing to the
-# arm's socket takes less than 1 ms. Without the middle one the first changed goal of a chunk came after 60 ms at p95,
-# with it after 40.
-SENDINGS_S = (0.003, 0.01, SENDING_S)
+# arm's socket takes less than 1 ms.
+SENDINGS_S = (0.001, 0.005, SENDING_S)
+
+# A tick is later by at most this, unless other programs use every core [s]; an arm that has passed the point refuses.
+TICK_LATE_S = 0.003
 
 # The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.
 STATE_AGE_S = 0.1
@@ -252,9 +255,21 @@ class PathTime:
     at_s: float
     path_s: float
     rate: float
+    at_tick: bool = False  # True where the arm has a tick at that time
 
     def at(self, now_s: float) -> float:
         return self.path_s + (now_s - self.at_s) * self.rate
+
+    def earliest_leave_s(self, arrives_s: float) -> float:
+        """Return the earliest time at which a trajectory that comes to the arm at some time can leave the path [s].
+
+        Between two ticks the arm does not change its goals: this is just after the last tick before, where that is
+        known.
+        """
+        if not self.at_tick:
+            return arrives_s
+        since_tick_s = math.fmod(arrives_s - self.at_s, PERIOD_S)
+        return arrives_s - since_tick_s + min(since_tick_s, TICK_LATE_S)
 
 
 def splice_point_of(motion: Trajectory, path_time: PathTime, now_s: float, horizon_s: float) -> SplicePoint | None:

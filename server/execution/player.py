@@ -238,7 +238,10 @@ class Player:
         if progress is None:
             return PathTime(now_s, self._begun.at(now_s), min(rate, self._begun.rate))
         rate = min(rate, self._arm.rate * progress.rate)
-        return PathTime(now_s, progress.fraction * trajectory.duration_s + self._arm.state_age_s * rate, rate)
+        path_s = progress.fraction * trajectory.duration_s
+        if (tick_s := self._arm.state.tick_s) and self._arm.rate == 1.0:
+            return PathTime(tick_s, path_s, rate, at_tick=True)
+        return PathTime(now_s, path_s + self._arm.state_age_s * rate, rate)
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:

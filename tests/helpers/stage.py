@@ -167,7 +167,9 @@ class RigArm(Arm):
         while True:
             sent, self.rig.sent[:] = [*self.rig.sent], []
             for message in sent:
-                self._received(message)
+                # Its ticks are at times of the event loop.
+                at_s = asyncio.get_running_loop().time()
+                self._received(replace(message, tick_s=at_s) if isinstance(message, ArmState) else message)
             await asyncio.sleep(PERIOD_S)
             self.rig.tick()
 

@@ -49,6 +49,12 @@ def test_an_arm_that_was_not_read_has_no_positions(arm: ControlCycle, emulator: 
     assert all(joint.warnings for joint in health.joints)
 
 
+def test_a_state_has_the_time_of_its_tick(rig: ArmRig) -> None:
+    rig.sent.clear()
+    rig.until(lambda: any(isinstance(each, ArmState) for each in rig.sent))
+    assert rig.state.tick_s == rig.clock()
+
+
 def test_what_the_hardware_does_not_have_or_measure_is_not_in_its_health() -> None:
     rig = ArmRig(hardware=IdealConfig())
     rig.run(1.5)

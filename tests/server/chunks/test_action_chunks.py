@@ -29,6 +29,8 @@ from server.chunks.action_chunks import (
     Phase,
 )
 from server.chunks.gripper import SETTLES_S
+from server.execution.executor import CHECKS_AHEAD
+from server.execution.motions import SENDINGS_S
 from server.graph.node import Node
 from server.graph.topics import Subscriber
 from tests.helpers import stage as stage_module
@@ -156,6 +158,24 @@ async def test_overlapping_chunks_are_joined_without_a_stop_or_a_jump(policy: Po
     policy.assert_within_limits()
     velocity = np.diff(policy.arm_rad[60:280, 0]) / PERIOD_S
     assert velocity.min() > 0.1
+
+
+@pytest.mark.parametrize("after_s", [0.2, 0.203, 0.2055, 0.208])
+async def test_a_chunk_has_a_tick_s_motion_in_the_first_tick_after_its_check(policy: Policy, after_s: float) -> None:
+    # The checks before tell how long one takes.
+    for _ in range(5):
+        policy.publish(chunk(np.zeros((60, len(ARM_JOINTS)))))
+        await asyncio.sleep(0.2)
+    await asyncio.sleep(after_s)
+    sent_s = asyncio.get_running_loop().time()
+    policy.publish(chunk(ramp()))
+    changes_s = sent_s
+    while policy.here_rad == 0.0:
+        await asyncio.sleep(0.0005)
+        changes_s = asyncio.get_running_loop().time()
+    assert changes_s - sent_s <= CHECKS_AHEAD * stage_module.PLANNING_S + SENDINGS_S[0] + PERIOD_S + 0.001
+    # The motion began 7 ms before the tick or earlier, with the jerk that the limits allow.
+    assert policy.here_rad > 1.6e-5
 
 
 @pytest.mark.parametrize("planning_s", [0.06, 0.2])

@@ -227,25 +227,18 @@ def test_an_episode_with_a_silent_leader_is_left_out_without_other_commands(reco
     assert "episode 2 (3.0 to 5.0 s) is left out: the actions on" in done.problems[0]
 
 
-def test_a_gripper_that_the_leader_lacks_has_the_commands_of_its_controller(recorded: Record, tmp_path: Path) -> None:
-    message = {"name": [JOINTS[0]], "position": [0.3]}
-    led = [entry(LEADER, "sensor_msgs/JointState", {"header": stamp(n / 10), **message}, n / 10) for n in range(11)]
+@pytest.mark.parametrize(("topic", "options"), [(LEADER, {}), ("/program", {"action_topic": "/program"})])
+def test_a_gripper_that_the_actions_lack_has_the_commands_of_its_controller(
+    recorded: Record, tmp_path: Path, topic: str, options: dict[str, str]
+) -> None:
+    pans = [{"header": stamp(n / 10), "name": [JOINTS[0]], "position": [0.3]} for n in range(11)]
+    actions = [*states(1.0), *(entry(topic, "sensor_msgs/JointState", msg, n / 10) for n, msg in enumerate(pans))]
+    if options:
+        with pytest.raises(ExportError, match=f"--action-topic {topic} has no gripper"):
+            exported(tmp_path / "none", recorded(actions), **options)
     gripper = [commanded(JOINTS[1], n / 10, 0.1 * n) for n in range(11)]
-    done = exported(tmp_path / "data", recorded([*states(1.0), *led, *gripper]))
-    assert done.actions == f"{LEADER} and /gripper_controller/controller_state"
-    expected = np.column_stack([np.full(11, 0.3), 0.1 * np.arange(11)])
-    assert column(tmp_path / "data", "action") == pytest.approx(expected)
-
-
-def test_a_gripper_that_the_topic_lacks_has_the_commands_of_its_controller(recorded: Record, tmp_path: Path) -> None:
-    name = "/program/joint_states"
-    commands = [{"header": stamp(n / 10), "name": [JOINTS[0]], "position": [0.3]} for n in range(11)]
-    arm = [entry(name, "sensor_msgs/JointState", msg, n / 10) for n, msg in enumerate(commands)]
-    with pytest.raises(ExportError, match=f"--action-topic {name} has no gripper"):
-        exported(tmp_path / "none", recorded([*states(1.0), *arm]), action_topic=name)
-    gripper = [commanded(JOINTS[1], n / 10, 0.1 * n) for n in range(11)]
-    done = exported(tmp_path / "data", recorded([*states(1.0), *arm, *gripper]), action_topic=name)
-    assert done.actions == f"{name} and /gripper_controller/controller_state"
+    done = exported(tmp_path / "data", recorded([*actions, *gripper]), **options)
+    assert done.actions == f"{topic} and /gripper_controller/controller_state"
     expected = np.column_stack([np.full(11, 0.3), 0.1 * np.arange(11)])
     assert column(tmp_path / "data", "action") == pytest.approx(expected)
 

@@ -5,19 +5,8 @@ from server.datasets import samples as samples_module
 from server.datasets.lerobot import QUANTILES, ImageStatistics
 from server.datasets.samples import JointSample, read_samples, series, times_s
 from server.errors import RecordingError
-from tests.server.datasets.conftest import JOINTS, Record, image, mark, state, states
-from tests.server.recordings import REGISTRY, entry
-
-
-def test_states_images_marks_and_limits_of_a_recording_are_read(recorded: Record) -> None:
-    limits = {"joint_names": ["gripper"], "limits": [{"joint_name": "gripper", "min_position": -1, "max_position": 2}]}
-    arm = entry("/arm/state", "diagnostic_msgs/DiagnosticStatus", {"hardware_id": "so101"})
-    more = [entry("/arm/joint_limits", "moveit_msgs/KinematicSolverInfo", limits), arm]
-    read = read_samples(recorded([*states(1.0), mark("start", 0.5), image(0.2, 9), *more]), REGISTRY)
-    assert len(read.joints["/joint_states"]) == 51
-    assert [text for _, text in read.marks] == ["start"]
-    assert len(read.images["/camera/image/compressed"]) == 1
-    assert (read.limits, read.robot, read.unreadable) == ({"gripper": (-1.0, 2.0)}, "so101", 0)
+from tests.server.datasets.conftest import JOINTS, Record, state, states
+from tests.server.recordings import REGISTRY
 
 
 def test_a_recording_with_more_samples_than_fit_is_refused(recorded: Record, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,3 +168,12 @@ def test_a_deviation_is_described_in_millimetres_and_degrees() -> None:
     note = deviation_note(Deviation(position_m=0.0042, orientation_rad=0.5))
     assert "4.2 mm" in note
     assert "28.6 degrees" in note
+
+
+@pytest.mark.parametrize(("arrives_s", "leaves_s"), [(5.0295, 5.023), (5.0145, 5.013), (5.0104, 5.0104)])
+def test_a_trajectory_leaves_the_path_just_after_the_last_tick_before_it_comes_to_the_arm(
+    arrives_s: float, leaves_s: float
+) -> None:
+    path_time = PathTime(5.0, 1.0, 1.0, at_tick=True)
+    assert path_time.earliest_leave_s(arrives_s) == pytest.approx(leaves_s)
+    assert replace(path_time, at_tick=False).earliest_leave_s(arrives_s) == arrives_s

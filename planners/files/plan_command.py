@@ -126,7 +126,7 @@ class Outcome:
     @property
     def failed_as_before(self) -> bool:
         """True when a failure that a server saved has the same error code here."""
-        return self.code == self.file_problem.failed_code
+        return self.code == self.file_problem.answered_code != MoveItErrorCode.SUCCESS
 
 
 def run(options: Options, robot: RobotModel, output: TextIO, errors: TextIO) -> int:

@@ -195,7 +195,7 @@ class FileProblem:
     id: str  # its name in the file
     problem: PlanningProblem
     accept_codes: tuple[int, ...]  # values of moveit_msgs/MoveItErrorCodes that are right answers
-    failed_code: int | None = None  # error code of the failure that a server saved; None for other problems
+    answered_code: int | None = None  # error code by which the server that saved it has answered; None for others
 
     @property
     def feasible(self) -> bool:
@@ -379,7 +379,7 @@ class _Reader:
 
 
 def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, answer: PlanningFailure) -> str:
-    """Return the text of a file ``name`` with one problem that failed; ``robot`` has the limits that were kept."""
+    """Return the text of a file ``name`` with one problem and its answer; ``robot`` has the limits that were kept."""
     group = robot.groups.get(problem.group)
     names = group.joints if group is not None else tuple(joint.name for joint in robot.movable_joints)
     joints = [robot.joints[name] for name in names]

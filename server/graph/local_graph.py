@@ -36,8 +36,8 @@ class LocalGraph:
             subscriber = replace(subscriber, rule=self._below(subscriber.rule))
         return self._graph.subscribe(node, self.resolve(name), type_name, subscriber)
 
-    def publish(self, node: Node, name: str, message: object) -> None:
-        self._graph.publish(node, self.resolve(name), message)
+    def publish(self, node: Node, name: str, message: object, *, prevalidated: bool = False) -> None:
+        self._graph.publish(node, self.resolve(name), message, prevalidated=prevalidated)
 
     def tell(self, node: Node, name: str, message: object) -> None:
         self._graph.tell(node, self.resolve(name), message)

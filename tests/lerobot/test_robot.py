@@ -343,7 +343,7 @@ def exported_arm(folder: Path, arm: Arm, zero_rad: float, units: str = "lerobot"
         (
             0.5,
             "lerobot",
-            "range of shoulder_pan differ by 28.6 degrees from this arm's (limit 1); convert=true",
+            "range of shoulder_pan differ by 28.6 degrees from this arm's (limit 1); --robot.convert=true",
         ),
         (0.0, "rad", "is in rad: export it with --units lerobot"),
     ],

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser
+from websockets.sync.client import connect
 
-from harness.clients import call, goal
+from harness.clients import call_on, goal
 from harness.page import opened
 from harness.server import FAST, ROOT
 
@@ -46,7 +47,7 @@ def _places(folder: Path) -> dict[str, tuple[str, str]]:
 
 
 def test_the_teacher_sees_every_arm_and_stops_one(browser: Browser, places: dict[str, tuple[str, str]]) -> None:
-    (url, token), (other, _) = places["teacher"], places["student02"]
+    (url, token), (other, student_token) = places["teacher"], places["student02"]
     second = f"{other}/?token={token}"
     with opened(browser, draws=True) as page:
         page.open(int(url.rpartition(":")[2]), f"#token={token}")
@@ -61,11 +62,14 @@ def test_the_teacher_sees_every_arm_and_stops_one(browser: Browser, places: dict
         page.part("class-student02-stop").click()
         page.until_state("s.classroom.find(each => each.name === 'student02').arm.last_stop !== ''")
         page.until("document.querySelector('[data-testid=class-student02] small').textContent !== ''")
-        call(second, "/arm/relax")
-        page.until_text("class-student02-state", "RELAXED")
-        assert page.part("class-student01-state").text_content() == "IDLE"
-        page.part("class-student02-reset").click()
-        page.until_text("class-student02-state", "IDLE")
+        with connect(f"{other}/?token={student_token}") as student:
+            # The student keeps the control.
+            call_on(student, "/arm/relax")
+            page.until_text("class-student02-state", "RELAXED")
+            assert page.part("class-student01-state").text_content() == "IDLE"
+            page.part("class-student02-reset").click()
+            page.until_text("class-student02-state", "IDLE")
+            page.wait(lambda: call_on(student, "/arm/take_control")["success"])
         page.part("close-panel-class").click()
         page.until_state("s.classroom.every(each => !each.connected)")
         assert page.errors == []

@@ -14,7 +14,7 @@ SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
 
 # Texts of controls that their box cuts off, panels and tables that scroll sideways, and what leaves the window.
 FIND_CUT = """() => {
-    const kinds = "button, summary, h2, .panel, .wide, #bar, #rail, #dock > section, .transport";
+    const kinds = "button, summary, h2, .panel, .wide, #bar, #rail, #dock > section, .transport, .first-motion";
     const shown = [...document.querySelectorAll(kinds)].filter(each => each.checkVisibility());
     return shown.filter(each => {
         const { left, right } = each.getBoundingClientRect();
@@ -56,6 +56,31 @@ def test_nothing_is_cut_off_or_covered_in_any_panel(page: OpenPage, size: tuple[
         "(({ clientWidth, clientHeight }) => [clientWidth, clientHeight])(document.querySelector('#view'))"
     )
     assert tuple(view) == size
+
+
+@pytest.mark.parametrize("size", SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
+def test_stop_and_rail_stay_in_their_place_and_nothing_is_covered_while_the_arm_moves(
+    browser: Browser, server: RunningServer, size: tuple[int, int]
+) -> None:
+    with opened(browser, size, has_touch=size[0] < 1000) as page:
+        page.open(server.port)
+        page.open_panel("move")
+        places = [(page.box("stop"), page.box("tab-move"))]
+        page.part("close-panel-move").click()
+        places.append((page.box("stop"), page.box("tab-move")))
+        page.open_panel("move")
+        page.part("named-home").click()
+        page.part("plan-and-move").click()
+        page.until_state("s.goal.state === 'done' && s.goal.code === 1")
+        page.part("named-rest").click()
+        page.press("plan")
+        page.press("go")
+        page.until_offered("pause")
+        assert page.page.evaluate(FIND_COVERED) == []
+        page.part("stop").click()
+        page.until_text("stop", "acknowledged")
+        places.append((page.box("stop"), page.box("tab-move")))
+        assert [place for place in places if place != places[0]] == []
 
 
 def test_pads_stand_left_and_right_of_the_picture_with_a_bar_under_each_thumb(

@@ -162,6 +162,12 @@ def assert_both_are_moved_by_one_goal_and_not_by_hand(page: OpenPage, arms: Runn
     page.part("group").select_option("both_arms")
     page.part("section-target").wait_for(state="hidden")
     page.wait(page.part("section-gripper").is_hidden)
+    # No sentence tells of the ball, which belongs to one arm.
+    page.until_text("next-step", "a pose or joints in Move")
+    page.open_panel("settings")
+    page.part("tour-start").click()
+    page.until_text("tour-text", "choose a pose or joints")
+    page.part("tour-next").click(click_count=4)
     page.part("named-home").click()
     page.part("plan-and-move").click()
     page.until_state("s.goal.code === 1 && s.selection.kind === 'none'")

@@ -55,6 +55,15 @@ def test_choosing_a_servo_shows_its_registers_and_its_lines(page: OpenPage) -> N
     assert page.errors == []
 
 
+def test_the_state_of_the_torque_is_told_in_the_language_of_the_page(browser: Browser, arm: ServerOnBus) -> None:
+    with opened(browser, locale="de") as page:
+        page.open(arm.server.port)
+        page.open_panel("arm", "servos")
+        page.part("servo-open-gripper").click()
+        page.until_text("servo-condition", "Kraft an")
+        page.part("servo-gripper").get_by_text("an", exact=True).wait_for()
+
+
 def test_a_warm_servo_says_so_and_what_to_do_with_what_happened_before_the_page_was_opened(
     browser: Browser, arm: ServerOnBus
 ) -> None:

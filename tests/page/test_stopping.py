@@ -1,12 +1,16 @@
 """A stop ends what is driven by hand, whatever is held and whoever stops; the server's record is the judge."""
 
+import functools
 import json
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser
+from websockets.exceptions import ConnectionClosed
 from websockets.sync import client as blocking
 
 from harness.clients import call, publish, values_of
@@ -14,12 +18,16 @@ from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from harness.server import RunningServer
 from harness.waiting import join
 from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
+from tests.page.test_drive import GAMEPAD
 
 SETTINGS = SHARED
 
 # The arm is at rest 0.33 s after a stop on a quiet machine.
 BRAKES_WITHIN_S = 1.0
 WATCHED_S = 1.5
+
+COMMANDED = "/arm_controller/controller_state"
+STILL_MESSAGES = 10
 
 # Presses of a button until the arm moves: on a busy machine the servo loop may end a press.
 PRESSES = 20
@@ -35,6 +43,7 @@ def record(server: RunningServer) -> Iterator[ArmRecord]:
 def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     """A phone that shows Drive, with the arm in a pose from which it can be driven everywhere."""
     with opened(browser, PHONE, has_touch=True, is_mobile=True) as open_page:
+        open_page.page.add_init_script(GAMEPAD)
         open_page.open(server.port)
         open_page.open_panel("drive")
         open_page.until("document.querySelectorAll('.jog-row').length > 5")
@@ -93,6 +102,99 @@ def test_a_page_that_stood_still_moves_nothing_after_the_stop_of_another(
     time.sleep(0.2)
     assert record.stands(WATCHED_S)
     page.until_state(f"s.arm.last_stop !== '{last_stop}'")
+
+
+@pytest.mark.parametrize("stop", ["page", "service", "topic"])
+def test_a_held_stick_moves_nothing_after_a_stop_until_its_button_was_let_go(
+    page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer, stop: str
+) -> None:
+    page.open_panel("drive", "drive-gamepad")
+    page.part("gamepad").check()
+    page.page.bring_to_front()
+    hold, let_go = (functools.partial(page.page.evaluate, f"holdPad([1, 0, 0, 0], {held})") for held in ("[4]", "[]"))
+    let_go()
+    page.until_text("gamepad-state", "hold a shoulder")
+    move(record, hold, let_go)
+    last_stop = page.state("arm.last_stop")
+    if stop == "page":
+        fingers.press(1, "stop")
+    else:
+        stop_from_elsewhere(server.url, stop)
+    page.until_state(f"s.arm.last_stop !== '{last_stop}'")
+    time.sleep(BRAKES_WITHIN_S)
+    assert record.stands(WATCHED_S)
+    let_go()
+    page.until_text("gamepad-state", "hold a shoulder")
+    assert record.stands(WATCHED_S)
+    move(record, hold, let_go)
+    let_go()
+
+
+def test_letting_go_of_a_button_of_the_tip_is_no_slower_than_a_stop(
+    page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer
+) -> None:
+    page.part("jog-z-minus").scroll_into_view_if_needed()
+    let_go = functools.partial(fingers.lift, 1)
+    stop = functools.partial(stop_from_elsewhere, server.url, "topic")
+    ways_rad: dict[Callable[[], None], list[float]] = {let_go: [], stop: []}
+    for end, heard_on in ((let_go, "/servo_node/delta_twist_cmds"), (stop, "/stop")) * 3:
+        at_ready(page, server.url)
+        with heard(server.url, COMMANDED, heard_on) as messages:
+            move(record, lambda: fingers.press(1, "jog-z-minus"), let_go)
+            end()
+            page.wait(functools.partial(rests, messages))
+        ways_rad[end].append(way_after_end_rad(messages))
+        let_go()
+    assert min(ways_rad[let_go]) < 1.5 * max(ways_rad[stop]), ways_rad
+
+
+Heard = list[tuple[str, dict[str, Any]]]
+
+
+@contextmanager
+def heard(url: str, *topics: str) -> Iterator[Heard]:
+    """Keep the messages of topics in the order in which the server has had them, while the block lasts."""
+    messages: Heard = []
+    with blocking.connect(url) as websocket:
+        for topic in topics:
+            websocket.send(json.dumps({"op": "subscribe", "topic": topic}))
+
+        def keep() -> None:
+            with suppress(ConnectionClosed):
+                for frame in websocket:
+                    operation = json.loads(frame)
+                    messages.append((operation["topic"], operation["msg"]))
+
+        reader = threading.Thread(target=keep, daemon=True)
+        reader.start()
+        yield messages
+    reader.join(5.0)
+
+
+def commanded_rad(messages: Heard) -> list[list[float]]:
+    return [msg["reference"]["positions"] for topic, msg in messages if topic == COMMANDED]
+
+
+def end_at(messages: Heard) -> int:
+    """Return the index of the last stop, or command to stand still; -1 for none."""
+    return max((i for i, (topic, msg) in enumerate(messages) if topic != COMMANDED and not is_moving(msg)), default=-1)
+
+
+def is_moving(msg: dict[str, Any]) -> bool:
+    return any(value for part in msg.get("twist", {}).values() for value in part.values())
+
+
+def rests(messages: Heard) -> bool:
+    """Return true once the arm is commanded to one place for a while after the end."""
+    at = end_at(messages)
+    latest = commanded_rad(messages[at:])[-STILL_MESSAGES:]
+    return at >= 0 and len(latest) == STILL_MESSAGES and latest[0] == latest[-1]
+
+
+def way_after_end_rad(messages: Heard) -> float:
+    """Return the farthest way of a joint from where the arm was commanded when the server heard the end [rad]."""
+    before = commanded_rad(messages[: end_at(messages)])[-1]
+    return max(abs(one - other) for one, other in zip(commanded_rad(messages)[-1], before, strict=True))
 
 
 def stop_from_elsewhere(url: str, way: str) -> None:

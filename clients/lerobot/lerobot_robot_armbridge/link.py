@@ -131,7 +131,7 @@ class ArmLink:
             return present
         recorded = units_of_dataset(options.dataset, self.server_names, use_degrees=options.use_degrees)
         if not options.convert and (different := difference(recorded, present)):
-            raise ValueError(f"dataset: {options.dataset}: {different}; convert=true shifts the values")
+            raise ValueError(f"dataset: {options.dataset}: {different}; --robot.convert=true shifts the values")
         return recorded if options.convert else present
 
     def _check_joints(self) -> None:

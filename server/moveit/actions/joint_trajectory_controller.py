@@ -132,6 +132,8 @@ class JointTrajectoryController:
         self._state_topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
         for topic in self._state_topics:
             graph.advertise(node, topic, STATE_TYPE)
+        # All fields, as a state has few of them, and is published with every state of the arm.
+        self._empty = graph.message_types.complete(STATE_TYPE, {}, graph.message_types.now())
         for each in self.actions:
             graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
         check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
@@ -146,19 +148,21 @@ class JointTrajectoryController:
         wanted = [topic for topic in self._state_topics if self._graph.subscribers(topic)]
         message = self._state_message(state) if wanted else None
         for topic in wanted if message is not None else ():
-            self._graph.publish(self._node, topic, message)
+            self._graph.publish(self._node, topic, message, prevalidated=True)
 
     def _state_message(self, state: ArmState) -> dict[str, Any] | None:
         if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
             return None
         columns = [state.joint_names.index(name) for name in self._group.joints]
         reference, feedback = state.goal_rad[columns], state.position_rad[columns]
+        empty, empty_point = self._empty, self._empty["reference"]
         return {
+            **empty,
             "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
             "joint_names": list(self._group.joints),
-            "reference": point(reference),
-            "feedback": {**point(feedback), "velocities": state.velocity_rad_s[columns].tolist()},
-            "error": point(reference - feedback),
+            "reference": {**empty_point, **point(reference)},
+            "feedback": {**empty_point, **point(feedback), "velocities": state.velocity_rad_s[columns].tolist()},
+            "error": {**empty_point, **point(reference - feedback)},
             "speed_scaling_factor": state.pace.speed_factor,
         }
 

@@ -126,6 +126,17 @@ def test_a_saved_failure_that_fails_again_in_the_same_way_is_exit_0(path, tmp_pa
     assert (run.code, run.lines[-1]) == (EXIT_EXPECTED, "1 of them failed as on the server that saved the problem")
 
 
+def test_a_saved_success_that_succeeds_again_is_called_no_failure(path, tmp_path) -> None:
+    problem = PlanningProblem(
+        "arm", dict.fromkeys(ROBOT.joints, 0.0), JointGoal(dict(zip(REVERSED, NEAR, strict=True)))
+    )
+    saved = tmp_path / "goal-1.json"
+    solved = PlanningFailure(MoveItErrorCode.SUCCESS, "the arm is there")
+    saved.write_text(problem_file.text("goal-1", problem, EMPTY_SCENE, ROBOT, solved))
+    run = Run(Options([saved]))
+    assert (run.code, run.lines[-1]) == (EXIT_EXPECTED, "1 of 1 answered as the file expects")
+
+
 def test_a_scene_that_cannot_be_used_is_the_answer_to_every_problem(path) -> None:
     fields = json.loads(path.read_text())
     fields["objects"] = [{"id": "flat", "type": "box", "dimensions": [0.1, 0.1, 0.0]}]

@@ -27,7 +27,7 @@ test("is published first, then called, and acknowledged by the answer", async ()
   expect(s.phase()).toBe("asked");
   await pressed;
   expect(order).toEqual(["/stop", "/arm/stop"]);
-  expect([s.phase(), s.text()]).toEqual(["acknowledged", "stopped, acknowledged: the arm stands"]);
+  expect([s.phase(), s.text()]).toEqual(["acknowledged", "acknowledged: the arm stands"]);
   expect(s.cancelled()).toBe(1);
 });
 

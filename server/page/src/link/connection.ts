@@ -56,6 +56,7 @@ interface Subscription {
   topic: string;
   type: string;
   throttle_ms: number;
+  queue_length: number;
   listener: (message: never) => void;
 }
 
@@ -128,11 +129,12 @@ export class Connection {
   /**
    * Subscribe to a topic, now and after every reconnection.
    *
-   * @param throttle_ms - least time between two messages; the newest is kept.
+   * @param throttle_ms - least time between two messages.
+   * @param queue_length - 0 drops messages that come too early, which costs the server least; 1 keeps the newest.
    * @returns function that ends the subscription.
    */
-  subscribe<Type extends keyof Received>(topic: string, type: Type, listener: (message: Received[Type]) => void, throttle_ms = 0): () => void {
-    const subscription: Subscription = { id: this.newId("subscribe", topic), topic, type, throttle_ms, listener };
+  subscribe<Type extends keyof Received>(topic: string, type: Type, listener: (message: Received[Type]) => void, throttle_ms = 0, queue_length = throttle_ms > 0 ? 1 : 0): () => void {
+    const subscription: Subscription = { id: this.newId("subscribe", topic), topic, type, throttle_ms, queue_length, listener };
     this.subscriptions.add(subscription);
     if (this.connected) this.sendSubscription(subscription);
     return () => {
@@ -230,8 +232,8 @@ export class Connection {
     this.startHeartbeats();
   }
 
-  private sendSubscription({ id, topic, type, throttle_ms }: Subscription): void {
-    this.send({ op: "subscribe", id, topic, type, throttle_rate: throttle_ms, queue_length: throttle_ms > 0 ? 1 : 0 });
+  private sendSubscription({ id, topic, type, throttle_ms, queue_length }: Subscription): void {
+    this.send({ op: "subscribe", id, topic, type, throttle_rate: throttle_ms, queue_length });
   }
 
   private handleOperation(operation: Operation): void {

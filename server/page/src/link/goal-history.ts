@@ -10,8 +10,6 @@ interface GoalRecordResponse {
   asked: string;
   summary: string;
   planned: RobotTrajectory[];
-  duration_s: number;
-  planning_time_s: number;
   problem_name: string;
   problem: string;
 }

@@ -83,7 +83,7 @@ export function followCommands(connection: Connection, store: PageStore): void {
     const new_names = topics.filter((name) => name.endsWith("/controller_state"));
     ends.push(...new_names.map((topic) => connection.subscribe(topic, type, ({ joint_names, reference }) => {
       store.set({ commanded_rad: { ...store.state.commanded_rad, ...valuesByJoint(joint_names, reference.positions) } });
-    }, REDRAW_PERIOD_MS)));
+    }, REDRAW_PERIOD_MS, 0)));
   };
   store.subscribe(wanted, (is_wanted) => {
     for (const end of ends.splice(0)) end();

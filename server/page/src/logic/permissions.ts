@@ -37,5 +37,5 @@ export function controlText(state: PermissionState): string {
   };
   const sentence = control.policy === "shared" ? "" : sentences[controlHolder(state)];
   if (identity?.role !== "view" && identity?.role !== "propose") return sentence;
-  return `${t("control.read_only")} ${sentence}`.trim();
+  return `${t("control.read_only", { role: identity.role })} ${sentence}`.trim();
 }

@@ -99,7 +99,7 @@ function Facts({ goal, record }: { goal: GoalState; record: GoalRecord | string 
       <dl class="facts">
         {known && <><dt>{t("goals.asked")}</dt><dd>{askedText(known.asked, store.state) ?? ""}</dd></>}
         {known && <details><summary>{t("goals.asked.raw")}</summary><pre>{known.asked}</pre></details>}
-        {known && <><dt>{t("goals.found")}</dt><dd>{foundText(known)}</dd></>}
+        {known && <><dt>{t("goals.found")}</dt><dd>{known.summary || t("goals.found.nothing")}</dd></>}
         <dt>{t("goals.answer")}</dt><dd>{`${goal.message} (${errorCodeName(goal.code ?? 0)})`}</dd>
         {suggestion && <><dt>{t("goals.works")}</dt><dd>{askedText(JSON.stringify(suggestion.msg), store.state) ?? suggestion.topic}</dd></>}
       </dl>
@@ -131,13 +131,6 @@ function outcomeOf({ state, code }: GoalState): "open" | "done" | "stopped" | "f
 function outcomeText(goal: GoalState): string {
   const outcome = outcomeOf(goal);
   return outcome === "open" ? stateText(goal.state) : t(`goals.${outcome}`);
-}
-
-function foundText({ plan, duration_s, planning_time_s, summary }: GoalRecord): string {
-  if (!plan) return t("goals.found.nothing");
-  const parts = [t("goals.found.plan", { duration: duration_s.toFixed(1) })];
-  if (planning_time_s > 0) parts.push(t("goals.found.planning", { planning: Math.max(1, Math.round(planning_time_s * 1000)) }));
-  return summary ? `${parts.join(", ")} (${summary})` : parts.join(", ");
 }
 
 function askedText(json: string, state: State): string | null {

@@ -43,7 +43,7 @@ function ServoRow({ servo: { name, level, message, values } }: { servo: ServoSta
   return (
     <tr data-testid={`servo-${name}`} data-level={DIAGNOSTIC_LEVELS[level] ?? "stale"}>
       <td><Button testid={`servo-open-${name}`} title={t("servos.open")} aria-expanded={is_open} press={() => store.set({ selected_servo: is_open ? "" : name })}>{name}</Button></td>
-      {[temperature_c, amperes(current_a), percent(load), torque, condition].map((cell, index) => <td key={index}>{cell ?? "–"}</td>)}
+      {[temperature_c, amperes(current_a), percent(load), torqueText(torque), condition].map((cell, index) => <td key={index}>{cell ?? "–"}</td>)}
     </tr>
   );
 }
@@ -67,7 +67,11 @@ function ServoDetails({ servo }: { servo: ServoState }): JSX.Element {
 function conditionText({ values }: ServoState): string {
   const { voltage_v, temperature_c, current_a, load, torque } = values;
   const measured = [temperature_c && `${temperature_c} °C`, voltage_v && `${voltage_v} V`, current_a && `${amperes(current_a)} A`, load && t("servos.of_load", { load: percent(load) })];
-  return [...measured.filter(Boolean), t("servos.of_torque", { torque: torque ?? t("servos.unknown") })].join(", ");
+  return [...measured.filter(Boolean), t("servos.of_torque", { torque: torqueText(torque) })].join(", ");
+}
+
+function torqueText(torque: string | undefined): string {
+  return torque === "on" || torque === "off" ? t(`servos.torque.${torque}`) : t("servos.unknown");
 }
 
 function HistoryLines({ name, children }: { name: string; children: JSX.Element[] }): JSX.Element {
@@ -113,8 +117,8 @@ function HistoryLines({ name, children }: { name: string; children: JSX.Element[
 
 /** Charts of a servo; noise of a degree or a percent must not look like a mountain. */
 const CHARTS = [
-  { key: "servos.temperature", field: "temperature_c", scale: 1, unit: "°C", color: "--measured", least_range: 40 },
-  { key: "servos.load_percent", field: "load", scale: 100, unit: "%", color: "--commanded", least_range: 100 },
+  { key: "plots.temperature", field: "temperature_c", scale: 1, unit: "°C", color: "--measured", least_range: 40 },
+  { key: "plots.load", field: "load", scale: 100, unit: "%", color: "--commanded", least_range: 100 },
 ] as const;
 
 function toScale(value: number | null | undefined, scale: number): number | null {

@@ -1,6 +1,7 @@
 import { signal } from "@preact/signals";
 import type { JSX } from "preact";
 import { useLayoutEffect, useRef } from "preact/hooks";
+import { isOneArm } from "../logic/joints";
 import { openPanel } from "../logic/layout";
 import { t, type TextKey } from "../texts/texts";
 import { Button, usePage } from "./ui";
@@ -15,6 +16,7 @@ const STEPS: readonly [TextKey, string][] = [
 const step = signal<number | null>(null);
 
 export function Tour(): JSX.Element {
+  const { store } = usePage();
   const next = useRef<HTMLButtonElement>(null);
   const index = step.value;
   const [text, selector] = STEPS[index ?? STEPS.length] ?? [null, ""];
@@ -31,7 +33,7 @@ export function Tour(): JSX.Element {
   };
   return (
     <aside class="first-motion" data-testid="tour" aria-label={t("tour.title")} hidden={index === null}>
-      <p data-testid="tour-text" role="status">{text && t(text)}</p>
+      <p data-testid="tour-text" role="status">{text && t(text === "tour.ball" && !isOneArm(store.state) ? "tour.poses" : text)}</p>
       <button ref={next} type="button" class="primary" data-testid="tour-next" onClick={goOn}>{t(index === STEPS.length - 1 ? "tour.end" : "tour.next")}</button>
     </aside>
   );

@@ -1,5 +1,6 @@
 import type { JSX } from "preact";
 import { useEffect } from "preact/hooks";
+import { isOneArm } from "../logic/joints";
 import { isOpen } from "../logic/layout";
 import { denialReason, type Operation } from "../logic/permissions";
 import { duration_s } from "../logic/trajectory";
@@ -26,7 +27,7 @@ export function primaryStep(state: State): PrimaryStep {
   if (isMoving(state)) return arm.course === "paused" ? step("resume", t("bar.resume")) : step("pause", t("bar.pause"));
   if (isAwaitingConfirmation(goal)) return step("plan", t("move.plan"), t("move.step.confirm"));
   if (trajectory && executable) return step("go", t("move.go", { seconds: duration_s(trajectory).toFixed(1) }));
-  return step("plan", t("move.plan"), selection.kind === "none" ? t("move.step.choose") : "");
+  return step("plan", t("move.plan"), selection.kind === "none" ? t(isOneArm(state) ? "move.step.choose" : "answer.no_goal") : "");
 }
 
 function isMoving({ link, goal, arm }: State): boolean {
@@ -56,7 +57,7 @@ export function TransportBar(): JSX.Element {
   return (
     <div class="transport" data-testid="transport" role="group" aria-label={t("move.title")} hidden={!moving && trajectory === null && !isOpen(layout, "move")}>
       <PrimaryButton />
-      <Gate to="drive"><SignButton sign="⏮" testid="step-back" title={t("bar.back.title")} label={t("bar.back")} hidden={!moving} press={() => void commands.trigger("/arm/step_back")} /></Gate>
+      <Gate to="drive"><SignButton sign="◀" testid="step-back" title={t("bar.back.title")} label={t("bar.back")} hidden={!moving} press={() => void commands.trigger("/arm/step_back")} /></Gate>
       <SignButton sign={replaying ? "❚❚" : "▶"} testid="replay" label={t(replaying ? "scrubber.halt" : "scrubber.replay")} hidden={!has_plan} press={() => store.patch("plan", { replaying: !store.state.plan.replaying })} />
       <input
         type="range" data-testid="scrubber" aria-label={t("scrubber.time")} min="0" max={end_s} step="0.01" value={shown_s} hidden={!has_plan}

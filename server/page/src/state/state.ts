@@ -404,16 +404,7 @@ export interface State {
 
 export const NO_PLAN: PlanState = { trajectory: null, tool_path: [], scrub_s: null, executable: false, replaying: false };
 
-export const NO_GOAL: GoalState = {
-  id: "",
-  source: "",
-  state: "",
-  fraction: 0,
-  seconds_left: null,
-  message: "",
-  code: null,
-  suggestion: null,
-};
+export const NO_GOAL: GoalState = { id: "", source: "", state: "", fraction: 0, seconds_left: null, message: "", code: null, suggestion: null };
 
 export function emptyState(url: string): State {
   return {
@@ -456,14 +447,7 @@ export function emptyState(url: string): State {
     goal_history: [],
     notices: [],
     speed_limit: 1,
-    servo_node: {
-      code: 0,
-      message: "",
-      command_in_type: "unitless",
-      linear_scale: 0.2,
-      rotational_scale: 0.8,
-      joint_scale: 0.5,
-    },
+    servo_node: { code: 0, message: "", command_in_type: "unitless", linear_scale: 0.2, rotational_scale: 0.8, joint_scale: 0.5 },
     stop: { phase: "ready", text: "" },
     pending_request: "nothing",
     settings: { units: "deg", speed: 0.3 },

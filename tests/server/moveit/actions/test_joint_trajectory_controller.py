@@ -331,6 +331,9 @@ async def test_subscribers_get_reference_and_feedback_of_the_joints(desk: Desk, 
     assert heard[0]["reference"]["positions"] == [0.3] * len(ARM)
     assert heard[0]["error"]["positions"] == pytest.approx([0.1] * len(ARM))
     assert heard[0]["speed_scaling_factor"] == 1.0
+    # It is published without another check, so it must have every field already.
+    types = desk.graph.message_types
+    assert types.complete("control_msgs/msg/JointTrajectoryControllerState", heard[0], types.now()) == heard[0]
 
 
 @pytest.mark.parametrize(("position_rad", "demanded"), [(0.05, {"elbow_flex": 0.05}), (0.0, {}), (-1.0, {})])

@@ -1,4 +1,4 @@
-"""Pick up a small box and put it down elsewhere; the server: ``armbridge serve``."""
+"""Pick up a small box and put it down elsewhere; the server: ``armbridge serve``, without physics (lift_a_block.py)."""
 
 import argparse
 import sys

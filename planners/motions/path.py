@@ -279,9 +279,9 @@ class _Grower:
 
     def grow(self, tree: _Tree, index: int, target: Vector, steps: int = STEPS_AT_ONCE) -> int:
         """Step from a point of a tree towards a target as far as it goes; the index of the last point."""
-        for _ in range(steps):
+        for taken in range(steps):
             point = tree.points[index]
-            if self._should_stop():
+            if taken and self._should_stop():  # before the first step the caller asks, once for many
                 break
             reached = self._stride(point, target) if self._project is None else self._step(point, target, self._project)
             if reached is None:

@@ -29,6 +29,13 @@ MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
 # Grip needs friction across the finger, also about its normal: condim 4 has both.
 CONTACT_DIMENSIONS = 4
 
+# What stays where it is, as wood on wood: with the 1.0 of a rough object on it, a block on the floor jammed below the
+# finger that pushed it towards the other.
+FIXED_FRICTION = 0.5
+
+# MuJoCo takes the friction of the shape with the higher priority: a slippery object's, else a fixed one's.
+FIXED_PRIORITY = 2
+
 # MuJoCo's advice against slip of gripped objects: elliptic cones, and friction much stiffer than the normal force.
 FRICTION_STIFFNESS_RATIO = 10.0
 
@@ -115,7 +122,8 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
             equality.type, equality.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
             equality.data[:2] = follower.mimic.offset, follower.mimic.multiplier
     # It does not touch the arm's base: MuJoCo lets no two bodies touch that are fixed in the world.
-    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1])
+    floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1])
+    floor.friction[0], floor.priority, floor.condim = FIXED_FRICTION, FIXED_PRIORITY, CONTACT_DIMENSIONS
 
 
 def gripper_links(robot: RobotModel) -> frozenset[str]:

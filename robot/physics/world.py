@@ -16,6 +16,8 @@ from robot.errors import DescriptionError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.physics.arm_model import (
     CONTACT_DIMENSIONS,
+    FIXED_FRICTION,
+    FIXED_PRIORITY,
     TIMESTEP_S,
     add_cameras,
     arm_model,
@@ -285,9 +287,11 @@ class World:
                 quat=[w, x, y, z],
                 condim=CONTACT_DIMENSIONS,
                 density=BODY_DENSITY_KG_M3,
-                priority=1,  # MuJoCo takes the greater friction of two shapes of equal priority
             )
-            geom.friction[0] = body.friction
+            geom.friction[0], geom.priority = FIXED_FRICTION, FIXED_PRIORITY
+            if body.movable:
+                geom.friction[0] = body.friction
+                geom.priority += 1 if body.friction < FIXED_FRICTION else -1
             if shape.kind == "hull":
                 vertices = np.array(shape.vertices_m).ravel().tolist()
                 geom.meshname = self._spec.add_mesh(name=f"{_in_model(body.name)} {index}", uservert=vertices).name

@@ -7,8 +7,8 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from protocol.publication import PublishedMessage
-from robot.arm_group import AnyArm, moves
-from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Order, PlaybackDirection
+from robot.arm_group import AnyArm, moves, states_of
+from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
 from server.arrival import arrival_epoch
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
@@ -77,7 +77,9 @@ async def _standstill(arm: AnyArm) -> CommandDone:
     resting = asyncio.ensure_future(arm.rest(STOP_TIMEOUT_S))
     try:
         while not (await asyncio.wait([resting], timeout=PAUSE_LOOK_S))[0]:
-            if arm.state.stepped_ticks is not None:
+            states = states_of(arm).values()
+            moving = any(state.mode is Mode.MOVING and state.stepped_ticks is None for state in states)
+            if not moving and any(state.stepped_ticks is not None for state in states):
                 text = "the arm does not move: its time stands still, and it brakes when time passes"
                 return CommandDone(0, done=True, message=text)
         done = resting.result()

@@ -162,7 +162,7 @@ def test_a_taught_push_becomes_episodes(run_example: RunExample, tmp_path: Path)
     taught, *episodes = done.stdout.splitlines()
     assert "it touches nothing" in taught
     assert len(episodes) == 6
-    assert set(episodes[1::2]) == {"the block stands at x 0.20, y -0.08 m"}
+    assert all(re.fullmatch(r"the block stands at x 0\.(19|20), y -0\.08 m", each) for each in episodes[1::2])
     export = ["export", str(tmp_path / "run.mcap"), "--output", str(tmp_path / "pushes"), "--fps", "15"]
     # A busy machine renders fewer images.
     assert cli.main([*export, "--max-gap", "60"]) == 0

@@ -11,6 +11,7 @@ from harness.clients import ArmClient, FrameClient, arm_client, goal_is
 from harness.server import ROOT, RunningServer
 
 COLORS = [f"cube_{color}" for color in ("red", "green", "blue", "yellow")]
+STANDS_STILL = "the arm does not move: its time stands still, and it brakes when time passes"
 CUBE = {"id": "cube", "primitives": [{"type": 1, "dimensions": [0.03, 0.03, 0.03]}], "pose": {"position": {"x": 0.3}}}
 
 
@@ -74,7 +75,7 @@ async def test_a_stop_of_a_paused_arm_is_answered_while_time_stands_still(
     before = await client.positions()
     answer = await caller.call("/arm/stop")
     assert answer["success"]
-    assert answer["message"] == "the arm does not move: its time stands still, and it brakes when time passes"
+    assert answer["message"] == STANDS_STILL
     assert await client.positions() == before
     await caller.call("/simulation/pause", data=False)
     results = await client.until("/moveit_goal_result", lambda all_: len(all_) > 0)
@@ -137,3 +138,8 @@ async def test_two_arms_have_a_world_each_and_their_time_stands_still_together()
             assert (await caller.call("/simulation/set_pose", id="cube", pose=high))["success"]
             assert (await caller.call("/simulation/step", steps=20))["message"] == "20 of 20 steps are done"
             assert (await heights(caller))["cube"] == pytest.approx(0.5 - 0.5 * 9.81 * 0.2**2, abs=0.01)
+            # A stop of all arms is answered while the time of the one with a goal stands still.
+            await caller.subscribe("/left/moveit_goal_status", "diagnostic_msgs/DiagnosticStatus")
+            await caller.goal("/left/moveit_goal_named", "std_msgs/String", {"data": "rest"})
+            await caller.until("/left/moveit_goal_status", goal_is("executing"))
+            assert (await caller.call("/arm/stop"))["message"] == STANDS_STILL

@@ -55,6 +55,7 @@ class MjsGeom:
     friction: list[float]
     mass: float
     meshname: str
+    priority: int
 
 class MjsJoint:
     name: str

@@ -145,6 +145,19 @@ def test_fingers_that_close_on_a_body_hold_it_lift_it_and_drop_it() -> None:
     assert dropped.position_m[2] < 0.03
 
 
+@pytest.mark.parametrize(("friction", "on_the_floor"), [(1.0, 0.5), (0.1, 0.1)])
+def test_a_rough_body_slides_on_the_floor_as_on_wood_and_a_slippery_one_as_far_as_it_would(
+    arm: Driven, friction: float, on_the_floor: float
+) -> None:
+    world = world_of(arm)
+    world.set_bodies(SetBodies(1, (replace(box("block", (0.3, 0.3, 0.0125)), friction=friction),)))
+    arm.tick(20)
+    world.data.qvel[world.model.body("object/block").dofadr[0]] = 0.5
+    arm.tick(100)
+    way_m = state_of(world, "block").position_m[0] - 0.3
+    assert way_m == pytest.approx(0.5**2 / (2.0 * on_the_floor * 9.81), rel=0.2)
+
+
 def test_a_slippery_body_is_not_lifted() -> None:
     arm = driven(physics=True, start_rad=AROUND)
     world = world_of(arm)

@@ -260,12 +260,13 @@ def meshes() -> Judge:
 @pytest.mark.parametrize("seed", SEEDS)
 async def test_a_follower_of_any_leader_touches_nothing_and_comes_to_rest(seed: int) -> None:
     """Leaders of up to 2 rad/s through folded poses, at latencies of 5 to 300 ms."""
+    judge = meshes()
     choice, jitter = np.random.default_rng(seed + 7), np.random.default_rng(seed + 1000)
     latency_s, fastest_rad_s = float(choice.choice(LATENCIES_S)), float(choice.uniform(0.5, FASTEST_RAD_S))
     trial = Trial(lambda: latency_s * jitter.uniform(0.5, 1.0))
     goals_rad = await trial.follow(wandering(seed, fastest_rad_s), seconds=LED_S + RESTS_S)
     passed = np.unique(goals_rad[::2], axis=0)
-    assert not any(meshes().collides(goals) for goals in passed), (latency_s, fastest_rad_s)
+    assert not any(judge.collides(goals) for goals in passed), (latency_s, fastest_rad_s)
     assert least_distance_m(passed) > DISTANCE_M, (latency_s, fastest_rad_s)
     if latency_s <= MAX_PERIOD_S:
         assert np.ptp(goals_rad[-30:], axis=0).max() < 0.05

@@ -96,6 +96,7 @@ def meeting(seed: int, side: int, fastest_rad_s: float) -> Callable[[float], dic
 @pytest.mark.parametrize("seed", SEEDS)
 async def test_two_followers_of_leaders_that_meet_touch_nothing(seed: int) -> None:
     """Leaders of up to 2 rad/s that go through each other's place, at latencies of 5 to 300 ms."""
+    shared_data()
     choice, jitter = np.random.default_rng(seed + 7), np.random.default_rng(seed + 1000)
     latency_s, fastest_rad_s = float(choice.choice(LATENCIES_S)), float(choice.uniform(0.5, FASTEST_RAD_S))
     trial = Trial(lambda: latency_s * jitter.uniform(0.5, 1.0), (SIDES, ROBOT_PAIR, both()))

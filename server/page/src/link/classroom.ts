@@ -52,7 +52,7 @@ export class Classroom {
   /** End an arm's fault, or hold it again; return the server's sentence. */
   async reset(name: string): Promise<string> {
     const arm = this.store.state.classroom.find((each) => each.name === name)?.arm;
-    // The student's program may have the control.
+    // The student's program may have the control, which nobody else may take for some seconds once it was taken away.
     await this.request(name, "/arm/release_control");
     const told = await this.request(name, arm?.mode === "relaxed" ? "/arm/enable" : "/arm/reset_fault");
     await this.request(name, "/arm/release_control");

@@ -41,8 +41,11 @@ export function Plots(): JSX.Element {
   const [, resize] = useState(0);
   const [cursor] = useState({ share: 1 });
   const host = useRef<HTMLDivElement>(null);
-  const { times_s } = samples.series;
-  const extent: Extent = { oldest_s: times_s[0] ?? Number.NaN, newest_s: times_s.at(-1) ?? Number.NaN };
+  const recorded = (): Extent => {
+    const { times_s } = samples.series;
+    return { oldest_s: times_s[0] ?? Number.NaN, newest_s: times_s.at(-1) ?? Number.NaN };
+  };
+  const extent = recorded();
   // Charts and pointers read it outside of the drawing.
   const newest = useRef({ view, extent });
   newest.current = { view, extent };
@@ -140,8 +143,9 @@ export function Plots(): JSX.Element {
     setQuantities(next);
   };
   const saveCsv = (): void => {
-    const stamp = new Date(end_s * 1000).toISOString().replace(/[:.]/g, "-");
-    saveFile(`armbridge-${stamp}.csv`, "text/csv", csv(samples, chosen.flat(), begin_s, end_s));
+    const [from_s, to_s] = bounds(view, recorded()); // newer than what is drawn
+    const stamp = new Date(to_s * 1000).toISOString().replace(/[:.]/g, "-");
+    saveFile(`armbridge-${stamp}.csv`, "text/csv", csv(samples, chosen.flat(), from_s, to_s));
   };
   const is_live = view.end_s === null;
   const spans_s = [...new Set([...SPANS_S, view.span_s])].sort((one, other) => one - other);
@@ -166,7 +170,7 @@ export function Plots(): JSX.Element {
         <Button testid="plot-csv" title={t("plots.csv.title")} disabled={chosen.length === 0} press={saveCsv}>{t("plots.csv")}</Button>
       </div>
       <p class="hint" data-testid="plot-empty" hidden={reason === ""}>{reason}</p>
-      <div ref={host} class="time-charts" data-testid="plot" role="group" tabindex={0} aria-label={t("plots.label")} aria-describedby="plot-keys" data-samples={chosen.length === 0 ? 0 : times_s.length} data-span-s={view.span_s} data-end-s={view.end_s ?? ""} onKeyDown={onKey} />
+      <div ref={host} class="time-charts" data-testid="plot" role="group" tabindex={0} aria-label={t("plots.label")} aria-describedby="plot-keys" data-samples={chosen.length === 0 ? 0 : samples.series.times_s.length} data-span-s={view.span_s} data-end-s={view.end_s ?? ""} onKeyDown={onKey} />
       <p class="hint" id="plot-keys">{t("plots.keys")}</p>
     </div>
   );

@@ -145,6 +145,7 @@ LATE = searched(IN_VAIN, allowed_time_s=1.0)
 def late(pool: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch) -> Farm:
     """Workers that answer motions and questions half a second too late."""
     monkeypatch.setattr(pool_module, "OVERTIME_S", -0.5)
+    monkeypatch.setattr(pool_module, "STATE_TIME_S", 1.0)
     monkeypatch.setattr(pool_module, "CHECK_TIME_S", 1.0)
     farm.question_s = 1.0
     return farm
@@ -164,6 +165,14 @@ async def test_a_worker_that_is_late_is_given_up_and_kept_once_it_listens(
     assert not any(worker.killed for worker in late.workers)
 
 
+async def test_a_state_is_answered_though_the_machine_is_so_busy_that_no_arm_could_wait_for_it(
+    pool: PlannerPool, farm: Farm
+) -> None:
+    farm.question_s = 5.0
+    assert await pool.ask(STATE) is SOUND
+    assert isinstance(await pool.ask(RECHECK), PlanningFailure)
+
+
 async def test_a_worker_that_never_listens_is_replaced(pool: PlannerPool, late: Farm) -> None:
     answer = await pool.ask(searched(DEAF, allowed_time_s=1.0))
     assert isinstance(answer, PlanningFailure)
@@ -180,7 +189,7 @@ async def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever() -> None:
 
 async def test_every_kind_of_request_has_an_allowed_time() -> None:
     assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=0.7)) == 0.7
-    assert all(0.0 < allowed_time_s(request) < 10.0 for request, _ in REQUESTS)
+    assert all(0.0 < allowed_time_s(request) <= 10.0 for request, _ in REQUESTS)
 
 
 # Races: a worker that is idle searches as well.

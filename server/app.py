@@ -16,7 +16,7 @@ from robot.arm_group import moves
 from robot.messages import Mode
 from robot.processes import StartedChild
 from server.arm.arms import Arms, ServedArm, StateFeed, read_arms
-from server.arm.procedures import Recalibrated
+from server.arm.calibrating import Recalibrated
 from server.arm.setup import Description, check_parameters
 from server.config import Settings, SimulationSettings
 from server.errors import StartError

@@ -11,18 +11,12 @@ from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
 from server.access.control_lease import ControlServices
 from server.arm.arms import ArmFiles, read_now
+from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
-from server.arm.procedures import (
-    CalibrationProcedure,
-    FirstMotions,
-    Recalibrated,
-    VerificationProcedure,
-    calibration_file,
-    check_state_rate,
-)
 from server.arm.services import offer_arm_services, offer_pace
 from server.arm.topics import TOPIC as JOINT_STATES
 from server.arm.topics import ArmStateTopics, JointStates
+from server.arm.verifying import FirstMotions, VerificationProcedure
 from server.chunks.action_chunks import ActionChunks
 from server.config import Settings
 from server.features.context import ArmContext, ServerContext
@@ -30,7 +24,8 @@ from server.lifecycle import Feature
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.named_states import data_directory, default_path
 from server.moveit.servo.servo_node import servo_setup
-from server.teaching.services import Teaching, offer_replay
+from server.teaching.replay import offer_replay
+from server.teaching.services import Teaching
 from server.teaching.taught_motion import MotionFiles
 from server.teleop.session import Follower, FollowingContext
 from server.teleop.teleoperation import Teleoperation

@@ -5,7 +5,7 @@ import pytest
 
 from robot.calibration import save
 from robot.errors import CalibrationError, OrderRefused
-from server.arm.procedures import LEAST_STATE_RATE_HZ, calibration_file, check_state_rate
+from server.arm.calibrating import LEAST_STATE_RATE_HZ, calibration_file, check_state_rate
 from server.arm.setup import Description
 from server.config import ArmSettings
 from tests.helpers.robots import nominal_calibration

@@ -15,7 +15,7 @@ from robot.faults import Fault, FaultCode
 from robot.messages import ChangePace, Mode, Pace
 from server.arm.arms import ServedArm
 from server.arm.commissioning import IDLE_TIMEOUT_S, Dialogue, ProcedureFailed
-from server.arm.procedures import SLOWLY, FirstMotions, VerificationProcedure
+from server.arm.verifying import SLOWLY, FirstMotions, VerificationProcedure
 from server.config import ArmSettings
 from server.execution.goal import Answer, Goal, GoalRequest
 from tests.helpers.fake_arm import FakeArm

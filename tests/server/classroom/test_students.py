@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from server.classroom.classroom import LIST_FILE, TEACHER, new_token, places, reachable_name, read_tokens, write_list
+from server.classroom.students import LIST_FILE, TEACHER, new_token, places, reachable_name, read_tokens, write_list
 from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
 

@@ -8,8 +8,8 @@ from robot.files import FileLock, FileLockedError, replace
 from server import cli
 from server.access.authentication import Tokens
 from server.access.settings import AccessSettings
-from server.commands import installation
-from server.commands.installation import add_certificate_parser, ensure_token
+from server.commands import certificate
+from server.commands.certificate import add_certificate_parser, ensure_token
 from server.commands.terminal import ExitCode
 from server.errors import ConfigurationError
 from server.graph.permissions import Role
@@ -74,7 +74,7 @@ def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
         replace(path, content, mode)
 
     folder.mkdir(parents=True)
-    monkeypatch.setattr(installation, "replace", replace_locked)
+    monkeypatch.setattr(certificate, "replace", replace_locked)
     assert [bool(ensure_token(folder)[1]) for _ in range(2)] == [True, False]
 
 

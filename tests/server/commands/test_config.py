@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from server import cli
-from server.commands.installation import server_command, unit
+from server.commands.config import server_command, unit
 from server.commands.terminal import ExitCode
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from robot.calibration import Calibration, save
 from server.arm.arms import read_arms, with_prefix, without_prefix
+from server.arm.calibrating import Recalibrated
 from server.arm.commissioning import Ended
-from server.arm.procedures import Recalibrated
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
 from server.features.arms import resumed, with_calibration

@@ -8,14 +8,14 @@ from protocol.registry import Registry
 from protocol.type_descriptions import message_hash
 from server.app import App
 from server.config import Settings
-from server.features.clients import INTERFACE_PATH
+from server.features.clients import PATH
 from server.graph.permissions import Role
 from tests.helpers.rules import server_rules
 
 
 async def document(**settings: Any) -> Any:
     app = App(Settings.model_validate(settings))
-    response = await app._clients.routes[INTERFACE_PATH](Request(f"/{INTERFACE_PATH}", Headers()))
+    response = await app._clients.routes[PATH](Request(f"/{PATH}", Headers()))
     assert (response.status, response.headers["Content-Type"]) == (200, "application/json")
     for feature in app.features:
         if feature.name == "the logs":

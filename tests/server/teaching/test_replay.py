@@ -16,7 +16,7 @@ from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import GoalStatus
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder
-from server.teaching.services import MAX_REPEAT, REPLAY, groups_of, offer_replay, planned, result
+from server.teaching.replay import MAX_REPEAT, NAME, groups_of, offer_replay, planned, result
 from server.teaching.taught_motion import MotionFiles, TaughtMotion
 from tests.helpers.fake_arm import HOME, JOINTS
 from tests.helpers.moveit import FRAMES, ROBOT, SEVEN, ActionDesk, rejection
@@ -59,7 +59,7 @@ def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() 
 
 
 async def test_a_replay_backwards_begins_at_the_end_and_is_repeated(desk: Desk) -> None:
-    await desk.send(REPLAY, name="wave", speed=0.5, reverse=True, repeat=1)
+    await desk.send(NAME, name="wave", speed=0.5, reverse=True, repeat=1)
     await until(lambda: desk.asked)
     arm, _, path, *again = problems(desk.asked[0])
     assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.5))
@@ -85,7 +85,7 @@ def test_joints_that_make_no_group_without_others_are_refused() -> None:
     ],
 )
 async def test_a_wrong_field_is_refused_with_what_is_possible(desk: Desk, fields: dict[str, Any], says: str) -> None:
-    await desk.send(REPLAY, **({"name": "wave"} | fields))
+    await desk.send(NAME, **({"name": "wave"} | fields))
     await until(lambda: desk.results)
     assert desk.results[0].status == GoalStatus.ABORTED
     assert says in desk.results[0].values["message"]
@@ -93,7 +93,7 @@ async def test_a_wrong_field_is_refused_with_what_is_possible(desk: Desk, fields
 
 
 async def test_a_replay_is_a_goal_with_feedback_and_a_result(desk: Desk) -> None:
-    await desk.send(REPLAY, name="wave", speed=0.0)
+    await desk.send(NAME, name="wave", speed=0.0)
     await until(lambda: desk.asked)
     (motion,) = desk.asked
     assert problems(motion)[-1].speed == 1.0
@@ -106,7 +106,7 @@ async def test_a_replay_is_a_goal_with_feedback_and_a_result(desk: Desk) -> None
 
 
 async def test_a_replay_that_is_cancelled_ends(desk: Desk) -> None:
-    goal = await desk.send(REPLAY, name="wave")
+    goal = await desk.send(NAME, name="wave")
     await until(lambda: desk.asked)
     goal.cancel()
     await until(lambda: desk.results)
@@ -122,7 +122,7 @@ def test_a_refusal_says_where_without_the_number_of_the_step() -> None:
 
 async def test_a_slower_replay_names_the_place_in_result_and_log(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    await desk.send(REPLAY, name="wave")
+    await desk.send(NAME, name="wave")
     await until(lambda: desk.asked)
     slow = Trajectory(JOINTS, 2.0 * WAVE.time_s, POINTS, np.zeros_like(POINTS), np.zeros_like(POINTS))
     desk.finish(Answer(MoveItErrorCode.SUCCESS, "there", performed=Performed({}, (slow,))))

@@ -11,8 +11,8 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.arrival import arrival_epoch
-from server.features.clients import GRIPPER_ACTION, GRIPPER_TYPE, HttpGoals
 from server.gateway.http import MAX_BODY_BYTES, HttpHandler
+from server.gateway.http_goals import GRIPPER_ACTION, GRIPPER_TYPE, HttpGoals
 from server.gateway.listener import Listener
 from server.graph.actions import Goal, GoalStatus
 from server.graph.node import Node

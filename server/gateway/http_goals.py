@@ -1,0 +1,204 @@
+"""``POST /goal``: one goal in, its one answer out, for curl, shells and PLCs.
+
+A request is a client of its own, which connects, sends one goal and leaves. Roles, control lease, queue, confirmation
+and stops hold for it as for clients over WebSocket.
+"""
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Collection, Mapping
+from http import HTTPStatus
+from typing import Any, Literal
+
+import orjson
+
+from protocol.errors import describe, one_line, shorten
+from protocol.operations import CallService, SendActionGoal
+from server.access.authorization import Access, Authorizer, rule_of_action, rule_of_service
+from server.arrival import arrived_in
+from server.gateway.connection import goals_end_with_client
+from server.gateway.http import HttpResponse, PostedRequest
+from server.graph.actions import GoalStatus, Result
+from server.graph.node import Node
+from server.graph.permissions import Rule, display_name
+from server.graph.services import MAX_TIMEOUT_S, Response
+from server.graph.topics import Graph
+
+log = logging.getLogger("armbridge.gateway")
+
+PATH = "goal"
+
+GOAL_SERVICE, STOP_SERVICE = "/moveit_goal", "/arm/stop"
+GRIPPER_ACTION, GRIPPER_TYPE = "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand"
+
+# Fields of the service: the targets, exactly one required, and the options; then fields of a gripper's goal.
+MOTIONS, OPTIONS = ("named", "joints", "pose"), ("group", "velocity_scaling", "acceleration_scaling", "plan_only")
+TARGETS = (*MOTIONS, "gripper", "stop")
+GRIPPER_FIELDS = ("position", "max_effort")
+
+# Longer than the server waits for a confirmation, and than nearly every motion takes [s].
+DEFAULT_TIMEOUT_S = 300.0
+
+# By the name of MoveIt's error code. Every other failure is the goal's own (RFC 9110, 15.5.21).
+_STATUSES = {
+    "PREEMPTED": HTTPStatus.CONFLICT,
+    "CONTROL_FAILED": HTTPStatus.CONFLICT,
+    "FAILURE": HTTPStatus.SERVICE_UNAVAILABLE,
+    "COMMUNICATION_FAILURE": HTTPStatus.SERVICE_UNAVAILABLE,
+    "ROBOT_STATE_STALE": HTTPStatus.SERVICE_UNAVAILABLE,
+    "CRASH": HTTPStatus.SERVICE_UNAVAILABLE,
+}
+_UNPROCESSABLE = HTTPStatus.UNPROCESSABLE_ENTITY
+
+
+class _RefusedError(Exception):
+    def __init__(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
+class HttpGoals:
+    """Goals that are posted to ``/goal``; the field ``arm`` chooses one of several arms."""
+
+    def __init__(self, graph: Graph, access: Access, arms: Collection[str], *, takes_goals_along: bool) -> None:
+        self._graph = graph
+        self._access = access
+        self._arms = arms
+        self._takes_goals_along = takes_goals_along
+
+    async def answer(self, posted: PostedRequest) -> HttpResponse:
+        node = Node(
+            display_name(posted.identity, posted.address),
+            remote=True,
+            takes_goals_along=goals_end_with_client(posted.query, unless_asked=self._takes_goals_along),
+            identity=posted.identity,
+            address=posted.address,
+        )
+        authorizer = Authorizer(node, self._access, self._graph)
+        answered: asyncio.Future[HttpResponse] = asyncio.get_running_loop().create_future()
+
+        def answer(response: HttpResponse) -> None:
+            # The goal of a client that has left may end later.
+            if not answered.done():
+                answered.set_result(response)
+
+        try:
+            timeout_s, operation = _timeout_s(posted), self._read(posted.body)
+            with arrived_in(posted.epoch):
+                self._send(operation, node, authorizer, answer)
+            async with asyncio.timeout(timeout_s):
+                return await answered
+        except _RefusedError as error:
+            log.debug("%s: refused: %s", node, error)
+            return HttpResponse.of_failure(error.status, str(error))
+        except TimeoutError:
+            node.takes_goals_along = True
+            sentence = f"the goal did not end within {timeout_s:g} s (?timeout=), so it is cancelled"
+            return HttpResponse.of_failure(HTTPStatus.GATEWAY_TIMEOUT, sentence)
+        finally:
+            authorizer.leave()
+            self._graph.remove(node)
+
+    def _send(
+        self,
+        operation: CallService | SendActionGoal,
+        node: Node,
+        authorizer: Authorizer,
+        answer: Callable[[HttpResponse], None],
+    ) -> None:
+        if isinstance(operation, CallService):
+            name = operation.service
+            self._check(authorizer, operation, rule_of_service(name, self._graph), "service", name)
+            services, end = self._graph.services, lambda response: answer(_of_response(response))
+            services.call(node, name, operation.args, end, MAX_TIMEOUT_S)
+        else:
+            name = operation.action
+            self._check(authorizer, operation, rule_of_action(name, self._graph), "action", name)
+            actions = self._graph.actions
+            actions.send_goal(node, name, GRIPPER_TYPE, operation.args, lambda result: answer(_of_result(result)))
+
+    def _check(
+        self,
+        authorizer: Authorizer,
+        operation: CallService | SendActionGoal,
+        rule: Rule,
+        kind: Literal["service", "action"],
+        name: str,
+    ) -> None:
+        denied = authorizer.name_refusal(rule, kind, name)
+        if denied is not None:
+            raise _RefusedError(denied, HTTPStatus.FORBIDDEN)
+        refusal = authorizer.refusal(operation)
+        if refusal is not None:
+            raise _RefusedError(refusal, HTTPStatus.CONFLICT)
+
+    def _read(self, body: bytes) -> CallService | SendActionGoal:
+        try:
+            request = orjson.loads(body)
+        except orjson.JSONDecodeError as error:
+            raise _RefusedError(f"the body is no JSON: {one_line(shorten(str(error)))}") from None
+        if not isinstance(request, dict):
+            raise _RefusedError(f"the body must be a JSON object, not {describe(request)}")
+        arm = request.pop("arm", "")
+        if not isinstance(arm, str) or arm not in ("", *self._arms):
+            known = ", ".join(self._arms) or "none, this server has one arm"
+            raise _RefusedError(f"field arm: {describe(arm)} is unknown; known: {known}")
+        prefix = f"/{arm}" if arm else ""
+        given = [name for name in TARGETS if name in request]
+        if len(given) != 1:
+            got = " and ".join(given) or "none"
+            raise _RefusedError(f"exactly one of {', '.join(TARGETS)} must be given, not {got}")
+        if given == ["stop"]:
+            _check_fields(request, ("stop",), "")
+            if request["stop"] is not True:
+                raise _RefusedError(f"field stop: must be true, not {describe(request['stop'])}")
+            return CallService(service=f"{prefix}{STOP_SERVICE}", args={})
+        if given == ["gripper"]:
+            _check_fields(request, ("gripper",), "")
+            command = request["gripper"]
+            if not isinstance(command, dict) or "position" not in command:
+                raise _RefusedError(f"field gripper: must be an object with position, not {describe(command)}")
+            _check_fields(command, GRIPPER_FIELDS, "gripper.")
+            return SendActionGoal(
+                action=f"{prefix}{GRIPPER_ACTION}", action_type=GRIPPER_TYPE, args={"command": command}
+            )
+        _check_fields(request, (*MOTIONS, *OPTIONS), "")
+        return CallService(service=f"{prefix}{GOAL_SERVICE}", args=request)
+
+
+def _check_fields(given: Mapping[str, Any], known: Collection[str], place: str) -> None:
+    unknown = next((name for name in given if name not in known), None)
+    if unknown is not None:
+        shown = one_line(shorten(f"{place}{unknown}"))
+        raise _RefusedError(f"field {shown}: unknown here; known: {', '.join(known)}")
+
+
+def _timeout_s(posted: PostedRequest) -> float:
+    text = posted.query.get("timeout", [str(DEFAULT_TIMEOUT_S)])[-1]
+    try:
+        timeout_s = float(text)
+    except ValueError:
+        timeout_s = math.nan
+    if not 0.0 < timeout_s <= MAX_TIMEOUT_S:
+        raise _RefusedError(f"timeout must be above 0 and at most {MAX_TIMEOUT_S:g} s, not {one_line(shorten(text))!r}")
+    return timeout_s
+
+
+def _of_response(response: Response) -> HttpResponse:
+    if not response.ok:
+        return HttpResponse.of_failure(_UNPROCESSABLE, str(response.values))
+    if response.values["success"]:
+        return HttpResponse.of_json(HTTPStatus.OK, response.values)
+    status = _STATUSES.get(response.values.get("code_name", "CONTROL_FAILED"), _UNPROCESSABLE)
+    return HttpResponse.of_json(status, response.values)
+
+
+def _of_result(result: Result) -> HttpResponse:
+    if not result.ok:
+        return HttpResponse.of_failure(_UNPROCESSABLE, str(result.values))
+    if result.status != GoalStatus.SUCCEEDED:
+        sentence = "the goal of the gripper was cancelled, by a stop, another client or another goal"
+        return HttpResponse.of_json(HTTPStatus.CONFLICT, {"success": False, "message": sentence, **result.values})
+    sentence = "the gripper holds an object" if result.values["stalled"] else "the gripper is there"
+    return HttpResponse.of_json(HTTPStatus.OK, {"success": True, "message": sentence, **result.values})

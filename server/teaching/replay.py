@@ -1,0 +1,127 @@
+"""Replay of taught motions: the action ``/replay_motion``.
+
+A replay is a goal as others: the arm goes to the motion's start by a planned motion, then follows the motion as it was
+taught, as fast as it was taught or slower where limits demand it, checked in the scene at that time.
+"""
+
+import asyncio
+import logging
+from dataclasses import dataclass, replace
+from typing import Any
+
+from planners.goals import JointGoal
+from planners.problem import JointPathProblem, MoveItErrorCode
+from robot.description.model import RobotModel
+from robot.description.srdf import Group
+from server.errors import RefusedError, ServiceError, invalid
+from server.execution.goal import Answer, Progress
+from server.execution.motions import PlannedMotion, Positions, Step
+from server.execution.queue import GoalQueue
+from server.graph.actions import Goal
+from server.graph.node import Node
+from server.graph.permissions import GOAL
+from server.graph.topics import Graph
+from server.moveit.actions.goal_bridge import reject_goal, submit_goal
+from server.moveit.messages import Message, error_code
+from server.moveit.requests.planning_problems import GoalStep, ProblemBuilder
+from server.teaching.services import CHECK_TIME_S
+from server.teaching.taught_motion import MotionFiles, TaughtMotion, read_speed
+
+log = logging.getLogger("armbridge.teaching")
+
+NAME = "/replay_motion"
+TYPE = "armbridge_msgs/action/ReplayMotion"
+
+# Each replay is planned before the first begins, and their durations together have a limit of their own.
+MAX_REPEAT = 100
+
+
+def offer_replay(
+    graph: Graph, robot: RobotModel, motions: MotionFiles, queue: GoalQueue, problems: ProblemBuilder
+) -> None:
+    async def submit(goal: Goal) -> None:
+        name, repeat = goal.request["name"], goal.request["repeat"]
+        try:
+            speed = read_speed(goal.request["speed"])
+            if repeat > MAX_REPEAT:
+                raise invalid(f"repeat: must be 0 to {MAX_REPEAT}, not {repeat}", repeat=repeat)
+            taught = await motions.load(name)
+            if goal.request["reverse"]:
+                taught = taught.reversed()
+            motion = planned(taught, speed, repeat, robot, problems)
+        except RefusedError as error:
+            reject_goal(goal, queue, error.failure, result)
+        except ServiceError as error:
+            reject_goal(goal, queue, invalid(str(error)).failure, result)
+        else:
+
+            def explained(answer: Answer) -> dict[str, Any]:
+                """Write the result, and log where the replay was slower than asked for."""
+                made = () if answer.performed is None else answer.performed.planned
+                slowed = taught.slowed(speed, made[-1], robot) if made else ""
+                if slowed:
+                    log.info("the replay of %r took %s", name, slowed)
+                return result(answer, f"; it took {slowed}" if slowed else "")
+
+            if not goal.ended:
+                submit_goal(goal, queue, motion, feedback, explained)
+
+    def start(goal: Goal) -> None:
+        task = asyncio.create_task(submit(goal), name="a replay")
+        # The goal keeps the task alive, which the event loop does not.
+        goal.when_ended(lambda _end: task)
+
+    graph.actions.offer(Node("replay"), NAME, TYPE, start, rule=GOAL)
+
+
+@dataclass(frozen=True)
+class TaughtStep(Step):
+    """Taught motion at a share of its speed."""
+
+    taught: TaughtMotion
+    speed: float
+
+    def problem(self, start_rad: Positions) -> JointPathProblem:
+        return self.taught.problem(start_rad, self.speed, CHECK_TIME_S)
+
+
+def planned(
+    taught: TaughtMotion, speed: float, repeat: int, robot: RobotModel, problems: ProblemBuilder
+) -> PlannedMotion:
+    """Return the motion to the start of a taught motion, and its replays."""
+    joints = frozenset(taught.joint_names)
+    once = (
+        *(
+            GoalStep(problems, group, JointGoal({name: taught.start_rad[name] for name in group.joints}))
+            for group in groups_of(robot, joints)
+        ),
+        TaughtStep(taught, speed),
+    )
+    return PlannedMotion(once * (1 + repeat), joints)
+
+
+def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:
+    """Return groups that have all of these joints and no other, the largest first, each joint in one of them."""
+    chosen: list[Group] = []
+    left = set(joints)
+    for group in sorted(robot.groups.values(), key=lambda group: -len(group.joints)):
+        if group.joints and set(group.joints) <= left:
+            chosen.append(group)
+            left -= set(group.joints)
+    if left:
+        raise invalid(f"the motion has joints that make no group without others: {', '.join(sorted(left))}")
+    return chosen
+
+
+def feedback(progress: Progress) -> Message:
+    return {"state": progress.state.value, "fraction": progress.fraction, "remaining_s": progress.remaining_s}
+
+
+def result(answer: Answer, note: str = "") -> dict[str, Any]:
+    """Write the result of an answer; the note ends the sentence of a success."""
+    item = answer.details.get("item")
+    if isinstance(item, int):
+        answer = replace(answer, message=answer.message.removeprefix(f"items[{item}]: "))
+    followed = f"the arm has followed the motion{note}"
+    message = followed if answer.code is MoveItErrorCode.SUCCESS else answer.message
+    return {"error_code": error_code(answer.code, message), "message": message}

@@ -1,5 +1,6 @@
 import type { State } from "../state/state";
 import { t } from "../texts/texts";
+import { planningGroup, type KnownGroup } from "./robot-info";
 
 /** Operations with a permission of their own: moving the arm, changing its scene, changing stored settings, calibrating. */
 export type Operation = "drive" | "work" | "configure" | "commission";
@@ -20,6 +21,19 @@ export function denialReason(operation: Operation, { identity, control }: Permis
   }
   const another = NEEDS_LEASE.includes(operation) && controlHolder({ identity, control }) === "another";
   return another ? t("control.another", { name: control.holder }) : "";
+}
+
+/** Return the reason why the planning group's arm follows no command now; empty when it does, or where several have one state. */
+export function immobility(state: KnownGroup & Pick<State, "arm">): string {
+  const { mode, message } = state.arm;
+  if (planningGroup(state)?.namespace || ["", "moving"].includes(mode)) return "";
+  if (isSinking(state.arm)) return t("status.relaxing");
+  return mode === "holding" ? "" : mode === "relaxed" ? t("status.relaxed") : message;
+}
+
+/** Return true while the arm's torque is lowered, which takes a moment. */
+export function isSinking({ mode, reason }: State["arm"]): boolean {
+  return mode === "holding" && reason.includes("being relaxed");
 }
 
 /** Return the holder of control as seen from this page. */

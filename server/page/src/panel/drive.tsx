@@ -71,7 +71,7 @@ export function Drive(): JSX.Element {
               <FrameLine />
               <SpeedLine speed={speed} choose={chooseSpeed} />
             </div>
-            <Gate to="drive">
+            <Gate to="drive" moves>
               <Section name="drive-tip" title={t("drive.tip")}><JogGrid rows={tipRows(store.state)} /></Section>
               <Section name="drive-joints" title={t("drive.joints")}><JogGrid kind="wide-names" rows={jointRows(store.state)} /></Section>
             </Gate>

@@ -13,7 +13,7 @@ export function Motion(): JSX.Element {
     <Section name="goals" title={t("move.title")}>
       <NamedPoses />
       <div class="buttons">
-        <Gate to="drive">
+        <Gate to="drive" moves>
           <Button testid="plan-and-move" disabled={!is_ready} title={is_ready ? t("move.both.title") : nextStep(state)} press={() => void moveGroup.planAndExecute()}>{t("move.both")}</Button>
         </Gate>
       </div>

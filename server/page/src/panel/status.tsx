@@ -1,6 +1,7 @@
 import type { JSX } from "preact";
 import { useLayoutEffect } from "preact/hooks";
 import { inUnits } from "../logic/numbers";
+import { isSinking } from "../logic/permissions";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import type { GoalState, Notice, State } from "../state/state";
 import { capitalized, t, type TextKey } from "../texts/texts";
@@ -54,6 +55,7 @@ function serverText({ link, arm, goal }: StatusInput): string {
   if (arm.mode === "disconnected") return `${t("status.no_arm")} ${sentence(arm.reason)}`.trim();
   if (goal.state === "done" && goal.code !== null && goal.code !== SUCCESS) return sentence(goal.message);
   if (arm.mode === "relaxed") return t("status.relaxed");
+  if (isSinking(arm)) return t("status.relaxing");
   if (goal.message) return sentence(goal.message);
   return arm.mode === "holding" ? t("status.holding") : sentence(arm.message);
 }

@@ -74,6 +74,7 @@ def test_nothing_moves_by_the_page_while_the_arm_sinks_and_is_relaxed(browser: B
         assert page.part("gripper-open").is_enabled()
         page.part("relax").click()
         page.until_text("message", "it sinks")
+        page.until_text("state-pill", "RELAXING")
         for test_id in ("gripper-open", "gripper-close", "plan-and-move"):
             assert page.part(test_id).is_disabled(), test_id
         page.open_panel("drive")

@@ -26,14 +26,8 @@ export function denialReason(operation: Operation, { identity, control }: Permis
 /** Return the reason why the planning group's arm follows no command now; empty when it does, or where several have one state. */
 export function immobility(state: KnownGroup & Pick<State, "arm">): string {
   const { mode, message } = state.arm;
-  if (planningGroup(state)?.namespace || ["", "moving"].includes(mode)) return "";
-  if (isSinking(state.arm)) return t("status.relaxing");
-  return mode === "holding" ? "" : mode === "relaxed" ? t("status.relaxed") : message;
-}
-
-/** Return true while the arm's torque is lowered, which takes a moment. */
-export function isSinking({ mode, reason }: State["arm"]): boolean {
-  return mode === "holding" && reason.includes("being relaxed");
+  if (planningGroup(state)?.namespace || ["", "holding", "moving"].includes(mode)) return "";
+  return mode === "relaxing" || mode === "relaxed" ? t(`status.${mode}`) : message;
 }
 
 /** Return the holder of control as seen from this page. */

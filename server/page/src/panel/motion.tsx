@@ -25,7 +25,7 @@ export function Motion(): JSX.Element {
       {/* The bar offers to hold again. */}
       <div class="buttons">
         <Gate to="drive">
-          <Button testid="relax" title={t("move.relax.title")} disabled={["", "relaxed", "disconnected"].includes(state.arm.mode)} press={() => void commands.trigger("/arm/relax")}>{t("move.relax")}</Button>
+          <Button testid="relax" title={t("move.relax.title")} disabled={["", "relaxing", "relaxed", "disconnected"].includes(state.arm.mode)} press={() => void commands.trigger("/arm/relax")}>{t("move.relax")}</Button>
         </Gate>
       </div>
     </Section>

@@ -17,7 +17,7 @@ export function SceneBar(): JSX.Element {
   const { history, result } = store.state.editing;
   return (
     <div class="scene-bar">
-      <Gate to="work"><Button testid="undo-scene" disabled={history.length === 0} press={() => void sceneEditor.undo()}>{t("world.undo")}</Button></Gate>
+      <Gate to="work"><div class="buttons"><Button testid="undo-scene" disabled={history.length === 0} press={() => void sceneEditor.undo()}>{t("world.undo")}</Button></div></Gate>
       <span data-testid="scene-result" role="status">{result}</span>
     </div>
   );

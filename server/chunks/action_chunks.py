@@ -173,7 +173,7 @@ class ChunkMotion:
     @property
     def targets(self) -> Targets:
         """Targets that are followed, up to a contact."""
-        return self._targets.until(self.until_s)
+        return self._targets if self.until_s >= self._targets.end_s else self._targets.until(self.until_s)
 
     @property
     def motion(self) -> ExternalTrajectory:

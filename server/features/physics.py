@@ -214,7 +214,7 @@ class Physics(Feature):
             self._apply(moved | dropped, tuple(dropped))
             for other in self._worlds.values():
                 if other is not world:
-                    self._send_to(other)
+                    self._send_to(other, {})
 
     def _is_dropped(self, name: str, clock_s: float, goal_rad: list[float]) -> bool:
         held_at_s, held_with_rad = self._held_at_s[name]
@@ -233,7 +233,7 @@ class Physics(Feature):
 
     def _follow_scene(self) -> None:
         """Send the bodies of the scene's objects where they have changed."""
-        contents, bodies, known = self._scene.contents, {}, {}
+        contents, bodies, known, put = self._scene.contents, {}, {}, {}
         for name, held in contents.attached.items():
             if name in self._bodies and self._bodies[name].movable:
                 bodies[name], known[name] = self._bodies[name], held.collision_object
@@ -244,13 +244,16 @@ class Physics(Feature):
             # A detached object is where the fingers left it, not where its link would have carried it.
             same = before is each or (before is not None and before.frame != each.frame)
             bodies[name] = self._bodies[name] if same else self._body_of(each)
+            # Its body may have moved since, also if the object is put where it was put before.
+            if not same and name in self._states:
+                put[name] = each.pose
             known[name] = each
         self._known = known
         for kept in (self._movable, self._held_at_s):
             for name in kept.keys() - known.keys():
                 del kept[name]
-        if bodies != self._bodies:
-            self._send(bodies)
+        if put or bodies != self._bodies:
+            self._send(bodies, put)
         for name, held in contents.attached.items():
             holder = next((each.name for each in self._worlds.values() if held.link in each.links), None)
             if holder is not None and name in self._movable:
@@ -264,16 +267,15 @@ class Physics(Feature):
             for world in self._worlds.values():
                 self._send_to(world, {} if state is None else {name: _pose(state)})
 
-    def _send(self, bodies: dict[str, Body], placed: Mapping[str, Pose] | None = None) -> None:
-        changed = {name for name in self._states if bodies.get(name) != self._bodies.get(name)} | set(placed or ())
+    def _send(self, bodies: dict[str, Body], placed: Mapping[str, Pose]) -> None:
+        changed = {name for name in self._states if bodies.get(name) != self._bodies.get(name)} | placed.keys()
         self._states = {name: state for name, state in self._states.items() if name not in changed}
         self._bodies = bodies
         for world in self._worlds.values():
-            self._send_to(world, placed or {})
+            self._send_to(world, placed)
 
-    def _send_to(self, world: ArmWorld, placed: Mapping[str, Pose] | None = None) -> None:
+    def _send_to(self, world: ArmWorld, placed: Mapping[str, Pose]) -> None:
         """Send a world its movable bodies, and the others' as they are by now."""
-        placed = placed or {}
         own = {name for name in self._bodies if self._mover(name) == world.name}
         present = {name: _pose(state) for name, state in self._states.items()} | dict(placed)
         world.send(
@@ -293,7 +295,6 @@ class Physics(Feature):
     def _set_body(self, request: dict[str, Any], mover: str | None = None) -> Message:
         name = request["id"]
         each = self._scene.contents.objects.get(name)
-        refusal = ""
         if each is None:
             refusal = f"there is no object {name!r} in the planning scene"
         elif name not in self._bodies:
@@ -302,7 +303,7 @@ class Physics(Feature):
             refusal = self._note_movable(request, each, mover)
         if each is None or refusal:
             return {"success": False, "message": refusal}
-        self._send({**self._bodies, name: self._body_of(each)})
+        self._send({**self._bodies, name: self._body_of(each)}, {})
         return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
 
     def _note_movable(self, request: Message, each: CollisionObject, mover: str | None = None) -> str:

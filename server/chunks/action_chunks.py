@@ -173,7 +173,7 @@ class ChunkMotion:
     @property
     def targets(self) -> Targets:
         """Targets that are followed, up to a contact."""
-        return self._targets.until(self.until_s)
+        return self._targets if self.until_s >= self._targets.end_s else self._targets.until(self.until_s)
 
     @property
     def motion(self) -> ExternalTrajectory:
@@ -435,10 +435,11 @@ class ActionChunks:
         followed.over = True
         end = self._answer(followed.motion, answer.code, answer.message)
         joined = answer.code is MoveItErrorCode.PREEMPTED and self._followed is not followed
-        if answer.code is not MoveItErrorCode.SUCCESS and not joined:
+        if answer.code is not MoveItErrorCode.SUCCESS and not joined and self._gripper is not None:
             # The arm holds, and so does its gripper.
-            if self._gripper is not None:
-                self._gripper.end(answer.message)
+            self._gripper.end(answer.message)
+        # A chunk that another has joined has its answer, unless the other came before it began.
+        if answer.code is not MoveItErrorCode.SUCCESS and not (joined and followed.begun_until_s > 0.0):
             self._publish(end)
         if followed is self._followed and self._phase is Phase.FOLLOWING:
             self._show(Phase.IDLE, "no chunk is followed")

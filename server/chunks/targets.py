@@ -119,7 +119,8 @@ def follow(targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, 
     # Of each joint by itself: numbers of Python are quicker than arrays of a few.
     followed = positions[:brakes].T, velocities[1 : brakes + 1].T, limits.velocity, limits.acceleration, limits.jerk
     columns = zip(*start, *followed, strict=True)
-    states = np.stack([_followed(*(each.tolist() for each in column)) for column in columns], axis=2)
+    flat = [_followed(*(each.tolist() for each in column)) for column in columns]
+    states = np.array(flat).reshape(len(names), brakes + 1, 3).transpose(1, 2, 0)
     tail = bridge(names, tuple(states[-1]), (targets.positions_rad[-1], np.zeros(len(names))), limits, 0.0)
     time_s = np.concatenate((SAMPLE_S * np.arange(brakes), tail.time_s + SAMPLE_S * brakes))
     head = states[:-1].transpose(1, 0, 2)
@@ -177,13 +178,13 @@ def _followed(
     most_velocity: float,
     most_acceleration: float,
     most_jerk: float,
-) -> list[tuple[float, float, float]]:
-    """Return the states, a sample apart, of a joint from its present state on that follows targets.
+) -> list[float]:
+    """Return position, velocity and acceleration, a sample apart, of a joint that follows targets from now on.
 
     Args:
         rates: velocities of the targets a sample later.
     """
-    states, step = [(position, velocity, acceleration)], most_jerk * SAMPLE_S
+    states, step = [position, velocity, acceleration], most_jerk * SAMPLE_S
     # Nearer than this the distance shrinks to a third in the time, further away it brakes: both rates are equal there.
     near = 2.0 * CLOSING_SHARE * most_acceleration * CLOSING_S**2
     for target, rate in zip(targets, rates, strict=True):
@@ -208,5 +209,5 @@ def _followed(
         position += SAMPLE_S * (velocity + SAMPLE_S * (2.0 * acceleration + following) / 6.0)
         velocity += SAMPLE_S * (acceleration + following) / 2.0
         acceleration = following
-        states.append((position, velocity, acceleration))
+        states += (position, velocity, acceleration)
     return states

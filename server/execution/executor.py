@@ -20,7 +20,6 @@ from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm_group import AnyArm
-from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
@@ -87,7 +86,7 @@ FASTER = ": raise the velocity and acceleration scaling"
 
 # A trajectory is expected at the arm after this multiple of the time that recent checks took: the first attempt by the
 # median, which no busy moment lengthens, others by the longest.
-CHECKS_AHEAD, RECENT_CHECKS = 1.25, 5
+CHECKS_AHEAD, RECENT_CHECKS = 1.1, 5
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
@@ -221,7 +220,8 @@ class GoalExecutor:
         self._show_soon(planned)
         self.recorder.start()
         answer = await self._player.play(goal, motion, self._questions(motion), from_s=point.from_s)
-        executed = self.recorder.finish(motion.trajectory.joint_names)
+        # Of a motion in a stream nobody asks for the states.
+        executed = None if goal.unlogged else self.recorder.finish(motion.trajectory.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
         return replace(answer, performed=replace(planned.performed, executed=executed))
@@ -253,7 +253,7 @@ class GoalExecutor:
             horizon_s = sending_s + CHECKS_AHEAD * check_s
             if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break
-            whole, point, arrives_s = joined
+            whole, point, arrives_s, passes_s = joined
             planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
             checked = CheckedMotion(_group_of(self._context.robot, whole), whole, version, planned.summary)
             goal.defer_replacement()
@@ -261,8 +261,8 @@ class GoalExecutor:
             self._checks_s.append(self._context.clock() - asked_s)
             # The arm compares the point with its last tick, so that a late one may still be ahead; it refuses others.
             # Where another goal waits, that goal would continue a motion that the arm has refused.
-            least_s = sending_s if goal.replacement_waits else -PERIOD_S
-            if arrives_s - self._context.clock() >= least_s and not goal.reason:
+            latest_s = arrives_s - sending_s if goal.replacement_waits else passes_s
+            if self._context.clock() <= latest_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, checked, point)
                 if answer is not None:
                     return answer
@@ -271,8 +271,8 @@ class GoalExecutor:
 
     def _joined(
         self, goal: Goal, request: ExternalTrajectory, now_s: float, horizon_s: float
-    ) -> tuple[Trajectory, SplicePoint, float] | None:
-        """Return a trajectory behind the lead to the splice point, the point, and the time to arrive; else None."""
+    ) -> tuple[Trajectory, SplicePoint, float, float] | None:
+        """Return a trajectory behind its lead, the splice point, the expected and the latest arrival; else None."""
         outgoing = self._player.outgoing
         if outgoing is None or not request.spliced:
             return None
@@ -285,7 +285,7 @@ class GoalExecutor:
             return None
         whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
         goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        return whole, point, arrives_s
+        return whole, point, arrives_s, outgoing.path_time.passes_s(arrives_s)
 
     async def _play_external(self, goal: Goal, request: ExternalTrajectory) -> Answer:
         if (answer := await self._splice_external(goal, request)) is not None:

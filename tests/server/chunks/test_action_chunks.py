@@ -160,6 +160,16 @@ async def test_overlapping_chunks_are_joined_without_a_stop_or_a_jump(policy: Po
     assert velocity.min() > 0.1
 
 
+async def test_each_of_many_chunks_at_once_has_one_answer(policy: Policy) -> None:
+    for number in range(30):
+        policy.publish(chunk(ramp(), id=str(number)))
+        await asyncio.sleep(0.001)
+    await asyncio.sleep(0.5)
+    assert sorted(int(answer["id"]) for answer in policy.answers) == list(range(30))
+    assert policy.codes.count(MoveItErrorCode.PREEMPTED) == 30 - policy.codes.count(MoveItErrorCode.SUCCESS) > 20
+    policy.assert_within_limits()
+
+
 @pytest.mark.parametrize("after_s", [0.2, 0.203, 0.2055, 0.208])
 async def test_a_chunk_has_a_tick_s_motion_in_the_first_tick_after_its_check(policy: Policy, after_s: float) -> None:
     # The checks before tell how long one takes.

@@ -1,3 +1,4 @@
+import math
 import re
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from planners.problem import (
 )
 from planners.scene import EMPTY_SCENE, Scene
 from robot.control.checks import refusal
+from robot.control.pacing import PERIOD_S
 from robot.description.limits import JointBounds
 from server.errors import RefusedError
 from server.execution.motions import (
@@ -176,4 +178,6 @@ def test_a_trajectory_leaves_the_path_just_after_the_last_tick_before_it_comes_t
 ) -> None:
     path_time = PathTime(5.0, 1.0, 1.0, at_tick=True)
     assert path_time.earliest_leave_s(arrives_s) == pytest.approx(leaves_s)
-    assert replace(path_time, at_tick=False).earliest_leave_s(arrives_s) == arrives_s
+    assert path_time.passes_s(arrives_s) == pytest.approx(math.floor(100.0 * arrives_s + 1.0) / 100.0)
+    untimed = replace(path_time, at_tick=False)
+    assert (untimed.earliest_leave_s(arrives_s), untimed.passes_s(arrives_s)) == (arrives_s, arrives_s + PERIOD_S)

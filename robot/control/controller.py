@@ -304,7 +304,7 @@ class ArmController:
             end = motion.end(self.goal_rad, measured.position_rad, now_s)
             if end is not None:
                 ended.append(end)
-                # A grip that is stopped may push as far as one that ended, and would be a stall from then on.
+                # A stopped grip may push as hard as a finished one, which would be a stall from then on.
                 pushes = motion.gripping and end.outcome is not Outcome.REACHED
                 self._drop(motion, measured if pushes else None)
         self._braking = [motion for motion in self._braking if not motion.finished]

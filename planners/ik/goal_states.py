@@ -20,8 +20,8 @@ from planners.goals import (
     AxisGoal,
     ConstraintGoal,
     Constraints,
-    Goal,
     JointGoal,
+    PlanningGoal,
     PoseGoal,
     PositionGoal,
     SingleGoal,
@@ -315,7 +315,7 @@ class GoalStates:
 
         return project
 
-    def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
+    def find(self, goal: PlanningGoal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
         """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
         if not isinstance(goal, AnyOf):
             return self._single(goal, query)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
+from planners.goals import JointGoal, PlanningGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
@@ -166,7 +166,7 @@ class GoalTranslator:
         frame, group = self._frame(message), options.group or self.group
         tip = checked_tip(tip_link(self._robot, group, self._parameters), group)
         radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
-        goal: Goal
+        goal: PlanningGoal
         if chooses_orientation(group):
             goal = PoseGoal(tip, _whole_pose(message["pose"], group), radius_m, (turn_rad,) * 3, strict=True)
         else:
@@ -187,7 +187,12 @@ class GoalTranslator:
         return frame
 
     def _motion(
-        self, group: Group, goal: Goal, options: GoalOptions, frame: str | None = None, warnings: tuple[str, ...] = ()
+        self,
+        group: Group,
+        goal: PlanningGoal,
+        options: GoalOptions,
+        frame: str | None = None,
+        warnings: tuple[str, ...] = (),
     ) -> PlannedMotion:
         self._check_own(group)
         step = GoalStep(self._problems, group, goal, options.parameters, frame)

@@ -9,6 +9,7 @@ from typing import Any
 
 from planners.geometry.collision import CollidingPair
 from planners.goals import (
+    AnyGoal,
     AnyOf,
     AxisGoal,
     ConstraintGoal,
@@ -16,7 +17,6 @@ from planners.goals import (
     JointConstraint,
     JointGoal,
     OrientationConstraint,
-    PlanningGoal,
     PoseGoal,
     PositionConstraint,
     PositionGoal,
@@ -151,7 +151,7 @@ def check_rates(problem: PlanningProblem | CartesianProblem) -> None:
     _check_time(problem.allowed_time_s)
 
 
-def check_goal(robot: RobotModel, group: Group, goal: PlanningGoal) -> None:
+def check_goal(robot: RobotModel, group: Group, goal: AnyGoal) -> None:
     """Check names and numbers of a goal, of every alternative if there are several."""
     goals = goal.goals if isinstance(goal, AnyOf) else (goal,)
     if not 0 < len(goals) <= MAX_ALTERNATIVES:

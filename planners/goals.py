@@ -125,4 +125,4 @@ class AnyOf:
     goals: tuple[SingleGoal, ...]
 
 
-PlanningGoal = SingleGoal | AnyOf
+AnyGoal = SingleGoal | AnyOf

@@ -16,6 +16,7 @@ from server.errors import RefusedError
 from server.execution.goal import Answer, Goal, GoTo
 from server.execution.monitors import check_ready
 from server.execution.queue import GoalQueue
+from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
@@ -157,10 +158,7 @@ class FollowingSession:
     async def close(self) -> None:
         """End at once; the arm comes to rest by itself."""
         self.end("the server is ending")
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
+        await end_task(self._task)
         if self._gripper is not None:
             await self._gripper.close()
         await self._servo.close()

@@ -21,9 +21,10 @@ from server.graph.action_topics import ENDED_KEPT_S
 from server.graph.actions import MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.services import LOCAL_TIMEOUT_S, Call, Response
+from server.timers import call_in_loop
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
-from server.zenoh.session import ReceiveQueue, call_in_loop
+from server.zenoh.session import ReceiveQueue
 
 if TYPE_CHECKING:
     import zenoh

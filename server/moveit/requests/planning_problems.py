@@ -14,11 +14,11 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from planners.goals import (
+    AnyGoal,
     ConstraintGoal,
     Constraints,
     JointGoal,
     OrientationConstraint,
-    PlanningGoal,
     PoseGoal,
     PositionConstraint,
     PositionGoal,
@@ -109,7 +109,7 @@ class ProblemBuilder:
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
     def goal(
-        self, group: Group, goal: PlanningGoal, start_rad: Positions, parameters: MoveItParameters | None = None
+        self, group: Group, goal: AnyGoal, start_rad: Positions, parameters: MoveItParameters | None = None
     ) -> PlanningProblem:
         """Build the problem of a goal that comes with nothing else, by parameters of its own or the configured ones."""
         parameters = parameters or self._parameters.configured
@@ -176,7 +176,7 @@ class ProblemBuilder:
         """Return the joints of all groups of some moveit_msgs/MotionPlanRequest."""
         return frozenset().union(*(self.group(request["group_name"]).joints for request in requests))
 
-    def placed(self, goal: PlanningGoal, frame: str, start_rad: Positions) -> PlanningGoal:
+    def placed(self, goal: AnyGoal, frame: str, start_rad: Positions) -> AnyGoal:
         """Return a pose or position goal in a frame, which may move with the arm, as a goal in the root link."""
         transform = self._frames.resolve(frame, start_rad)
         match goal:
@@ -234,7 +234,7 @@ class GoalStep(MotionStep):
 
     problems: ProblemBuilder
     group: Group
-    goal: PlanningGoal
+    goal: AnyGoal
     parameters: MoveItParameters | None = None
     frame: str | None = None
 
@@ -428,7 +428,7 @@ def _tip_speed_m_s(request: Message, context: RequestContext) -> float | None:
     return value
 
 
-def _ik_goal(request: Message, context: RequestContext) -> PlanningGoal:
+def _ik_goal(request: Message, context: RequestContext) -> AnyGoal:
     links, poses = request["ik_link_names"], request["pose_stamped_vector"]
     if len(poses) > 1 or len(links) > 1:
         if len(links) != len(poses):

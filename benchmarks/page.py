@@ -52,14 +52,20 @@ PARTS = ("size", "ready", "watched", "costs")
 
 JOINT_STATES = "/joint_states"
 
+# Quantities that are plotted beside the page's first chart, a chart each.
+MORE_QUANTITIES = ("error", "velocity", "load")
+
 # After every frame of the browser: whether the page drew in it, and how old the joint state was that it drew, by the
-# clock of the machine that server and browser share.
+# clock of the machine that server and browser share. A part of it has passed since the state's arrival at the page.
 WATCH = """() => {
-    window.watched = { ages_s: [], since_ms: performance.now(), frames: window.armbridge.drawn.frames };
+    window.watched = { ages_s: [], waits_s: [], since_ms: performance.now(), frames: window.armbridge.drawn.frames };
     let frames = window.watched.frames;
     const look = () => {
         const drawn = window.armbridge.drawn;
-        if (drawn.frames !== frames) window.watched.ages_s.push(Date.now() / 1000 - drawn.joint_stamp_s);
+        if (drawn.frames !== frames) {
+            window.watched.ages_s.push(Date.now() / 1000 - drawn.joint_stamp_s);
+            window.watched.waits_s.push(drawn.age_ms / 1000);
+        }
         frames = drawn.frames;
     };
     const next = () => {
@@ -70,6 +76,7 @@ WATCH = """() => {
 }"""
 WATCHED = """() => ({
     ages_s: window.watched.ages_s,
+    waits_s: window.watched.waits_s,
     drawn: window.armbridge.drawn.frames - window.watched.frames,
     seconds: (performance.now() - window.watched.since_ms) / 1000,
 })"""
@@ -77,10 +84,12 @@ WATCHED = """() => ({
 
 @dataclass(frozen=True)
 class Watched:
-    """Frames and states drawn in a period."""
+    """Frames and states drawn in a period, and the part of the states' ages that has passed since their arrival."""
 
     frames_per_s: float
+    cpu_ms: float  # of all the browser's processes, for each frame
     ages_s: list[float]
+    waits_s: list[float]
 
     def in_frames(self) -> list[float]:
         """Return the ages in frames of the mean length."""
@@ -102,7 +111,8 @@ def run(seconds: float = WATCHED_S, parts: Sequence[str] = PARTS) -> None:
         if "ready" in parts:
             _print_ready([_ready_s(browser, server) for _ in range(OPENINGS)])
         if "watched" in parts:
-            _print_watched(_watched(browser, server, seconds), seconds)
+            turns = [1, 1 + len(MORE_QUANTITIES)] * TURNS
+            _print_watched([(charts, _watched(browser, server, charts, seconds)) for charts in turns], seconds)
         if "costs" in parts:
             _print_costs(_costs(browser, server), "at rest")
             with _moving(server):
@@ -130,17 +140,31 @@ def _print_ready(ready_s: list[float]) -> None:
     )
 
 
-def _print_watched(watched: Watched, seconds: float) -> None:
+def _print_watched(turns: list[tuple[int, Watched]], seconds: float) -> None:
     print_table(
-        f"A moving arm and its plots on the page, at the end of {seconds:.0f} s, to be {MIN_FRAMES_PER_S:g} frames/s"
-        f" and {MAX_AGE_FRAMES:g} frame old",
-        ["frames/s", "age of the joint state p50 [ms]", "p99", "in frames p50", "p99", "max"],
+        f"A moving arm and its plots on the page, in turns, at the end of {seconds:.0f} s, to be {MIN_FRAMES_PER_S:g}"
+        f" frames/s and {MAX_AGE_FRAMES:g} frame old",
+        [
+            "charts",
+            "frames/s",
+            "CPU [ms/frame]",
+            "age of the state p50 [ms]",
+            "p99",
+            "on the page",
+            "in frames p50",
+            "p99",
+            "max",
+        ],
         [
             [
+                str(charts),
                 f"{watched.frames_per_s:.1f}",
+                f"{watched.cpu_ms:.1f}",
                 *percentiles(watched.ages_s, 50, 99, digits=1),
+                *percentiles(watched.waits_s, 50, digits=1),
                 *percentiles(watched.in_frames(), 50, 99, 100, scale=1.0),
             ]
+            for charts, watched in turns
         ],
     )
 
@@ -163,15 +187,25 @@ def _ready_s(browser: Browser, server: RunningServer) -> float:
         return float(page.page.evaluate("window.armbridge.drawn.arm_ms")) / 1e3
 
 
-def _watched(browser: Browser, server: RunningServer, seconds: float) -> Watched:
+def _watched(browser: Browser, server: RunningServer, charts: int, seconds: float) -> Watched:
     with opened(browser, draws=True) as page, _moving(server):
         page.open(server.port)
         page.open_panel("plots")
+        for quantity in MORE_QUANTITIES[: charts - 1]:
+            page.part(f"plot-quantity-{quantity}").check()
         page.page.wait_for_timeout(max(0.0, seconds - LOOKED_AT_S) * 1e3)
+        assert page.page.locator(".time-chart").count() == charts
         page.page.evaluate(WATCH)
+        before_s = _browser_cpu_s()
         page.page.wait_for_timeout(min(seconds, LOOKED_AT_S) * 1e3)
         seen: dict[str, Any] = page.page.evaluate(WATCHED)
-    return Watched(seen["drawn"] / seen["seconds"], seen["ages_s"])
+        cpu_ms = 1e3 * (_browser_cpu_s() - before_s) / seen["drawn"]
+    return Watched(seen["drawn"] / seen["seconds"], cpu_ms, seen["ages_s"], seen["waits_s"])
+
+
+def _browser_cpu_s() -> float:
+    processes = psutil.Process().children(recursive=True)
+    return sum(sum(process.cpu_times()[:2]) for process in processes if "chrom" in process.name())
 
 
 def _costs(browser: Browser, server: RunningServer) -> dict[str, list[float]]:

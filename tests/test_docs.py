@@ -76,7 +76,7 @@ SETTINGS = [block for page in PAGES for block in blocks(page, "toml") if "_token
 # They need two arms, servos or physics; tests/examples runs them with these.
 OF_OTHER_ARMS = (
     "python examples/two_hands.py",
-    "python examples/lift_a_block.py",
+    "python examples/pick_and_place.py",
     "python examples/stack_three.py",
     "python examples/push_a_block.py",
     "python examples/record_episodes.py",

@@ -238,7 +238,8 @@ class Supervisor:
         if min(self._state_due, self._health_due) > 0:
             return
         lateness_s = pacer.latest(self._ticks_per_state)
-        state = arm_state(arm, self.mode, self.fault, self._reason, lateness_s, self._clock)
+        reason = "it is being relaxed" if self._runs(RELAXING_ARM) else self._reason
+        state = arm_state(arm, self.mode, self.fault, reason, lateness_s, self._clock)
         state = replace(state, tick_s=pacer.tick_s)
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.

@@ -139,8 +139,10 @@ class World:
             drive()
             mujoco.mj_step(self.model, self.data)
             if not (np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all()):
+                fixed = self.data.mocap_pos.copy(), self.data.mocap_quat.copy()
                 mujoco.mj_resetData(self.model, self.data)
                 self.data.qpos[:] = before
+                self.data.mocap_pos[:], self.data.mocap_quat[:] = fixed
                 mujoco.mj_forward(self.model, self.data)
                 raise PortLost(EmulatedConfig.port, "the physics had no finite positions, and was reset")
 

@@ -233,7 +233,7 @@ class Physics(Feature):
 
     def _follow_scene(self) -> None:
         """Send the bodies of the scene's objects where they have changed."""
-        contents, bodies, known = self._scene.contents, {}, {}
+        contents, bodies, known, put = self._scene.contents, {}, {}, {}
         for name, held in contents.attached.items():
             if name in self._bodies and self._bodies[name].movable:
                 bodies[name], known[name] = self._bodies[name], held.collision_object
@@ -244,13 +244,16 @@ class Physics(Feature):
             # A detached object is where the fingers left it, not where its link would have carried it.
             same = before is each or (before is not None and before.frame != each.frame)
             bodies[name] = self._bodies[name] if same else self._body_of(each)
+            # Its body may have moved since, also if the object is put where it was put before.
+            if not same and name in self._states:
+                put[name] = each.pose
             known[name] = each
         self._known = known
         for kept in (self._movable, self._held_at_s):
             for name in kept.keys() - known.keys():
                 del kept[name]
-        if bodies != self._bodies:
-            self._send(bodies)
+        if put or bodies != self._bodies:
+            self._send(bodies, put)
         for name, held in contents.attached.items():
             holder = next((each.name for each in self._worlds.values() if held.link in each.links), None)
             if holder is not None and name in self._movable:

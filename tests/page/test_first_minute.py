@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser
 
+from harness.clients import values_of
 from harness.page import DESKTOP, PHONE, OpenPage, opened
 from harness.server import RunningServer
 
@@ -57,6 +58,34 @@ def test_a_relaxed_arm_says_so_and_holds_at_one_click(page: OpenPage) -> None:
     page.until_text("message", "The arm is relaxed")
     page.part("hold").click()
     page.until_state("s.arm.mode === 'holding'")
+
+
+def test_nothing_moves_by_the_page_while_the_arm_sinks_and_is_relaxed(browser: Browser, server: RunningServer) -> None:
+    sinks = True
+
+    def as_if_it_sank(operation: dict[str, Any]) -> dict[str, Any] | None:
+        told = operation.get("topic") == "/arm/state" and values_of(operation["msg"])["mode"] == "relaxed"
+        return None if sinks and told else operation
+
+    with opened(browser) as page:
+        page.change_operations(as_if_it_sank)
+        page.open(server.port)
+        page.until_state("s.arm.mode === 'holding'")
+        assert page.part("gripper-open").is_enabled()
+        page.part("relax").click()
+        page.until_text("message", "it sinks")
+        page.until_text("state-pill", "RELAXING")
+        for test_id in ("gripper-open", "gripper-close", "plan-and-move"):
+            assert page.part(test_id).is_disabled(), test_id
+        page.open_panel("drive")
+        assert page.part("jog-gripper-plus").is_disabled()
+        sinks = False
+        page.open(server.port)
+        page.until_text("message", "The arm is relaxed")
+        page.open_panel("move")
+        assert page.part("gripper-open").is_disabled()
+        page.part("hold").click()
+        page.until("!document.querySelector('[data-testid=gripper-open]').matches(':disabled')")
 
 
 def test_panels_open_and_close_by_the_rail_and_a_pinned_one_stays(page: OpenPage) -> None:

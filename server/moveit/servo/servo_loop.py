@@ -223,6 +223,9 @@ class ServoSession:
         """Follow a command until ``timeout_s`` or the loop's own timeout; start the loop if it is not running."""
         self._input = command
         self._expires_at_s = self._clock() + min(timeout_s, self._setup.timeout_s)
+        if command.zero and self._stream is not None:
+            # The next step may be a period away, or wait for the planners.
+            self._stream.steer(np.zeros(len(self._setup.joints)))
         if self._setup.at_once:
             self._due.set()
         if self._task is None:
@@ -280,10 +283,7 @@ class ServoSession:
             kind = type(command)
             answer = await self._answer(stream, positions_rad, velocity, command, anchor)
             velocity, anchor = answer.velocity_rad_s, answer.anchor
-            if error:
-                self._publish_status(ServoStatus.INVALID, error)
-            else:
-                self._publish_status(answer.status, answer.message)
+            self._publish_status(*((ServoStatus.INVALID, error) if error else (answer.status, answer.message)))
             stream.steer(np.array([velocity[name] for name in self._setup.joints]))
             resting = command.zero and max(map(abs, velocity.values())) < RESTING_RAD_S
             rested_s = rested_s + self._setup.period_s if resting else 0.0

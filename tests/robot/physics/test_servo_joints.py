@@ -16,12 +16,14 @@ from robot.errors import PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.interface import HardwareInterface, Measured, StatusFlag, run_to_end
 from robot.messages import GuardLimits
+from robot.physics.bodies import Body, BodyShape, SetBodies
 from robot.physics.world import World
 from tests.helpers import arm_rig, dynamixel
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import so101
 
 TICK_S = 0.01
+LEVEL = (0.0, 0.0, 0.0, 1.0)
 # Of the SO-101 and the Koch: far out, above the floor.
 STRETCHED, RAISED = {"shoulder_lift": 0.9, "elbow_flex": -0.6}, {"shoulder_lift": -0.7}
 
@@ -174,11 +176,15 @@ def world_of(arm: Driven) -> World:
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_an_unstable_world_is_a_lost_arm_and_starts_again_from_its_last_positions(value: float) -> None:
     arm = driven(physics=True)
+    world = world_of(arm)
+    sphere = BodyShape("sphere", (0.05,), (0.0, 0.0, 0.0), LEVEL)
+    world.set_bodies(SetBodies(1, (Body("fixed", (sphere,), (0.0, 0.5, 0.05), LEVEL),)))
     before = arm.tick().position_rad
-    world_of(arm).data.xfrc_applied[:] = value
+    world.data.xfrc_applied[:] = value
     with pytest.raises(PortLost, match="the physics had no finite positions, and was reset"):
         arm.tick()
     assert arm.tick().position_rad == pytest.approx(before, abs=0.02)
+    assert world.link_pose("object/fixed")[0] == (0.0, 0.5, 0.05)
 
 
 def test_a_starved_loop_makes_the_world_slow_and_never_faulty() -> None:

@@ -154,6 +154,16 @@ async def test_a_client_moves_a_body_and_older_reports_do_not_take_it_back(stage
     assert stage.position("cube") == (0.1, 0.2, 0.025)
 
 
+async def test_a_body_that_has_moved_is_put_where_a_client_adds_it_again(stage: Stage) -> None:
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    stage.report(moved(0.08))
+    before = stage.arm.sent[-1].version
+    stage.apply(box("cube", at=pose(0.2, 0.1, 0.025)))
+    assert stage.arm.sent[-1].placed == {"cube": ((0.2, 0.1, 0.025), LEVEL)}
+    stage.report(moved(0.07), version=before)
+    assert stage.position("cube") == (0.2, 0.1, 0.025)
+
+
 def grip(stage: Stage) -> None:
     stage.call("/simulation/set_body", id="cube", movable=True)
     stage.report(moved(0.08, held=True))

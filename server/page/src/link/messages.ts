@@ -194,8 +194,10 @@ export function readArmState(status: DiagnosticStatus): ArmState {
     const value = Number(values[key] ?? 1);
     return Number.isFinite(value) ? value : 1;
   };
+  // While its torque is lowered, an arm that holds sinks.
+  const sinks = values.mode === "holding" && values.reason?.includes("being relaxed");
   return {
-    mode: values.mode ?? "disconnected",
+    mode: sinks ? "relaxing" : (values.mode ?? "disconnected"),
     message: status.message,
     fault: values.fault ?? "",
     fault_message: values.fault_message ?? "",

@@ -1,5 +1,6 @@
 import type { State } from "../state/state";
 import { t } from "../texts/texts";
+import { planningGroup, type KnownGroup } from "./robot-info";
 
 /** Operations with a permission of their own: moving the arm, changing its scene, changing stored settings, calibrating. */
 export type Operation = "drive" | "work" | "configure" | "commission";
@@ -20,6 +21,13 @@ export function denialReason(operation: Operation, { identity, control }: Permis
   }
   const another = NEEDS_LEASE.includes(operation) && controlHolder({ identity, control }) === "another";
   return another ? t("control.another", { name: control.holder }) : "";
+}
+
+/** Return the reason why the planning group's arm follows no command now; empty when it does, or where several have one state. */
+export function immobility(state: KnownGroup & Pick<State, "arm">): string {
+  const { mode, message } = state.arm;
+  if (planningGroup(state)?.namespace || ["", "holding", "moving"].includes(mode)) return "";
+  return mode === "relaxing" || mode === "relaxed" ? t(`status.${mode}`) : message;
 }
 
 /** Return the holder of control as seen from this page. */

@@ -39,7 +39,7 @@ export function PadsSection({ lying }: { lying: boolean }): JSX.Element {
   const axis = rotation ? axisText(rotation) : "–";
   return (
     <Section name="drive-pads" title={t("drive.pads")} open={isTouch()} force={lying}>
-      <Gate to="drive">
+      <Gate to="drive" moves>
         <div class="pads">
           <div class="pad-side"><Pad pad={left} label={t("drive.pads.left")} caption="x ↕  y ↔" /><DeadMan testid="dead-man-left" hold={hold} release={release} /></div>
           <div class="pad-side"><Pad pad={right} label={t("drive.pads.right", { axis })} caption={`z ↕  ${axis} ↔`} /><DeadMan testid="dead-man-right" hold={hold} release={release} /></div>

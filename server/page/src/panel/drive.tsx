@@ -71,7 +71,7 @@ export function Drive(): JSX.Element {
               <FrameLine />
               <SpeedLine speed={speed} choose={chooseSpeed} />
             </div>
-            <Gate to="drive">
+            <Gate to="drive" moves>
               <Section name="drive-tip" title={t("drive.tip")}><JogGrid rows={tipRows(store.state)} /></Section>
               <Section name="drive-joints" title={t("drive.joints")}><JogGrid kind="wide-names" rows={jointRows(store.state)} /></Section>
             </Gate>
@@ -131,15 +131,11 @@ interface JogRow {
 const SIGNS = ["−", "+"] as const;
 
 function tipRows(state: State): JogRow[] {
-  return tipAxes(armJoints(state).length).map((axis) => {
-    return { id: `jog-${axis}`, name: axisText(axis), command: { kind: "tip", velocity: { [axis]: 1 } }, texts: SIGNS };
-  });
+  return tipAxes(armJoints(state).length).map((axis) => ({ id: `jog-${axis}`, name: axisText(axis), command: { kind: "tip", velocity: { [axis]: 1 } }, texts: SIGNS }));
 }
 
 function jointRows(state: State): JogRow[] {
-  const rows = armJoints(state).map((name): JogRow => {
-    return { id: `jog-${name}`, name, command: { kind: "joints", velocity: { [name]: 1 } }, texts: SIGNS };
-  });
+  const rows = armJoints(state).map((name): JogRow => ({ id: `jog-${name}`, name, command: { kind: "joints", velocity: { [name]: 1 } }, texts: SIGNS }));
   if (armGripper(state) === null) return rows;
   const texts = [t("drive.close"), t("drive.open")] as const;
   return [...rows, { id: "jog-gripper", name: t("drive.gripper"), command: { kind: "gripper", velocity: { opening: 1 } }, texts }];

@@ -148,7 +148,7 @@ export function Gripper(): JSX.Element {
   const unit = unitOf(jointKind(state, finger), state.settings.units);
   return (
     <Section name="gripper" title={t("gripper.title")}>
-      <Gate to="drive">
+      <Gate to="drive" moves>
         <div class="line">
           <Button testid="gripper-close" press={() => commands.moveGripper(closed)}>{t("gripper.close")}</Button>
           {/* Open is on the right, also where its position is the smaller number. */}

@@ -13,7 +13,7 @@ export function Motion(): JSX.Element {
     <Section name="goals" title={t("move.title")}>
       <NamedPoses />
       <div class="buttons">
-        <Gate to="drive">
+        <Gate to="drive" moves>
           <Button testid="plan-and-move" disabled={!is_ready} title={is_ready ? t("move.both.title") : nextStep(state)} press={() => void moveGroup.planAndExecute()}>{t("move.both")}</Button>
         </Gate>
       </div>
@@ -25,7 +25,7 @@ export function Motion(): JSX.Element {
       {/* The bar offers to hold again. */}
       <div class="buttons">
         <Gate to="drive">
-          <Button testid="relax" title={t("move.relax.title")} disabled={["", "relaxed", "disconnected"].includes(state.arm.mode)} press={() => void commands.trigger("/arm/relax")}>{t("move.relax")}</Button>
+          <Button testid="relax" title={t("move.relax.title")} disabled={["", "relaxing", "relaxed", "disconnected"].includes(state.arm.mode)} press={() => void commands.trigger("/arm/relax")}>{t("move.relax")}</Button>
         </Gate>
       </div>
     </Section>

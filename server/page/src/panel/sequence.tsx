@@ -193,7 +193,7 @@ function PlayControls(): JSX.Element {
   return (
     <div>
       <div class="buttons">
-        <Gate to="drive"><Button testid="play-sequence" title={t("sequence.play.title")} disabled={waypoints.length === 0 || playing !== null} press={() => void sequencePlayer.play()}>{t("sequence.play")}</Button></Gate>
+        <Gate to="drive" moves><Button testid="play-sequence" title={t("sequence.play.title")} disabled={waypoints.length === 0 || playing !== null} press={() => void sequencePlayer.play()}>{t("sequence.play")}</Button></Gate>
         <Button testid="stop-sequence" disabled={playing === null} press={() => sequencePlayer.stop()}>{t("sequence.stop")}</Button>
         <Tick testid="sequence-loop" checked={loop} take={(on) => store.patch("sequence", { loop: on })} text={t("sequence.loop")} />
         <output data-testid="sequence-total">{duration_s === null ? "" : t("sequence.total", { seconds: duration_s.toFixed(1) })}</output>

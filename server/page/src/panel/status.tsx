@@ -26,7 +26,7 @@ function stateName({ link, arm, goal, pending_request }: StatusInput): [string, 
   if (goal.state === "executing" || arm.mode === "moving") return [{ paused: "paused", back: "back" }[arm.course] ?? "executing", "busy"];
   if (isAwaitingConfirmation(goal)) return ["waiting", "busy"];
   if (goal.state === "planning" || pending_request === "plan") return ["planning", "busy"];
-  if (arm.mode === "relaxed") return ["relaxed", "off"];
+  if (arm.mode === "relaxing" || arm.mode === "relaxed") return [arm.mode, "off"];
   if (goal.state === "done" && goal.code === PREEMPTED) return ["stopped", "stopped"];
   return ["idle", "idle"];
 }
@@ -53,7 +53,7 @@ function serverText({ link, arm, goal }: StatusInput): string {
   if (arm.mode === "fault") return `${sentence(arm.fault_message)} ${sentence(arm.fault_remedy)}`.trim();
   if (arm.mode === "disconnected") return `${t("status.no_arm")} ${sentence(arm.reason)}`.trim();
   if (goal.state === "done" && goal.code !== null && goal.code !== SUCCESS) return sentence(goal.message);
-  if (arm.mode === "relaxed") return t("status.relaxed");
+  if (arm.mode === "relaxing" || arm.mode === "relaxed") return t(`status.${arm.mode}`);
   if (goal.message) return sentence(goal.message);
   return arm.mode === "holding" ? t("status.holding") : sentence(arm.message);
 }

@@ -59,7 +59,7 @@ function Motion({ name, replay }: { name: string; replay: () => void }): JSX.Ele
   return (
     <li>
       <b>{name}</b>
-      <Gate to="drive"><Button testid={`replay-${name}`} disabled={replaying !== null} aria-label={label(t("teaching.replay"))} press={replay}>{t("teaching.replay")}</Button></Gate>
+      <Gate to="drive" moves><Button testid={`replay-${name}`} disabled={replaying !== null} aria-label={label(t("teaching.replay"))} press={replay}>{t("teaching.replay")}</Button></Gate>
       <Button testid={`add-motion-${name}`} title={t("teaching.add.title")} aria-label={label(t("teaching.add"))} press={() => void teaching.addToSequence(name)}>{t("teaching.add")}</Button>
       <Button testid={`waypoints-of-${name}`} title={t("teaching.as_waypoints.title")} aria-label={label(t("teaching.as_waypoints"))} press={() => void teaching.addAsWaypoints(name)}>{t("teaching.as_waypoints")}</Button>
       <Gate to="configure"><Button testid={`edit-motion-${name}`} aria-label={label(t("teaching.edit"))} aria-pressed={is_open} press={() => void teaching.edit(is_open ? null : name)}>{t("teaching.edit")}</Button></Gate>

@@ -2,7 +2,7 @@ import { effect, untracked, useSignal, type Signal } from "@preact/signals";
 import { createContext, type ComponentChildren, type JSX, type RefObject } from "preact";
 import { useContext, useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { Services } from "../link/services";
-import { denialReason, type Operation } from "../logic/permissions";
+import { denialReason, immobility, type Operation } from "../logic/permissions";
 import { parseNumber, positionText, unitOf, type NumberRange } from "../logic/numbers";
 import { throttle } from "../logic/throttle";
 import { loadPreference, storePreference } from "../state/preferences";
@@ -36,10 +36,10 @@ export function useSlowPart<Part>(select: (state: State) => Part): Part {
   return part;
 }
 
-/** Controls that are disabled while the server would deny their operation. */
-export function Gate({ to, hidden, children }: { to: Operation; hidden?: boolean; children: ComponentChildren }): JSX.Element {
+/** Controls that are disabled while the server would deny their operation, or the arm could not make their motion. */
+export function Gate({ to, moves, hidden, children }: { to: Operation; moves?: boolean; hidden?: boolean; children: ComponentChildren }): JSX.Element {
   const { state } = usePage().store;
-  const reason = state.link.connected ? denialReason(to, state) : t("bar.offline.disabled");
+  const reason = state.link.connected ? denialReason(to, state) || (moves ? immobility(state) : "") : t("bar.offline.disabled");
   return <fieldset class="gate" disabled={reason !== ""} title={reason} hidden={hidden}>{children}</fieldset>;
 }
 

@@ -304,7 +304,9 @@ class ArmController:
             end = motion.end(self.goal_rad, measured.position_rad, now_s)
             if end is not None:
                 ended.append(end)
-                self._drop(motion, measured if end.outcome is Outcome.GRIPPED else None)
+                # A grip that is stopped may push as far as one that ended, and would be a stall from then on.
+                pushes = motion.gripping and end.outcome is not Outcome.REACHED
+                self._drop(motion, measured if pushes else None)
         self._braking = [motion for motion in self._braking if not motion.finished]
         return ended
 
@@ -322,7 +324,7 @@ class ArmController:
         squeeze = np.clip(self.goal_rad[columns] - position, -SQUEEZE_RAD, SQUEEZE_RAD)
         self._hold_rad[columns] = position + squeeze
         # The goal takes some ticks to come back, during which the joint goes on pushing.
-        self.guards.restart()
+        self.guards.forgive(columns.tolist())
 
     def react(self, found: Fault, measured: Measured) -> list[MotionEnded]:
         """React to a fault: latch it, unless a graver one is latched, or yield; return the ends of motions."""

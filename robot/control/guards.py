@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from operator import and_
 from typing import Self
@@ -118,6 +118,10 @@ class Persistence:
         self._since_s = [min(since_s, now_s) if holds else math.inf for since_s, holds in each]
         return [now_s - since_s for since_s in self._since_s]
 
+    def restart(self, joints: Collection[int]) -> None:
+        """Restart the timers of joints, by index."""
+        self._since_s = [math.inf if joint in joints else since_s for joint, since_s in enumerate(self._since_s)]
+
 
 class Guards:
     """Guards of one arm; the highest supply of a servo is infinite without such a limit, shape (joints,) [V].
@@ -147,6 +151,11 @@ class Guards:
         self.stalled = [False] * joints  # of each joint: it pushes without moving
         self.lost = [False] * joints  # of each joint: it is too far behind its goal
         self._idle = True  # no timer runs
+
+    def forgive(self, joints: Collection[int]) -> None:
+        """Restart the timers of joints that push or are behind their goals, by index: their goals come back to them."""
+        for timer in (self._behind, self._pushing):
+            timer.restart(joints)
 
     def check(
         self, goal_rad: Vector, measured: Measured, torque_limit: Vector, now_s: float, yielding: Flags | None = None

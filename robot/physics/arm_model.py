@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -23,6 +24,9 @@ LINK_DENSITY_KG_M3 = 600.0
 # Inertia of the rotor behind the gear: 0.028 kg m^2 in MuJoCo Menagerie's model of the SO-101 (system identification of
 # its STS3215). Links alone are too light for stable contacts at this time step.
 ARMATURE_KG_M2 = 0.028
+
+# A link without mass and without shapes, such as between two joints at one place [kg and kg m^2].
+LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-10
 
 MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
 
@@ -49,8 +53,9 @@ def arm_model(robot: RobotModel) -> mujoco.MjSpec:
         if (path := Path(mesh.get("filename", ""))).suffix.lower() not in MESH_FORMATS:
             raise DescriptionError(f"mesh {path}", f"cannot be loaded by physics, only {', '.join(MESH_FORMATS)}")
     compiler = ET.SubElement(ET.SubElement(root, "mujoco"), "compiler")
-    for name, value in {"fusestatic": "false", "strippath": "false", "balanceinertia": "true"}.items():
-        compiler.set(name, value)
+    switches = {"fusestatic": "false", "strippath": "false", "balanceinertia": "true"}
+    least = {"boundmass": str(LEAST_MASS_KG), "boundinertia": str(LEAST_INERTIA_KG_M2)}
+    compiler.attrib.update(switches | least)
     try:
         spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
     except ValueError as error:
@@ -109,11 +114,7 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
         if body.geoms and not body.explicitinertial:
             massless.append(body.name)
     if massless:
-        log.warning(
-            "physics: the URDF has no mass of %s; estimated from the collision shapes at %g kg/m^3",
-            ", ".join(massless),
-            LINK_DENSITY_KG_M3,
-        )
+        _tell_estimated(", ".join(massless))
     for first, second in robot.disabled_pairs:
         spec.add_exclude(bodyname1=first, bodyname2=second)
     for follower in robot.joints.values():
@@ -124,6 +125,13 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
     # It does not touch the arm's base: MuJoCo lets no two bodies touch that are fixed in the world.
     floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1])
     floor.friction[0], floor.priority, floor.condim = FIXED_FRICTION, FIXED_PRIORITY, CONTACT_DIMENSIONS
+
+
+@cache
+def _tell_estimated(links: str) -> None:
+    """Name links whose mass is estimated, once a process: a model is made at each try to open an arm."""
+    estimate = f"estimated from the collision shapes at {LINK_DENSITY_KG_M3:g} kg/m^3"
+    log.warning("physics: the URDF has no mass of %s; %s", links, estimate)
 
 
 def gripper_links(robot: RobotModel) -> frozenset[str]:

@@ -12,8 +12,6 @@ from server.errors import ServerError
 
 def serve(channel: Channel) -> None:
     """Render until the server closes its end."""
-    # Its lines are about optional modules.
-    logging.getLogger("OpenGL").setLevel(logging.WARNING)
     cameras: RenderedCameras | None = None
     while not channel.closed:
         for order in channel.receive(None):
@@ -31,4 +29,7 @@ def serve(channel: Channel) -> None:
 
 
 if __name__ == "__main__":
+    # The lines of OpenGL are about optional modules; the arm process has logged the warnings of the physics.
+    for name, level in (("OpenGL", logging.WARNING), ("armbridge.physics", logging.ERROR)):
+        logging.getLogger(name).setLevel(level)
     serve(channel_of_child())

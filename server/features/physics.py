@@ -214,7 +214,7 @@ class Physics(Feature):
             self._apply(moved | dropped, tuple(dropped))
             for other in self._worlds.values():
                 if other is not world:
-                    self._send_to(other)
+                    self._send_to(other, {})
 
     def _is_dropped(self, name: str, clock_s: float, goal_rad: list[float]) -> bool:
         held_at_s, held_with_rad = self._held_at_s[name]
@@ -267,16 +267,15 @@ class Physics(Feature):
             for world in self._worlds.values():
                 self._send_to(world, {} if state is None else {name: _pose(state)})
 
-    def _send(self, bodies: dict[str, Body], placed: Mapping[str, Pose] | None = None) -> None:
-        changed = {name for name in self._states if bodies.get(name) != self._bodies.get(name)} | set(placed or ())
+    def _send(self, bodies: dict[str, Body], placed: Mapping[str, Pose]) -> None:
+        changed = {name for name in self._states if bodies.get(name) != self._bodies.get(name)} | placed.keys()
         self._states = {name: state for name, state in self._states.items() if name not in changed}
         self._bodies = bodies
         for world in self._worlds.values():
-            self._send_to(world, placed or {})
+            self._send_to(world, placed)
 
-    def _send_to(self, world: ArmWorld, placed: Mapping[str, Pose] | None = None) -> None:
+    def _send_to(self, world: ArmWorld, placed: Mapping[str, Pose]) -> None:
         """Send a world its movable bodies, and the others' as they are by now."""
-        placed = placed or {}
         own = {name for name in self._bodies if self._mover(name) == world.name}
         present = {name: _pose(state) for name, state in self._states.items()} | dict(placed)
         world.send(
@@ -296,7 +295,6 @@ class Physics(Feature):
     def _set_body(self, request: dict[str, Any], mover: str | None = None) -> Message:
         name = request["id"]
         each = self._scene.contents.objects.get(name)
-        refusal = ""
         if each is None:
             refusal = f"there is no object {name!r} in the planning scene"
         elif name not in self._bodies:
@@ -305,7 +303,7 @@ class Physics(Feature):
             refusal = self._note_movable(request, each, mover)
         if each is None or refusal:
             return {"success": False, "message": refusal}
-        self._send({**self._bodies, name: self._body_of(each)})
+        self._send({**self._bodies, name: self._body_of(each)}, {})
         return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
 
     def _note_movable(self, request: Message, each: CollisionObject, mover: str | None = None) -> str:

@@ -108,9 +108,18 @@ def test_an_example_works(words: tuple[str, ...], told: str, run_example: RunExa
 
 
 @pytest.fixture(scope="module")
-def physical() -> Iterator[RunningServer]:
+def with_physics() -> Iterator[RunningServer]:
     with RunningServer("--port 0 --simulation physics", FAST) as running:
         yield running
+
+
+@pytest.fixture
+def physical(with_physics: RunningServer) -> RunningServer:
+    """The server with physics, without the objects of the test before."""
+    with connect(with_physics.url) as other:
+        removed = {"is_diff": True, "world": {"collision_objects": [{"operation": 1}]}}
+        assert call_on(other, "/apply_planning_scene", {"scene": removed})["success"]
+    return with_physics
 
 
 IN_PHYSICS = {
@@ -134,9 +143,6 @@ IN_PHYSICS = {
 def test_an_example_moves_what_it_touches(
     name: str, told: str, run_example: RunExample, physical: RunningServer
 ) -> None:
-    with connect(physical.url) as other:
-        removed = {"is_diff": True, "world": {"collision_objects": [{"operation": 1}]}}
-        assert call_on(other, "/apply_planning_scene", {"scene": removed})["success"]
     done = run_example(name, "--url", physical.url)
     assert done.returncode == 0, done.stderr
     assert re.fullmatch(told, done.stdout)

@@ -206,7 +206,7 @@ class Gripper:
                 self._arm.stop(motion)
         if overrun and ended.outcome is Outcome.STOPPED:
             return replace(ended, outcome=Outcome.NOT_SETTLED, message=f"{overrun}; {ended.message}")
-        if ended.outcome is Outcome.GRIPPED:
+        if ended.outcome in (Outcome.GRIPPED, Outcome.STOPPED):
             await self._until_squeezed()
         return ended
 

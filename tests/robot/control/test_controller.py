@@ -195,6 +195,23 @@ def blocked(rig: Rig, ticks: int, joint: int = 0, load: float = 0.8) -> MotionEn
     return None
 
 
+def test_a_grip_that_is_stopped_squeezes_no_more_than_one_that_ended() -> None:
+    rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
+    rig.controller.execute(Execute(1, smooth_move({"gripper": (1.5, 0.0)}, 2.0), gripping=True, torque_share=0.8))
+    object_rad = 0.8
+    ended = None
+    for _ in range(600):
+        lag = np.zeros(6)
+        lag[5] = max(0.0, object_rad - rig.controller.goal_rad[5])
+        if lag[5] > 0.2:
+            rig.controller.stop()
+        ended = rig.tick(lag=lag, load=[0, 0, 0, 0, 0, -0.45 if lag[5] > 0.05 else 0.0]) or ended
+    assert ended.outcome is Outcome.STOPPED
+    assert rig.controller.fault is None
+    assert rig.controller.goal_rad[5] == pytest.approx(object_rad - SQUEEZE_RAD)
+    assert rig.controller.torque_limit[5] == pytest.approx(0.5 * GRIP_TORQUE_SHARE)
+
+
 @pytest.mark.parametrize("streamed", [False, True])
 def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque(*, streamed: bool) -> None:
     rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])

@@ -37,12 +37,22 @@ def test_links_without_a_mass_have_one_from_their_shapes_which_is_said_once(capl
     real = so101()
     light = model.parse(without_masses(real.urdf), real.srdf)
     with caplog.at_level(logging.WARNING):
+        # An arm that cannot be opened is tried again every two seconds.
+        arm_model(light)
         built = compiled(arm_model(light))
     assert [record.message for record in caplog.records] == [
         "physics: the URDF has no mass of base_link, shoulder_link, upper_arm_link, lower_arm_link, wrist_link, "
         "gripper_link, moving_jaw_so101_v1_link; estimated from the collision shapes at 600 kg/m^3"
     ]
     assert float(built.body_mass.sum()) == pytest.approx(0.632, rel=0.5)
+
+
+def test_a_link_without_mass_and_shape_weighs_next_to_nothing() -> None:
+    robot = model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
+    built = compiled(arm_model(robot))
+    (turret_kg,) = built.body("turret").mass
+    assert 0.0 < turret_kg < 1e-5
+    assert float(built.body_mass.sum()) > 0.1
 
 
 def test_a_mesh_that_mujoco_cannot_read_is_named(tmp_path) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from harness.figures import percentiles, print_table
-from planners.goals import Goal, JointGoal, PositionGoal
+from planners.goals import AnyGoal, JointGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningFailure, PlanningProblem
 from robot.description.robot_folder import built_in
@@ -60,7 +60,7 @@ class Draw:
         if kind == 2:
             return blocked_problem(number, attempts=5)
         start, end = self._pose(), self._pose()
-        goal: Goal = JointGoal({name: end[name] for name in self._robot.groups["arm"].joints})
+        goal: AnyGoal = JointGoal({name: end[name] for name in self._robot.groups["arm"].joints})
         if kind == 0:
             x, y, z = self._rng.uniform([-0.4, -0.4, -0.1], [0.4, 0.4, 0.4]).tolist()
             goal = PositionGoal(TIP, (x, y, z), 0.01)
@@ -86,6 +86,6 @@ def run() -> None:
     )
 
 
-def _kind(goal: Goal, answer: Plan | PlanningFailure) -> str:
+def _kind(goal: AnyGoal, answer: Plan | PlanningFailure) -> str:
     name = "joint" if isinstance(goal, JointGoal) else "position"
     return f"{name}: {answer.method if isinstance(answer, Plan) else answer.code.name}"

@@ -15,7 +15,7 @@ import pinocchio as pin
 from harness.figures import percentiles, print_table
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
-from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
+from planners.goals import AnyGoal, JointGoal, PoseGoal, PositionGoal
 from planners.pipeline import Planner
 from planners.problem import CartesianPlan, CartesianProblem, Line, Plan, PlanningProblem, Request
 from planners.scene import Pose
@@ -69,7 +69,8 @@ class Draw:
         for number in range(PROBLEMS):
             start, end = self._state(), self._state()
             pose = self._pose(end)
-            goals: dict[str, Goal] = {"joint goal": JointGoal({name: self._named(end)[name] for name in group.joints})}
+            joint_goal = JointGoal({name: self._named(end)[name] for name in group.joints})
+            goals: dict[str, AnyGoal] = {"joint goal": joint_goal}
             if full:
                 turns_rad = (TURN_TOLERANCE_RAD,) * 3
                 goals["pose goal"] = PoseGoal(tip, pose, POSITION_TOLERANCE_M, turns_rad, strict=True)

@@ -9,11 +9,11 @@ from typing import Any
 
 from planners.geometry.collision import CollidingPair
 from planners.goals import (
+    AnyGoal,
     AnyOf,
     AxisGoal,
     ConstraintGoal,
     Constraints,
-    Goal,
     JointConstraint,
     JointGoal,
     OrientationConstraint,
@@ -151,7 +151,7 @@ def check_rates(problem: PlanningProblem | CartesianProblem) -> None:
     _check_time(problem.allowed_time_s)
 
 
-def check_goal(robot: RobotModel, group: Group, goal: Goal) -> None:
+def check_goal(robot: RobotModel, group: Group, goal: AnyGoal) -> None:
     """Check names and numbers of a goal, of every alternative if there are several."""
     goals = goal.goals if isinstance(goal, AnyOf) else (goal,)
     if not 0 < len(goals) <= MAX_ALTERNATIVES:

@@ -125,4 +125,4 @@ class AnyOf:
     goals: tuple[SingleGoal, ...]
 
 
-Goal = SingleGoal | AnyOf
+AnyGoal = SingleGoal | AnyOf

@@ -21,7 +21,7 @@ from planners.cartesian.tip_path import TipPath, first_part
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
-from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
+from planners.goals import AnyGoal, JointGoal, PoseGoal, PositionGoal
 from planners.ik.goal_states import GoalQuery, GoalStates
 from planners.motions.path import Project, Query, reachable
 from planners.problem import (
@@ -171,7 +171,7 @@ class _Search:
         self._project = project or (lambda point: np.clip(point, space.lower_rad, space.upper_rad))
         self._start = space.start
 
-    def phases(self, goal: Goal, *, around: bool) -> Iterator[tuple[Iterator[_TipOrJointGoal], Budget]]:
+    def phases(self, goal: AnyGoal, *, around: bool) -> Iterator[tuple[Iterator[_TipOrJointGoal], Budget]]:
         """Yield the candidates of each way to look for them, and the time for it."""
         match goal:
             # The check of a goal ends at the first flaw, which another flaw may follow.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planners.goals import Constraints, Goal, JointGoal, PoseGoal, PositionGoal
+from planners.goals import AnyGoal, Constraints, JointGoal, PoseGoal, PositionGoal
 from planners.scene import Pose
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.model import Joint
@@ -103,7 +103,7 @@ class PlanningProblem:
 
     group: str  # planning group of the SRDF
     start_rad: Mapping[str, float]  # position of every movable joint of the robot [rad]
-    goal: Goal
+    goal: AnyGoal
     velocity_scaling: float = 1.0  # share of the velocity limits to use, in (0, 1]
     acceleration_scaling: float = 1.0  # share of the acceleration limits to use, in (0, 1]
     allowed_time_s: float = 5.0  # planning time after which the answer is TIMED_OUT [s]
@@ -176,7 +176,7 @@ class IkQuestion:
     group: str  # the joints that may move
     # Position of every movable joint [rad]; the solution nearest in time to it is wanted.
     start_rad: Mapping[str, float]
-    goal: Goal  # what must hold
+    goal: AnyGoal  # what must hold
     avoid_collisions: bool = True  # whether solutions in contact count as none
     constraints: Constraints | None = None  # what must hold as well
     allowed_time_s: float = 0.05  # time after which the answer is TIMED_OUT [s]

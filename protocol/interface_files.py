@@ -3,7 +3,7 @@
 The grammar depends on the package's generation: ROS 2's has bounds, defaults and wide text
 (rosidl_adapter), of ROS 1 with ``time``, ``duration`` and ``Header`` (genmsg). Comments are passed over.
 
-A file is read to its end; each line that cannot be read becomes a `Problem`. The caller,
+A file is read to its end; each line that cannot be read becomes a `Flaw`. The caller,
 which knows all files, resolves the types that the file refers to.
 """
 
@@ -69,7 +69,7 @@ _OLD_TIMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces
 _HEADERS_OF_ROS1 = frozenset(("Header", "roslib/Header"))
 
 
-class Problem(NamedTuple):
+class Flaw(NamedTuple):
     """One problem of the interface files; ``line`` counts from 1, None for the whole file."""
 
     path: Path
@@ -99,7 +99,7 @@ class InterfaceFile:
     path: Path
     definition: Definition = field(default_factory=dict)
     references: list[Reference] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[Flaw] = field(default_factory=list)
 
 
 def is_spelled_as_ros1(text: str, *, has_header: bool) -> bool:
@@ -112,7 +112,7 @@ def read_file(path: Path, text: str, package: str, kind: Kind, generation: Gener
     read = InterfaceFile(f"{package}/{kind}/{path.stem}", path)
     if not _NAMES[generation]["type"].fullmatch(path.stem):
         wanted = _NAME_WORDS[generation]["type"]
-        read.problems.append(Problem(path, None, "", f"the file's name is the type's: wanted {wanted}"))
+        read.problems.append(Flaw(path, None, "", f"the file's name is the type's: wanted {wanted}"))
     lines = _LINE_BREAK.split(text.removeprefix("\N{BYTE ORDER MARK}"))
     members = [_Member(package, generation)]
     for number, line in enumerate(lines, 1):
@@ -122,14 +122,14 @@ def read_file(path: Path, text: str, package: str, kind: Kind, generation: Gener
         try:
             referred = members[-1].read(line)
         except ValueError as error:
-            read.problems.append(Problem(path, number, line, str(error)))
+            read.problems.append(Flaw(path, number, line, str(error)))
         else:
             if referred:
                 read.references.append(Reference(referred, number, line))
     names = _MEMBERS[kind]
     if len(members) != len(names):
         sentence = f"wanted {len(names) - 1} of the lines --- between {', '.join(names)}, got {len(members) - 1}"
-        read.problems.append(Problem(path, None, "", sentence))
+        read.problems.append(Flaw(path, None, "", sentence))
     rows = {name: {"fields": member.fields, "consts": member.constants} for name, member in zip(names, members)}  # noqa: B905
     read.definition = {"kind": kind, **(rows[""] if kind == "msg" else rows)}
     return read

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import get_args
 
 from protocol.errors import InterfaceFilesError
-from protocol.interface_files import PACKAGE_NAME, Generation, InterfaceFile, Problem, is_spelled_as_ros1, read_file
+from protocol.interface_files import PACKAGE_NAME, Flaw, Generation, InterfaceFile, is_spelled_as_ros1, read_file
 from protocol.registry import (
     Definition,
     Kind,
@@ -119,7 +119,7 @@ class _PackageReader:
     """Finds packages and reads their files, within the limits of all folders together."""
 
     def __init__(self) -> None:
-        self.problems: list[Problem] = []
+        self.problems: list[Flaw] = []
         self._files_left = MAX_FILES
         self._folders_left = MAX_FOLDERS
         # Real paths of the folders that were read: symbolic links may lead in a circle.
@@ -187,14 +187,14 @@ class _PackageReader:
                 root = ET.fromstring(text)  # noqa: S314 - the user's own file, given on the command line
             except (ET.ParseError, ValueError) as error:
                 line = error.position[0] if isinstance(error, ET.ParseError) else None
-                self.problems.append(Problem(manifest, line, "", f"is no XML: {error}"))
+                self.problems.append(Flaw(manifest, line, "", f"is no XML: {error}"))
                 return name, None
             name = (root.findtext("name") or name).strip()
             generation = _generation(root)
         if not PACKAGE_NAME.fullmatch(name):
             place = manifest if manifest.is_file() else folder
             sentence = "wanted a package's name of letters, digits and underscores"
-            self.problems.append(Problem(place, None, name, sentence))
+            self.problems.append(Flaw(place, None, name, sentence))
         return name, generation
 
     def _text(self, path: Path) -> str | None:
@@ -211,7 +211,7 @@ class _PackageReader:
         return octets.decode("utf-8", "surrogateescape")
 
     def _refuse(self, path: Path, sentence: str) -> None:
-        self.problems.append(Problem(path, None, "", sentence))
+        self.problems.append(Flaw(path, None, "", sentence))
 
 
 def _interface_files(folder: Path, kind: Kind) -> list[Path]:
@@ -240,13 +240,13 @@ def _is_spelled_as_ros1(package: _Package) -> bool:
     return any(is_spelled_as_ros1(text, has_header=has_header) for _, _, text in package.texts)
 
 
-def _table(files: Iterable[InterfaceFile], problems: list[Problem]) -> dict[str, Definition]:
+def _table(files: Iterable[InterfaceFile], problems: list[Flaw]) -> dict[str, Definition]:
     first: dict[str, InterfaceFile] = {}
     for file in files:
         other = first.setdefault(file.name, file)
         if other.definition != file.definition:
             sentence = f"defines {file.name} otherwise than {other.path} does; remove one of them"
-            problems.append(Problem(file.path, None, "", sentence))
+            problems.append(Flaw(file.path, None, "", sentence))
     return {name: file.definition for name, file in first.items()}
 
 
@@ -268,7 +268,7 @@ def _merged(tables: Mapping[Generation, dict[str, Definition]], own_packages: Co
     return UserInterfaces(user["ros2"], user["ros1"], packages, tuple(sorted(kept)), tuple(sorted(replaced)))
 
 
-def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterator[Problem]:
+def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterator[Flaw]:
     known: list[str] = []
     for file in files:
         for reference in file.references:
@@ -280,7 +280,7 @@ def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterat
             suffix = f"/{name.split('/')[1]}"
             meant = [each for each in known if each.endswith(suffix)] or get_close_matches(name, known, n=1)
             hint = f"; did you mean {meant[0]}?" if meant else ""
-            yield Problem(file.path, reference.line, reference.text, f"type {name} is unknown{hint}")
+            yield Flaw(file.path, reference.line, reference.text, f"type {name} is unknown{hint}")
 
 
 class _Sizes:
@@ -291,13 +291,13 @@ class _Sizes:
         # Of a type: values without lists, and values of one in which nothing is set.
         self._counted: dict[str, tuple[int, int]] = {}
 
-    def problems(self, files: Iterable[InterfaceFile]) -> Iterator[Problem]:
+    def problems(self, files: Iterable[InterfaceFile]) -> Iterator[Flaw]:
         for file in files:
             try:
                 for message in self._messages(file):
                     self._count(message.name, ())
             except _UnusableTypeError as error:
-                yield Problem(file.path, None, "", str(error))
+                yield Flaw(file.path, None, "", str(error))
 
     def _messages(self, file: InterfaceFile) -> list[MessageType]:
         if file.definition["kind"] == "msg":

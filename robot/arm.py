@@ -53,7 +53,7 @@ from robot.trajectory import Trajectory, Vector
 
 log = logging.getLogger("armbridge.arm")
 
-Answer = TypeVar("Answer", MotionEnded, CommandDone)
+Ending = TypeVar("Ending", MotionEnded, CommandDone)
 
 NO_MOTION = 0  # motions are numbered from 1 on
 
@@ -618,6 +618,6 @@ def _position_rad(state: ArmState) -> dict[str, float]:
     return {} if held_rad is None else dict(zip(state.joint_names, held_rad.tolist(), strict=True))
 
 
-def _settle(waiting: asyncio.Future[Answer] | None, answer: Answer) -> None:
+def _settle(waiting: asyncio.Future[Ending] | None, answer: Ending) -> None:
     if waiting is not None and not waiting.done():
         waiting.set_result(answer)

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
-from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.actions import ActionGoal, GoalStatus, Result
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.timers import CallLater
@@ -30,7 +30,7 @@ MAX_GOALS = 100
 ZERO = Stamp(0, 0)
 
 
-class Status(IntEnum):
+class ActionlibStatus(IntEnum):
     """Values of actionlib_msgs/GoalStatus that are published here."""
 
     PENDING = 0
@@ -42,7 +42,7 @@ class Status(IntEnum):
     PREEMPTING = 6
 
 
-STATUS_OF_END = {GoalStatus.SUCCEEDED: Status.SUCCEEDED, GoalStatus.CANCELED: Status.PREEMPTED}
+STATUS_OF_END = {GoalStatus.SUCCEEDED: ActionlibStatus.SUCCEEDED, GoalStatus.CANCELED: ActionlibStatus.PREEMPTED}
 
 
 @dataclass(eq=False)
@@ -50,10 +50,10 @@ class Tracked:
     """A goal of actionlib; ``sent`` is the goal of the action, until it has ended."""
 
     goal_id: GoalId
-    status: Status = Status.PENDING
+    status: ActionlibStatus = ActionlibStatus.PENDING
     text: str = ""
     ended_s: float | None = None
-    sent: Goal | None = None
+    sent: ActionGoal | None = None
 
     def message(self) -> dict[str, Any]:
         """Return the actionlib_msgs/GoalStatus."""
@@ -153,9 +153,9 @@ class BridgedAction:
             log.warning("%s: a goal of the id %r is known already", self._name, message["goal_id"]["id"])
             return
         if full:
-            self._end(goal, Status.REJECTED, f"too many goals of {self._name} are on their way", {})
+            self._end(goal, ActionlibStatus.REJECTED, f"too many goals of {self._name} are on their way", {})
             return
-        goal.status = Status.ACTIVE
+        goal.status = ActionlibStatus.ACTIVE
         sender = published.publisher if isinstance(published.publisher, Node) else self._node
         self._send(goal, sender, message["goal"])
         self.publish_status()
@@ -173,7 +173,7 @@ class BridgedAction:
     def _reject_unauthorized(self, message: Mapping[str, Any], sender: Node, reason: str) -> None:
         """Reject a goal that its sender may not send; nobody else waits for it, and it takes no place."""
         if message:
-            status = {"goal_id": message["goal_id"], "status": int(Status.REJECTED), "text": reason}
+            status = {"goal_id": message["goal_id"], "status": int(ActionlibStatus.REJECTED), "text": reason}
             self._graph.tell(sender, f"{self._name}/status", {"status_list": [*self._messages(), status]})
             self._graph.tell(sender, f"{self._name}/result", {"status": status})
 
@@ -201,20 +201,20 @@ class BridgedAction:
         for key, goal in list(self._goals.items()):
             selected = everything or key == name or ZERO < _stamp(goal.goal_id) <= stamp
             if selected and goal.sent is not None:
-                goal.status = Status.PREEMPTING
+                goal.status = ActionlibStatus.PREEMPTING
                 goal.sent.cancel()
         self.publish_status()
 
     def _on_result(self, goal: Tracked, result: Result) -> None:
         goal.sent = None
         if result.ok:
-            status = STATUS_OF_END.get(GoalStatus(result.status), Status.ABORTED)
+            status = STATUS_OF_END.get(GoalStatus(result.status), ActionlibStatus.ABORTED)
             self._end(goal, status, _sentence(result.values), result.values)
         else:
             taken_on = result.status != GoalStatus.UNKNOWN
-            self._end(goal, Status.ABORTED if taken_on else Status.REJECTED, str(result.values), {})
+            self._end(goal, ActionlibStatus.ABORTED if taken_on else ActionlibStatus.REJECTED, str(result.values), {})
 
-    def _end(self, goal: Tracked, status: Status, text: str, values: Mapping[str, Any]) -> None:
+    def _end(self, goal: Tracked, status: ActionlibStatus, text: str, values: Mapping[str, Any]) -> None:
         goal.status, goal.text, goal.ended_s = status, text, self._clock()
         self._publish("Result", goal, values)
         self.publish_status()

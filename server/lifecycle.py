@@ -107,9 +107,14 @@ class BackgroundTask(Feature):
         self._task.add_done_callback(_log_failure)
 
     async def stop(self) -> None:
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.wait([self._task])
+        await end_task(self._task)
+
+
+async def end_task(task: asyncio.Task[None] | None) -> None:
+    """Cancel a task, if there is one, and wait for its end."""
+    if task is not None:
+        task.cancel()
+        await asyncio.wait([task])
 
 
 def _log_failure(task: asyncio.Task[None]) -> None:

@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError, model_valid
 
 from planners import scene
 from planners.errors import ProblemFileError
-from planners.goals import AnyOf, AxisGoal, ConstraintGoal, Goal, JointGoal, PoseGoal, PositionGoal
+from planners.goals import AnyGoal, AnyOf, AxisGoal, ConstraintGoal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Point, Quaternion, Scene
 from robot.description.model import RobotModel
@@ -330,7 +330,7 @@ class _Reader:
         problem: PlanningProblem = self._validated(f"{where}.options", PlanningProblem, {**entry.options, **fields})
         return problem
 
-    def _goal(self, where: str, entry: _Entry) -> Goal:
+    def _goal(self, where: str, entry: _Entry) -> AnyGoal:
         if isinstance(entry.goal, list):
             values = self._of_joint(f"{where}.goal", entry.goal)
             return JointGoal(dict(zip(self._fields.joint_names, values, strict=True)))
@@ -347,7 +347,7 @@ class _Reader:
         if list(given) == [_ANY_OF] and isinstance(given[_ANY_OF], list):
             each = (self._single_goal(f"{where}.goal.{_ANY_OF}.{i}", one) for i, one in enumerate(given[_ANY_OF]))
             return AnyOf(tuple(each))
-        goal: Goal = self._single_goal(f"{where}.goal", given)
+        goal: AnyGoal = self._single_goal(f"{where}.goal", given)
         return goal
 
     def _single_goal(self, where: str, given: Any) -> Any:
@@ -418,7 +418,7 @@ def text(name: str, problem: PlanningProblem, scene: Scene, robot: RobotModel, a
     return json.dumps(whole, allow_nan=False, indent=1) + "\n"
 
 
-def _kind_and_fields(goal: Goal) -> dict[str, Any]:
+def _kind_and_fields(goal: AnyGoal) -> dict[str, Any]:
     if isinstance(goal, AnyOf):
         return {_ANY_OF: [_kind_and_fields(one) for one in goal.goals]}
     name = next(name for name, kind in _GOALS.items() if isinstance(goal, kind))

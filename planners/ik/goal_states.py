@@ -16,11 +16,11 @@ from planners.checks import check_start_contact, contact_failure, in_words
 from planners.geometry.collision import CollidingPair, CollisionModel
 from planners.geometry.kinematics import ForwardKinematics, Placements
 from planners.goals import (
+    AnyGoal,
     AnyOf,
     AxisGoal,
     ConstraintGoal,
     Constraints,
-    Goal,
     JointGoal,
     PoseGoal,
     PositionGoal,
@@ -315,7 +315,7 @@ class GoalStates:
 
         return project
 
-    def find(self, goal: Goal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
+    def find(self, goal: AnyGoal, query: GoalQuery) -> Sequence[GoalState] | PlanningFailure:
         """Find configurations in which a checked goal holds, the soonest reached first; or why there is none."""
         if not isinstance(goal, AnyOf):
             return self._single(goal, query)

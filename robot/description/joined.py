@@ -14,7 +14,7 @@ from typing import Any
 
 from robot.description import model
 from robot.description.meshes import find_mesh
-from robot.description.model import Gripper, Joint, JointLimits, RobotModel
+from robot.description.model import GripperModel, Joint, JointLimits, RobotModel
 from robot.description.urdf import origin_transform
 from robot.errors import DescriptionError
 
@@ -77,7 +77,7 @@ def prefixed(robot: RobotModel, name: str) -> RobotModel:
         **_shapes([robot], prefix),
         gripper=None
         if gripper is None
-        else Gripper(tuple(prefix + joint for joint in gripper.joints), gripper.open, gripper.closed),
+        else GripperModel(tuple(prefix + joint for joint in gripper.joints), gripper.open, gripper.closed),
         default_group=prefix + robot.default_group,
         tip_link=robot.tip_link and prefix + robot.tip_link,
         park_state=robot.park_state,

@@ -29,7 +29,7 @@ GRIPPER_GROUPS = ("gripper", "hand")  # names of a gripper's group in an SRDF wi
 
 
 @dataclass(frozen=True)
-class Gripper:
+class GripperModel:
     """Gripper of an arm."""
 
     joints: tuple[str, ...]  # its joints, one or two that mirror each other
@@ -77,7 +77,7 @@ class RobotModel:
     # Name of the root link's frame outside: the parent of the SRDF's virtual joint, or the root link.
     planning_frame: str = ""
     package_directories: tuple[Path, ...] = ()  # folders for `package://`, beside those around the URDF
-    gripper: Gripper | None = None
+    gripper: GripperModel | None = None
     default_group: str = ""  # group of goals that name none
     tip_link: str = ""  # link that pose goals of this group move; empty for a group that is no chain
     park_state: str = PARK_STATE  # name of the state in which the arm is parked; it need not exist
@@ -174,7 +174,7 @@ def _default_group(semantics: Semantics) -> str:
     return "arm" if "arm" in semantics.groups else next(iter([*chains, *semantics.groups]))
 
 
-def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gripper | None:
+def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> GripperModel | None:
     """Return the gripper of a group: an end effector at its tip, of one or two joints, or a group named as one."""
     groups = semantics.groups
     hands = [end for end in semantics.end_effectors if end.group != arm]
@@ -188,7 +188,7 @@ def _gripper(semantics: Semantics, joints: Mapping[str, Joint], arm: str) -> Gri
         ends = {_ends(joints[member], states) for member in members}
         # Two fingers move alike: a gripper has one position.
         if len(ends) == 1:
-            return Gripper(members, *ends.pop())
+            return GripperModel(members, *ends.pop())
     return None
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import robot.arms
 from robot.description import model, robot_file
 from robot.description.camera import Camera
-from robot.description.model import Gripper, Hull, JointLimits, LinkSurface, RobotModel
+from robot.description.model import GripperModel, Hull, JointLimits, LinkSurface, RobotModel
 from robot.description.robot_file import HardwareSection, RobotFile, ServoTable
 from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ServoSpec, Zero, ZeroTick
 from robot.errors import DescriptionError, RobotFileError
@@ -189,7 +189,7 @@ def load(
     arm = replace(
         arm,
         **shapes,
-        gripper=arm.gripper if file.gripper is None else Gripper(**file.gripper.model_dump()),
+        gripper=arm.gripper if file.gripper is None else GripperModel(**file.gripper.model_dump()),
         default_group=group,
         tip_link=file.planning.tip or arm.groups[group].tip_link,
         park_state=file.planning.park or arm.park_state,

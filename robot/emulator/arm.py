@@ -18,7 +18,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from robot.emulator.servo import EmulatedServo
-from robot.emulator.servo_bus import BAUDRATE, Codec, Faults, Reply, S, ServoBus, WriteLog
+from robot.emulator.servo_bus import BAUDRATE, Codec, EmulatedBus, Faults, Reply, S, WriteLog
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.interface import HardwareInterface
@@ -73,7 +73,7 @@ class Adapter(ABC):
 class InProcessPort(Adapter):
     """Port of an emulated bus without wire time for the host; it never waits, since its time is the caller's."""
 
-    def __init__(self, bus: ServoBus[Any], clock: Callable[[], float]) -> None:
+    def __init__(self, bus: EmulatedBus[Any], clock: Callable[[], float]) -> None:
         super().__init__(EmulatedConfig.port)
         self.port_name = self.port
         self.baudrate = BAUDRATE
@@ -169,7 +169,7 @@ class EmulatedArm(Generic[S]):
             self.world, move = joints.world, joints.move
         else:
             move = weight_of(robot, config.calibration, servos)
-        self.bus = ServoBus(servos, codec, faults, clock(), log, move, wire_time=False)
+        self.bus = EmulatedBus(servos, codec, faults, clock(), log, move, wire_time=False)
         self.port = InProcessPort(self.bus, clock)
         self._family = family
         # Emulated servos are built from the calibration, which therefore has their offsets, also where it was assumed.

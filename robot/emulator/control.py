@@ -16,7 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from robot.calibration import MAX_TICK
 from robot.emulator.arm import Adapter, InProcessPort
 from robot.emulator.feetech import FeetechServo
-from robot.emulator.servo_bus import ServoBus
+from robot.emulator.servo_bus import EmulatedBus
 from robot.hardware.feetech.registers import Register
 
 # A controller that sends more bytes than this without a line end is disconnected; a command is short.
@@ -42,7 +42,7 @@ MAX_HEAT_RATE = 3600  # an hour of heating in a second
 class Emulation:
     """Servo bus and adapter, the targets of commands."""
 
-    bus: ServoBus[FeetechServo]
+    bus: EmulatedBus[FeetechServo]
     adapter: Adapter
 
 
@@ -284,7 +284,7 @@ def _line(reply: Mapping[str, object]) -> bytes:
 class CommandedPort(InProcessPort):
     """Port that polls a socket for live commands, once at each time of the clock."""
 
-    def __init__(self, bus: ServoBus[FeetechServo], clock: Callable[[], float], control: ControlSocket) -> None:
+    def __init__(self, bus: EmulatedBus[FeetechServo], clock: Callable[[], float], control: ControlSocket) -> None:
         super().__init__(bus, clock)
         self._emulation = Emulation(bus, self)
         self._control = control

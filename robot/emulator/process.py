@@ -32,7 +32,7 @@ from robot.emulator.control import Controller, Emulation, LiveCommand, answer, c
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.plant import HAND_TICKS_S
 from robot.emulator.populations import POPULATIONS
-from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
+from robot.emulator.servo_bus import EmulatedBus, Faults, WriteLog
 from robot.errors import DescriptionError
 
 MAX_AT_S = 86_400.0  # a day; a later time is likely a mistaken unit
@@ -98,7 +98,7 @@ class ScriptLine(LiveCommand):
     at_s: Annotated[float, Field(ge=0.0, le=MAX_AT_S)]
 
 
-def read_script(path: Path, bus: ServoBus[FeetechServo]) -> tuple[TimedCommand, ...]:
+def read_script(path: Path, bus: EmulatedBus[FeetechServo]) -> tuple[TimedCommand, ...]:
     """Read a script and check its commands; raises OSError, and ValueError that names file and line."""
     commands: list[TimedCommand] = []
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):
@@ -113,7 +113,7 @@ def read_script(path: Path, bus: ServoBus[FeetechServo]) -> tuple[TimedCommand, 
     return tuple(commands)
 
 
-def _timed_command(line: bytes, previous_s: float, bus: ServoBus[FeetechServo]) -> TimedCommand:
+def _timed_command(line: bytes, previous_s: float, bus: EmulatedBus[FeetechServo]) -> TimedCommand:
     values = json_object(line)
     at_s = check(ScriptLine, values, bus.servos).at_s
     if at_s <= previous_s:
@@ -322,7 +322,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def build_bus(
     options: argparse.Namespace, resources: ExitStack, now_s: float, *, wire_time: bool = True
-) -> ServoBus[FeetechServo]:
+) -> EmulatedBus[FeetechServo]:
     """Build the servo bus of the options at a monotonic time [s]; the resources take over the files to close."""
     calibration = _calibration(options)
     start_rad = options.start or [0.0] * len(calibration.joints)
@@ -331,7 +331,7 @@ def build_bus(
     if options.write_log:
         log = WriteLog(options.write_log)
         resources.callback(log.close)
-    return ServoBus(
+    return EmulatedBus(
         servos,
         FEETECH,
         Faults(random=random.Random(options.seed)),  # noqa: S311 - repeatable faults, no secret
@@ -353,7 +353,7 @@ def configure(options: argparse.Namespace, emulation: Emulation) -> None:
     carry_out(check(LiveCommand, values, emulation.bus.servos), values, emulation)
 
 
-def build_rehearsal(options: argparse.Namespace, bus: ServoBus[FeetechServo]) -> Rehearsal:
+def build_rehearsal(options: argparse.Namespace, bus: EmulatedBus[FeetechServo]) -> Rehearsal:
     """Build the rehearsal of the options, without commands if they name none; raises as :func:`run` does."""
     if options.script:
         return Rehearsal(read_script(options.script, bus), repeats=options.repeat)
@@ -385,7 +385,12 @@ def run(options: argparse.Namespace) -> None:
 
 
 def serve(
-    bus: ServoBus[FeetechServo], adapter: UsbAdapter, controller: Controller, rehearsal: Rehearsal, *, essential: bool
+    bus: EmulatedBus[FeetechServo],
+    adapter: UsbAdapter,
+    controller: Controller,
+    rehearsal: Rehearsal,
+    *,
+    essential: bool,
 ) -> None:
     """Serve the bus until an essential controller has ended; the rehearsal starts with the first byte from a host."""
     emulation = Emulation(bus, adapter)

@@ -1,6 +1,6 @@
 """Emulated servo bus, alike in every family: instructions, replies, losses on the wire, and the log of every write.
 
-A :class:`ServoBus` takes the host's bytes and returns the replies; a family's :class:`Codec` parses and builds packets.
+An :class:`EmulatedBus` takes the host's bytes and returns replies; a family's :class:`Codec` parses and builds packets.
 Both families use the same codes of instructions (SDKs ``scservo_sdk`` and ``dynamixel_sdk``).
 """
 
@@ -222,7 +222,7 @@ class Reply:
         self.data = self.data[: max(0, passed)]
 
 
-class Answer(NamedTuple):
+class ServoReply(NamedTuple):
     """Servo that replies, the number of the error that it reports, 0 for none, and the data of its reply."""
 
     servo: EmulatedServo[Any]
@@ -235,7 +235,7 @@ class Answer(NamedTuple):
 Written: TypeAlias = dict[int, dict[int, bytes]]
 
 
-class ServoBus(Generic[S]):
+class EmulatedBus(Generic[S]):
     """Servos of an arm on one wire."""
 
     def __init__(
@@ -314,7 +314,7 @@ class ServoBus(Generic[S]):
             for address, data in written.items():
                 self.log.record_write(self._now_s, instruction.code, address, data, self.servos)
 
-    def _answers(self, instruction: Instruction, hearers: Sequence[S], written: Written) -> Iterator[Answer]:
+    def _answers(self, instruction: Instruction, hearers: Sequence[S], written: Written) -> Iterator[ServoReply]:
         """Carry out an instruction; yield the replies in the order of sending, and note the writes."""
         code, block_bytes = instruction.code, 2 * self._codec.word_bytes
         broadcast = instruction.servo_id == BROADCAST_ID
@@ -343,32 +343,32 @@ class ServoBus(Generic[S]):
                     # The write of a new id is acknowledged with the old one: lerobot's setup_motors waits for that.
                     yield answer._replace(servo_id=servo_id)
 
-    def _execute_on(self, servo: S, instruction: Instruction, written: Written) -> Answer | None:
+    def _execute_on(self, servo: S, instruction: Instruction, written: Written) -> ServoReply | None:
         parameters, word_bytes = instruction.parameters, self._codec.word_bytes
         if instruction.error:
-            return Answer(servo, instruction.error)
+            return ServoReply(servo, instruction.error)
         match instruction.code, len(parameters):
             case (code, 0) if code == INST_PING:
-                return Answer(servo, data=servo.ping())
+                return ServoReply(servo, data=servo.ping())
             case (code, count) if code == INST_READ and count == 2 * word_bytes:
-                return Answer(servo, data=servo.read(*self._words(parameters)))
+                return ServoReply(servo, data=servo.read(*self._words(parameters)))
             case (code, count) if code in (INST_WRITE, INST_REG_WRITE) and count > word_bytes:
                 (address,), data = self._words(parameters[:word_bytes]), parameters[word_bytes:]
                 if code == INST_REG_WRITE:
                     servo.kept_write = (address, data)
-                    return Answer(servo)
-                return Answer(servo, _write(servo, address, data, written))
+                    return ServoReply(servo)
+                return ServoReply(servo, _write(servo, address, data, written))
             case (code, 0) if code == INST_ACTION:
                 kept, servo.kept_write = servo.kept_write, None
-                return Answer(servo, _write(servo, *kept, written) if kept else 0)
+                return ServoReply(servo, _write(servo, *kept, written) if kept else 0)
             case (code, _) if servo.maintain(code):
-                return Answer(servo)
-        return None if self._codec.rejection is None else Answer(servo, self._codec.rejection)
+                return ServoReply(servo)
+        return None if self._codec.rejection is None else ServoReply(servo, self._codec.rejection)
 
-    def _sync_read(self, hearers: Sequence[S], address: int, length: int, ids: bytes) -> Iterator[Answer]:
+    def _sync_read(self, hearers: Sequence[S], address: int, length: int, ids: bytes) -> Iterator[ServoReply]:
         for servo_id in ids:
             asked = [servo for servo in hearers if servo.servo_id == servo_id]
-            yield from (Answer(servo, data=servo.read(address, length)) for servo in asked)
+            yield from (ServoReply(servo, data=servo.read(address, length)) for servo in asked)
             if not asked and self.faults.stall_behind_missing:
                 break
 
@@ -376,7 +376,7 @@ class ServoBus(Generic[S]):
         size = self._codec.word_bytes
         return [int.from_bytes(parameters[at : at + size], "little") for at in range(0, len(parameters), size)]
 
-    def _reply(self, answers: Sequence[Answer], baudrate: int) -> None:
+    def _reply(self, answers: Sequence[ServoReply], baudrate: int) -> None:
         """Put the reply of a servo on the wire; replies of several servos with the same id collide."""
         servo, byte_s = answers[0].servo, self._byte_s(baudrate)
         start_s = self._wire_free_s + (TURNAROUND_S + servo.return_delay_s if self._wire_time else 0.0)

@@ -62,7 +62,7 @@ class CertificateFiles:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class EnsuredCertificate:
     """Outcome of :func:`ensure_certificate`; ``reason`` is empty when the old certificate stays."""
 
     names: Sequence[str]
@@ -79,7 +79,9 @@ class _Pair:
     key: ec.EllipticCurvePrivateKey
 
 
-def ensure_certificate(files: CertificateFiles, names: Iterable[str], now: datetime | None = None) -> Outcome:
+def ensure_certificate(
+    files: CertificateFiles, names: Iterable[str], now: datetime | None = None
+) -> EnsuredCertificate:
     """Make the server's certificate, and the authority before it, unless they are good; raises ConfigurationError."""
     now = datetime.now(UTC) if now is None else now
     wanted = [str(each) for each in dict.fromkeys(_checked(name) for name in names)]
@@ -93,7 +95,7 @@ def ensure_certificate(files: CertificateFiles, names: Iterable[str], now: datet
         raise ConfigurationError(f"{files.directory}: the certificate cannot be kept there: {error}") from error
 
 
-def _ensure(files: CertificateFiles, wanted: Sequence[str], now: datetime) -> Outcome:
+def _ensure(files: CertificateFiles, wanted: Sequence[str], now: datetime) -> EnsuredCertificate:
     authority = _load(files.authority, files.authority_key)
     made_authority = authority is None or _ends(authority.certificate) < now + timedelta(days=VALID_DAYS)
     if authority is None or made_authority:
@@ -108,7 +110,7 @@ def _ensure(files: CertificateFiles, wanted: Sequence[str], now: datetime) -> Ou
         replace(files.certificate, _pem(present.certificate) + _pem(authority.certificate), 0o644)
     fingerprint = authority.certificate.fingerprint(SHA256()).hex(" ").upper()
     name = authority.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
-    return Outcome(
+    return EnsuredCertificate(
         _names(present.certificate), _ends(present.certificate), str(name), fingerprint, made_authority, reason
     )
 

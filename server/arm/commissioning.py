@@ -20,6 +20,7 @@ from server.errors import ServiceError
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import COMMISSIONING, CONFIGURING, Rule
+from server.lifecycle import end_task
 
 log = logging.getLogger("armbridge.commissioning")
 
@@ -179,9 +180,7 @@ class Commissioning:
             self._procedure.take_health(health)
 
     async def close(self) -> None:
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.wait([self._task])
+        await end_task(self._task)
 
     def _offer(self, name: str, type_name: str, work: Callable[[dict[str, Any]], str], rule: Rule) -> None:
         def serve(request: dict[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ STOP_TIMEOUT_S = 2.0
 # The timeout is by the arm's clock, which a paused simulation stops: interval of looks at that [s].
 PAUSE_LOOK_S = 0.1
 
-Response = dict[str, Any]
+ServiceFields = dict[str, Any]
 
 
 def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str], None]) -> None:
@@ -54,7 +54,7 @@ def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str]
         return _standstill(arm)
 
     def offer(name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
-        def serve(_request: Response) -> Awaitable[Response]:
+        def serve(_request: ServiceFields) -> Awaitable[ServiceFields]:
             return trigger_response(act())
 
         graph.offer(node, name, "std_srvs/Trigger", serve, rule=rule)
@@ -89,7 +89,7 @@ async def _standstill(arm: AnyArm) -> CommandDone:
     return CommandDone(0, done=done, message=text)
 
 
-async def trigger_response(answered: Awaitable[CommandDone]) -> Response:
+async def trigger_response(answered: Awaitable[CommandDone]) -> ServiceFields:
     done = await answered
     return {"success": done.done, "message": done.message}
 
@@ -130,7 +130,7 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
         else:
             log.warning("%s: data must be 0 to 1, a share of the planned speed, not %s", SPEED_FACTOR_TOPIC, factor)
 
-    def set_limit(request: Response) -> Response:
+    def set_limit(request: ServiceFields) -> ServiceFields:
         limit = request["speed_limit"]
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
             message = (
@@ -143,7 +143,7 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
 
     def offer(name: str, direction: PlaybackDirection, rule: Rule) -> None:
-        def serve(_request: Response) -> Response:
+        def serve(_request: ServiceFields) -> ServiceFields:
             if not moves(arm):
                 return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
             arm.change_pace(ChangePace(direction=direction))

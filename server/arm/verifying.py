@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from server.arm.arms import ServedArm
 from server.arm.commissioning import Dialogue, ProcedureFailed
 from server.arrival import arrival_epoch
 from server.errors import RefusedError
-from server.execution.goal import Goal
+from server.execution.goal import Goal, GoTo
 
 # Share of the velocity and acceleration limits: a hand can be pulled away.
 SLOWLY = 0.1
@@ -40,9 +40,6 @@ P_GAIN = "P_GAIN"
 
 # Ends of a goal that somebody or the arm has stopped: no other pose is tried then.
 STOPPED = frozenset({MoveItErrorCode.PREEMPTED, MoveItErrorCode.CONTROL_FAILED})
-
-# Queues a goal for joint positions [rad] at a share of the limits.
-GoTo = Callable[[Mapping[str, float], float], Goal]
 
 
 @dataclass

@@ -33,7 +33,7 @@ from server.diagnostic_values import LEVEL_OK, key_values
 from server.errors import GraphError, RefusedError, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
-from server.graph.actions import Goal
+from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -244,7 +244,7 @@ def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: Rob
         raise _invalid(text)
 
 
-class Phase(StrEnum):
+class PolicyPhase(StrEnum):
     """Phases of an arm's policy; chunks are refused while it is paused or taken over."""
 
     IDLE = "idle"
@@ -260,7 +260,7 @@ class _Followed:
     publisher: object
     motion: ChunkMotion
     epoch: int
-    goal: Goal | None
+    goal: ActionGoal | None
     number: str = ""
     begun_until_s: float = math.nan
     over: bool = False
@@ -294,9 +294,9 @@ class ActionChunks:
         self._heard_s, self._stopped = -math.inf, 0
         # Time of the last resumption [s since the epoch].
         self._resumed_s = 0.0
-        self._phase, self._message = Phase.IDLE, ""
+        self._phase, self._message = PolicyPhase.IDLE, ""
         graph.advertise(node, STATE, STATE_TYPE, latch=True)
-        self._show(Phase.IDLE, "no chunk is followed")
+        self._show(PolicyPhase.IDLE, "no chunk is followed")
         self._queue.give_way(joints - self._fingers, self._take_over)
         graph.offer(node, PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
         graph.offer_calls(node, RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
@@ -316,7 +316,7 @@ class ActionChunks:
             self._publish(refused_answer(message, error))
             raise GraphError("topic", self._graph.resolve(NAME), error.failure.message) from error
 
-    def _start(self, goal: Goal) -> None:
+    def _start(self, goal: ActionGoal) -> None:
         message = goal.request["chunk"]
         try:
             number = self._submit(goal.action, message, goal.sender, goal)
@@ -327,10 +327,10 @@ class ActionChunks:
         else:
             cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
 
-    def _submit(self, source: str, message: Message, publisher: object, goal: Goal | None = None) -> str:
+    def _submit(self, source: str, message: Message, publisher: object, goal: ActionGoal | None = None) -> str:
         """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
         now_s, former = self._clock(), self._followed
-        if self._phase in (Phase.PAUSED, Phase.TAKEN_OVER):
+        if self._phase in (PolicyPhase.PAUSED, PolicyPhase.TAKEN_OVER):
             # Its request has taken control from nobody.
             self._leave_control(publisher)
             resume = self._graph.resolve(RESUME)
@@ -370,26 +370,26 @@ class ActionChunks:
     def _take_over(self, hand: str) -> None:
         """Give way to a person, unless no policy moves the arm."""
         recent = self._clock() - self._heard_s <= PAUSE_S
-        if self._phase is Phase.PAUSED or (self._phase is not Phase.TAKEN_OVER and recent):
-            self._halt(Phase.TAKEN_OVER, f"{hand} has taken over")
+        if self._phase is PolicyPhase.PAUSED or (self._phase is not PolicyPhase.TAKEN_OVER and recent):
+            self._halt(PolicyPhase.TAKEN_OVER, f"{hand} has taken over")
 
     def _pause(self, _request: Message) -> Message:
-        if self._phase is not Phase.TAKEN_OVER:
-            self._halt(Phase.PAUSED, "the policy is paused")
+        if self._phase is not PolicyPhase.TAKEN_OVER:
+            self._halt(PolicyPhase.PAUSED, "the policy is paused")
         return {"success": True, "message": self._message}
 
     def _resume(self, call: Call) -> None:
         self._leave_control(call.caller)
         self._resumed_s = time.time()
-        self._show(Phase.IDLE, "the next chunk is followed")
+        self._show(PolicyPhase.IDLE, "the next chunk is followed")
         answer_call(call, lambda _request: {"success": True, "message": self._message})
 
     def _stop(self, _request: Message) -> Message:
         self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf
-        self._halt(Phase.IDLE, "the policy is stopped")
+        self._halt(PolicyPhase.IDLE, "the policy is stopped")
         return {"success": True, "message": self._message}
 
-    def _halt(self, phase: Phase, message: str) -> None:
+    def _halt(self, phase: PolicyPhase, message: str) -> None:
         """Brake on the path of the chunk that is followed, and hold; another client may take control."""
         self._show(phase, message)
         if self._followed is not None:
@@ -401,10 +401,10 @@ class ActionChunks:
         if isinstance(client, Node):
             self._lease.leave(client)
 
-    def _show(self, phase: Phase, message: str) -> None:
+    def _show(self, phase: PolicyPhase, message: str) -> None:
         if (phase, message) == (self._phase, self._message):
             return
-        if Phase.TAKEN_OVER in (phase, self._phase) or Phase.PAUSED in (phase, self._phase):
+        if PolicyPhase.TAKEN_OVER in (phase, self._phase) or PolicyPhase.PAUSED in (phase, self._phase):
             log.info("%s: %s", self._graph.resolve(NAME), message)
         self._phase, self._message = phase, message
         client = "" if self._followed is None else str(self._followed.publisher)
@@ -425,7 +425,7 @@ class ActionChunks:
             # A stop that came after the chunk keeps its gripper still, too.
             with arrived_in(followed.epoch):
                 self._gripper.follow(fingers)
-        self._show(Phase.FOLLOWING, f"{followed.publisher} moves the arm")
+        self._show(PolicyPhase.FOLLOWING, f"{followed.publisher} moves the arm")
         answer = self._answer(motion, MoveItErrorCode.SUCCESS, begun_message(motion))
         self._publish(answer)
         if followed.goal is not None:
@@ -441,8 +441,8 @@ class ActionChunks:
         # A chunk that another has joined has its answer, unless the other came before it began.
         if answer.code is not MoveItErrorCode.SUCCESS and not (joined and followed.begun_until_s > 0.0):
             self._publish(end)
-        if followed is self._followed and self._phase is Phase.FOLLOWING:
-            self._show(Phase.IDLE, "no chunk is followed")
+        if followed is self._followed and self._phase is PolicyPhase.FOLLOWING:
+            self._show(PolicyPhase.IDLE, "no chunk is followed")
         if followed.goal is not None:
             followed.goal.finish(goal_status(answer.code), {"answer": end})
 

@@ -1,7 +1,7 @@
 """Students of a classroom: a port, a folder and a token each, and the list of them that a teacher hands out."""
 
 import csv
-import os
+import io
 import secrets
 import socket
 from collections.abc import Mapping, Sequence
@@ -12,6 +12,7 @@ from typing import Any
 
 from pydantic import SecretStr
 
+from robot import files
 from server.access.settings import check_token
 from server.config import Settings
 from server.errors import ConfigurationError, StartError
@@ -104,15 +105,12 @@ def write_list(file: Path, students: Sequence[Student], teacher_token: str, host
     """Write a line for each student and one for the teacher, readable by the user alone."""
     shown = reachable_name(host)
     scheme = "wss" if tls else "ws"
-    temporary = file.with_suffix(".new")
+    owners = [*((each.name, each.port, each.token) for each in students), (TEACHER, students[0].port, teacher_token)]
+    lines = io.StringIO()
+    rows = csv.writer(lines, lineterminator="\n")
+    rows.writerows([COLUMNS, *((name, f"{scheme}://{shown}:{port}", token) for name, port, token in owners)])
     try:
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        with os.fdopen(descriptor, "w", newline="") as lines:
-            rows = csv.writer(lines, lineterminator="\n")
-            rows.writerow(COLUMNS)
-            rows.writerows((each.name, f"{scheme}://{shown}:{each.port}", each.token) for each in students)
-            rows.writerow((TEACHER, f"{scheme}://{shown}:{students[0].port}", teacher_token))
-        temporary.replace(file)
+        files.replace(file, lines.getvalue().encode(), 0o600)
     except OSError as error:
         raise StartError(f"{file}: cannot be written: {error}") from error
 

@@ -14,7 +14,7 @@ from server.commands.terminal import ExitCode, Terminal
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from server.access.certificates import CertificateFiles, Outcome
+    from server.access.certificates import CertificateFiles, EnsuredCertificate
 
 _PHONES = """\
 Bring {authority} onto each phone, once.
@@ -96,7 +96,7 @@ def ensure_token(directory: Path) -> tuple[Path, str]:
     return file, token
 
 
-def description_of(files: CertificateFiles, outcome: Outcome, tokens: Path, token: str) -> str:
+def description_of(files: CertificateFiles, outcome: EnsuredCertificate, tokens: Path, token: str) -> str:
     certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"
     made = f"{certificate}; it was made because {outcome.reason}." if outcome.reason else f"{certificate}; it stays."
     known = "" if outcome.made_authority else " Phones that trust it already need nothing."

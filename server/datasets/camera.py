@@ -20,6 +20,7 @@ from websockets.asyncio.client import ClientConnection
 from server.errors import ServerError
 from server.lifecycle import run_until_signal
 from server.publishing_client import PublishedTopic, PublishingClient
+from server.timers import call_in_loop
 
 TEST_DEVICE = "test"
 TEST_WIDTH, TEST_HEIGHT = 640, 480
@@ -233,7 +234,7 @@ class CameraClient(PublishingClient):
         self._options = options
         self._arrived = asyncio.Event()
         loop = asyncio.get_running_loop()
-        self.images = NewestImage(source, 1.0 / options.fps, lambda: _wake(loop, self._arrived))
+        self.images = NewestImage(source, 1.0 / options.fps, lambda: call_in_loop(loop, self._arrived.set))
 
     @property
     def ended(self) -> bool:
@@ -271,12 +272,6 @@ class CameraClient(PublishingClient):
                 await self.send(connection, _message(captured, jpeg, options.frame_id))
                 await (await connection.ping())
             self.published += 1
-
-
-def _wake(loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
-    """Set an event of a loop from another thread, unless the loop has ended."""
-    with contextlib.suppress(RuntimeError):
-        loop.call_soon_threadsafe(event.set)
 
 
 def _message(captured: Captured, jpeg: bytes, frame_id: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.datasets import lerobot
 from server.datasets.episodes import IMAGES, MAX_GAP_S, Episode, checked_task, episodes_of
-from server.datasets.frames import Frames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
+from server.datasets.frames import EpisodeFrames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
 from server.datasets.lerobot import ImageStatistics, VideoError, VideoWriter, pixels_of
 from server.datasets.samples import (
     CONTROLLER_STATE,
@@ -82,7 +82,7 @@ class Exported:
 class _Source:
     samples: Samples
     cameras: dict[str, str]
-    episodes: list[Frames] = field(default_factory=list)
+    episodes: list[EpisodeFrames] = field(default_factory=list)
     actions: list[str] = field(default_factory=list)
 
 
@@ -233,7 +233,7 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
     return [] if left else chosen
 
 
-def _in_units(frames: Frames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> Frames:
+def _in_units(frames: EpisodeFrames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> EpisodeFrames:
     if options.units == "rad":
         return frames
     ranges, zeros_rad = samples.ranges, samples.zeros_rad
@@ -289,8 +289,8 @@ def camera_keys(topics: Iterable[str]) -> dict[str, str]:
 
 def _write_videos(
     root: Path, sources: Sequence[_Source], options: ExportOptions, registry: Registry, tell: Tell
-) -> dict[str, lerobot.Camera]:
-    cameras: dict[str, lerobot.Camera] = {}
+) -> dict[str, lerobot.CameraVideo]:
+    cameras: dict[str, lerobot.CameraVideo] = {}
     with ExitStack() as stack:
         writers = {
             key: stack.enter_context(VideoWriter(lerobot.video_file(root, key), options.fps))
@@ -301,7 +301,7 @@ def _write_videos(
             tell(f"{source.samples.path}: writing {len(writers)} videos ...")
             _add_images(source, writers, statistics, registry)
         for key, writer in writers.items():
-            cameras[key] = lerobot.Camera(*writer.shape, statistics[key])
+            cameras[key] = lerobot.CameraVideo(*writer.shape, statistics[key])
     return cameras
 
 

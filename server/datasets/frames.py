@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from server.datasets.episodes import MAX_GAP_S, Episode
-from server.datasets.samples import Positions, Times
+from server.datasets.samples import PositionRows, Times
 
 # One frame has no motion.
 MIN_FRAMES = 2
@@ -26,9 +26,9 @@ class Tracks:
     """Tracks of a recording by time [s]: positions (n, joints), actions, None for the next state, and images."""
 
     state_times_s: Times
-    states: Positions
+    states: PositionRows
     action_times_s: Times | None
-    actions: Positions | None
+    actions: PositionRows | None
     image_times_s: Mapping[str, Times]
     action_name: str = ""
 
@@ -39,7 +39,7 @@ class Tracks:
 
 
 @dataclass(frozen=True)
-class Frames:
+class EpisodeFrames:
     """Frames of an episode: positions of shape (frames, joints), and by camera the index of each frame's image.
 
     Attributes:
@@ -48,8 +48,8 @@ class Frames:
 
     task: str
     start_s: float
-    states: Positions
-    actions: Positions
+    states: PositionRows
+    actions: PositionRows
     images: Mapping[str, NDArray[np.int64]]
     interventions: NDArray[np.bool_] | None = None
 
@@ -59,7 +59,7 @@ class Frames:
         return len(self.states)
 
 
-def frames_of(episode: Episode, tracks: Tracks, fps: int, max_gap_s: float = MAX_GAP_S) -> Frames:
+def frames_of(episode: Episode, tracks: Tracks, fps: int, max_gap_s: float = MAX_GAP_S) -> EpisodeFrames:
     """Return the frames of an episode: the first one where everything has begun, the others at a fixed rate after it.
 
     A state is interpolated between the two that were measured around the frame. Action and image are the last ones
@@ -93,10 +93,10 @@ def frames_of(episode: Episode, tracks: Tracks, fps: int, max_gap_s: float = MAX
     else:
         actions = tracks.actions[_last_before(tracks.action_times_s, at_s)]
     images = {topic: _last_before(times, at_s[:usable]) for topic, times in tracks.image_times_s.items()}
-    return Frames(episode.task, start_s, states, actions, images)
+    return EpisodeFrames(episode.task, start_s, states, actions, images)
 
 
-def gripper_percent(positions: Positions, limits: tuple[float, float]) -> Positions:
+def gripper_percent(positions: PositionRows, limits: tuple[float, float]) -> PositionRows:
     """Return positions of a gripper as lerobot has them: 0 at the lower limit, 100 at the upper."""
     lower, upper = limits
     return (positions - lower) / (upper - lower) * 100.0
@@ -108,11 +108,11 @@ def is_gripper(joint: str) -> bool:
 
 
 def in_lerobot_units(
-    positions: Positions,
+    positions: PositionRows,
     joints: Sequence[str],
     ranges: Mapping[str, tuple[float, float]],
     zeros_rad: Mapping[str, float],
-) -> Positions:
+) -> PositionRows:
     """Return positions of shape (n, joints) [rad] in degrees from zeros, grippers in percent of their ranges."""
     columns = [
         gripper_percent(column, ranges[name]) if is_gripper(name) else np.degrees(column - zeros_rad[name])

@@ -21,7 +21,7 @@ import pybase64
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from server.datasets.frames import Frames
+from server.datasets.frames import EpisodeFrames
 from server.datasets.samples import COLOURS
 
 CODEC, PIXEL_FORMAT = "h264", "yuv420p"
@@ -194,7 +194,7 @@ INDEX_COLUMNS = {
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraVideo:
     """Video of a camera, as it was written."""
 
     height: int
@@ -209,8 +209,8 @@ class Dataset:
     fps: int
     joints: Sequence[str]
     robot_type: str | None
-    episodes: Sequence[Frames]
-    cameras: Mapping[str, Camera]
+    episodes: Sequence[EpisodeFrames]
+    cameras: Mapping[str, CameraVideo]
 
     @property
     def frames(self) -> int:

@@ -15,14 +15,14 @@ from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.arm.topics import CALIBRATED_RANGE
 from server.chunks.action_chunks import STATE as POLICY_TOPIC
-from server.chunks.action_chunks import Phase
+from server.chunks.action_chunks import PolicyPhase
 from server.datasets.episodes import EPISODE_TOPIC, IMAGES, RAW_IMAGE
 from server.errors import RecordingError
 from server.recording.bags import messages
 from server.recording.files import RecordedMessage
 
 Times: TypeAlias = NDArray[np.float64]
-Positions: TypeAlias = NDArray[np.float64]
+PositionRows: TypeAlias = NDArray[np.float64]
 
 STATE_TOPIC = "/joint_states"
 LEADER_TOPIC = "/teleop/leader_joint_states"
@@ -173,10 +173,10 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
 
 def interventions(samples: Samples, at_s: Times) -> NDArray[np.bool_] | None:
     """Return True for each time [s since the epoch] at which a person had taken over; None without a policy."""
-    if all(phase == Phase.IDLE for _, phase in samples.phases):
+    if all(phase == PolicyPhase.IDLE for _, phase in samples.phases):
         return None
     began_s = [-np.inf, *(log_s for log_s, _ in samples.phases)]
-    taken_over = np.array([False, *(phase == Phase.TAKEN_OVER for _, phase in samples.phases)])
+    taken_over = np.array([False, *(phase == PolicyPhase.TAKEN_OVER for _, phase in samples.phases)])
     result: NDArray[np.bool_] = taken_over[np.searchsorted(began_s, at_s, side="right") - 1]
     return result
 
@@ -197,7 +197,7 @@ def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:
     return result
 
 
-def series(samples: Sequence[JointSample], names: Sequence[str]) -> tuple[Times, Positions]:
+def series(samples: Sequence[JointSample], names: Sequence[str]) -> tuple[Times, PositionRows]:
     """Return times [s], increasing, and positions [rad, m] of shape (n, joints); incomplete messages are left out."""
     wanted = list(names)
     columns: dict[tuple[str, ...], list[int] | None] = {}

@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.arm_group import AnyArm
 from robot.messages import Pace, PlaybackDirection
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import refused
-from server.execution.motions import Joints, Motion, Performed
+from server.execution.motions import Joints, Motion, Performed, Positions
 from server.graph.node import Node
 
 Result = TypeVar("Result")
@@ -50,7 +50,7 @@ class TimeLimits:
             raise refused(code, text, duration_s=duration_s, limit_s=limit_s)
 
 
-class ArmClock:
+class ArmStopwatch:
     """Stopwatch on the slower of two clocks, the arm's and this machine's.
 
     A busy machine slows a simulated arm's clock down. A server that stood still itself receives all the arm's time at
@@ -296,3 +296,7 @@ class Goal(CancelScope):
         if self.progress is None or self.progress.state is not GoalState.EXECUTING:
             return None
         return self.progress.remaining_s
+
+
+# Queues a goal for positions of joints, at a share of their limits; raises RefusedError.
+GoTo: TypeAlias = Callable[[Positions, float], Goal]

@@ -40,7 +40,7 @@ Positions: TypeAlias = Mapping[str, float]
 Problem: TypeAlias = PlanningProblem | CartesianProblem | JointPathProblem
 
 
-class Step(ABC):
+class MotionStep(ABC):
     """Motion to plan, whose problem is built when the goal's turn comes: the arm may hold elsewhere by then."""
 
     @abstractmethod
@@ -52,7 +52,7 @@ class Step(ABC):
 class PlannedMotion:
     """Sequence of motions to plan and then to execute."""
 
-    steps: tuple[Step, ...]  # each makes its problem from the end of the one before
+    steps: tuple[MotionStep, ...]  # each makes its problem from the end of the one before
     joints: Joints
     # Makes the scene to plan in for the arm's positions, or raises RefusedError; None for the present scene.
     scene: Callable[[Positions], Scene] | None = None
@@ -136,7 +136,9 @@ class PlannedSequence:
         return PlannedSequence(performed, (*self.methods, method), (*self.notes, note) if note else self.notes)
 
 
-async def plan_sequence(steps: Sequence[Step], start_rad: Positions, scene: Scene, ask: AskPlanner) -> PlannedSequence:
+async def plan_sequence(
+    steps: Sequence[MotionStep], start_rad: Positions, scene: Scene, ask: AskPlanner
+) -> PlannedSequence:
     """Plan all steps, or those before the first that cannot be planned."""
     now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
     for number, step in enumerate(steps):

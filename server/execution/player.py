@@ -19,7 +19,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
-from server.execution.goal import Answer, ArmClock, CancelScope, Goal, GoalState, Progress
+from server.execution.goal import Answer, ArmStopwatch, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
 from server.execution.motions import OUTGOING_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
 
@@ -85,7 +85,7 @@ class MotionWatch:
         gripping: bool = False,
     ) -> None:
         self._arm, self._motion, self._scope, self._gripping = arm, motion, scope, gripping
-        self._arm_clock = ArmClock(arm, clock)
+        self._arm_clock = ArmStopwatch(arm, clock)
         self._awaited: tuple[asyncio.Future[Any], ...] = (motion, scope.cancelled)
 
     @property

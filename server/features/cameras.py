@@ -30,7 +30,7 @@ from server.features.context import ServerContext
 from server.features.physics import Physics
 from server.graph.node import Node
 from server.graph.permissions import WORKING
-from server.lifecycle import Feature
+from server.lifecycle import Feature, end_task
 from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.scene.collision_objects import CollisionObject
 from server.moveit.scene.physical_bodies import body_of
@@ -104,9 +104,7 @@ class Cameras(Feature):
     async def stop(self) -> None:
         """End the process."""
         self._over = True
-        if self._process is not None:
-            self._process.cancel()
-            await asyncio.wait([self._process])
+        await end_task(self._process)
 
     @property
     def observes_states(self) -> bool:

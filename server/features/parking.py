@@ -84,7 +84,7 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
     return None
 
 
-class Parking:
+class ArmParking:
     """Parking of one arm, and the service for it.
 
     Attributes:
@@ -228,7 +228,7 @@ class KeptWays:
     goes back.
     """
 
-    def __init__(self, parkings: Sequence[Parking], context: ServerContext) -> None:
+    def __init__(self, parkings: Sequence[ArmParking], context: ServerContext) -> None:
         self._parkings = parkings
         self._arm, self._planning, self._queue = context.whole.served.arm, context.planning, context.goals.queue
         self._place: _Place | None = None
@@ -275,7 +275,7 @@ class KeptWays:
 
     async def _plan(self, place: _Place) -> None:
         scene = self._planning.scene_state.scene
-        plans: dict[Parking, Plan] = {}
+        plans: dict[ArmParking, Plan] = {}
         refusal: PlanningFailure | None = None
         for each in self._parkings:
             if each.holds and refusal is None:
@@ -331,7 +331,7 @@ class LastClient:
         settings: ArmSettings,
         drivers: Collection[object],
         queue: GoalQueue,
-        parking: Parking,
+        parking: ArmParking,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
@@ -388,11 +388,11 @@ class Parkings(Feature):
     beyond_total = True
 
     def __init__(self, context: ServerContext) -> None:
-        self._parkings: list[Parking] = []
+        self._parkings: list[ArmParking] = []
         self._several = len(context.single_arms) > 1
         self.last_clients: list[BackgroundTask] = []
         for each, arm in context.single_arms:
-            parking, settings = Parking(arm, each), each.served.settings
+            parking, settings = ArmParking(arm, each), each.served.settings
             self._parkings.append(parking)
             if settings.on_last_client != "nothing":
                 last_client = LastClient(arm, settings, context.access.drivers, context.goals.queue, parking)

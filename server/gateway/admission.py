@@ -23,7 +23,7 @@ from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import parse_qs, unquote
 
 from websockets.datastructures import Headers
 
@@ -467,11 +467,4 @@ def _tokens(request: HandshakeRequest) -> set[str]:
     in_header = [line[len(_BEARER) :].strip() for line in lines if line[: len(_BEARER)].lower() == _BEARER]
     if "?" not in request.path:
         return set(in_header)
-    return {*in_header, *parse_qs(_query(request.path), keep_blank_values=True).get("token", [])}
-
-
-def _query(path: str) -> str:
-    try:
-        return urlsplit(path).query
-    except ValueError:
-        return path.partition("?")[2]
+    return {*in_header, *parse_qs(request.path.partition("?")[2], keep_blank_values=True).get("token", [])}

@@ -39,7 +39,7 @@ from robot.logs import LogLimiter
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.errors import GraphError
-from server.gateway.turns import Scheduling
+from server.gateway.turns import ClientScheduling
 from server.graph.message_types import ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -183,7 +183,7 @@ class Gateway:
     graph: Graph
     access: Access
     throttle: AuthThrottle
-    scheduling: Scheduling
+    scheduling: ClientScheduling
     budget: SendBudget = field(default_factory=SendBudget)
     limits: Limits = field(default_factory=Limits)
     ros_version: int = 2

@@ -22,7 +22,7 @@ from protocol.operations import (
 )
 from protocol.session import with_id
 from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, VALUES_LIMIT, ClientContext
-from server.graph.actions import Actions, Goal, GoalStatus, Result
+from server.graph.actions import ActionGoal, Actions, GoalStatus, Result
 from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.permissions import WORKING, Role
 from server.graph.services import Call, Response, Services
@@ -193,14 +193,14 @@ class ClientActions(_Offers):
         self._actions = context.graph.actions
         super().__init__(context, "action", self._actions)
         # Goals that the client is to reach, by the ids that it got.
-        self._requested: dict[Mark, Goal] = {}
+        self._requested: dict[Mark, ActionGoal] = {}
         # Goals that the client has sent: action and the client's id.
-        self._sent: dict[Goal, tuple[str, Mark]] = {}
+        self._sent: dict[ActionGoal, tuple[str, Mark]] = {}
 
     def advertise(self, operation: AdvertiseAction) -> None:
         self._client.detect_dialect(operation.type, "action")
 
-        def start(goal: Goal) -> None:
+        def start(goal: ActionGoal) -> None:
             self._request(operation, goal)
 
         actions, node = self._actions, self._node
@@ -209,7 +209,7 @@ class ClientActions(_Offers):
     def unadvertise(self, operation: UnadvertiseAction) -> None:
         self._withdraw(operation, operation.action)
 
-    def _request(self, offer: AdvertiseAction, goal: Goal) -> None:
+    def _request(self, offer: AdvertiseAction, goal: ActionGoal) -> None:
         id_ = f"action_goal:{offer.action}:{next(self._numbers)}"
         self._requested[id_] = goal
         goal.when_ended(lambda _result: self._requested.pop(id_))
@@ -238,7 +238,7 @@ class ClientActions(_Offers):
             values = f"Action {goal.action} failed" if operation.values is None else operation.values
             goal.fail(values, operation.status)
 
-    def _goal(self, operation: ActionFeedback | ActionResult) -> Goal:
+    def _goal(self, operation: ActionFeedback | ActionResult) -> ActionGoal:
         goal = self._requested.get(operation.id)
         if goal is None:
             raise OperationError(operation.op, "id", "no goal of this id is on its way")

@@ -30,7 +30,7 @@ log = logging.getLogger("armbridge.gateway")
 # Frames of this size and more are read by a thread: a thousand operations in a frame of 40 kB take 7 ms.
 LONG_FRAME_BYTES = 16_384
 
-# Operations in one client's inbox beyond which its socket is not read, as beyond `Scheduling.limit_bytes`. A stop
+# Operations in one client's inbox beyond which its socket is not read, as beyond `ClientScheduling.limit_bytes`. A stop
 # behind them waits for its turn.
 MAX_WAITING = 4_096
 

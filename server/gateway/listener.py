@@ -26,7 +26,7 @@ from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import TcpStream, Transport, keep_alive
-from server.gateway.turns import Scheduling, Threads, Turns
+from server.gateway.turns import ClientScheduling, Threads, Turns
 from server.gateway.websocket import WebSocket
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -246,7 +246,9 @@ class Listener:
             graph,
             self._access,
             self.admission.auth_throttle,
-            Scheduling(Turns(lambda call: asyncio.get_running_loop().call_soon(call), time.monotonic), self._threads),
+            ClientScheduling(
+                Turns(lambda call: asyncio.get_running_loop().call_soon(call), time.monotonic), self._threads
+            ),
             SendBudget(settings.max_queued_bytes),
             settings.limits,
             settings.ros_version,

@@ -149,7 +149,7 @@ LEAST_WAITING_BYTES = 262_144
 
 
 @dataclass
-class Scheduling:
+class ClientScheduling:
     """Turns, threads and memory, which all clients share."""
 
     turns: Turns

@@ -13,7 +13,7 @@ import re
 import secrets
 from collections.abc import Awaitable, Callable
 from typing import cast
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosedOK, InvalidMessage
@@ -268,7 +268,7 @@ class WebSocket(Transport):
 
     def _open(self, request: Request) -> None:
         self._opened = True
-        self.query = parse_qs(urlsplit(request.path).query) if "?" in request.path else {}
+        self.query = parse_qs(request.path.partition("?")[2])
         # websockets holds on to the request, whose headers take as much memory as all else of an idle client.
         request.headers.clear()
         self._call_later(self._settings.ping_interval_s, self._ping)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from server.errors import GraphError
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.node import Node
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class ActionTopics:
         self._topics = topics
         self._clock = clock
         # By action, the oldest goal first.
-        self._goals: dict[str, dict[Goal, _TrackedStatus]] = {}
+        self._goals: dict[str, dict[ActionGoal, _TrackedStatus]] = {}
 
     def open(self, node: Node, action: str, type_name: str) -> None:
         self._goals[action] = {}
@@ -67,7 +67,7 @@ class ActionTopics:
         self._topics.unadvertise(node, action + STATUS)
         self._topics.unadvertise(node, action + FEEDBACK)
 
-    def follow(self, node: Node, goal: Goal) -> None:
+    def follow(self, node: Node, goal: ActionGoal) -> None:
         """Tell of a goal that its provider is just getting, until it ends."""
         goal_id = {"uuid": b64encode(goal.goal_id).decode()}
         stamp = self._topics.message_types.now().as_message()

@@ -47,7 +47,7 @@ class Result:
     values: Any
 
 
-class Goal(PendingRequest[Result]):
+class ActionGoal(PendingRequest[Result]):
     """A goal that its provider is to end with :meth:`finish` or :meth:`fail`; only the first end counts.
 
     ``names`` are the action's name and its type.
@@ -138,7 +138,7 @@ CANCEL_ACCEPTED, CANCEL_UNKNOWN_GOAL = 0, 2
 ALL_GOALS = b64encode(bytes(16)).decode()
 
 
-class Actions(Providers[Goal]):
+class Actions(Providers[ActionGoal]):
     """All actions, with their goals by id in base64; each has a service ``<action>/_action/cancel_goal``."""
 
     def __init__(
@@ -153,7 +153,7 @@ class Actions(Providers[Goal]):
         node: Node,
         name: str,
         type_name: str,
-        start: Callable[[Goal], None],
+        start: Callable[[ActionGoal], None],
         limits: ListLimits | None = None,
         *,
         rule: Rule | None = None,
@@ -187,7 +187,7 @@ class Actions(Providers[Goal]):
         on_result: Callable[[Result], None],
         on_feedback: Callable[[dict[str, Any]], None] | None = None,
         goal_id: bytes | None = None,
-    ) -> Goal | None:
+    ) -> ActionGoal | None:
         """Send a goal; return it, or None when it was not taken on.
 
         ``on_result`` is called once, perhaps before this returns, unless the sender leaves before.
@@ -198,7 +198,7 @@ class Actions(Providers[Goal]):
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
-        goal = Goal((name, offer.type_name), request, self._message_types, sender, on_feedback, goal_id)
+        goal = ActionGoal((name, offer.type_name), request, self._message_types, sender, on_feedback, goal_id)
         limit_s, key = offer.limit_s, b64encode(goal.goal_id).decode()
         self._keep(goal, offer, key, goal.sender, limit_s, f"Action {goal.action} took more than {limit_s:g} s")
         self._topics.follow(offer.node, goal)
@@ -217,7 +217,7 @@ class Actions(Providers[Goal]):
             if goal.sender_left and goal.sender_id == sender_id:
                 goal.cancel()
 
-    def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> Provider[Goal]:
+    def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> Provider[ActionGoal]:
         offer = self._offers.get(name)
         if offer is None:
             raise GraphError("action", name, "does not exist")
@@ -227,7 +227,7 @@ class Actions(Providers[Goal]):
             raise GraphError("action", name, f"has a goal of the id {goal_id.hex()} already")
         return offer
 
-    def _end_requests(self, offer: Provider[Goal]) -> None:
+    def _end_requests(self, offer: Provider[ActionGoal]) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         super()._end_requests(offer)
         self._topics.close(offer.node, offer.name)
@@ -237,7 +237,7 @@ def _cancel_service(action: str) -> str:
     return f"{action}/_action/cancel_goal"
 
 
-def _cancel(offer: Provider[Goal], request: dict[str, Any]) -> dict[str, Any]:
+def _cancel(offer: Provider[ActionGoal], request: dict[str, Any]) -> dict[str, Any]:
     wanted = request["goal_info"]["goal_id"]["uuid"]
     canceling = {
         goal_id: goal

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from protocol.publication import PublishedMessage
-from server.graph.actions import Goal
+from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -62,9 +62,9 @@ class LocalGraph:
         self._graph.services.offer_calls(node, self.resolve(name), type_name, start, *limits, rule=self._below(rule))
 
     def offer_action(
-        self, node: Node, name: str, type_name: str, start: Callable[[Goal], None], *limits: ListLimits, rule: Rule
+        self, node: Node, name: str, type_name: str, start: Callable[[ActionGoal], None], *limit: ListLimits, rule: Rule
     ) -> None:
-        self._graph.actions.offer(node, self.resolve(name), type_name, start, *limits, rule=self._below(rule))
+        self._graph.actions.offer(node, self.resolve(name), type_name, start, *limit, rule=self._below(rule))
 
     def _below(self, rule: Rule) -> Rule:
         return replace(rule, arm=self._prefix.removeprefix("/"))

@@ -27,6 +27,7 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
+from server.moveit.messages import Message
 from server.named_files import in_thread, read_json, set_aside
 
 log = logging.getLogger("armbridge.named_states")
@@ -48,7 +49,6 @@ MAX_PATTERN_LENGTH = 100
 MAX_REPEATS = 2
 
 States: TypeAlias = dict[str, dict[str, float]]
-Request: TypeAlias = dict[str, Any]
 
 # Returns all saved states after a change of those before; raises ServiceError when they cannot be changed so.
 Change: TypeAlias = Callable[[States], States]
@@ -272,7 +272,7 @@ class NamedStatesServices:
         self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
 
     def _offer(self, name: str, type_name: str, function: ServiceFunction, rule: Rule) -> None:
-        def serve(request: Request) -> Answered | Awaitable[Answered]:
+        def serve(request: dict[str, Any]) -> Answered | Awaitable[Answered]:
             if request["robot"] not in ("", self._robot.name):
                 raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {self._robot.name!r}")
             return function(request)
@@ -286,7 +286,7 @@ class NamedStatesServices:
         }
         self._graph.publish(self._node, NAMED_STATES_TOPIC, {"data": json.dumps(states)})
 
-    def _list(self, request: Request) -> Request:
+    def _list(self, request: Message) -> Message:
         pattern = request["regex"]
         repeats = sum(map(pattern.count, "*+?{"))
         if len(pattern) > MAX_PATTERN_LENGTH or repeats > MAX_REPEATS or "(" in pattern:
@@ -298,7 +298,7 @@ class NamedStatesServices:
             raise ServiceError(f"regex: {pattern!r} is no regular expression: {error}") from error
         return {"states": [name for name in self._states.names() if wanted.fullmatch(name)]}
 
-    async def _save(self, request: Request) -> Request:
+    async def _save(self, request: Message) -> Message:
         """Save the state in the request; without joints, the present positions of the arm."""
         given = request["state"]["joint_state"]
         names, positions = given["name"], given["position"]
@@ -310,7 +310,7 @@ class NamedStatesServices:
         await self._states.save(request["name"], positions_rad)
         return {"success": True}
 
-    def _get(self, request: Request) -> Request:
+    def _get(self, request: Message) -> Message:
         found = self._states.find(request["name"])
         if found is None:
             raise ServiceError(
@@ -318,10 +318,10 @@ class NamedStatesServices:
             )
         return {"state": state_message(dict(found[1]), self._robot.root_link, 0.0)}
 
-    async def _rename(self, request: Request) -> Request:
+    async def _rename(self, request: Message) -> Message:
         await self._states.rename(request["old_name"], request["new_name"])
         return {}
 
-    async def _delete(self, request: Request) -> Request:
+    async def _delete(self, request: Message) -> Message:
         await self._states.delete(request["name"])
         return {}

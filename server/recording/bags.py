@@ -13,7 +13,7 @@ import yaml
 
 from server.errors import RecordingError
 from server.recording.files import QOS_KEY, RecordedMessage, is_latched
-from server.recording.replay import Recording
+from server.recording.replay import RecordingFile
 
 METADATA_FILE = "metadata.yaml"
 SQLITE = ".db3"
@@ -38,7 +38,7 @@ def messages(path: Path) -> Iterator[RecordedMessage]:
             except sqlite3.Error as error:
                 raise RecordingError(file, f"is no SQLite file of rosbag2: {error}") from error
         else:
-            for chunk in Recording(file).chunks():
+            for chunk in RecordingFile(file).chunks():
                 yield from chunk
 
 

@@ -70,7 +70,7 @@ class Summary:
     complete: bool = True
 
 
-class Recording:
+class RecordingFile:
     """MCAP file to read."""
 
     def __init__(self, path: Path) -> None:
@@ -230,7 +230,7 @@ class ReplayServer:
         # There is no arm to control, so no client needs the lease.
         access = Access(options.access.model_copy(update={"control": "shared"}))
         self._listener = Listener(self._graph, options.server, access=access)
-        self._recording = Recording(options.path)
+        self._recording = RecordingFile(options.path)
         self._player = RecordingPlayer(self._graph, self._recording, options.rate)
 
     async def run(self) -> None:
@@ -276,7 +276,7 @@ class ReplayServer:
 class RecordingPlayer:
     """Publishes a recording on a graph, with the recorded timing."""
 
-    def __init__(self, graph: Graph, recording: Recording, rate: float = 1.0) -> None:
+    def __init__(self, graph: Graph, recording: RecordingFile, rate: float = 1.0) -> None:
         self._graph = graph
         self._recording = recording
         self._rate = rate

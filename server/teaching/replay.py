@@ -15,9 +15,9 @@ from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from server.errors import RefusedError, ServiceError, invalid
 from server.execution.goal import Answer, Progress
-from server.execution.motions import PlannedMotion, Positions, Step
+from server.execution.motions import MotionStep, PlannedMotion, Positions
 from server.execution.queue import GoalQueue
-from server.graph.actions import Goal
+from server.graph.actions import ActionGoal
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Graph
@@ -39,7 +39,7 @@ MAX_REPEAT = 100
 def offer_replay(
     graph: Graph, robot: RobotModel, motions: MotionFiles, queue: GoalQueue, problems: ProblemBuilder
 ) -> None:
-    async def submit(goal: Goal) -> None:
+    async def submit(goal: ActionGoal) -> None:
         name, repeat = goal.request["name"], goal.request["repeat"]
         try:
             speed = read_speed(goal.request["speed"])
@@ -66,7 +66,7 @@ def offer_replay(
             if not goal.ended:
                 submit_goal(goal, queue, motion, feedback, explained)
 
-    def start(goal: Goal) -> None:
+    def start(goal: ActionGoal) -> None:
         task = asyncio.create_task(submit(goal), name="a replay")
         # The goal keeps the task alive, which the event loop does not.
         goal.when_ended(lambda _end: task)
@@ -75,7 +75,7 @@ def offer_replay(
 
 
 @dataclass(frozen=True)
-class TaughtStep(Step):
+class TaughtStep(MotionStep):
     """Taught motion at a share of its speed."""
 
     taught: TaughtMotion

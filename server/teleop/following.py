@@ -23,7 +23,7 @@ TRACKING_LATENCIES = 2.0
 ACCELERATION_SHARE = 0.5
 
 
-class Phase(StrEnum):
+class FollowingPhase(StrEnum):
     """Phases of teleoperation."""
 
     IDLE = "idle"
@@ -33,7 +33,7 @@ class Phase(StrEnum):
     HOLDING = "holding"
 
 
-class Act(StrEnum):
+class FollowerAct(StrEnum):
     """Act that a tick asks for."""
 
     NOTHING = "nothing"
@@ -49,7 +49,7 @@ class Following:
     """
 
     def __init__(self) -> None:
-        self.phase = Phase.RAMPING
+        self.phase = FollowingPhase.RAMPING
         self.message = "the follower goes to where the leader is"
         self._asked = False
         self._stale_since_s = math.inf
@@ -57,9 +57,9 @@ class Following:
     @property
     def ended(self) -> bool:
         """True when the follower follows no more, and will not again."""
-        return self.phase is Phase.IDLE
+        return self.phase is FollowingPhase.IDLE
 
-    def tick(self, now_s: float, age_s: float, *, jump: str = "", obstacle: str = "") -> Act:
+    def tick(self, now_s: float, age_s: float, *, jump: str = "", obstacle: str = "") -> FollowerAct:
         """Decide on the present moment.
 
         Args:
@@ -71,70 +71,70 @@ class Following:
             RAMP once for each ramp, BRAKE once for each end of a motion.
         """
         if self.ended:
-            return Act.NOTHING
+            return FollowerAct.NOTHING
         if obstacle:
             return self.end(obstacle)
         stale = age_s > STALE_S
         match self.phase:
-            case Phase.RAMPING:
+            case FollowingPhase.RAMPING:
                 if not self._asked and not stale:
                     self._asked = True
-                    return Act.RAMP
+                    return FollowerAct.RAMP
                 if stale:
                     return self._wait_for_leader(now_s)
-            case Phase.FOLLOWING:
+            case FollowingPhase.FOLLOWING:
                 if jump:
                     return self._hold(f"{jump}: close the clutch to go on")
-                return self._wait_for_leader(now_s) if stale else Act.FOLLOW
-            case Phase.BRAKING:
+                return self._wait_for_leader(now_s) if stale else FollowerAct.FOLLOW
+            case FollowingPhase.BRAKING:
                 if not stale:
                     self._ramp()
                 elif now_s - self._stale_since_s > RETURN_S:
                     return self.end(f"the leader has sent nothing for {RETURN_S:g} s")
-        return Act.NOTHING
+        return FollowerAct.NOTHING
 
     def take_ramp_end(self, failure: str) -> None:
         """Take the end of the ramp, or the reason for which the ramp did not arrive."""
-        if self.phase is not Phase.RAMPING:
+        if self.phase is not FollowingPhase.RAMPING:
             return
         if failure:
             self.end(f"the follower does not reach the leader: {failure}")
         else:
-            self.phase, self.message = Phase.FOLLOWING, ""
+            self.phase, self.message = FollowingPhase.FOLLOWING, ""
 
-    def set_clutch(self, *, closed: bool) -> Act:
+    def set_clutch(self, *, closed: bool) -> FollowerAct:
         """Open the clutch, so that the follower holds, or close it, so that it goes to the leader and follows."""
         if self.ended:
-            return Act.NOTHING
+            return FollowerAct.NOTHING
         if not closed:
             return self._hold("the clutch is open")
-        if self.phase is Phase.HOLDING:
+        if self.phase is FollowingPhase.HOLDING:
             self._ramp()
-        return Act.NOTHING
+        return FollowerAct.NOTHING
 
-    def interrupt(self, now_s: float, reason: str) -> Act:
+    def interrupt(self, now_s: float, reason: str) -> FollowerAct:
         """Brake, and ramp again as soon as that can be: the follower came to rest by itself."""
-        self.phase, self.message, self._stale_since_s = Phase.BRAKING, reason, now_s
-        return Act.BRAKE
+        self.phase, self.message, self._stale_since_s = FollowingPhase.BRAKING, reason, now_s
+        return FollowerAct.BRAKE
 
-    def end(self, reason: str) -> Act:
+    def end(self, reason: str) -> FollowerAct:
         if self.ended:
-            return Act.NOTHING
-        self.phase, self.message = Phase.IDLE, reason
-        return Act.BRAKE
+            return FollowerAct.NOTHING
+        self.phase, self.message = FollowingPhase.IDLE, reason
+        return FollowerAct.BRAKE
 
     def _ramp(self) -> None:
-        self.phase, self.message = Phase.RAMPING, "the follower goes to where the leader is"
+        self.phase, self.message = FollowingPhase.RAMPING, "the follower goes to where the leader is"
         self._asked = False
 
-    def _hold(self, message: str) -> Act:
-        self.phase, self.message = Phase.HOLDING, message
-        return Act.BRAKE
+    def _hold(self, message: str) -> FollowerAct:
+        self.phase, self.message = FollowingPhase.HOLDING, message
+        return FollowerAct.BRAKE
 
-    def _wait_for_leader(self, now_s: float) -> Act:
-        self.phase, self.message = Phase.BRAKING, f"the leader has sent nothing for {STALE_S:g} s"
+    def _wait_for_leader(self, now_s: float) -> FollowerAct:
+        self.phase, self.message = FollowingPhase.BRAKING, f"the leader has sent nothing for {STALE_S:g} s"
         self._stale_since_s = now_s
-        return Act.BRAKE
+        return FollowerAct.BRAKE
 
 
 @dataclass(frozen=True)

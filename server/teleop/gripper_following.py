@@ -10,6 +10,7 @@ from robot.messages import Outcome
 from robot.trajectory import Vector
 from server.errors import RefusedError
 from server.execution.goal import CancelScope
+from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.teleop.following import TrackingLimits, tracking_velocity
 
@@ -47,10 +48,7 @@ class GripperFollowing:
 
     async def close(self) -> None:
         """End at once; the gripper comes to rest by itself."""
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
+        await end_task(self._task)
 
     async def _steer(self, claim: CancelScope) -> None:
         # A refusal is one of the whole arm, whose motions are refused as well.

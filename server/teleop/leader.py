@@ -189,7 +189,7 @@ class JointLink:
 
 
 @dataclass(frozen=True)
-class JointMap:
+class FollowingJoints:
     """Joints that follow."""
 
     links: tuple[JointLink, ...]
@@ -240,7 +240,7 @@ def joint_map(
     scale: float = 1.0,
     mirror: bool = False,
     pairs: tuple[Sequence[str], Sequence[str]] = ((), ()),
-) -> JointMap:
+) -> FollowingJoints:
     """Map a leader's joints to a follower's joints.
 
     Args:
@@ -278,7 +278,7 @@ def joint_map(
         joint = own[follower]
         share = (1.0 if joint.name in fingers else scale) * (-1.0 if joint.name in turned else 1.0)
         links.append(JointLink(led[leader], joint.name, share, joint.lower, joint.upper))
-    return JointMap(tuple(links))
+    return FollowingJoints(tuple(links))
 
 
 def _known(field: str, name: str, joints: Mapping[str, object]) -> str:

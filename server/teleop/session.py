@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
@@ -14,16 +13,16 @@ from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError
-from server.execution.goal import Answer, Goal
+from server.execution.goal import Answer, Goal, GoTo
 from server.execution.monitors import check_ready
-from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
+from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
-from server.teleop.following import STALE_S, Act, Following, Phase, TrackingLimits, tracking_velocities
+from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocities
 from server.teleop.gripper_following import GripperFollowing
-from server.teleop.leader import JitterBuffer, JointMap
+from server.teleop.leader import FollowingJoints, JitterBuffer
 
 log = logging.getLogger("armbridge.teleop")
 
@@ -41,9 +40,6 @@ MAX_LAG_RAD = 1.2
 
 # States are published as often as people read them [s].
 SHOWN_EVERY_S = 0.2
-
-# Queues a goal for joints; raises RefusedError.
-GoTo: TypeAlias = Callable[[Positions, float], Goal]
 
 
 @dataclass(frozen=True)
@@ -74,7 +70,7 @@ class Follower:
 class FollowingState:
     """State of a following."""
 
-    phase: Phase
+    phase: FollowingPhase
     message: str
     # From the leader's reading until the arm process has the velocities that follow from it, which its next tick
     # carries out [s].
@@ -99,7 +95,7 @@ class FollowingSession:
     def __init__(
         self,
         follower: Follower,
-        joints: JointMap,
+        joints: FollowingJoints,
         samples: JitterBuffer,
         context: FollowingContext,
         show: Callable[[FollowingState], None],
@@ -137,7 +133,7 @@ class FollowingSession:
         self._came = asyncio.Event()
         self._period_s = (LATE if samples.at_once else 1.0) * PERIOD_S
         self._speed_scale = 1.0
-        self._shown: tuple[Phase, str] | None = None
+        self._shown: tuple[FollowingPhase, str] | None = None
         self._shown_at_s = 0.0
         self._task: asyncio.Task[None] | None = None
 
@@ -162,10 +158,7 @@ class FollowingSession:
     async def close(self) -> None:
         """End at once; the arm comes to rest by itself."""
         self.end("the server is ending")
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
+        await end_task(self._task)
         if self._gripper is not None:
             await self._gripper.close()
         await self._servo.close()
@@ -188,7 +181,7 @@ class FollowingSession:
         self._came.clear()
         now_s = self._clock()
         obstacle = self._obstacle(now_s)
-        if self._interrupted and not obstacle and self.following.phase is Phase.FOLLOWING:
+        if self._interrupted and not obstacle and self.following.phase is FollowingPhase.FOLLOWING:
             # The planners were late and the arm has come to rest by itself, or the leader is far away.
             self._carry_out(self.following.interrupt(now_s, self._interrupted), now_s)
         self._interrupted = ""
@@ -206,7 +199,7 @@ class FollowingSession:
             check_ready(follower.arm)
         except RefusedError as error:
             return str(error)
-        if self.following.phase is Phase.FOLLOWING and (busy := self._queue.busy(follower.joints)):
+        if self.following.phase is FollowingPhase.FOLLOWING and (busy := self._queue.busy(follower.joints)):
             return f"the arm is in use: {busy}"
         if self._ramp is not None and self._ramp.remaining_s is not None:
             self._ramp_moved_s = now_s
@@ -216,13 +209,13 @@ class FollowingSession:
         pose = self._samples.pose(now_s)
         return "" if pose is None else self._joints.beyond_range(pose.positions_rad)
 
-    def _carry_out(self, act: Act, now_s: float) -> None:
+    def _carry_out(self, act: FollowerAct, now_s: float) -> None:
         match act:
-            case Act.RAMP:
+            case FollowerAct.RAMP:
                 self._begin_ramp(now_s)
-            case Act.FOLLOW:
+            case FollowerAct.FOLLOW:
                 self._follow(now_s)
-            case Act.BRAKE:
+            case FollowerAct.BRAKE:
                 self._servo.release()
                 if self._ramp is not None:
                     ramp, self._ramp = self._ramp, None

@@ -21,7 +21,7 @@ from server.graph.services import Work, telling
 from server.graph.topics import Graph, Subscriber
 from server.lifecycle import Feature
 from server.moveit.messages import Message
-from server.teleop.following import STALE_S, Phase
+from server.teleop.following import STALE_S, FollowingPhase
 from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample, joint_map
 from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 
@@ -116,7 +116,7 @@ class _Following:
     leader: Leader
     node: Node
     session: FollowingSession | None = None
-    phase: Phase = Phase.IDLE
+    phase: FollowingPhase = FollowingPhase.IDLE
     targets_rad: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -180,7 +180,7 @@ class Teleoperation(Feature):
         self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start, SWITCHING)
         self._offer(below + STOP, "std_srvs/srv/Trigger", stop, STOPPING)
         self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch, SWITCHING)
-        state = FollowingState(Phase.IDLE, f"nothing follows: {below}{START} begins", 0.0, 0.0, 1.0)
+        state = FollowingState(FollowingPhase.IDLE, f"nothing follows: {below}{START} begins", 0.0, 0.0, 1.0)
         self._graph.publish(self._node, below + STATE_TOPIC, _state_message("", "", state))
 
     @property
@@ -322,7 +322,7 @@ class Teleoperation(Feature):
         self._graph.publish(self._node, STATE_TOPIC, message)
         if follower.prefix:
             self._graph.publish(self._node, f"/{follower.name}{STATE_TOPIC}", message)
-        if state.phase is Phase.IDLE:
+        if state.phase is FollowingPhase.IDLE:
             self._forget(follower, following)
 
     def _show_targets(self, following: _Following, targets_rad: Mapping[str, float]) -> None:

@@ -18,12 +18,13 @@ from server.access.authorization import Authorizer, rule_of_service
 from server.arrival import arrived_in
 from server.errors import GraphError
 from server.graph.action_topics import ENDED_KEPT_S
-from server.graph.actions import MAX_GOAL_S, Goal, GoalStatus, Result
+from server.graph.actions import MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.services import LOCAL_TIMEOUT_S, Call, Response
+from server.timers import call_in_loop
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
-from server.zenoh.session import ReceiveQueue, call_in_loop
+from server.zenoh.session import ReceiveQueue
 
 if TYPE_CHECKING:
     import zenoh
@@ -147,7 +148,7 @@ class CalledAction:
         self._network = network
         self._name = name
         self._type_name = type_name = endpoint.type_name.removesuffix(SEND_GOAL_TYPE)
-        self._goals: dict[bytes, Goal] = {}
+        self._goals: dict[bytes, ActionGoal] = {}
         self._received = ReceiveQueue[bytes](network.loop, self._take_feedback)
         network.graph.actions.offer(network.node, name, type_name, self._start)
         parts, title = f"{endpoint.name.removesuffix(SEND_GOAL)}{ACTION_PARTS}", f"Action {name}"
@@ -196,7 +197,7 @@ class CalledAction:
 
         self._network.decode_member(self._feedback.type_name, "feedback", octets, take)
 
-    def _start(self, goal: Goal) -> None:
+    def _start(self, goal: ActionGoal) -> None:
         network, goal_id = self._network, {"uuid": b64encode(goal.goal_id).decode()}
 
         def take_acceptance(octets: bytes) -> None:

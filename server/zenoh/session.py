@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 import queue
 import threading
@@ -12,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
+from server.timers import call_in_loop
 from server.zenoh.settings import error_text
 
 if TYPE_CHECKING:
@@ -163,10 +163,3 @@ class ReceiveQueue(Generic[Item]):
             self._scheduled = bool(self._waiting)
         if self._scheduled:
             self._loop.call_soon(self._handle_some)
-
-
-def call_in_loop(loop: asyncio.AbstractEventLoop, function: Callable[..., object], *arguments: object) -> None:
-    """Call a function in the event loop soon, from any thread; do nothing if the loop is closed."""
-    # The server may have stopped while the network goes on.
-    with contextlib.suppress(RuntimeError):
-        loop.call_soon_threadsafe(function, *arguments)

@@ -24,7 +24,7 @@ from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_context import ClientContext, Gateway
-from server.gateway.turns import Scheduling, Turns, encode_or_log
+from server.gateway.turns import ClientScheduling, Turns, encode_or_log
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, Identity, Role
 from server.graph.topics import Graph
@@ -92,7 +92,7 @@ class World:
             }
         )
         self.access = Access(settings, self.clock, self.clock, lambda: None)
-        scheduling = Scheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
+        scheduling = ClientScheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
         self.gateway = Gateway(self.graph, self.access, AuthThrottle(self.clock), scheduling)
         self.sockets: dict[int, UnreadSocket] = {}
         self.clients = [self._enter(number) for number in range(len(CLIENTS))]

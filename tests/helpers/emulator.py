@@ -12,7 +12,7 @@ from robot.control.pacing import LoopClock
 from robot.emulator.arm import InProcessPort
 from robot.emulator.control import Emulation, answer
 from robot.emulator.process import add_options, build_bus, configure
-from robot.emulator.servo_bus import Reply, ServoBus
+from robot.emulator.servo_bus import EmulatedBus, Reply
 from robot.hardware.feetech.bus import Bus, checksum
 from robot.hardware.feetech.family import ACCELERATION
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
@@ -48,7 +48,7 @@ class SteppedClock(LoopClock):
 class WiredPort(InProcessPort):
     """Port whose bytes take their time on the wire; who waits for them moves the clock."""
 
-    def __init__(self, bus: ServoBus[Any], clock: SteppedClock) -> None:
+    def __init__(self, bus: EmulatedBus[Any], clock: SteppedClock) -> None:
         super().__init__(bus, clock)
         self.latency_s, self.quiet_s = LOCAL_LATENCY_S, QUIET_S
         self._stepped = clock

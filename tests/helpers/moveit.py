@@ -23,7 +23,7 @@ from server.execution import goal as execution
 from server.execution.goal import Answer, GoalPolicy
 from server.execution.monitors import CurrentState
 from server.execution.queue import GoalQueue
-from server.graph.actions import Goal, Result
+from server.graph.actions import ActionGoal, Result
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.display import DisplayTopics
@@ -273,7 +273,7 @@ class ActionDesk(ServiceRig, GoalRunner):
         if goal.request.motion is None:
             self.refused.append(answer.message)
 
-    async def send(self, action: str, **goal: Any) -> Goal:
+    async def send(self, action: str, **goal: Any) -> ActionGoal:
         """Send a goal, and let everything that it sets going come to rest."""
         type_name = self.graph.actions.names.type_of(action)
         assert type_name is not None

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from server.execution.motions import Positions, Problem, Step
+from server.execution.motions import MotionStep, Positions, Problem
 
 
 @dataclass(frozen=True)
-class StepOf(Step):
+class StepOf(MotionStep):
     """Step with a function that builds its problem."""
 
     build: Callable[[Positions], Problem]

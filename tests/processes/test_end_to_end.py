@@ -20,7 +20,7 @@ from harness.server import RunningServer, read_write_log
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.installation import PAGE_DIRECTORY
-from server.recording.replay import Recording
+from server.recording.replay import RecordingFile
 from tests.helpers.robots import nominal_calibration, so101
 
 # What the Unreal client sends, to the letter.
@@ -223,7 +223,7 @@ def test_a_goal_its_answer_and_the_motion_are_in_the_recording(ended: Ended) -> 
 def has_joint_states(recording: Path) -> bool:
     """Whether a recording, ended or not, has joint states."""
     try:
-        return "/joint_states" in {each.topic for each in Recording(recording).summary().topics}
+        return "/joint_states" in {each.topic for each in RecordingFile(recording).summary().topics}
     except RecordingError:
         return False
 

@@ -8,7 +8,7 @@ from protocol.codecs import cdr
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from server.recording.files import McapFile, RecordedMessage
-from server.recording.replay import Recording
+from server.recording.replay import RecordingFile
 
 REGISTRY = Registry.load()
 START_NS = 1_700_000_000_000_000_000
@@ -46,7 +46,7 @@ def record(path: Path, entries: Iterable[RecordedMessage], registry: Registry = 
 
 def recorded_messages(path: Path) -> list[RecordedMessage]:
     """Return all messages of a recording, as they are in the file."""
-    return [each for chunk in Recording(path).chunks() for each in chunk]
+    return [each for chunk in RecordingFile(path).chunks() for each in chunk]
 
 
 def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:

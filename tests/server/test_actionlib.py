@@ -3,8 +3,8 @@ from typing import Any
 import pytest
 
 from protocol.dialect import to_ros1
-from server.actionlib import MAX_GOALS, ActionlibBridge, Status, has_actionlib_types
-from server.graph.actions import Goal, GoalStatus
+from server.actionlib import MAX_GOALS, ActionlibBridge, ActionlibStatus, has_actionlib_types
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
@@ -20,7 +20,7 @@ class Stage:
     def __init__(self) -> None:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, self.clock, lambda: 1000.0, self.clock.call_later)
-        self.goals: list[Goal] = []
+        self.goals: list[ActionGoal] = []
         self.heard: dict[str, list[Any]] = {}
         server = Node("server")
         for name, type_name in ((MOVE, MOVE_TYPE), (FOLLOW, FOLLOW_TYPE)):
@@ -65,19 +65,19 @@ def test_a_status_comes_five_times_a_second_before_there_is_any_goal(stage: Stag
 def test_a_goal_goes_its_way_from_active_to_its_result(stage: Stage) -> None:
     stage.send(request={"group_name": "arm"})
     assert stage.goals[0].request["request"]["group_name"] == "arm"
-    assert stage.statuses() == [("one", Status.ACTIVE)]
+    assert stage.statuses() == [("one", ActionlibStatus.ACTIVE)]
     stage.goals[0].feedback({"state": "MONITOR"})
     stage.goals[0].finish(GoalStatus.SUCCEEDED, {"error_code": {"val": 1, "message": "there"}})
     assert [one["feedback"]["state"] for one in stage.heard[f"{MOVE}/feedback"]] == ["MONITOR"]
-    assert stage.results() == [("one", Status.SUCCEEDED, "there", 1)]
-    assert stage.statuses() == [("one", Status.SUCCEEDED)]
+    assert stage.results() == [("one", ActionlibStatus.SUCCEEDED, "there", 1)]
+    assert stage.statuses() == [("one", ActionlibStatus.SUCCEEDED)]
 
 
 def test_an_ended_goal_is_told_of_for_five_seconds(stage: Stage) -> None:
     stage.send()
     stage.goals[0].finish(GoalStatus.SUCCEEDED, {})
     stage.clock.advance(4.0)
-    assert stage.statuses() == [("one", Status.SUCCEEDED)]
+    assert stage.statuses() == [("one", ActionlibStatus.SUCCEEDED)]
     stage.clock.advance(2.0)
     assert stage.statuses() == []
 
@@ -87,7 +87,7 @@ def test_of_very_many_goals_the_oldest_that_have_ended_are_not_kept(stage: Stage
     for number in range(3 * MAX_GOALS):
         stage.send(f"{number}")
         stage.goals[-1].finish(GoalStatus.SUCCEEDED, {})
-    assert stage.statuses()[0] == ("runs", Status.ACTIVE)
+    assert stage.statuses()[0] == ("runs", ActionlibStatus.ACTIVE)
     assert [name for name, _ in stage.statuses()[1:]] == [f"{each}" for each in range(MAX_GOALS, 3 * MAX_GOALS)]
 
 
@@ -97,17 +97,17 @@ def test_a_cancelled_goal_is_preempting_until_it_ends(stage: Stage) -> None:
     stage.cancel(id="two")
     assert [goal.cancel_requested for goal in stage.goals] == [False, True]
     stage.goals[1].feedback({"state": "MONITOR"})
-    assert stage.statuses() == [("one", Status.ACTIVE), ("two", Status.PREEMPTING)]
+    assert stage.statuses() == [("one", ActionlibStatus.ACTIVE), ("two", ActionlibStatus.PREEMPTING)]
     stage.goals[1].finish(GoalStatus.CANCELED, {"error_code": {"val": -7}})
-    assert stage.results() == [("two", Status.PREEMPTED, "", -7)]
+    assert stage.results() == [("two", ActionlibStatus.PREEMPTED, "", -7)]
     stage.cancel(id="two")
-    assert stage.statuses() == [("one", Status.ACTIVE), ("two", Status.PREEMPTED)]
+    assert stage.statuses() == [("one", ActionlibStatus.ACTIVE), ("two", ActionlibStatus.PREEMPTED)]
 
 
 def test_a_goal_that_fails_without_a_result_is_answered_with_the_sentence(stage: Stage) -> None:
     stage.send()
     stage.goals[0].fail("broken")
-    assert stage.results() == [("one", Status.ABORTED, "broken", 0)]
+    assert stage.results() == [("one", ActionlibStatus.ABORTED, "broken", 0)]
 
 
 def test_a_goal_of_a_withdrawn_action_is_rejected(stage: Stage) -> None:
@@ -115,7 +115,7 @@ def test_a_goal_of_a_withdrawn_action_is_rejected(stage: Stage) -> None:
     assert server is not None
     stage.graph.actions.withdraw(server, MOVE)
     stage.send()
-    assert stage.results()[0][:2] == ("one", Status.REJECTED)
+    assert stage.results()[0][:2] == ("one", ActionlibStatus.REJECTED)
     assert "does not exist" in stage.results()[0][2]
 
 
@@ -123,7 +123,7 @@ def test_more_goals_than_anyone_can_wait_for_are_rejected(stage: Stage) -> None:
     for number in range(MAX_GOALS + 1):
         stage.send(f"{number}")
     assert len(stage.goals) == MAX_GOALS
-    assert {status for _, status, _, _ in stage.results()} == {Status.REJECTED}
+    assert {status for _, status, _, _ in stage.results()} == {ActionlibStatus.REJECTED}
 
 
 def test_a_goal_that_is_sent_twice_runs_once(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
@@ -191,8 +191,8 @@ def test_a_goal_of_a_client_that_may_not_send_one_is_rejected_to_it_alone(stage:
     stage.graph.reject_unauthorized(other, f"{MOVE}/goal", {"goal_id": {"id": "mine"}}, "another drives")
     status, result = heard
     assert [(each["goal_id"]["id"], each["status"]) for each in status["status_list"]] == [
-        ("driven", Status.ACTIVE),
-        ("mine", Status.REJECTED),
+        ("driven", ActionlibStatus.ACTIVE),
+        ("mine", ActionlibStatus.REJECTED),
     ]
     assert (result["status"]["goal_id"]["id"], result["status"]["text"]) == ("mine", "another drives")
     assert len(stage.goals) == 1

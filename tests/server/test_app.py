@@ -11,7 +11,7 @@ from server.errors import ConfigurationError, StartError
 from server.features.monitoring import Recording, open_recorder
 from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
-from server.recording.replay import Recording as RecordedMessages
+from server.recording.replay import RecordingFile
 from server.zenoh.settings import ZenohSettings
 from tests.helpers.messages import REGISTRY
 
@@ -45,7 +45,7 @@ async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path:
     recording = next(each for each in app.features if isinstance(each, Recording))
     await recording.open_file()
     await recording.stop()
-    recorded = {topic.topic for topic in RecordedMessages(tmp_path / "run.mcap").summary().topics}
+    recorded = {topic.topic for topic in RecordingFile(tmp_path / "run.mcap").summary().topics}
     assert {"/arm/state", "/arm/joint_limits"} <= recorded
 
 

@@ -8,14 +8,14 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Motion
 from server.execution.queue import GoalQueue
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.moveit.messages import Message
 
 log = logging.getLogger("armbridge.actions")
 
 
 def submit_goal(
-    goal: Goal,
+    goal: ActionGoal,
     queue: GoalQueue,
     request: Motion,
     feedback: Callable[[Progress], Message | None],
@@ -59,7 +59,7 @@ def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
     return answer
 
 
-def cancel_with_goal(goal: Goal, cancel: Callable[[str], object]) -> None:
+def cancel_with_goal(goal: ActionGoal, cancel: Callable[[str], object]) -> None:
     """Cancel the work for a goal when a client asks for it, and when the goal ends in any other way.
 
     A goal may end before its motion: its time is over, or a part of the server has failed.
@@ -72,13 +72,15 @@ def cancel_with_goal(goal: Goal, cancel: Callable[[str], object]) -> None:
     goal.when_ended(lambda end: cancel(f"the goal of {goal.action} is over" + ("" if end.ok else f": {end.values}")))
 
 
-def reject_goal(goal: Goal, queue: GoalQueue, failure: PlanningFailure, result: Callable[[Answer], Message]) -> None:
+def reject_goal(
+    goal: ActionGoal, queue: GoalQueue, failure: PlanningFailure, result: Callable[[Answer], Message]
+) -> None:
     """End a goal that cannot be submitted; the arm's motion continues."""
     queue.reject(GoalRequest(goal.action), failure)
     finish_goal(goal, Answer.of(failure), result)
 
 
-def finish_goal(goal: Goal, answer: Answer, result: Callable[[Answer], Message]) -> None:
+def finish_goal(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message]) -> None:
     goal.finish(goal_status(answer.code), result(answer))
 
 

@@ -18,7 +18,7 @@ from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Pr
 from server.execution.motions import Performed, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
-from server.graph.actions import Goal
+from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -75,7 +75,7 @@ class GoalCalls:
             cancel = self._begin(call.request, call.caller, call.succeed)
             call.when_ended(ended)
 
-    def _start(self, goal: Goal) -> None:
+    def _start(self, goal: ActionGoal) -> None:
         def report(progress: Progress) -> None:
             goal.feedback(
                 {

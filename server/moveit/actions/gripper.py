@@ -26,12 +26,13 @@ from server.errors import RefusedError, invalid
 from server.execution.goal import CancelScope, ExecutionDeadline, TimeLimits
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress, MotionWatch
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.moveit.actions.goal_bridge import cancel_with_goal
+from server.moveit.messages import Message
 
 log = logging.getLogger("armbridge.gripper")
 
@@ -64,8 +65,6 @@ STATUS_OF_OUTCOME = {
     Outcome.GRIPPED: GoalStatus.SUCCEEDED,
     Outcome.STOPPED: GoalStatus.CANCELED,
 }
-
-Message = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -340,7 +339,7 @@ def _checked_command(
 
 
 def offer_gripper(graph: LocalGraph, gripper: Gripper) -> None:
-    def start(messages: ActionMessages, goal: Goal) -> None:
+    def start(messages: ActionMessages, goal: ActionGoal) -> None:
         try:
             command = messages.command(goal.request["command"])
         except RefusedError as error:
@@ -352,7 +351,7 @@ def offer_gripper(graph: LocalGraph, gripper: Gripper) -> None:
         # The goal keeps the task alive, which the event loop does not.
         goal.when_ended(lambda _end: task)
 
-    async def execute(goal: Goal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
+    async def execute(goal: ActionGoal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
         try:
             ended = await gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
             status, reading = STATUS_OF_OUTCOME.get(ended.outcome), gripper.reading()

@@ -23,7 +23,7 @@ from server.errors import GraphError, RefusedError, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL
@@ -166,7 +166,7 @@ class JointTrajectoryController:
             "speed_scaling_factor": state.pace.speed_factor,
         }
 
-    def _start(self, goal: Goal) -> None:
+    def _start(self, goal: ActionGoal) -> None:
         try:
             tolerances = read_segment_tolerances(goal.request, self._group)
             motion = self._motion(goal.request["trajectory"], streamed=False)
@@ -261,7 +261,9 @@ class JointTrajectoryController:
 class TrajectoryGoal:
     """Goal of FollowJointTrajectory in the queue, with its tolerances, feedback and result."""
 
-    def __init__(self, goal: Goal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel) -> None:
+    def __init__(
+        self, goal: ActionGoal, joints: tuple[str, ...], tolerances: SegmentTolerances, robot: RobotModel
+    ) -> None:
         self._goal = goal
         self._robot = robot
         self._joints = joints

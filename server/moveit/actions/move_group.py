@@ -15,9 +15,9 @@ from server.errors import RefusedError, refused
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import Performed, PlannedMotion, Positions, Step, plan_sequence
+from server.execution.motions import MotionStep, Performed, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import GoalQueue
-from server.graph.actions import Goal
+from server.graph.actions import ActionGoal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
 from server.graph.topics import Graph
@@ -119,7 +119,7 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
         def result(answer: Answer) -> Message:
             return write_result(answer, context.robot)
 
-        def start(goal: Goal) -> None:
+        def start(goal: ActionGoal) -> None:
             try:
                 planning_goal = read_planning_goal(requests(goal.request), goal.request["planning_options"])
                 if planning_goal.plan_only:
@@ -140,7 +140,7 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
 
 
 def _answer_with_plan(
-    goal: Goal, planning_goal: PlanningGoal, context: PlanningContext, result: Callable[[Answer], Message]
+    goal: ActionGoal, planning_goal: PlanningGoal, context: PlanningContext, result: Callable[[Answer], Message]
 ) -> None:
     def end(planned: asyncio.Task[Answer]) -> None:
         goal.feedback({"state": "IDLE"})
@@ -229,7 +229,11 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
 
 
 async def plan_steps(
-    steps: Sequence[Step], start: PlanningStart, scene: Scene, context: PlanningContext, warnings: Sequence[str] = ()
+    steps: Sequence[MotionStep],
+    start: PlanningStart,
+    scene: Scene,
+    context: PlanningContext,
+    warnings: Sequence[str] = (),
 ) -> Answer:
     """Plan motions one after the other, without moving, and show them."""
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool.ask)
@@ -253,7 +257,7 @@ def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
     def result(answer: Answer) -> Message:
         return {"error_code": error_code(answer.code, answer.message)}
 
-    def start(goal: Goal) -> None:
+    def start(goal: ActionGoal) -> None:
         trajectory = goal.request["trajectory"]
         if trajectory["multi_dof_joint_trajectory"]["points"]:
             log.warning("%s: multi_dof_joint_trajectory is ignored: the arm has no such joint", goal.action)

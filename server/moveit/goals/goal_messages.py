@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from planners.goals import Goal, JointGoal, PoseGoal, PositionGoal
+from planners.goals import AnyGoal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description.model import Group, RobotModel
@@ -134,7 +134,7 @@ class GoalTranslator:
         ignored = [name for name in names if name not in known]
         warning = f"ignored joints that are not in group {group.name}: {', '.join(ignored)}"
         goal = JointGoal(known, self._parameters.joint_tolerance)
-        return self._motion(group, goal, options, warnings=(warning,) if ignored else ())
+        return self._motion(group, goal, options, notes=(warning,) if ignored else ())
 
     def _group(self, name: str) -> Group:
         """Return a planning group by its name, or by its name without the arm's."""
@@ -166,7 +166,7 @@ class GoalTranslator:
         frame, group = self._frame(message), options.group or self.group
         tip = checked_tip(tip_link(self._robot, group, self._parameters), group)
         radius_m, turn_rad = self._parameters.position_tolerance, self._parameters.orientation_tolerance
-        goal: Goal
+        goal: AnyGoal
         if chooses_orientation(group):
             goal = PoseGoal(tip, _whole_pose(message["pose"], group), radius_m, (turn_rad,) * 3, strict=True)
         else:
@@ -187,11 +187,11 @@ class GoalTranslator:
         return frame
 
     def _motion(
-        self, group: Group, goal: Goal, options: GoalOptions, frame: str | None = None, warnings: tuple[str, ...] = ()
+        self, group: Group, goal: AnyGoal, options: GoalOptions, frame: str | None = None, notes: tuple[str, ...] = ()
     ) -> PlannedMotion:
         self._check_own(group)
         step = GoalStep(self._problems, group, goal, options.parameters, frame)
-        return PlannedMotion((step,), frozenset(group.joints), warnings=warnings)
+        return PlannedMotion((step,), frozenset(group.joints), warnings=notes)
 
 
 def _whole_pose(message: Message, group: Group) -> Pose:

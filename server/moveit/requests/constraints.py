@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from planners.goals import (
+    AnyGoal,
     AnyOf,
     ConstraintGoal,
     Constraints,
-    Goal,
     JointConstraint,
     JointGoal,
     OrientationConstraint,
@@ -277,7 +277,7 @@ def _weight(message: Message, where: str) -> float:
     return max(0.0, float(message["weight"]))
 
 
-def read_goal(messages: Sequence[Message], context: RequestContext) -> Goal:
+def read_goal(messages: Sequence[Message], context: RequestContext) -> AnyGoal:
     """Read the goal of a motion from moveit_msgs/Constraints, which are alternatives."""
     if not messages:
         raise invalid("goal_constraints is empty: there is nothing to plan for")

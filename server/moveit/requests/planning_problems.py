@@ -14,9 +14,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from planners.goals import (
+    AnyGoal,
     ConstraintGoal,
     Constraints,
-    Goal,
     JointGoal,
     OrientationConstraint,
     PoseGoal,
@@ -36,7 +36,7 @@ from planners.problem import (
 from planners.scene import Point, Pose
 from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, invalid, refused
-from server.execution.motions import Joints, Positions, Step
+from server.execution.motions import Joints, MotionStep, Positions
 from server.graph.list_limits import ListLimits
 from server.moveit.messages import Message, check_finite, composed
 from server.moveit.parameters import (
@@ -58,7 +58,7 @@ from server.moveit.requests.constraints import (
 from server.moveit.scene.frames import Frames
 from server.moveit.trajectories import MAX_POINTS, read_seconds
 
-Problem = TypeVar("Problem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
+AnyProblem = TypeVar("AnyProblem", bound=PlanningProblem | CartesianProblem | IkQuestion, covariant=True)
 
 POINT_TO_POINT, STRAIGHT, CIRCULAR = "PTP", "LIN", "CIRC"
 
@@ -79,10 +79,10 @@ MAX_LINKS = 200
 
 
 @dataclass(frozen=True)
-class BuiltProblem(Generic[Problem]):
+class BuiltProblem(Generic[AnyProblem]):
     """Problem for the planners, and a sentence for each part of the request that it does not follow."""
 
-    problem: Problem
+    problem: AnyProblem
     warnings: tuple[str, ...] = ()
 
 
@@ -109,7 +109,7 @@ class ProblemBuilder:
         return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
 
     def goal(
-        self, group: Group, goal: Goal, start_rad: Positions, parameters: MoveItParameters | None = None
+        self, group: Group, goal: AnyGoal, start_rad: Positions, parameters: MoveItParameters | None = None
     ) -> PlanningProblem:
         """Build the problem of a goal that comes with nothing else, by parameters of its own or the configured ones."""
         parameters = parameters or self._parameters.configured
@@ -176,7 +176,7 @@ class ProblemBuilder:
         """Return the joints of all groups of some moveit_msgs/MotionPlanRequest."""
         return frozenset().union(*(self.group(request["group_name"]).joints for request in requests))
 
-    def placed(self, goal: Goal, frame: str, start_rad: Positions) -> Goal:
+    def placed(self, goal: AnyGoal, frame: str, start_rad: Positions) -> AnyGoal:
         """Return a pose or position goal in a frame, which may move with the arm, as a goal in the root link."""
         transform = self._frames.resolve(frame, start_rad)
         match goal:
@@ -229,12 +229,12 @@ class ProblemBuilder:
 
 
 @dataclass(frozen=True)
-class GoalStep(Step):
+class GoalStep(MotionStep):
     """Motion to a goal in the root link, or in a frame that may move with the arm, by parameters of its own if any."""
 
     problems: ProblemBuilder
     group: Group
-    goal: Goal
+    goal: AnyGoal
     parameters: MoveItParameters | None = None
     frame: str | None = None
 
@@ -244,7 +244,7 @@ class GoalStep(Step):
 
 
 @dataclass(frozen=True)
-class RequestStep(Step):
+class RequestStep(MotionStep):
     """Motion of a moveit_msgs/MotionPlanRequest."""
 
     problems: ProblemBuilder
@@ -428,7 +428,7 @@ def _tip_speed_m_s(request: Message, context: RequestContext) -> float | None:
     return value
 
 
-def _ik_goal(request: Message, context: RequestContext) -> Goal:
+def _ik_goal(request: Message, context: RequestContext) -> AnyGoal:
     links, poses = request["ik_link_names"], request["pose_stamped_vector"]
     if len(poses) > 1 or len(links) > 1:
         if len(links) != len(poses):

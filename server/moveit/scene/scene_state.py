@@ -31,7 +31,7 @@ from server.moveit.scene.planning_scene import (
 
 log = logging.getLogger("armbridge.scene")
 
-Positions = Mapping[str, float] | None
+OptionalPositions = Mapping[str, float] | None
 
 # Elements of a change that is applied at once; reading one takes 1 us, one of an object 20 us.
 AT_ONCE_ELEMENTS = 2_000
@@ -72,7 +72,7 @@ class SceneState:
         self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
         self._callbacks: list[Callable[[], None]] = []
-        self._waiting: deque[tuple[SceneChange, Positions, Done, Ended]] = deque()
+        self._waiting: deque[tuple[SceneChange, OptionalPositions, Done, Ended]] = deque()
         self._applying: asyncio.Task[None] | None = None
         self.frame = robot.root_link
         self.contents = SceneContents(self._srdf_matrix)  # contents of the scene; another object after every change
@@ -107,7 +107,9 @@ class SceneState:
         elements = _elements([message["object"]])
         return SceneChange(lambda draft: apply_attached_object(draft, message, "attached_object"), elements)
 
-    def submit(self, change: SceneChange, positions_rad: Positions, done: Done, ended: Ended = lambda: False) -> None:
+    def submit(
+        self, change: SceneChange, positions_rad: OptionalPositions, done: Done, ended: Ended = lambda: False
+    ) -> None:
         """Apply a change in its turn, at once if it is small and none waits; refuse it if its request has ``ended``."""
         if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
             done(self._refusal(change, positions_rad))
@@ -121,7 +123,7 @@ class SceneState:
         if self._applying is None:
             self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
 
-    async def change(self, change: SceneChange, positions_rad: Positions) -> None:
+    async def change(self, change: SceneChange, positions_rad: OptionalPositions) -> None:
         """Apply a change in its turn, and wait until it is applied; not once the wait is cancelled."""
         applied: asyncio.Future[RefusedError | None] = asyncio.get_running_loop().create_future()
 
@@ -150,15 +152,15 @@ class SceneState:
         if self._applying is not None:
             self._applying.cancel()
 
-    def apply_diff(self, message: Message, positions_rad: Positions) -> None:
+    def apply_diff(self, message: Message, positions_rad: OptionalPositions) -> None:
         """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait."""
         self.apply(self.diff(message), positions_rad)
 
-    def apply(self, change: SceneChange, positions_rad: Positions) -> None:
+    def apply(self, change: SceneChange, positions_rad: OptionalPositions) -> None:
         """Apply a change now, ahead of those that wait."""
         self._commit(*self._changed(self.contents, change, positions_rad))
 
-    def with_diff(self, message: Message, positions_rad: Positions) -> Scene:
+    def with_diff(self, message: Message, positions_rad: OptionalPositions) -> Scene:
         """Return the scene as a moveit_msgs/PlanningScene would make it; this state does not change.
 
         Fields of the message may be left out.
@@ -186,7 +188,7 @@ class SceneState:
             self._applying = None
 
     async def _applied_in_thread(
-        self, change: SceneChange, positions_rad: Positions, ended: Ended
+        self, change: SceneChange, positions_rad: OptionalPositions, ended: Ended
     ) -> RefusedError | None:
         """Apply a change read by a thread, once more if the scene has become another meanwhile."""
         try:
@@ -204,7 +206,7 @@ class SceneState:
         return refused(MoveItErrorCode.TIMED_OUT, "its request ended before the change was applied")
 
     def _changed_and_written(
-        self, before: SceneContents, change: SceneChange, positions_rad: Positions
+        self, before: SceneContents, change: SceneChange, positions_rad: OptionalPositions
     ) -> tuple[SceneContents, Scene | None]:
         contents, scene = self._changed(before, change, positions_rad)
         # Written here and once, for all readers of the scene.
@@ -214,7 +216,7 @@ class SceneState:
             _ = held.message
         return contents, scene
 
-    def _refusal(self, change: SceneChange, positions_rad: Positions) -> RefusedError | None:
+    def _refusal(self, change: SceneChange, positions_rad: OptionalPositions) -> RefusedError | None:
         try:
             self.apply(change, positions_rad)
         except RefusedError as refusal:
@@ -228,7 +230,7 @@ class SceneState:
                 callback()
 
     def _changed(
-        self, before: SceneContents, change: SceneChange, positions_rad: Positions
+        self, before: SceneContents, change: SceneChange, positions_rad: OptionalPositions
     ) -> tuple[SceneContents, Scene | None]:
         """Return changed contents, and the scene for planners unless it stays the same; called in any thread."""
         draft = SceneDraft(before, LinkTransforms(self.robot, self._forward, positions_rad))

@@ -27,7 +27,7 @@ from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from robot.messages import ArmState
 from server.errors import RefusedError, ServiceError
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
@@ -173,7 +173,7 @@ class TransformRepublisher:
         self._frames = frames
         self._clock = clock
         self._node = Node("tf2 web republisher")
-        self._goals: dict[Goal, _Subscription] = {}
+        self._goals: dict[ActionGoal, _Subscription] = {}
         self._topics: dict[str, _Subscription] = {}
         self._numbers = itertools.count(1)
         graph.actions.offer(self._node, ACTION, ACTION_TYPE, self._start, LIMITS, rule=LOOKING, max_goal_s=MAX_GOAL_S)
@@ -209,7 +209,7 @@ class TransformRepublisher:
         except RefusedError:
             return None
 
-    def _start(self, goal: Goal) -> None:
+    def _start(self, goal: ActionGoal) -> None:
         if not self._has_room():
             goal.fail(f"there are {MAX_SUBSCRIPTIONS} subscriptions already, the limit")
             return

@@ -33,6 +33,7 @@ from robot.trajectory import Vector
 from server.arrival import arrival_epoch
 from server.errors import RefusedError, invalid
 from server.execution.motions import Positions
+from server.lifecycle import end_task
 from server.moveit.messages import Message, composed, matrix_of, read_pose
 from server.moveit.parameters import ServoParameters
 from server.moveit.requests.planning_context import PlanningContext
@@ -239,10 +240,7 @@ class ServoSession:
 
     async def close(self) -> None:
         """End the loop at once; the arm comes to rest by itself."""
-        if self._task is not None:
-            self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._task
+        await end_task(self._task)
 
     async def _run(self) -> None:
         self._released = False

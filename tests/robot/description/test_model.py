@@ -123,7 +123,7 @@ def hand_of(*elements: str) -> model.RobotModel:
 
 
 def test_an_end_effector_of_one_joint_is_the_gripper_and_opens_to_its_limits() -> None:
-    assert hand_of(ARM, HAND, EFFECTOR).gripper == model.Gripper(("grip",), 0.04, 0.001)
+    assert hand_of(ARM, HAND, EFFECTOR).gripper == model.GripperModel(("grip",), 0.04, 0.001)
 
 
 def test_named_states_say_where_a_gripper_is_open_and_closed() -> None:
@@ -131,18 +131,18 @@ def test_named_states_say_where_a_gripper_is_open_and_closed() -> None:
         f'<group_state name="{name}" group="fingers"><joint name="grip" value="{value}"/></group_state>'
         for name, value in (("open", 0.03), ("close", 0.01))
     )
-    assert hand_of(ARM, HAND, EFFECTOR, states).gripper == model.Gripper(("grip",), 0.03, 0.01)
+    assert hand_of(ARM, HAND, EFFECTOR, states).gripper == model.GripperModel(("grip",), 0.03, 0.01)
 
 
 def test_a_gripper_may_have_two_joints_that_move_alike() -> None:
     both = '<group name="fingers"><joint name="grip"/><joint name="press"/></group>'
-    assert hand_of(ARM, both, EFFECTOR).gripper == model.Gripper(("grip", "press"), 0.04, 0.001)
+    assert hand_of(ARM, both, EFFECTOR).gripper == model.GripperModel(("grip", "press"), 0.04, 0.001)
 
 
 def test_an_end_effector_that_is_the_arm_is_no_gripper_but_a_group_named_hand_is() -> None:
     effector = '<end_effector name="e" parent_link="palm" group="arm"/>'
     assert hand_of(ARM, effector).gripper is None
-    assert hand_of(ARM, effector, HAND.replace("fingers", "hand")).gripper == model.Gripper(("grip",), 0.04, 0.001)
+    assert hand_of(ARM, effector, HAND.replace("fingers", "hand")).gripper == model.GripperModel(("grip",), 0.04, 0.001)
 
 
 def test_a_passive_joint_is_held_where_it_is_least_turned() -> None:

@@ -307,7 +307,7 @@ def test_a_robot_without_srdf_is_refused_with_the_place_where_one_is_missed() ->
 @needs_package
 def test_a_published_robot_is_loaded_by_its_name_with_ideal_joints() -> None:
     found = robot_folder.resolve("panda")
-    assert found.model.gripper == model.Gripper(("panda_finger_joint1",), 0.04, 0.0)
+    assert found.model.gripper == model.GripperModel(("panda_finger_joint1",), 0.04, 0.0)
     assert found.hardware.kind == "ideal"
 
 

@@ -19,7 +19,7 @@ from robot.emulator.control import (
 )
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos, emulated_feetech_arm
 from robot.emulator.process import UsbAdapter
-from robot.emulator.servo_bus import Faults, ServoBus, WriteLog
+from robot.emulator.servo_bus import EmulatedBus, Faults, WriteLog
 from robot.errors import PortError, PortLost
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.registers import Register
@@ -40,7 +40,7 @@ def log_path(tmp_path):
 def emulation(log_path):
     log, adapter = WriteLog(log_path), UsbAdapter()
     servos = build_servos(nominal_calibration(), [0.0] * 6)
-    yield Emulation(ServoBus(servos, FEETECH, Faults(), 0.0, log), adapter)
+    yield Emulation(EmulatedBus(servos, FEETECH, Faults(), 0.0, log), adapter)
     adapter.unplug()
     log.close()
 

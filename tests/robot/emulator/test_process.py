@@ -32,7 +32,7 @@ from robot.emulator.process import (
     stall,
     sweep,
 )
-from robot.emulator.servo_bus import Faults, Reply, ServoBus
+from robot.emulator.servo_bus import EmulatedBus, Faults, Reply
 from robot.errors import CalibrationError
 from robot.hardware.feetech.registers import Register
 from tests.helpers.robots import nominal_calibration
@@ -255,14 +255,14 @@ LET_GO = TimedCommand(2.0, {"hand": {"3": None}})
 Build = Callable[..., Rehearsal]
 
 
-def bus_of(calibration: Calibration = NOMINAL) -> ServoBus[FeetechServo]:
-    return ServoBus(build_servos(calibration, [0.0] * len(calibration.joints)), FEETECH, Faults(), 0.0)
+def bus_of(calibration: Calibration = NOMINAL) -> EmulatedBus[FeetechServo]:
+    return EmulatedBus(build_servos(calibration, [0.0] * len(calibration.joints)), FEETECH, Faults(), 0.0)
 
 
 def played(
     commands: Sequence[TimedCommand],
     calibration: Calibration,
-    prepare: Callable[[ServoBus[FeetechServo]], None] = lambda bus: None,
+    prepare: Callable[[EmulatedBus[FeetechServo]], None] = lambda bus: None,
 ) -> Iterator[tuple[float, tuple[FeetechServo, ...]]]:
     """Play commands to servos in a time of their own; yields it, from the start on, with the servos."""
     bus = bus_of(calibration)
@@ -278,8 +278,8 @@ def played(
         yield now_s, bus.servos
 
 
-def hold_the_elbow_at(goal_ticks: int) -> Callable[[ServoBus[FeetechServo]], None]:
-    def hold(bus: ServoBus[FeetechServo]) -> None:
+def hold_the_elbow_at(goal_ticks: int) -> Callable[[EmulatedBus[FeetechServo]], None]:
+    def hold(bus: EmulatedBus[FeetechServo]) -> None:
         elbow = bus.servos[ELBOW]
         elbow.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(goal_ticks))
         elbow.write(Register.TORQUE_LIMIT, Register.TORQUE_LIMIT.encode(800))

@@ -16,10 +16,10 @@ from robot.emulator.feetech import FEETECH as FEETECH_CODEC
 from robot.emulator.feetech import FeetechServo, build_servos
 from robot.emulator.servo_bus import (
     PARTIAL_PACKET_S,
+    EmulatedBus,
     Faults,
     Instruction,
     InstructionParser,
-    ServoBus,
     WriteLog,
     superimposed,
 )
@@ -52,7 +52,7 @@ class Wire:
     def __init__(self, family: Family, **faults: float) -> None:
         self.family = family
         self.now_s = 0.0
-        self.bus = ServoBus[Any](list(map(family.build, IDS)), family.codec, Faults(**faults), 0.0, wire_time=False)
+        self.bus = EmulatedBus[Any](list(map(family.build, IDS)), family.codec, Faults(**faults), 0.0, wire_time=False)
         self.servos = self.bus.servos
 
     def ask(self, servo_id: int, code: int, parameters: bytes = b"") -> bytes:
@@ -246,12 +246,14 @@ def test_packets_sent_at_once_are_heard_as_none_of_them() -> None:
 BLOCK_READ = packet(ALL, SYNC_READ, [56, 15, *range(1, 7)])
 
 
-def bus_with(faults: Faults | None = None, **settings: Any) -> ServoBus[FeetechServo]:
-    return ServoBus(build_servos(nominal_calibration(), [0.0] * 6), FEETECH_CODEC, faults or Faults(), 0.0, **settings)
+def bus_with(faults: Faults | None = None, **settings: Any) -> EmulatedBus[FeetechServo]:
+    return EmulatedBus(
+        build_servos(nominal_calibration(), [0.0] * 6), FEETECH_CODEC, faults or Faults(), 0.0, **settings
+    )
 
 
 @pytest.fixture
-def bus() -> ServoBus[FeetechServo]:
+def bus() -> EmulatedBus[FeetechServo]:
     return bus_with()
 
 

@@ -26,7 +26,7 @@ from server.chunks.action_chunks import (
     STATE_TYPE,
     STOP,
     TYPE,
-    Phase,
+    PolicyPhase,
 )
 from server.chunks.gripper import SETTLES_S
 from server.execution.executor import CHECKS_AHEAD
@@ -436,7 +436,7 @@ async def test_a_stick_takes_over_at_any_moment_and_gives_back_without_a_jump(po
     await asyncio.sleep(0.5 + after_s)
     begins_rad = policy.here_rad
     await policy.jog(-1.0, 1.0)
-    assert policy.phase == Phase.TAKEN_OVER
+    assert policy.phase == PolicyPhase.TAKEN_OVER
     # The stick has the arm, although the policy goes on to send.
     assert policy.here_rad < begins_rad - 0.1
     await asyncio.sleep(0.5)
@@ -446,7 +446,7 @@ async def test_a_stick_takes_over_at_any_moment_and_gives_back_without_a_jump(po
     assert "steering by hand has taken over: the policy goes on after /arm/chunks/resume" in policy.refusals[-1]
     policy.stage.call(RESUME)
     await policy.stream(0.6)
-    assert policy.phase == Phase.FOLLOWING
+    assert policy.phase == PolicyPhase.FOLLOWING
     assert policy.here_rad > stands[COLUMNS[0]] + 0.05
     policy.assert_within_limits()
 
@@ -468,7 +468,7 @@ async def test_a_leader_takes_over_and_gives_back(policy: Policy) -> None:
     await asyncio.sleep(0.5)
     policy.stage.call("/teleop/start", leader="/glove")
     await asyncio.sleep(3.0)
-    assert policy.phase == Phase.TAKEN_OVER
+    assert policy.phase == PolicyPhase.TAKEN_OVER
     assert policy.here_rad == pytest.approx(-0.2 - 0.1 * 3.5, abs=0.05)
     policy.stage.call("/teleop/stop")
     await streaming
@@ -492,7 +492,7 @@ async def test_a_pause_or_a_stop_of_the_policy_brakes_softly_at_any_moment(
     stands = policy.goals_rad[-1]
     await streaming
     assert (policy.goals_rad[-1] == stands).all()
-    assert policy.phase == (Phase.PAUSED if service == PAUSE else Phase.IDLE)
+    assert policy.phase == (PolicyPhase.PAUSED if service == PAUSE else PolicyPhase.IDLE)
     policy.stage.call(RESUME)
     await policy.stream(0.6)
     moves_again = policy.here_rad > stands[COLUMNS[0]] + 0.05
@@ -511,7 +511,7 @@ async def test_a_stick_without_a_policy_and_a_stick_at_rest_take_nothing_over(
     await asyncio.sleep(0.5)
     policy.publish(chunk(ramp(24, policy.here_rad + 0.3, policy.here_rad)))
     await asyncio.sleep(0.4)
-    assert policy.phase == Phase.FOLLOWING
+    assert policy.phase == PolicyPhase.FOLLOWING
 
 
 async def test_a_chunk_of_an_observation_from_before_the_resumption_is_refused(policy: Policy) -> None:
@@ -523,13 +523,13 @@ async def test_a_chunk_of_an_observation_from_before_the_resumption_is_refused(p
     assert "is from before the policy was resumed" in policy.refusals[-1]
     policy.publish(chunk(ramp(60), stamp_s=now_s()))
     await asyncio.sleep(0.3)
-    assert policy.phase == Phase.FOLLOWING
+    assert policy.phase == PolicyPhase.FOLLOWING
 
 
 async def test_a_stick_in_the_pause_between_two_chunks_takes_over_too(policy: Policy) -> None:
     policy.publish(chunk(ramp(10, 0.1)))
     await asyncio.sleep(1.5)
     await policy.jog(-0.5, 0.3)
-    assert policy.phase == Phase.TAKEN_OVER
+    assert policy.phase == PolicyPhase.TAKEN_OVER
     policy.publish(chunk(ramp(24, policy.here_rad + 0.3, policy.here_rad)))
     assert "has taken over" in policy.refusals[-1]

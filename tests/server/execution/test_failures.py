@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from planners.files import problem_file
-from planners.goals import Goal, JointGoal
+from planners.goals import AnyGoal, JointGoal
 from planners.problem import CartesianProblem, Line, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
 from server.execution import failures
@@ -62,7 +62,7 @@ async def test_an_unwritable_directory_is_only_logged(tmp_path: Path, caplog: py
     assert "is not saved" in caplog.text
 
 
-async def planned(goal: Goal) -> Any:
+async def planned(goal: AnyGoal) -> Any:
     return await DirectPool().ask(PlanningProblem("arm", HOME, goal), WALL)
 
 

@@ -27,9 +27,9 @@ from server.execution.motions import (
     LEAD_IN_SCALING,
     START_TOLERANCE_RAD,
     STATE_AGE_S,
+    MotionStep,
     PathTime,
     Positions,
-    Step,
     deviation_note,
     plan_sequence,
     splice_point_of,
@@ -43,7 +43,7 @@ START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})
 
 
-def to(position_rad: float) -> Step:
+def to(position_rad: float) -> MotionStep:
     def problem(start_rad: Positions) -> PlanningProblem:
         return PlanningProblem("arm", dict(start_rad), JointGoal({"a": position_rad}))
 

@@ -4,7 +4,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.messages import Pace, PlaybackDirection
-from server.execution.goal import MIN_SPEED_FACTOR, ArmClock, ExecutionDeadline, TimeLimits
+from server.execution.goal import MIN_SPEED_FACTOR, ArmStopwatch, ExecutionDeadline, TimeLimits
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.moveit import rejection
@@ -61,7 +61,7 @@ def test_the_arms_time_is_that_of_its_clock_and_no_more_than_passes_here(
     here_s: float, by_arm_s: float, passed_s: float
 ) -> None:
     arm, clock = FakeArm(), FakeClock()
-    time = ArmClock(arm, clock)
+    time = ArmStopwatch(arm, clock)
     for _ in range(2):
         clock.advance(here_s)
         arm.pass_time(by_arm_s)

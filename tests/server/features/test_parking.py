@@ -29,7 +29,7 @@ from server.execution.goal import Goal, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
 from server.execution.queue import GoalQueue
 from server.features.context import ArmContext, ServerContext
-from server.features.parking import CHECK_S, LastClient, Parking, Parkings, rest_pose
+from server.features.parking import CHECK_S, ArmParking, LastClient, Parkings, rest_pose
 from server.graph.local_graph import LocalGraph
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters, PlannerParameters
@@ -305,7 +305,7 @@ class Leaving:
         self.done: list[str] = []
         self.state = SimpleNamespace(mode=Mode.HOLDING)
         settings = ArmSettings.model_validate({"on_last_client": policy, "last_client_delay_s": delay_s})
-        arm, queue, parking = cast("Arm", self), cast("GoalQueue", self), cast("Parking", self)
+        arm, queue, parking = cast("Arm", self), cast("GoalQueue", self), cast("ArmParking", self)
         self.last = LastClient(arm, settings, self.drivers, queue, parking, lambda: self.now_s)
 
     def park(self, _source: str) -> asyncio.Future[CommandDone]:

@@ -14,7 +14,7 @@ from server.arrival import arrival_epoch
 from server.gateway.http import MAX_BODY_BYTES, HttpHandler
 from server.gateway.http_goals import GRIPPER_ACTION, GRIPPER_TYPE, HttpGoals
 from server.gateway.listener import Listener
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.node import Node
 from server.graph.permissions import ANYONE, CALLED_GOAL, GOAL, STOPPING
 from server.graph.services import Call, Response
@@ -33,7 +33,7 @@ class Arm:
         self.calls: list[Call] = []
         self.epochs: list[int] = []
         self.ends: list[Response] = []
-        self.gripper: list[Goal] = []
+        self.gripper: list[ActionGoal] = []
         graph.services.offer_calls(
             self.node, "/moveit_goal", "armbridge_msgs/srv/MoveitGoal", self._call, rule=CALLED_GOAL
         )

@@ -20,7 +20,7 @@ from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
 from server.arrival import arrival_epoch
 from server.gateway.client_topics import StrictPublication, StrictTopic
 from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox
-from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, Scheduling, Turns
+from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, ClientScheduling, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import UnreadSocket
@@ -62,7 +62,7 @@ class World:
         self.threads = Later()
         self.done: list[str] = []
         self.last_stop = 0
-        self.scheduling = Scheduling(self.turns, self.threads, self.clock.call_later)
+        self.scheduling = ClientScheduling(self.turns, self.threads, self.clock.call_later)
 
     def client(self, name: str = "", step_s: float = 0.0) -> Handler:
         return Handler(self, name, step_s)

@@ -328,6 +328,15 @@ async def test_a_client_that_sends_its_request_by_letters_is_disconnected(monkey
             await asyncio.sleep(LOWEST_S / 10)
 
 
+async def test_a_path_that_is_no_url_opens_a_websocket_with_its_query() -> None:
+    asked = request(*UPGRADE, path="//[?ros=1")
+    async with listening() as listener, connected(listener.port, asked) as (reader, _), asyncio.timeout(TIMEOUT_S):
+        assert status((await reader.readuntil(b"\r\n\r\n")).decode()) == 101
+        (server,) = listener._transports
+        assert server.is_open
+        assert server.query == {"ros": ["1"]}
+
+
 @pytest.mark.parametrize(
     ("sent", "answer"),
     [

@@ -4,7 +4,7 @@ import pytest
 
 from protocol.publication import PublishedMessage
 from server.graph.action_topics import ENDED_KEPT_S, MAX_PUBLISHED
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
@@ -21,7 +21,7 @@ class World:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, self.clock, lambda: 12.5, self.clock.call_later, relay_unknown_types=True)
         self.provider = provider or Node("provider")
-        self.goals: list[Goal] = []
+        self.goals: list[ActionGoal] = []
         self.heard: list[Any] = []
         if made is not None:
             self.graph.advertise(self.provider, made, "std_msgs/Time", latch=True)
@@ -34,7 +34,7 @@ class World:
         for earlier in self.graph.subscribe(CLIENT, topic, None, Subscriber(deliver)):
             deliver(earlier)
 
-    def send(self) -> Goal:
+    def send(self) -> ActionGoal:
         self.graph.actions.send_goal(CLIENT, "/grip", GRIPPER, {}, lambda _result: None)
         return self.goals[-1]
 
@@ -145,7 +145,7 @@ def test_the_topics_pass_to_the_client_that_takes_an_action_over() -> None:
 def test_an_action_works_without_topics_that_somebody_else_has_made() -> None:
     world = World(Node("client", remote=True))
     world.graph.advertise(CLIENT, "/lift/_action/status", "std_msgs/String")
-    goals: list[Goal] = []
+    goals: list[ActionGoal] = []
     world.graph.actions.offer(world.provider, "/lift", GRIPPER, goals.append)
     world.graph.actions.send_goal(CLIENT, "/lift", GRIPPER, {}, lambda _result: None)
     goals[0].feedback({})

@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from server.errors import GraphError
-from server.graph.actions import MAX_GOAL_S, Goal, GoalStatus, Result
+from server.graph.actions import MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.services import Response
@@ -22,7 +22,7 @@ class Sent:
         self.feedback: list[dict[str, Any]] = []
         self.results: list[Result] = []
         names = "/grip", "control_msgs/action/GripperCommand"
-        self.goal = Goal(names, {}, INTERFACES, Node("a client"), self.feedback.append)
+        self.goal = ActionGoal(names, {}, INTERFACES, Node("a client"), self.feedback.append)
         self.goal.when_ended(self.results.append)
 
 
@@ -69,14 +69,14 @@ class World:
         self.results: list[Result] = []
         self.feedback: list[dict[str, Any]] = []
 
-    def offer(self, node: Node | None = None, name: str = "/grip") -> tuple[Node, list[Goal]]:
+    def offer(self, node: Node | None = None, name: str = "/grip") -> tuple[Node, list[ActionGoal]]:
         """A client, or another node, that takes goals and does nothing with them."""
         node = node or Node("provider", remote=True)
-        goals: list[Goal] = []
+        goals: list[ActionGoal] = []
         self.actions.offer(node, name, GRIPPER, goals.append)
         return node, goals
 
-    def send(self, name: str = "/grip", type_name: str = GRIPPER, arguments: object = None) -> Goal | None:
+    def send(self, name: str = "/grip", type_name: str = GRIPPER, arguments: object = None) -> ActionGoal | None:
         return self.actions.send_goal(SENDER, name, type_name, arguments, self.results.append, self.feedback.append)
 
     def cancel_service(self, request: dict[str, Any]) -> Any:
@@ -145,7 +145,7 @@ def test_goals_go_on_without_their_sender_unless_it_takes_them_along(world: Worl
 
 
 def test_a_bug_in_an_action_ends_the_goal_with_a_sentence(world: World, caplog: pytest.LogCaptureFixture) -> None:
-    def start(_goal: Goal) -> None:
+    def start(_goal: ActionGoal) -> None:
         raise ValueError("broken")
 
     world.actions.offer(SERVER, "/grip", GRIPPER, start)

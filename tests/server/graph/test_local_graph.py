@@ -4,7 +4,7 @@ import asyncio
 from dataclasses import replace
 from typing import Any
 
-from server.graph.actions import Goal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL, STOPPING
@@ -58,7 +58,7 @@ async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> N
     ended: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
     names = []
 
-    def start(goal: Goal) -> None:
+    def start(goal: ActionGoal) -> None:
         names.append(goal.action)
         goal.finish(GoalStatus.SUCCEEDED, {})
 

@@ -25,7 +25,7 @@ from server.recording.files import (
     check_path,
     is_latched,
 )
-from server.recording.replay import Recording
+from server.recording.replay import RecordingFile
 from tests.server.recordings import REGISTRY, START_NS, entry, record, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.
@@ -118,7 +118,7 @@ def fill(written: RecordingSeries, count: int) -> None:
 
 
 def topics(path: Path) -> list[str]:
-    return [each.topic for chunk in Recording(path).chunks() for each in chunk]
+    return [each.topic for chunk in RecordingFile(path).chunks() for each in chunk]
 
 
 def names(directory: Path) -> list[str]:

@@ -18,7 +18,7 @@ from server.graph.topics import Graph
 from server.recording import recorder as recorder_module
 from server.recording.files import RecordedMessage, RecordingSeries
 from server.recording.recorder import QueuedMessage, Recorder, WriterThread
-from server.recording.replay import Recording
+from server.recording.replay import RecordingFile
 from tests.server.recordings import REGISTRY, recorded_messages
 
 TALKER = Node("talker")
@@ -35,7 +35,7 @@ async def recorded(graph: Graph, path: Path, publish: Callable[[], None]) -> lis
     recorder.start()
     publish()
     await recorder.close()
-    return [each for chunk in Recording(path).chunks() for each in chunk]
+    return [each for chunk in RecordingFile(path).chunks() for each in chunk]
 
 
 async def test_every_message_of_every_topic_is_recorded_with_nobody_listening(graph: Graph, tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ async def test_after_its_end_nothing_is_taken(graph: Graph, tmp_path: Path) -> N
     assert graph._watchers == ()
     graph.advertise(TALKER, "/a", "std_msgs/Empty")
     graph.publish(TALKER, "/a", {})
-    assert [each for chunk in Recording(tmp_path / "run.mcap").chunks() for each in chunk] == []
+    assert [each for chunk in RecordingFile(tmp_path / "run.mcap").chunks() for each in chunk] == []
 
 
 def test_a_file_that_cannot_be_written_is_refused_with_its_name(graph: Graph, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
 from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
-from server.recording.replay import RecordedTopic, Recording, RecordingPlayer, ReplayOptions, ReplayServer
+from server.recording.replay import RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, ReplayServer
 from tests.conformance.cases import INTERFACES
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
@@ -29,14 +29,14 @@ CHUNKS = [[text(0), text(1)], [text(2), text(3)], [text(4)]]
 
 
 def test_the_summary_tells_topics_count_and_length(tmp_path: Path) -> None:
-    summary = Recording(record(tmp_path / "run.mcap", map(text, range(4)))).summary()
+    summary = RecordingFile(record(tmp_path / "run.mcap", map(text, range(4)))).summary()
     assert summary.topics == [RecordedTopic("/t", "std_msgs/msg/String", False)]
     assert (summary.messages, summary.duration_s, summary.complete) == (4, 3.0, True)
 
 
 def test_the_recording_of_a_killed_server_is_read_to_its_last_chunk(tmp_path: Path) -> None:
     path = record_killed(tmp_path / "run.mcap", CHUNKS)
-    summary = Recording(path).summary()
+    summary = RecordingFile(path).summary()
     assert (summary.messages, summary.duration_s, summary.complete) == (5, 4.0, False)
     assert [track.topic for track in summary.topics] == ["/t"]
 
@@ -93,7 +93,7 @@ def test_a_file_without_messages_of_ros_2_is_refused(tmp_path: Path) -> None:
         writer.add_message(writer.register_channel("/t", "json", 0), 1, b"{}", 1)
         writer.finish()
     with pytest.raises(RecordingError, match="no messages of ROS 2: /t is encoded as 'json', not 'cdr'"):
-        Recording(tmp_path / "other.mcap").summary()
+        RecordingFile(tmp_path / "other.mcap").summary()
 
 
 NO_RECORDINGS: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -109,7 +109,7 @@ NO_RECORDINGS: dict[str, tuple[Callable[[Path], object], str]] = {
 def test_an_invalid_recording_is_refused_in_words(tmp_path: Path, make: Callable[[Path], object], words: str) -> None:
     make(tmp_path / "run.mcap")
     with pytest.raises(RecordingError, match=rf"run\.mcap: {words}"):
-        Recording(tmp_path / "run.mcap").summary()
+        RecordingFile(tmp_path / "run.mcap").summary()
 
 
 LISTENER = Node("listener")
@@ -130,7 +130,7 @@ class Heard:
 
 def player(path: Path, graph: Graph, entries: list[RecordedMessage], rate: float = 100.0) -> RecordingPlayer:
     """A player that has offered what is recorded."""
-    recording = Recording(record(path / "run.mcap", entries))
+    recording = RecordingFile(record(path / "run.mcap", entries))
     made = RecordingPlayer(graph, recording, rate)
     made.advertise(recording.summary().topics)
     return made
@@ -175,7 +175,7 @@ async def test_an_unreadable_message_is_told_once(tmp_path: Path, caplog: pytest
 
 async def test_a_topic_of_unknown_type_is_left_out_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     graph = Graph(REGISTRY)
-    playing = RecordingPlayer(graph, Recording(tmp_path / "run.mcap"))
+    playing = RecordingPlayer(graph, RecordingFile(tmp_path / "run.mcap"))
     playing.advertise(
         [RecordedTopic("/own", "my_msgs/msg/Thing", False), RecordedTopic("/t", "std_msgs/msg/String", False)]
     )

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from robot.control.motion import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
-from server.teleop.following import Act, Following, Phase, TrackingLimits, tracking_velocities
+from server.teleop.following import FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocities
 
 FRESH, STALE = 0.01, 0.3
 TICK_S = 0.01
@@ -17,16 +17,16 @@ LIMITS = {"a": TrackingLimits(2.0, 6.0)}
 
 def following() -> Following:
     one = Following()
-    assert one.tick(0.0, FRESH) is Act.RAMP
+    assert one.tick(0.0, FRESH) is FollowerAct.RAMP
     one.take_ramp_end("")
     return one
 
 
 def test_it_ramps_once_and_then_follows() -> None:
     one = Following()
-    assert [one.tick(0.0, FRESH) for _ in range(3)] == [Act.RAMP, Act.NOTHING, Act.NOTHING]
+    assert [one.tick(0.0, FRESH) for _ in range(3)] == [FollowerAct.RAMP, FollowerAct.NOTHING, FollowerAct.NOTHING]
     one.take_ramp_end("")
-    assert one.tick(0.1, FRESH) is Act.FOLLOW
+    assert one.tick(0.1, FRESH) is FollowerAct.FOLLOW
 
 
 def test_a_ramp_that_fails_ends_it_with_the_cause() -> None:
@@ -39,30 +39,30 @@ def test_a_ramp_that_fails_ends_it_with_the_cause() -> None:
 
 def test_an_open_clutch_holds_and_a_closed_one_ramps_again() -> None:
     one = following()
-    assert one.set_clutch(closed=False) is Act.BRAKE
-    assert one.tick(1.0, FRESH) is Act.NOTHING
+    assert one.set_clutch(closed=False) is FollowerAct.BRAKE
+    assert one.tick(1.0, FRESH) is FollowerAct.NOTHING
     one.set_clutch(closed=True)
-    assert one.tick(2.0, FRESH) is Act.RAMP
+    assert one.tick(2.0, FRESH) is FollowerAct.RAMP
 
 
 def test_a_closed_clutch_that_is_closed_again_changes_nothing() -> None:
     one = following()
     one.set_clutch(closed=True)
-    assert one.tick(1.0, FRESH) is Act.FOLLOW
+    assert one.tick(1.0, FRESH) is FollowerAct.FOLLOW
 
 
 def test_samples_that_stop_during_the_ramp_brake_it() -> None:
     one = Following()
     one.tick(0.0, FRESH)
-    assert one.tick(0.5, STALE) is Act.BRAKE
+    assert one.tick(0.5, STALE) is FollowerAct.BRAKE
     one.take_ramp_end("")
-    assert one.phase is Phase.BRAKING
+    assert one.phase is FollowingPhase.BRAKING
 
 
 def test_a_leader_that_jumps_makes_the_follower_hold_and_say_so() -> None:
     one = following()
-    assert one.tick(1.0, FRESH, jump="a jumped") is Act.BRAKE
-    assert one.phase is Phase.HOLDING
+    assert one.tick(1.0, FRESH, jump="a jumped") is FollowerAct.BRAKE
+    assert one.phase is FollowingPhase.HOLDING
     assert one.message == "a jumped: close the clutch to go on"
 
 
@@ -72,7 +72,7 @@ def test_a_follower_that_cannot_go_on_ends_once_from_every_phase(before: str) ->
     if before == "holding":
         one.set_clutch(closed=False)
     ticks = [one.tick(now_s, FRESH, obstacle="the arm has a fault") for now_s in (1.0, 1.1)]
-    assert ticks == [Act.BRAKE, Act.NOTHING]
+    assert ticks == [FollowerAct.BRAKE, FollowerAct.NOTHING]
     assert one.message == "the arm has a fault"
 
 

@@ -14,7 +14,7 @@ from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop import session as sessions
-from server.teleop.following import Phase
+from server.teleop.following import FollowingPhase
 from server.teleop.leader import JitterBuffer, LeaderSample, joint_map
 from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 from tests.helpers.clock import FakeClock
@@ -75,7 +75,7 @@ class Rig:
 
     @property
     def following(self) -> bool:
-        return self.session.following.phase is Phase.FOLLOWING
+        return self.session.following.phase is FollowingPhase.FOLLOWING
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ async def begin(rig: Rig) -> None:
     """Start the following and wait until the first answer has reached the arm."""
     rig.read(0.1)
     rig.session.start()
-    await rig.until(lambda: rig.session.following.phase is not Phase.RAMPING)
+    await rig.until(lambda: rig.session.following.phase is not FollowingPhase.RAMPING)
     rig.read(0.1)
     await rig.until(lambda: len(rig.arm.setpoints) == 1)
 
@@ -97,7 +97,7 @@ async def begin(rig: Rig) -> None:
 async def test_the_state_shows_the_following_before_its_start_is_answered(rig: Rig) -> None:
     rig.read(0.1)
     rig.session.start()
-    assert rig.told[-1].phase is Phase.RAMPING
+    assert rig.told[-1].phase is FollowingPhase.RAMPING
     await rig.session.close()
 
 
@@ -149,7 +149,7 @@ async def test_a_leader_that_is_far_ahead_is_followed_by_a_planned_motion(rig: R
     await rig.until(lambda: rig.session._interrupted != "")
     assert "elbow_flex is 1.50 rad behind the leader (limit 1.2 rad)" in rig.session._interrupted
     rig.read(1.5)
-    await rig.until(lambda: rig.session.following.phase is not Phase.FOLLOWING)
+    await rig.until(lambda: rig.session.following.phase is not FollowingPhase.FOLLOWING)
     assert len(rig.questions) == asked
     await rig.session.close()
 

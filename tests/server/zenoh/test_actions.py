@@ -14,7 +14,7 @@ from protocol.type_descriptions import message_hash, service_hash
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.settings import AccessSettings
 from server.arrival import arrival_epoch
-from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.actions import ActionGoal, GoalStatus, Result
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
 from server.zenoh import network, services
@@ -61,9 +61,9 @@ def key(part: str) -> str:
     return f"0{GRIP}/_action/{part}/{dds(SERVICES.get(part, f'{GRIPPER}_FeedbackMessage'))}"
 
 
-def offered(site: Site) -> list[Goal]:
+def offered(site: Site) -> list[ActionGoal]:
     """Goals of an action that a part of the server offers, which it leaves to the test."""
-    goals: list[Goal] = []
+    goals: list[ActionGoal] = []
     site.graph.actions.offer(site.part, GRIP, GRIPPER, goals.append, rule=GOAL)
     return goals
 

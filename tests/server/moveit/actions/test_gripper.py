@@ -16,7 +16,7 @@ from robot.messages import ArmConfig, MotionEnded, MotionProgress, Outcome
 from server.errors import RefusedError
 from server.execution.goal import TimeLimits
 from server.execution.player import BRAKING_TIMEOUT_S
-from server.graph.actions import Goal, Result
+from server.graph.actions import ActionGoal, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -181,7 +181,7 @@ class Grippers:
         offer_gripper(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
 
-    async def send(self, **command: Any) -> Goal:
+    async def send(self, **command: Any) -> ActionGoal:
         """Send a goal to the action that takes a velocity."""
         client, told = Node("client", remote=True), {"name": ["gripper"], "position": [1.0], **command}
         goal = self.graph.actions.send_goal(client, PARALLEL_ACTION, PARALLEL, {"command": told}, self.results.append)

@@ -15,7 +15,7 @@ from robot.messages import ArmState, Outcome
 from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Performed
-from server.graph.actions import Goal, GoalStatus, Result
+from server.graph.actions import ActionGoal, GoalStatus, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -162,7 +162,7 @@ class Followed:
     def __init__(self, path_rad: float = 0.0, goal_rad: float = 0.0, time_s: float = 0.0) -> None:
         self.results: list[Result] = []
         self.cancelled: list[str] = []
-        goal = Goal(("/follow", "control_msgs/action/FollowJointTrajectory"), {}, INTERFACES, Node("client"))
+        goal = ActionGoal(("/follow", "control_msgs/action/FollowJointTrajectory"), {}, INTERFACES, Node("client"))
         goal.when_ended(self.results.append)
         path = {"elbow_flex": path_rad} if path_rad else {}
         end = {"elbow_flex": goal_rad} if goal_rad else {}

@@ -58,7 +58,8 @@ def point(x: float, y: float, z: float, frame: str = "") -> dict[str, Any]:
 
 
 async def test_poses_and_joint_goals_are_answered_in_their_order(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goal_checks, "GOAL_TIME_S", 1.0)
+    monkeypatch.setattr(goal_checks, "GOAL_TIME_S", 10.0)
+    monkeypatch.setattr(goal_checks, "WAITING_S", math.inf)
     wall = SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.3, 0.3)))
     desk.scene.scene = Scene(version=77, objects=(wall,))
     answer = await desk.check(

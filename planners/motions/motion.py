@@ -172,7 +172,7 @@ def _straight(task: MotionTask, budget: Budget) -> Motion | None:
 
 
 def _certified(task: MotionTask, curve: Curve, contacts: list[Vector]) -> Trajectory | None:
-    """Return the curve's samples, jerk limited, if none of ``contacts`` is on them and nothing touches; else add it."""
+    """Return the curve's samples, their jerk limited, unless it touches: a new contact is added to ``contacts``."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
     trajectory = averaged(curve, task.window, task.joint_names) if task.window else curve.sampled(task.joint_names)

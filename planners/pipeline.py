@@ -203,9 +203,16 @@ def answer_ik(
     """Find configurations in which a goal holds."""
     checks.check_ik_question(robot, question)
     checks.check_start(robot, question.start_rad)
-    group, free = robot.groups[question.group], question.avoid_collisions
-    start_q = collision.start(question.start_rad, group.joints)
-    query = GoalQuery(group, start_q, question.constraints, budget, SOLUTIONS, free, accept_start=False)
+    group = robot.groups[question.group]
+    query = GoalQuery(
+        group,
+        collision.start(question.start_rad, group.joints),
+        question.constraints,
+        budget,
+        wanted=SOLUTIONS,
+        avoid_collisions=question.avoid_collisions,
+        accept_start=False,
+    )
     found = states.find(question.goal, query)
     if isinstance(found, PlanningFailure):
         return found
@@ -221,7 +228,8 @@ def answer_state(
     """List the flaws of a state: limits, contacts, constraints."""
     checks.check_state_question(robot, question)
     positions_rad = question.positions_rad
-    problems = list(checks.limit_flaws(robot, positions_rad, LIMIT_TOLERANCE_RAD, MoveItErrorCode.INVALID_ROBOT_STATE))
+    code = MoveItErrorCode.INVALID_ROBOT_STATE
+    problems = list(checks.limit_flaws(robot, positions_rad, LIMIT_TOLERANCE_RAD, code))
     q = np.array([positions_rad[name] for name in collision.joint_names])
     pairs = collision.colliding_pairs(q)
     if pairs:
@@ -245,8 +253,9 @@ def recheck(
     if contact is None:
         return RecheckAnswer(None)
     contact = replace(contact, time_s=question.from_s + contact.time_s)
-    code = MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
-    return RecheckAnswer(touching(contact, code), contact.time_s)
+    return RecheckAnswer(
+        touching(contact, MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE), contact.time_s
+    )
 
 
 def check_concurrency(question: ConcurrencyQuestion, robot: RobotModel, collision: CollisionModel) -> RecheckAnswer:
@@ -255,15 +264,20 @@ def check_concurrency(question: ConcurrencyQuestion, robot: RobotModel, collisio
     shared = set(first.joint_names) & set(second.joint_names)
     if shared:
         raise invalid_motion(f"both motions are of joint {min(shared)}")
-    ends = [dict(zip(one.joint_names, one.positions_rad[-1].tolist(), strict=True)) for one in (first, second)]
-    checks.check_start(robot, {**question.others_rad, **ends[0], **ends[1]})
+    ends = {
+        name: float(q)
+        for one in (first, second)
+        for name, q in zip(one.joint_names, one.positions_rad[-1], strict=True)
+    }
+    checks.check_start(robot, {**question.others_rad, **ends})
     found = encounter(collision, first, second, question.others_rad)
     if found is None:
         return RecheckAnswer(None)
     touching = checks.describe_pairs(found.pairs) or "they come too near to tell them apart"
     text = f"the motions of {first.joint_names[0]} and of {second.joint_names[0]} may touch: {touching}"
     details = {"pairs": checks.pairs_as_data(found.pairs), "contact_s": found.time_s}
-    return RecheckAnswer(PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, text, details), found.time_s)
+    failure = PlanningFailure(MoveItErrorCode.INVALID_MOTION_PLAN, text, details)
+    return RecheckAnswer(failure, found.time_s)
 
 
 def _check_question(question: RecheckQuestion, robot: RobotModel) -> None:

@@ -67,9 +67,6 @@ SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most 
 SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
 CURVE_STEPS = (0.04, 0.02, 0.01, 0.002)
 
-# A motion this close to a contact of another one has the same: parabolas leave lines between samples by a tenth of it.
-SAME_CONTACT_RAD = 1e-3
-
 # Work after which the shortest motion so far is certified, so that little is left to do once the time is over.
 CHECKS_A_ROUND = 6000
 
@@ -165,32 +162,19 @@ def _straight(task: MotionTask, budget: Budget) -> Motion | None:
         else:
             free = task.space.line_free(task.start, goal, SPARSE_STEP_M)
             curve = line(task.start, goal, task.limits) if free else None
-        trajectory = None if curve is None else _certified(task, curve, [])
+        trajectory = None if curve is None else _certified(task, curve)
         if trajectory is not None:
             return Motion(trajectory, STRAIGHT_LINE, index)
     return None
 
 
-def _certified(task: MotionTask, curve: Curve, contacts: list[Vector]) -> Trajectory | None:
-    """Return the curve's samples, their jerk limited, unless it touches: a new contact is added to ``contacts``."""
+def _certified(task: MotionTask, curve: Curve) -> Trajectory | None:
+    """Return the curve's samples, their jerk limited, if nothing touches on them."""
     if not curve.stays_within(task.space.lower_rad, task.space.upper_rad):
         return None
-    trajectory = averaged(curve, task.window, task.joint_names) if task.window else curve.sampled(task.joint_names)
-    if any(_passes(trajectory.positions_rad, point) for point in contacts):
-        return None
-    contact = certify(task.space, trajectory)
-    if contact is None:
-        return trajectory
-    contacts.append(trajectory.sample(contact.time_s)[0])
-    return None
-
-
-def _passes(path: Vector, point: Vector) -> bool:
-    """Return true if a polyline, shape (m, n), passes through a point."""
-    start, way = path[:-1], np.diff(path, axis=0)
-    along = np.sum((point - start) * way, axis=1) / np.maximum(np.sum(way**2, axis=1), SAME_CONTACT_RAD**2)
-    away = np.abs(start + np.clip(along, 0.0, 1.0)[:, np.newaxis] * way - point)
-    return bool(away.max(axis=1).min() < SAME_CONTACT_RAD)
+    names = task.joint_names
+    trajectory = averaged(curve, task.window, names) if task.window else curve.sampled(names)
+    return None if certify(task.space, trajectory) else trajectory
 
 
 def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
@@ -203,9 +187,12 @@ def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
     contact = certify(task.space, lead.sampled(task.joint_names))
     if contact is None:
         return None
-    text = f"the arm moves too fast to stop before it touches something after {contact.time_s:.2f} s"
-    details = {"time_s": contact.time_s, "colliding_pairs": [[pair.first, pair.second] for pair in contact.pairs]}
-    return PlanningFailure(MoveItErrorCode.START_STATE_INVALID, text, details)
+    pairs = [[pair.first, pair.second] for pair in contact.pairs]
+    return PlanningFailure(
+        MoveItErrorCode.START_STATE_INVALID,
+        f"the arm moves too fast to stop before it touches something after {contact.time_s:.2f} s",
+        {"time_s": contact.time_s, "colliding_pairs": pairs},
+    )
 
 
 class _Searching:
@@ -249,10 +236,9 @@ class _Searching:
 
     def _shortest(self, found: Sequence[tuple[str, Curve]]) -> Motion | None:
         """Return the motion along the shortest of some curves that can be certified."""
-        contacts: list[Vector] = []
         for method, curve in sorted(found, key=lambda each: each[1].duration_ticks):
             # The best motion is still of use after the deadline, but not once the request is cancelled.
-            trajectory = None if self._budget.should_stop() else _certified(self._task, curve, contacts)
+            trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
             if trajectory is not None:
                 reached = (i for i, q in enumerate(self._task.goals) if np.array_equal(q, curve.positions_rad[-1]))
                 return Motion(trajectory, method, next(reached))

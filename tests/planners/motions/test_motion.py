@@ -154,32 +154,13 @@ def test_where_the_shortest_motion_touches_between_two_checks_its_earlier_parts_
 
     def touches_first(space, trajectory):
         certified.append(trajectory.duration_s)
-        return Contact(0.5 * trajectory.duration_s, ()) if len(certified) == 1 else certify(space, trajectory)
+        return Contact(0.0, ()) if len(certified) == 1 else certify(space, trajectory)
 
     unshortened = find_motion(task, unlimited()).trajectory
     monkeypatch.setattr("planners.motions.motion.certify", touches_first)
     found = find_motion(replace(task, optimization_time_s=0.016), unlimited()).trajectory
     assert certified[0] < found.duration_s < 0.95 * unshortened.duration_s
     assert certify(task.space, found) is None
-
-
-def test_a_motion_through_a_contact_that_was_found_is_not_checked(monkeypatch, task_over_a_wall):
-    certified, shortened = [], []
-
-    def touches_at_the_start(space, trajectory):
-        certified.append(trajectory)
-        return Contact(0.0, ())
-
-    def shortens(*given):
-        shortened.append(smooth(*given))
-        return shortened[-1]
-
-    monkeypatch.setattr("planners.motions.motion.certify", touches_at_the_start)
-    monkeypatch.setattr("planners.motions.motion.smooth", shortens)
-    task = task_over_a_wall(attempts=1, optimization_time_s=0.016)
-    find_motion(task, Budget(lambda: float(len(shortened)), 2.0, never))
-    assert all(len(stages) > 1 for stages in shortened)
-    assert len(certified) == len(shortened) == 2
 
 
 def test_the_work_that_is_asked_for_is_spent_and_little_more(task_over_a_wall):

@@ -73,9 +73,7 @@ class Race:
 def another(problem: PlanningProblem, number: int, spent_s: float) -> PlanningProblem:
     """Return the problem of the racer of a number, from 1; same problem and number, same seed."""
     return dataclasses.replace(
-        problem,
-        seed=(problem.seed + number * SEED_STEP) % SEEDS,
-        allowed_time_s=problem.allowed_time_s - spent_s,
+        problem, seed=(problem.seed + number * SEED_STEP) % SEEDS, allowed_time_s=problem.allowed_time_s - spent_s
     )
 
 

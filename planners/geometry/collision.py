@@ -200,10 +200,7 @@ class CollisionModel:
         self._unchanged = frozenset()
 
     def in_collision(
-        self,
-        q: Vector,
-        allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        refined: RefinedPairs = NONE_REFINED,
+        self, q: Vector, allowed: Mapping[frozenset[str], float] = NO_CONTACT, refined: RefinedPairs = NONE_REFINED
     ) -> bool:
         """Return true if a checked pair touches."""
         if not self._broadphase.touches(q):

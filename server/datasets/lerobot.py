@@ -55,7 +55,9 @@ def pixels_of(message: Mapping[str, Any]) -> NDArray[np.uint8]:
             if max(image.size) > MAX_SIDE_PIXELS:
                 raise VideoError(f"an image must have at most {MAX_SIDE_PIXELS} pixels a side, not {max(image.size)}")
             return np.asarray(image.convert("RGB"))
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
+    except UnidentifiedImageError as error:
+        raise VideoError(f"an image cannot be read: it is {message['format']!r}, wanted jpeg or png") from error
+    except (OSError, ValueError, SyntaxError) as error:
         raise VideoError(f"an image cannot be read: {error}") from error
 
 

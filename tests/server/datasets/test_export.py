@@ -309,9 +309,15 @@ REFUSED = {
         "image 6 of /camera/image/compressed: all images must have the size of the first one, 32x24, not 34x24",
     ),
     "no picture": (
-        [*states(1.0), *(entry("/c", "sensor_msgs/CompressedImage", {"data": "AAAA"}, n / 10) for n in range(11))],
+        [
+            *states(1.0),
+            *(
+                entry("/c", "sensor_msgs/CompressedImage", {"format": "h264", "data": "AAAA"}, n / 10)
+                for n in range(11)
+            ),
+        ],
         {},
-        "image 1 of /c: an image cannot be read",
+        "image 1 of /c: an image cannot be read: it is 'h264', wanted jpeg or png",
     ),
 }
 

@@ -87,6 +87,7 @@ class Cameras(Feature):
         self._ordered_at_s = self._watched_at_s = 0.0
         self._failures = 0
         self._over = False  # True from the stop on, and where no image can come
+        self._failure = ""  # why no image can come
         self._process: asyncio.Task[None] | None = None
         self._ended = asyncio.Event()
         self._restart_delay = RestartDelay()
@@ -191,7 +192,9 @@ class Cameras(Feature):
 
     def _set(self, request: Message) -> Message:
         name, refusal = request["name"], ""
-        if name not in self._cameras and not re.fullmatch(CAMERA_NAME, name):
+        if self._failure:
+            refusal = self._failure
+        elif name not in self._cameras and not re.fullmatch(CAMERA_NAME, name):
             refusal = f"name must be at most 31 lower-case letters, digits and _, a letter first, not {name!r}"
         elif name not in self._cameras and len(self._cameras) >= MAX_CAMERAS:
             refusal = f"there are {MAX_CAMERAS} cameras at most: remove one first"
@@ -257,8 +260,7 @@ class Cameras(Feature):
 
     def _received(self, message: CannotRender | Rendered) -> None:
         if isinstance(message, CannotRender):
-            log.error("the cameras show nothing: %s", message.reason)
-            self._over = True
+            self._give_up(message.reason)
             return
         for topic, each in message.messages:
             self._failures = 0
@@ -266,6 +268,10 @@ class Cameras(Feature):
             if node := next((self._nodes[name] for name, of in self._cameras.items() if topic in of.topics), None):
                 self._graph.publish(node, topic, each)
         self._ready = True
+
+    def _give_up(self, reason: str) -> None:
+        self._over, self._failure = True, f"the cameras show nothing: {reason}"
+        log.error(self._failure)
 
     async def _render(self) -> None:
         """Run the process while someone watches; start it again where it fails, a few times."""
@@ -279,8 +285,7 @@ class Cameras(Feature):
                 return
             self._failures += 1
             if self._failures >= MAX_FAILURES:
-                log.error("the cameras show nothing: their process has ended %d times in a row", MAX_FAILURES)
-                self._over = True
+                self._give_up(f"their process has ended {MAX_FAILURES} times in a row")
                 return
             log.warning("the process of the cameras ended (%s); starting it again", ending)
             await asyncio.sleep(self._restart_delay.after(time.monotonic() - started_at_s))

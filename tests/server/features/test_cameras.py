@@ -320,7 +320,9 @@ async def test_a_machine_that_cannot_render_gets_one_sentence(stage: Stage, capl
         stage.now_s = SILENT_S + 1.0
         stage.state(1.0)
         await asyncio.sleep(100.0)
-    assert [each.message for each in caplog.records] == ["the cameras show nothing: images need OpenGL off screen"]
+    sentence = "the cameras show nothing: images need OpenGL off screen"
+    assert [each.message for each in caplog.records] == [sentence]
+    assert stage.call("set_camera", name="top", view=VIEW) == (False, sentence)
     assert len(stage.children) == 1
 
 

@@ -253,9 +253,8 @@ def recheck(
     if contact is None:
         return RecheckAnswer(None)
     contact = replace(contact, time_s=question.from_s + contact.time_s)
-    return RecheckAnswer(
-        touching(contact, MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE), contact.time_s
-    )
+    code = MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
+    return RecheckAnswer(touching(contact, code), contact.time_s)
 
 
 def check_concurrency(question: ConcurrencyQuestion, robot: RobotModel, collision: CollisionModel) -> RecheckAnswer:
@@ -264,12 +263,8 @@ def check_concurrency(question: ConcurrencyQuestion, robot: RobotModel, collisio
     shared = set(first.joint_names) & set(second.joint_names)
     if shared:
         raise invalid_motion(f"both motions are of joint {min(shared)}")
-    ends = {
-        name: float(q)
-        for one in (first, second)
-        for name, q in zip(one.joint_names, one.positions_rad[-1], strict=True)
-    }
-    checks.check_start(robot, {**question.others_rad, **ends})
+    ends = [dict(zip(one.joint_names, one.positions_rad[-1].tolist(), strict=True)) for one in (first, second)]
+    checks.check_start(robot, {**question.others_rad, **ends[0], **ends[1]})
     found = encounter(collision, first, second, question.others_rad)
     if found is None:
         return RecheckAnswer(None)

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from planners.errors import PlannerError
 from planners.messages import (
     Answered,
     Ask,
@@ -100,6 +101,8 @@ class Worker:
         limit_memory(message.memory_limit_bytes)
         try:
             self._planner = self._make_planner(message.robot)
+        except PlannerError as error:
+            self._channel.send(LoadFailed(str(error)))
         except Exception as error:
             log.exception("cannot load the robot %r", message.robot.name)
             self._channel.send(LoadFailed(f"{type(error).__name__}: {error}"))

@@ -155,7 +155,9 @@ def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]
         urdf = with_mesh_paths(plain_urdf(robot), robot.mesh_directory, robot.package_directories)
         geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     except (DescriptionError, ValueError, RuntimeError) as error:
-        raise ShapeError(robot.name, f"cannot be loaded: {error}") from error
+        # coal's text names its own file and line first.
+        reason = " ".join(str(error).rpartition("message: ")[2].split())
+        raise ShapeError(robot.name, f"cannot be loaded: {reason}") from error
     return list(geometry.geometryObjects)
 
 

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from planners.errors import PlannerError
 from robot.description import robot_folder
 from robot.description.robot_folder import RobotFolder
 from robot.errors import DescriptionError
@@ -39,9 +40,13 @@ def _check(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     if found:
         return ExitCode.PROBLEMS
     resolved = robot_folder.resolve(options.folder)
+    # Imported when it is needed: the planning libraries take half a second.
+    from planners.geometry.collision import CollisionModel
+
     try:
         profile_of(resolved.hardware.profile)
-    except DescriptionError as error:
+        CollisionModel(resolved.model)
+    except (DescriptionError, PlannerError) as error:
         terminal.tell(str(error))
         return ExitCode.PROBLEMS
     terminal.tell(_summary(resolved))

@@ -13,6 +13,7 @@ import pytest
 
 from planners import worker
 from planners.budget import never
+from planners.errors import ShapeError
 from planners.messages import (
     Answered,
     Ask,
@@ -146,12 +147,23 @@ def server(new: Server) -> Server:
     return new
 
 
-def test_a_robot_that_cannot_be_loaded_is_told_and_nothing_is_answered(new: Server) -> None:
+@pytest.mark.parametrize(
+    ("error", "told", "traces"),
+    [
+        (ValueError("no link"), "ValueError: no link", 1),
+        (ShapeError("a", "is flat"), "collision shapes of 'a': is flat", 0),
+    ],
+    ids=["fault", "bad robot"],
+)
+def test_a_robot_that_cannot_be_loaded_is_told_and_nothing_is_answered(
+    new: Server, error: Exception, told: str, traces: int, caplog: pytest.LogCaptureFixture
+) -> None:
     def refuse(_robot: RobotModel) -> Any:
-        raise ValueError("no link")
+        raise error
 
     new.worker._make_planner = refuse
-    assert new.sends(LOAD, Ask(1, STATE)) == [LoadFailed("ValueError: no link")]
+    assert new.sends(LOAD, Ask(1, STATE)) == [LoadFailed(told)]
+    assert len(caplog.records) == traces
 
 
 def test_a_scene_that_comes_in_parts_is_set_up_once_with_the_next_request(server: Server, planning: Planning) -> None:

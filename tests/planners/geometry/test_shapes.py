@@ -76,6 +76,13 @@ def test_a_mesh_that_goes_after_the_description_was_read_is_refused_by_name(tmp_
         shapes_of(robot)
 
 
+def test_a_mesh_that_cannot_be_read_is_refused_in_one_line_that_says_why(tmp_path):
+    (tmp_path / "boom.stl").write_bytes(bytes(200))
+    urdf = CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', '<mesh filename="boom.stl"/>')
+    with pytest.raises(ShapeError, match=r": cannot be loaded: Could not load resource \S+/boom\.stl [^\n]+$"):
+        shapes_of(model.parse(urdf, CRANE_SRDF, mesh_directory=tmp_path))
+
+
 @pytest.mark.parametrize("prefix", ["", "package://{folder}/"])
 def test_meshes_are_found_beside_the_urdf_and_replaced_by_hulls(tmp_path, prefix):
     (tmp_path / "boom.stl").write_text(_tetrahedron_stl())

@@ -7,6 +7,7 @@ from robot.description.robot_folder import built_in_names
 from server import cli
 from server.commands.terminal import ExitCode
 from tests.helpers.stl_arm import write_package
+from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 
 def test_a_sound_folder_is_shown_with_its_joints_and_servos(capsys: pytest.CaptureFixture[str]) -> None:
@@ -27,6 +28,17 @@ def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsy
         "gripper.joints: is missing",
         "gripper.closed: is missing",
     ]
+
+
+def test_a_mesh_that_cannot_be_read_is_wrong_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "robot.toml").touch()
+    (tmp_path / "crane.srdf").write_text(CRANE_SRDF)
+    (tmp_path / "crane.urdf").write_text(
+        CRANE_URDF.replace('<box size="0.3 0.02 0.02"/>', '<mesh filename="boom.stl"/>')
+    )
+    (tmp_path / "boom.stl").write_bytes(bytes(200))
+    assert cli.main(["robot", "check", str(tmp_path)]) == ExitCode.PROBLEMS
+    assert "boom.stl" in capsys.readouterr().out
 
 
 def test_the_built_in_arms_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -41,11 +41,12 @@ def _check(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         return ExitCode.PROBLEMS
     resolved = robot_folder.resolve(options.folder)
     # Imported when it is needed: the planning libraries take half a second.
-    from planners.geometry.collision import CollisionModel
+    from planners.assistant.link_shapes import link_shapes
 
     try:
         profile_of(resolved.hardware.profile)
-        CollisionModel(resolved.model)
+        if not resolved.model.hulls:
+            link_shapes(resolved.model)
     except (DescriptionError, PlannerError) as error:
         terminal.tell(str(error))
         return ExitCode.PROBLEMS
@@ -126,7 +127,6 @@ def _add_import(subparsers: Subparsers) -> None:
 def _import(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: it loads the planning libraries.
     from planners.assistant import importing
-    from planners.errors import PlannerError
 
     try:
         out = options.out or importing.default_folder(options.urdf)

@@ -107,6 +107,10 @@ class MotionRecorder:
         if len(self._states) < MAX_SAMPLES and (not self._states or state.clock_s > self._states[-1].clock_s):
             self._states.append(state)
 
+    def discard(self) -> None:
+        """End the recording without a trajectory."""
+        self._states = None
+
     def finish(self, joint_names: tuple[str, ...]) -> Trajectory | None:
         """End the recording; return the trajectory of these joints, or None when no state came.
 
@@ -220,8 +224,12 @@ class GoalExecutor:
         self._show_soon(planned)
         self.recorder.start()
         answer = await self._player.play(goal, motion, self._questions(motion), from_s=point.from_s)
-        # Of a motion in a stream nobody asks for the states.
-        executed = None if goal.unlogged else self.recorder.finish(motion.trajectory.joint_names)
+        executed = None
+        if goal.unlogged:
+            # Nobody asks for the states of a motion in a stream.
+            self.recorder.discard()
+        else:
+            executed = self.recorder.finish(motion.trajectory.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
         return replace(answer, performed=replace(planned.performed, executed=executed))

@@ -423,6 +423,15 @@ async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop(s
     assert answer.performed.planned == (whole,)
 
 
+async def test_states_are_no_more_recorded_once_a_motion_of_a_stream_has_ended(stage: Stage) -> None:
+    await under_way(stage)
+    await stage.begin(to(shoulder_pan=-0.2))
+    stage.goal.request = replace(stage.goal.request, streamed=True, repeated=True)
+    await stage.arrive()
+    stage.executor.recorder.take_state(STATE)
+    assert stage.executor.recorder.finish(("a",)) is None
+
+
 async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stage) -> None:
     await under_way(stage)
     await stage.begin(to(shoulder_pan=-0.2), TimeLimits(trajectory_s=0.9))

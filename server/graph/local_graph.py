@@ -62,9 +62,15 @@ class LocalGraph:
         self._graph.services.offer_calls(node, self.resolve(name), type_name, start, *limits, rule=self._below(rule))
 
     def offer_action(
-        self, node: Node, name: str, type_name: str, start: Callable[[ActionGoal], None], *limit: ListLimits, rule: Rule
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        start: Callable[[ActionGoal], None],
+        *limits: ListLimits,
+        rule: Rule,
     ) -> None:
-        self._graph.actions.offer(node, self.resolve(name), type_name, start, *limit, rule=self._below(rule))
+        self._graph.actions.offer(node, self.resolve(name), type_name, start, *limits, rule=self._below(rule))
 
     def _below(self, rule: Rule) -> Rule:
         return replace(rule, arm=self._prefix.removeprefix("/"))

@@ -26,7 +26,7 @@ LINK_DENSITY_KG_M3 = 600.0
 ARMATURE_KG_M2 = 0.028
 
 # A link without mass and without shapes, such as between two joints at one place [kg and kg m^2].
-LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-10
+LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-8, 1e-12
 
 MESH_FORMATS = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
 

@@ -21,4 +21,4 @@ async def follow(client: ArmClient, below: str, **request: Any) -> None:
             if states[-1]["phase"] == "following":
                 return
             # With planners that do not come to their turn within two seconds a following ends; it may be started again.
-            assert "has not set out for the leader" in states[-1]["message"]
+            assert "has not set out for the leader" in states[-1]["message"], states[-1]["message"]

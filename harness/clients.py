@@ -11,8 +11,7 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.sync import client as blocking
 
-# A bound of what takes milliseconds on a quiet machine.
-ANSWER_TIMEOUT_S = 20.0
+from harness.waiting import TIMEOUT_S
 
 GOAL_TYPES = {
     "/moveit_goal_named": "std_msgs/String",
@@ -54,7 +53,7 @@ class FrameClient:
     async def publish(self, topic: str, msg: dict[str, Any]) -> None:
         await self.send({"op": "publish", "topic": topic, "msg": msg})
 
-    async def reach(self, topic: str, msg: dict[str, Any], timeout_s: float = 60.0) -> dict[str, Any]:
+    async def reach(self, topic: str, msg: dict[str, Any], timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
         """Publish a goal and wait for the next result."""
         seen = len(self.messages("/moveit_goal_result"))
         await self.publish(topic, msg)
@@ -64,7 +63,7 @@ class FrameClient:
         return self.topics.get(topic, [])
 
     async def until(
-        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = 60.0
+        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = TIMEOUT_S
     ) -> list[dict[str, Any]]:
         """The messages of a topic, once there are some and they fulfil a condition."""
         async with asyncio.timeout(timeout_s), self._news:
@@ -123,7 +122,7 @@ class ArmClient(FrameClient):
         """Call a service; returns its response."""
         answer = self._expect(request_id := next(self._ids))
         await self.say("call_service", service=service, id=request_id, args=request)
-        values: dict[str, Any] = (await asyncio.wait_for(answer, ANSWER_TIMEOUT_S))["values"]
+        values: dict[str, Any] = (await asyncio.wait_for(answer, TIMEOUT_S))["values"]
         return values
 
     async def send_goal(self, action: str, type_name: str, args: dict[str, Any]) -> str:
@@ -134,7 +133,7 @@ class ArmClient(FrameClient):
 
     async def result(self, goal_id: str) -> dict[str, Any]:
         """The ``action_result`` of a goal."""
-        return await asyncio.wait_for(self._answers[goal_id], ANSWER_TIMEOUT_S)
+        return await asyncio.wait_for(self._answers[goal_id], TIMEOUT_S)
 
     async def goal(self, topic: str, type_name: str, msg: dict[str, Any]) -> None:
         await self.say("advertise", topic=topic, type=type_name)
@@ -190,7 +189,7 @@ def call(url: str, service: str, args: dict[str, Any] | None = None) -> dict[str
 def call_on(websocket: blocking.ClientConnection, service: str, args: dict[str, Any] | None = None) -> dict[str, Any]:
     """As :func:`call`, on a connection that stays."""
     websocket.send(json.dumps({"op": "call_service", "service": service, "args": args or {}}))
-    answer = json.loads(websocket.recv(timeout=ANSWER_TIMEOUT_S))
+    answer = json.loads(websocket.recv(timeout=TIMEOUT_S))
     assert answer["result"], answer
     values: dict[str, Any] = answer["values"]
     return values
@@ -209,7 +208,7 @@ def goal(url: str, topic: str, msg: dict[str, Any]) -> dict[str, Any]:
             json.dumps({"op": "subscribe", "topic": "/moveit_goal_result", "type": "moveit_msgs/MoveItErrorCodes"})
         )
         websocket.send(json.dumps({"op": "publish", "topic": topic, "msg": msg}))
-        answer: dict[str, Any] = json.loads(websocket.recv(timeout=ANSWER_TIMEOUT_S))["msg"]
+        answer: dict[str, Any] = json.loads(websocket.recv(timeout=TIMEOUT_S))["msg"]
     return answer
 
 

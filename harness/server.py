@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 
 ROOT = Path(__file__).parents[1]
 # Reference data beside the checkout; the meshes of the published SO-101 are part of it.
@@ -35,9 +35,6 @@ CLIENT_ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "clients" / "python
 
 READY = re.compile(r"armbridge is ready: ws://[^:]+:(\d+)")
 
-# Interpreter start, bus check and torque ramp take 0.8 s on a quiet machine, and many times that on a busy one.
-START_TIMEOUT_S = 120.0
-
 
 # Stands for the arguments, so that make, which takes 0.13 s, is asked once.
 ARGUMENTS = "@arguments@"
@@ -51,7 +48,7 @@ def _run_line() -> str:
         capture_output=True,
         text=True,
         check=True,
-        timeout=30,
+        timeout=TIMEOUT_S,
     )
     return dry.stdout.strip().splitlines()[-1].removeprefix("exec ")
 
@@ -90,7 +87,7 @@ class RunningServer:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        self._ready.wait(START_TIMEOUT_S)
+        self._ready.wait(TIMEOUT_S)
         if not self.port:
             self.process.kill()
             self.__exit__()
@@ -119,14 +116,14 @@ class RunningServer:
     def url(self) -> str:
         return f"ws://127.0.0.1:{self.port}/?x=1"
 
-    def end(self, number: signal.Signals, timeout_s: float = 60.0) -> tuple[int, float]:
+    def end(self, number: signal.Signals, timeout_s: float = TIMEOUT_S) -> tuple[int, float]:
         """Send a signal and wait; returns exit code and how long it took [s]."""
         started_s = time.monotonic()
         self.process.send_signal(number)
         code = self.process.wait(timeout_s)
         return code, time.monotonic() - started_s
 
-    def has_logged(self, text: str, timeout_s: float = 30.0) -> bool:
+    def has_logged(self, text: str, timeout_s: float = TIMEOUT_S) -> bool:
         """Wait for a line with a text; returns false if none comes."""
         with contextlib.suppress(AssertionError):
             wait_until(lambda: any(text in line for line in list(self.lines)), timeout_s)
@@ -159,11 +156,6 @@ def read_write_log(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in whole]
 
 
-# The arm process listens as soon as it knows its arm, and takes commands at every tick.
-CONNECT_TIMEOUT_S = 30.0
-ANSWER_TIMEOUT_S = 30.0
-
-
 class EmulatorControl:
     """A controller of the emulated servos whose control socket is at a path; connects anew for each command."""
 
@@ -178,10 +170,10 @@ class EmulatorControl:
         return answer
 
     def _connected(self) -> socket.socket:
-        until_s = time.monotonic() + CONNECT_TIMEOUT_S
+        until_s = time.monotonic() + TIMEOUT_S
         while True:
             controller = socket.socket(socket.AF_UNIX)
-            controller.settimeout(ANSWER_TIMEOUT_S)
+            controller.settimeout(TIMEOUT_S)
             try:
                 controller.connect(str(self.path))
             except OSError:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 
 
 def distribution(folder: Path, package: str, content: str = "") -> None:
@@ -30,7 +31,7 @@ def start(home: Path, *before: Path) -> subprocess.CompletedProcess[str]:
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=TIMEOUT_S,
         check=False,
     )
 

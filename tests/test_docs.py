@@ -16,6 +16,7 @@ import yaml
 
 from harness.page import page_digest
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 from planners.problem import MoveItErrorCode
 from protocol.registry import Registry
 from robot.description.limits import END_STOP_MARGIN_RAD
@@ -117,7 +118,7 @@ def test_commands_about_the_configuration_succeed() -> None:
 def test_the_targets_of_make_exist() -> None:
     words = {word for line in COMMANDS if line.startswith("make ") for word in shlex.split(line)[1:]}
     done = subprocess.run(
-        ["make", "-n", *sorted(words)], cwd=ROOT, capture_output=True, text=True, timeout=30, check=False
+        ["make", "-n", *sorted(words)], cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
     )
     assert done.returncode == 0, f"a `make ...` of README.md or docs/ is no target of the Makefile: {done.stderr}"
 

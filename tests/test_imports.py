@@ -9,6 +9,7 @@ from graphlib import TopologicalSorter
 import pytest
 
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 from tests.helpers.source import ROOMS, imports, name_of, paths
 
 # What each room may import of ours; a name with a dot is one module of a room. ARCHITECTURE.md shows it.
@@ -123,7 +124,7 @@ print(*sys.modules)
 def test_a_server_starts_without_planning_libraries_and_without_what_only_few_need() -> None:
     """The metrics' library is loaded: it counts from the start, and takes 20 to 30 ms of the 1.3 s of imports."""
     command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
     loaded = set(done.stdout.split())
     assert loaded & PLANNING_LIBRARIES == set(), "import them in the functions that need them, not in the module"
     assert {"server.monitoring.monitor", "server.zenoh.bridge", "prometheus_client"} <= loaded
@@ -132,7 +133,7 @@ def test_a_server_starts_without_planning_libraries_and_without_what_only_few_ne
 
 def test_the_command_line_loads_nothing_of_the_server_before_a_command_needs_it() -> None:
     command = [sys.executable, "-c", "import sys, server.cli; print(*sys.modules)"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
     loaded = set(done.stdout.split())
     assert "server.commands.arm" in loaded
     assert not {"websockets", "uvloop", "server.app", *PLANNING_LIBRARIES} & loaded

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from harness.server import CLIENT_ENVIRONMENT, ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 from server.config import Settings
 from server.config_keys import template
 
@@ -23,7 +24,7 @@ def test_the_python_client_of_the_readme_moves_the_arm(simulated_server: Running
         env=CLIENT_ENVIRONMENT,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=TIMEOUT_S,
         check=False,
     )
     assert done.stdout == "the arm is there\n", f"correct the program in README.md: {done.stderr}"

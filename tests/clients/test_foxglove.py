@@ -14,6 +14,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
 from harness.server import ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.helpers.programs import install_with_npm
 
 HERE = Path(__file__).parent / "foxglove"
@@ -59,7 +60,7 @@ async def call(websocket: ClientConnection, service: str) -> dict[str, Any]:
 
 async def listen(url: str, topics: set[str]) -> Heard:
     """Subscribe as Foxglove does, have the arm move, and wait for a message on each topic."""
-    async with asyncio.timeout(60.0), connect(url, max_size=None) as websocket:
+    async with asyncio.timeout(TIMEOUT_S), connect(url, max_size=None) as websocket:
         known = await call(websocket, "/rosapi/topics_and_raw_types")
         services = (await call(websocket, "/rosapi/services"))["services"]
         types = dict(zip(known["topics"], known["types"], strict=True))
@@ -88,7 +89,7 @@ def decoded(heard: Heard, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     install_with_npm(folder)
     told = json.dumps(heard.messages)
     done = subprocess.run(
-        ["node", "decode.mjs"], cwd=folder, input=told, capture_output=True, text=True, timeout=60, check=False
+        ["node", "decode.mjs"], cwd=folder, input=told, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
     )
     assert done.returncode == 0, done.stderr
     messages: dict[str, Any] = json.loads(done.stdout)

@@ -8,6 +8,7 @@ import pytest
 
 from clients.js.generate_types import TARGET, generated
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 from tests.helpers.programs import install_with_npm
 from tests.test_readme import blocks
 
@@ -30,6 +31,11 @@ def test_the_program_of_the_readme_is_well_typed_with_roslib(tmp_path: Path) -> 
     for source, right in ((program, True), (program.replace("position[0]", "positions[0]"), False)):
         (tmp_path / "program.ts").write_text(source)
         done = subprocess.run(
-            [str(TSC), *options, "program.ts"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+            [str(TSC), *options, "program.ts"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
         )
         assert (done.returncode == 0) is right, done.stdout

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from harness.server import FAST, ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 
 PYTHON = ROOT / "build" / "mcp" / "bin" / "python"
 SCENARIO = ROOT / "tests" / "clients" / "mcp_scenario.py"
@@ -79,7 +80,11 @@ def test_its_types_hold_against_the_package_mcp(tmp_path: Path) -> None:
 @pytest.mark.parametrize("address", ["0.0.0.0:8000", "8000", "127.0.0.1:http"])
 def test_streamable_http_is_for_this_machine(address: str) -> None:
     done = subprocess.run(
-        [str(PYTHON), "-m", "armbridge_mcp", "--http", address], capture_output=True, text=True, timeout=60, check=False
+        [str(PYTHON), "-m", "armbridge_mcp", "--http", address],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=False,
     )
     assert done.returncode == 1
     assert "--http must be HOST:PORT with a host of this machine" in done.stderr

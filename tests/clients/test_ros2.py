@@ -10,11 +10,10 @@ from typing import Any
 import pytest
 
 from harness.server import ROOT, RunningServer
-from harness.waiting import running
+from harness.waiting import TIMEOUT_S, running
 
 PYTHON = ROOT / "build" / "ros2" / "bin" / "python"
 SCENARIO_TIMEOUT_S = 300
-END_TIMEOUT_S = 60
 # action_msgs/GoalStatus
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
@@ -38,7 +37,7 @@ def bridge(server: RunningServer) -> Iterator[subprocess.Popen[str]]:
     with running(command, env=ENVIRONMENT) as process:
         yield process
         process.terminate()
-        assert process.wait(END_TIMEOUT_S) == 0
+        assert process.wait(TIMEOUT_S) == 0
 
 
 def heard_by(scenario: str) -> dict[str, Any]:

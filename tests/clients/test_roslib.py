@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from harness.server import RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.helpers.programs import environment_with, heard_by, install_with_npm
 
 HERE = Path(__file__).parent
@@ -65,7 +66,7 @@ def heard(server: RunningServer, request: pytest.FixtureRequest) -> Callable[[st
         if version in JAVASCRIPT:
             folder: Path = request.getfixturevalue("node_modules")
             command = ["node", "roslib_scenario.mjs", version, f"ws://127.0.0.1:{server.port}"]
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
             assert done.returncode == 0, done.stderr + done.stdout
             heard: Heard = json.loads(done.stdout.splitlines()[-1])
             return heard

@@ -18,14 +18,13 @@ import numpy as np
 import pytest
 
 from harness.server import ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.test_docs import rotation
 from tests.test_readme import blocks
 
 PACKAGE = ROOT / "clients" / "unity"
 AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 NEWTONSOFT = Path("/usr/lib/cli/Newtonsoft.Json-5.0/Newtonsoft.Json.dll")
-COMPILE_TIMEOUT_S = 120
-ANSWER_TIMEOUT_S = 60
 
 pytestmark = pytest.mark.skipif(
     shutil.which("mcs") is None or not NEWTONSOFT.exists(),
@@ -46,7 +45,7 @@ def compiled(target: str, output: Path, *sources: Path) -> Path:
         *references,
     ]
     done = subprocess.run(
-        [*command, *map(str, sources)], capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False
+        [*command, *map(str, sources)], capture_output=True, text=True, timeout=TIMEOUT_S, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return output
@@ -94,7 +93,7 @@ def game(driver: Path) -> Iterator[Callable[..., Game]]:
     yield start
     for each in games:
         each.process.kill()
-        each.process.communicate(timeout=ANSWER_TIMEOUT_S)
+        each.process.communicate(timeout=TIMEOUT_S)
 
 
 def test_the_arm_is_moved_by_name_by_joint_by_tip_and_stopped(server: RunningServer, game: Callable[..., Game]) -> None:
@@ -162,7 +161,7 @@ def numbers(driver: Path) -> Callable[[str], list[str]]:
             input="\n".join(lines) + "\n",
             capture_output=True,
             text=True,
-            timeout=ANSWER_TIMEOUT_S,
+            timeout=TIMEOUT_S,
             check=False,
         )
         assert done.returncode == 0, done.stderr

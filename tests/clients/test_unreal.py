@@ -12,6 +12,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from harness.server import ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.clients.test_unity import floats, goes_round, stl
 from tests.test_docs import rotation
 from tests.test_readme import blocks
@@ -23,7 +24,6 @@ AXES = np.diag([1.0, -1.0, 1.0])
 # Unreal builds modules without exceptions and run-time types.
 COMPILE = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "-fno-rtti"]
 COMPILE_TIMEOUT_S = 300
-ANSWER_TIMEOUT_S = 60
 
 pytestmark = pytest.mark.skipif(
     shutil.which("g++") is None or not Path("/usr/include/rapidjson").exists(),
@@ -72,7 +72,7 @@ class Game:
     def until(self, beginning: str) -> str:
         """Take frames until there is an event that begins so; return its rest."""
         while True:
-            for event in self.ask("frame " + str(self.socket.recv(timeout=ANSWER_TIMEOUT_S))):
+            for event in self.ask("frame " + str(self.socket.recv(timeout=TIMEOUT_S))):
                 if event.startswith(beginning):
                     return event.removeprefix(beginning).strip()
 
@@ -82,7 +82,7 @@ def arm(driver: Path, server: RunningServer) -> Iterator[Game]:
     with connect(f"ws://127.0.0.1:{server.port}") as socket:
         game = Game(driver, socket)
         yield game
-        game.process.communicate(timeout=ANSWER_TIMEOUT_S)
+        game.process.communicate(timeout=TIMEOUT_S)
 
 
 def test_the_arm_is_moved_by_name_by_joint_by_tip_and_stopped(arm: Game) -> None:
@@ -101,9 +101,7 @@ def test_a_named_goal_that_another_one_replaces_is_not_taken_for_the_end_of_the_
 def answers(driver: Path) -> Callable[..., list[str]]:
     def of(*lines: str) -> list[str]:
         text = "\n".join(lines) + "\n"
-        done = subprocess.run(
-            [str(driver)], input=text, capture_output=True, text=True, timeout=ANSWER_TIMEOUT_S, check=True
-        )
+        done = subprocess.run([str(driver)], input=text, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
         return [line for line in done.stdout.splitlines() if line != "end"]
 
     return of

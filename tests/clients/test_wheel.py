@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from tests.helpers.programs import UV
 
 ROOT = Path(__file__).parents[2]
@@ -66,7 +67,7 @@ def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def build(checkout: Path, out: Path) -> subprocess.CompletedProcess[str]:
     command = [UV, "build", "--out-dir", out, checkout]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
 
 
 def names_in(wheel: Path) -> set[str]:
@@ -144,7 +145,9 @@ def test_without_one_of_its_parts_it_is_not_built(checkout: Path, tmp_path: Path
 
 def test_once_installed_the_server_finds_its_page(wheel: Path, tmp_path: Path) -> None:
     target = tmp_path / "installed"
-    subprocess.run([UV, "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], check=True, timeout=120)
+    subprocess.run(
+        [UV, "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], check=True, timeout=TIMEOUT_S
+    )
     program = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
         "from server.gateway import http\n"

@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 from server import cli
 from server.config import PREFIX, Settings
 from server.gateway.settings import ServerSettings
@@ -115,9 +116,9 @@ def test_what_is_left_out_of_the_lock_is_imported_when_it_is_wanted_or_by_none_o
 @pytest.mark.parametrize("name", ["verify.sh", "release.sh"])
 def test_the_scripts_are_well_formed(name: str) -> None:
     script = str(ROOT / "docker" / name)
-    subprocess.run(["bash", "-n", script], check=True, timeout=30)
+    subprocess.run(["bash", "-n", script], check=True, timeout=TIMEOUT_S)
     if shutil.which("shellcheck") is not None:
-        done = subprocess.run(["shellcheck", script], capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(["shellcheck", script], capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         assert done.stdout == ""
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from docker import slim
+from harness.waiting import TIMEOUT_S
 from tests.helpers.source import ROOMS, imports, paths
 
 
@@ -82,7 +83,9 @@ def test_it_tells_how_much_each_step_has_saved(packages: Path, capsys: pytest.Ca
 
 def test_of_scipy_nothing_goes_that_the_planners_load() -> None:
     program = "import sys, scipy.spatial, scipy.sparse.csgraph; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=TIMEOUT_S, check=True
+    )
     loaded = {name.split(".")[1] for name in done.stdout.split() if name.startswith("scipy.")}
     assert {"spatial", "sparse"} <= loaded
     assert loaded & set(slim.SCIPY) == set()

@@ -3,6 +3,7 @@
 import asyncio
 from typing import Any
 
+from harness.waiting import TIMEOUT_S
 from server.graph.node import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
@@ -12,7 +13,7 @@ async def called(graph: Graph, service: str, **request: Any) -> Response:
     """Return the response to a call."""
     answered: asyncio.Future[Response] = asyncio.get_running_loop().create_future()
     graph.services.call(Node("client"), service, request, answered.set_result)
-    return await asyncio.wait_for(answered, 60.0)
+    return await asyncio.wait_for(answered, TIMEOUT_S)
 
 
 def answered(graph: Graph, service: str, caller: Node | None = None, **request: Any) -> Response:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from planners import problem
 from planners.problem import MoveItErrorCode, PlanningFailure, Request
 from planners.scene import EMPTY_SCENE, Pose, Scene
@@ -249,7 +250,7 @@ class ServiceRig:
         """Return the success of a call and its values."""
         answered = asyncio.get_running_loop().create_future()
         self.graph.services.call(self.client, service, request, answered.set_result)
-        response = await asyncio.wait_for(answered, 60.0)
+        response = await asyncio.wait_for(answered, TIMEOUT_S)
         return response.ok, response.values
 
     def listen(self, topic: str, type_name: str) -> list[Any]:

@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
+
 UV = Path(sys.executable).with_name("uv")
 
 
 def environment_with(python: str, folder: Path, package: str | Path) -> Path:
     """Make an environment of a Python in a folder, with a package; return its interpreter."""
-    subprocess.run([UV, "venv", "--quiet", "--python", python, folder], timeout=120, check=True)
+    subprocess.run([UV, "venv", "--quiet", "--python", python, folder], timeout=TIMEOUT_S, check=True)
     made = folder / "bin" / "python"
     subprocess.run([UV, "pip", "install", "--quiet", "--python", made, package], timeout=300, check=True)
     return made

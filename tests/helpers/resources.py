@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 
 from harness.server import REFERENCE
+from harness.waiting import TIMEOUT_S
 
 if TYPE_CHECKING:
     from hypothesis import settings
@@ -71,7 +72,7 @@ def runs(pid: int) -> bool:
 
 def openssl(*arguments: str) -> None:
     """Call openssl."""
-    subprocess.run(["openssl", *arguments], check=True, capture_output=True, timeout=30)
+    subprocess.run(["openssl", *arguments], check=True, capture_output=True, timeout=TIMEOUT_S)
 
 
 # The profile `explore` draws this many examples of a test that names no number.

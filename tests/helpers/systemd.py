@@ -5,7 +5,7 @@ import threading
 import time
 from pathlib import Path
 
-TIMEOUT_S = 30.0
+from harness.waiting import TIMEOUT_S
 
 
 class Systemd:

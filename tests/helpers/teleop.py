@@ -4,8 +4,7 @@ import asyncio
 from typing import Any
 
 from harness.clients import ArmClient
-
-TIMEOUT_S = 60.0
+from harness.waiting import TIMEOUT_S
 
 
 async def follow(client: ArmClient, below: str, **request: Any) -> None:

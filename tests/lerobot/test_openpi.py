@@ -43,7 +43,7 @@ def policy_server(folder: Path, kind: str) -> Iterator[Stub]:
     port, lines = free_port(), folder / "observations"
     with lines.open("w") as out, running([BIN / "python", STUB, str(port), kind], cwd=folder, stdout=out) as process:
         stub = Stub(port, lines)
-        wait_until(lambda: process.poll() is not None or listens(port), 60)
+        wait_until(lambda: process.poll() is not None or listens(port))
         yield stub
 
 
@@ -141,12 +141,12 @@ def test_a_person_pauses_the_policy_steers_and_gives_back(server: RunningServer,
         assert arm.chunks().pause() == "the policy is paused"
         with arm.jog() as jog:
             begins_rad = arm.state().position_rad["shoulder_pan"]
-            wait_until(lambda: jog.joints({"shoulder_pan": -0.4}) and pan_rad(arm) < begins_rad - 0.1, 60)
+            wait_until(lambda: jog.joints({"shoulder_pan": -0.4}) and pan_rad(arm) < begins_rad - 0.1)
         stands_rad = pan_rad(arm)
-        wait_until(lambda: "the policy waits: " in log.read_text(), 60)
+        wait_until(lambda: "the policy waits: " in log.read_text())
         seen = len(stub.observations)
         assert arm.chunks().resume() == "the next chunk is followed"
-        wait_until(lambda: pan_rad(arm) > stands_rad + 0.1, 60)
+        wait_until(lambda: pan_rad(arm) > stands_rad + 0.1)
         # The policy did not look while the person steered, and goes on from where the person left the arm.
         assert stub.observations[seen]["observation/state"][0] == pytest.approx(stands_rad, abs=0.05)
         arm.chunks().stop()

@@ -295,9 +295,9 @@ def test_after_a_stop_the_next_action_is_refused_and_nothing_moves(
         here = float(ask(process, "observe")["shoulder_pan.pos"])
         ask(process, "act shoulder_pan.pos 30")
         if moves_first:
-            wait_until(lambda: abs(float(ask(process, "act shoulder_pan.pos 30")["shoulder_pan.pos"]) - here) > 5.0, 60)
+            wait_until(lambda: abs(float(ask(process, "act shoulder_pan.pos 30")["shoulder_pan.pos"]) - here) > 5.0)
         arm.stop()
-        wait_until(lambda: "error" in ask(process, "act shoulder_pan.pos -30"), 60)
+        wait_until(lambda: "error" in ask(process, "act shoulder_pan.pos -30"))
         stopped = arm.state().position_rad
         refused = ask(process, "act shoulder_pan.pos -30")
         assert str(refused["error"]).startswith("ArmStopped: the arm no longer follows: ")
@@ -309,7 +309,7 @@ def test_one_of_several_arms_follows_by_lerobots_names() -> None:
         RunningServer("--port 0 --config examples/two_arms.toml", settings=FAST_ARMS) as two,
         scenario(two.port, "left") as process,
     ):
-        wait_until(lambda: float(ask(process, "act shoulder_pan.pos 15")["shoulder_pan.pos"]) > 14.0, 60)
+        wait_until(lambda: float(ask(process, "act shoulder_pan.pos 15")["shoulder_pan.pos"]) > 14.0)
         assert ask(process, "observe")["elbow_flex.pos"] == pytest.approx(0.0, abs=2.0)
 
 

@@ -15,9 +15,7 @@ from websockets.sync.client import connect
 from harness.clients import call_on, goal
 from harness.page import opened
 from harness.server import FAST, ROOT
-
-START_TIMEOUT_S = 120.0
-END_TIMEOUT_S = 60.0
+from harness.waiting import TIMEOUT_S
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +26,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple
     with subprocess.Popen(
         command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT), **FAST}, stderr=subprocess.PIPE, text=True
     ) as process:
-        overdue = threading.Timer(START_TIMEOUT_S, process.kill)
+        overdue = threading.Timer(TIMEOUT_S, process.kill)
         overdue.start()
         assert process.stderr is not None
         lines: list[str] = []
@@ -38,7 +36,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple
         overdue.cancel()
         yield _places(folder)
         process.terminate()
-        process.communicate(timeout=END_TIMEOUT_S)
+        process.communicate(timeout=TIMEOUT_S)
 
 
 def _places(folder: Path) -> dict[str, tuple[str, str]]:

@@ -7,6 +7,7 @@ from websockets.sync import client as blocking
 
 from harness.page import SHARED, OpenPage
 from harness.server import RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.helpers.arm_record import MOVED_RAD, arm_record
 
 SETTINGS = SHARED | {"ARMBRIDGE_GOALS__CONFIRM": "true"}
@@ -28,6 +29,6 @@ def test_a_goal_is_discarded_or_confirmed_by_a_person(page: OpenPage, server: Ru
             page.until_text("next-step", "Confirm or Discard")
             assert not page.offers("go")
             page.part(control).click()
-            assert json.loads(client.recv(timeout=60.0))["msg"]["val"] == code
+            assert json.loads(client.recv(timeout=TIMEOUT_S))["msg"]["val"] == code
             assert (record.way_rad(began_s) > MOVED_RAD) is (control == "confirm")
             page.until("document.querySelector('[data-testid=confirm]').hidden")

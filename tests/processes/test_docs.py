@@ -10,14 +10,12 @@ import pytest
 from websockets.sync.client import connect
 
 from harness.server import CLIENT_ENVIRONMENT, ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.test_docs import EXAMPLES, PAGES
 from tests.test_readme import blocks
 
 SERVER_PORT = "9090"
 
-RUN_TIMEOUT_S = 60
-
-ANSWER_TIMEOUT_S = 60
 
 # Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.
 SENT = ("engines.md", "goals.md", "operations.md")
@@ -32,7 +30,7 @@ def run_python(arguments: list[str]) -> subprocess.CompletedProcess[str]:
         env=CLIENT_ENVIRONMENT,
         capture_output=True,
         text=True,
-        timeout=RUN_TIMEOUT_S,
+        timeout=TIMEOUT_S,
         check=False,
     )
 
@@ -65,7 +63,7 @@ def test_a_goal_of_the_page_about_http_is_carried_out(command: str, simulated_se
         [*words, "--silent", "--show-error", "--fail-with-body"],
         capture_output=True,
         text=True,
-        timeout=RUN_TIMEOUT_S,
+        timeout=TIMEOUT_S,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
@@ -98,7 +96,7 @@ def test_the_messages_of_a_page_are_taken_without_complaint(page: str, simulated
             client.send(json.dumps({"op": "call_service", "service": service, "id": service}))
             left = {service, *waited_for}
             while left:
-                operation = json.loads(client.recv(timeout=ANSWER_TIMEOUT_S))
+                operation = json.loads(client.recv(timeout=TIMEOUT_S))
                 refused = operation["op"] == "service_response" and not operation["result"]
                 if operation["op"] == "status" or refused:
                     complaints.append(operation)

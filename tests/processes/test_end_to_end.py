@@ -17,6 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from harness.clients import FrameClient, frame_client, goal_is
 from harness.server import RunningServer, read_write_log
+from harness.waiting import TIMEOUT_S
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.installation import PAGE_DIRECTORY
@@ -145,7 +146,7 @@ async def test_stop_ends_the_motion_along_its_path_and_empties_the_queue(client:
 
 
 def test_the_page_is_on_the_same_port_or_how_to_get_it(server: RunningServer) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=30.0)
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=TIMEOUT_S)
     connection.request("GET", "/")
     response = connection.getresponse()
     text = response.read().decode()
@@ -190,7 +191,7 @@ async def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
             await client.until("/moveit_goal_status", goal_is("executing"))
             code, seconds = await asyncio.to_thread(server.end, request.param)
             results = client.messages(RESULT)
-    _, alive = psutil.wait_procs(children, timeout=30)
+    _, alive = psutil.wait_procs(children, timeout=TIMEOUT_S)
     return Ended(code, seconds, results, alive, log, recording)
 
 
@@ -236,13 +237,13 @@ async def test_a_killed_server_leaves_an_arm_at_rest_no_process_behind_and_its_r
             await client.open_goals()
             # Messages reach the file once a second: a quick start takes less, and on a busy machine what is latched
             # comes long before the first state.
-            async with asyncio.timeout(60.0):
+            async with asyncio.timeout(TIMEOUT_S):
                 while not has_joint_states(recording):
                     await asyncio.sleep(0.1)
             await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
             await client.until("/moveit_goal_status", goal_is("executing"))
             await asyncio.to_thread(server.end, signal.SIGKILL)
-    _, alive = psutil.wait_procs(children, timeout=30)
+    _, alive = psutil.wait_procs(children, timeout=TIMEOUT_S)
     assert not alive
     assert_comes_to_rest(log)
     assert has_joint_states(recording)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 
 # Stands in for python3: answers what make asks, notes what it is called with, and does as the variables say.
 PYTHON = """#!/bin/sh
@@ -78,7 +79,7 @@ class Checkout:
             env={"PATH": str(self.programs), "CALLS": str(self.calls), "HOME": os.environ["HOME"], **environment},
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=TIMEOUT_S,
             check=False,
         )
 

@@ -9,6 +9,7 @@ import pytest
 
 from harness.clients import ArmClient, FrameClient, arm_client, goal_is
 from harness.server import ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 
 COLORS = [f"cube_{color}" for color in ("red", "green", "blue", "yellow")]
 STANDS_STILL = "the arm does not move: its time stands still, and it brakes when time passes"
@@ -117,7 +118,7 @@ async def test_an_object_is_put_falls_step_by_step_and_comes_back(caller: ArmCli
 
 def test_a_block_is_picked_and_placed_faster_than_time_without_a_server() -> None:
     command = [sys.executable, "-m", "benchmarks.pick_and_place", "--count", "1", "--friction", "0.8"]
-    printed = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, cwd=ROOT).stdout
+    printed = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=True, cwd=ROOT).stdout
     assert printed.startswith("friction 0.8, seed 1: 1 of 1 blocks picked and placed\n")
 
 

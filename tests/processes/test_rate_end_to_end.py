@@ -11,6 +11,7 @@ import pytest
 
 from harness.clients import ArmClient, FrameClient, arm_client
 from harness.server import RunningServer
+from harness.waiting import TIMEOUT_S
 
 CLOCK = "/clock"
 JOG = "/servo_node/delta_joint_cmds"
@@ -61,7 +62,7 @@ async def test_a_client_that_steers_in_real_time_moves_the_arm(caller: ArmClient
     assert (await caller.call("/moveit_goal", named="home"))["success"]
     before = await caller.positions()
     await caller.say("advertise", topic=JOG, type="control_msgs/JointJog")
-    async with asyncio.timeout(60.0):
+    async with asyncio.timeout(TIMEOUT_S):
         while caller.messages("/joint_states")[-1]["position"][0] < before["shoulder_pan"] + 0.1:
             await caller.publish(JOG, {"joint_names": ["shoulder_pan"], "velocities": [0.5]})
             await asyncio.sleep(0.02)

@@ -14,12 +14,12 @@ import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import EmulatorControl, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.helpers.robots import so101
 
 RESULT, ERROR_CODES = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
 SUCCESS, INVALID_GROUP, CONTROL_FAILED = 1, -15, -4
-TIMEOUT_S = 60.0
 
 # The tips meet between the arms when both reach forward and turn towards each other.
 CONFIG = """

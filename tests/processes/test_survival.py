@@ -13,7 +13,7 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from harness.clients import FrameClient, frame_client, goal_is
 from harness.server import ROOT, RunningServer, free_port, run_command
-from harness.waiting import running, until
+from harness.waiting import TIMEOUT_S, running, until
 
 RESULT = "/moveit_goal_result"
 STATE = "/arm/state"
@@ -47,7 +47,7 @@ async def test_neither_a_hung_arm_nor_hung_planners_nor_a_deaf_client_hold_up_th
         deaf.transport.abort()
     # Far more than it waits for them, and far less than a planner would keep it.
     assert (code, seconds < 30.0) == (0, True)
-    _, alive = await asyncio.to_thread(psutil.wait_procs, children, timeout=30)
+    _, alive = await asyncio.to_thread(psutil.wait_procs, children, timeout=TIMEOUT_S)
     assert not alive
     assert server.has_logged("the arm process does not end and is killed")
 
@@ -95,7 +95,7 @@ async def test_a_server_that_was_killed_can_be_started_again_at_once() -> None:
             await reaches(client)
 
 
-async def until_open(port: int, timeout_s: float = 60.0) -> str:
+async def until_open(port: int, timeout_s: float = TIMEOUT_S) -> str:
     """The URL of a server that is starting, once its port is there."""
 
     def is_open() -> bool:

@@ -17,7 +17,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from harness.emulator import RunningEmulator
 from harness.server import ROOT, RunningServer, ServerOnBus, server_on_bus
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 from robot.calibration import save
 from robot.commissioning.scan import explain_missing, scan
 from robot.errors import PortError, PortLost
@@ -41,8 +41,6 @@ PAGE = ROOT / "docs" / "troubleshooting.md"
 TABLE = ROOT / "tests" / "TRAPS.md"
 
 LIFT, ELBOW, ROLL, GRIPPER = 2, 3, 5, 6
-
-ANSWER_TIMEOUT_S = 30.0
 
 
 def sections() -> dict[str, str]:
@@ -378,7 +376,7 @@ def test_a_server_whose_servos_another_program_has_shifted_refuses_to_enable_the
 def call(client: ClientConnection, service: str) -> dict[str, Any]:
     """Call a service of the arm; return its answer."""
     client.send(json.dumps({"op": "call_service", "service": service, "id": service}))
-    while (answer := json.loads(client.recv(timeout=ANSWER_TIMEOUT_S)))["op"] != "service_response":
+    while (answer := json.loads(client.recv(timeout=TIMEOUT_S)))["op"] != "service_response":
         pass
     values: dict[str, Any] = answer["values"]
     return values
@@ -433,6 +431,6 @@ def test_a_client_reads_the_sentence_and_after_the_remedy_resets_the_fault(
 def await_state(client: ClientConnection, level: int) -> str:
     """Return what the arm says in the first state of a level."""
     while True:
-        operation = json.loads(client.recv(timeout=ANSWER_TIMEOUT_S))
+        operation = json.loads(client.recv(timeout=TIMEOUT_S))
         if operation["op"] == "publish" and operation["msg"]["level"] == level:
             return str(operation["msg"]["message"])

@@ -14,7 +14,7 @@ from websockets.asyncio.client import connect
 
 from harness.clients import frame_client
 from harness.server import RunningServer
-from harness.waiting import running, until, wait_until
+from harness.waiting import TIMEOUT_S, running, until, wait_until
 from protocol.codecs import json
 from tests.helpers.zenoh_network import RosMachine, free_port
 
@@ -22,9 +22,6 @@ STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 ERROR_CODES = "moveit_msgs::msg::dds_::MoveItErrorCodes_"
 SUCCESS = 1
 
-
-# A server ends within a second, and on a starved machine by its arm's clock.
-END_TIMEOUT_S = 60.0
 
 DEAF = """
 import signal, sys, zenoh
@@ -112,7 +109,7 @@ async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: L
 
 
 async def call(url: str, service: str) -> Any:
-    async with connect(url) as websocket, asyncio.timeout(30.0):
+    async with connect(url) as websocket, asyncio.timeout(TIMEOUT_S):
         await websocket.send(f'{{"op": "call_service", "service": "{service}"}}')
         return json.decode(await websocket.recv())
 
@@ -125,7 +122,7 @@ async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(
         os.kill(deaf.pid, signal.SIGSTOP)
         heard = lab.machine.hear("/arm1/joint_states", JOINT_STATE)
         await until(lambda: len(heard) >= 100)
-        code, _ = await asyncio.to_thread(lab.arm.end, signal.SIGTERM, END_TIMEOUT_S)
+        code, _ = await asyncio.to_thread(lab.arm.end, signal.SIGTERM, TIMEOUT_S)
     assert code == 0
     await gone(lab)
 
@@ -133,8 +130,8 @@ async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(
 async def gone(lab: Lab) -> None:
     """What the arm's server shared is nowhere any more, and the other server goes on."""
     wait_until(lambda: not lab.machine.has_token("%arm1%joint_states/sensor_msgs::msg::dds_::JointState_"))
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(TIMEOUT_S):
         while (await call(lab.viewer.url, "/arm1/arm/stop"))["result"]:
             await asyncio.sleep(0.05)
-    code, _ = await asyncio.to_thread(lab.viewer.end, signal.SIGTERM, END_TIMEOUT_S)
+    code, _ = await asyncio.to_thread(lab.viewer.end, signal.SIGTERM, TIMEOUT_S)
     assert code == 0

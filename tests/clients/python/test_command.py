@@ -8,6 +8,7 @@ import pytest
 
 from armbridge_client.__main__ import main
 from harness.server import ROOT, RunningServer, free_port
+from harness.waiting import TIMEOUT_S
 
 
 @pytest.mark.parametrize(
@@ -61,5 +62,5 @@ def test_watching_ends_by_ctrl_c(server: RunningServer) -> None:
         assert watching.stdout is not None
         lines = [watching.stdout.readline() for _ in range(3)]
         watching.send_signal(signal.SIGINT)
-        assert watching.wait(20) == 130
+        assert watching.wait(TIMEOUT_S) == 130
     assert all(line.startswith("holding shoulder_pan=") for line in lines)

@@ -30,6 +30,7 @@ from armbridge_client import (
 from armbridge_client.connection import Address, Connection
 from armbridge_client.messages import TYPES, String, TriggerRequest
 from harness.server import FAST, RunningServer, free_port
+from harness.waiting import TIMEOUT_S
 from server.access.certificates import CertificateFiles, ensure_certificate
 
 TOKENS = {
@@ -173,7 +174,7 @@ async def test_requests_fail_and_streams_go_on_when_the_connection_breaks() -> N
         await connection.open()
         async with connection.subscribe("/chat", TriggerRequest, timeout_s=20.0) as stream:
             waiting = asyncio.create_task(connection.call("/slow", TriggerRequest()))
-            async with asyncio.timeout(20.0):
+            async with asyncio.timeout(TIMEOUT_S):
                 while not any(operation.get("service") == "/slow" for operation in scripted.operations):
                     await asyncio.sleep(0)
             await scripted.clients[0].close(1011)
@@ -201,7 +202,7 @@ async def test_a_server_that_closes_while_the_client_returns_is_tried_again() ->
         connection = Connection(Address(f"ws://127.0.0.1:{port}"))
         await connection.open()
         await scripted.clients[0].close(1001)
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(TIMEOUT_S):
             while len(scripted.clients) < 3:
                 await asyncio.sleep(0.01)
         await connection.wait_connected(20.0)

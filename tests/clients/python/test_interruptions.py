@@ -12,7 +12,7 @@ import pytest
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect, connect_async
 from armbridge_client.messages import MoveitGoalFeedback
 from harness.server import RunningServer
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 
 PREEMPTED = -7
 
@@ -33,7 +33,7 @@ def test_another_thread_stops_the_arm_while_this_one_waits(arm: Arm) -> None:
     stopper = threading.Thread(target=lambda: sentences.append(arm.stop()))
     with pytest.raises(GoalRefused) as caught:
         once_moving(arm, stopper)
-    stopper.join(10.0)
+    stopper.join(TIMEOUT_S)
     assert caught.value.code == PREEMPTED
     assert sentences
 
@@ -84,7 +84,7 @@ def test_a_motion_stops_when_its_program_leaves(server: RunningServer, arm: Arm)
     leaver = threading.Thread(target=left.close)
     with pytest.raises((ConnectionLost, GoalRefused)):
         once_moving(left, leaver)
-    leaver.join(10.0)
+    leaver.join(TIMEOUT_S)
     for state in arm.states():
         if state.mode == "holding":
             break
@@ -134,7 +134,7 @@ def test_a_stop_ends_the_gripper_and_the_program_knows(arm: Arm) -> None:
         if state.position_rad["gripper"] > 0.1:
             break
     arm.stop()
-    opening.join(10.0)
+    opening.join(TIMEOUT_S)
     assert "PREEMPTED (-7): the gripper was stopped" in str(ends[0])
 
 
@@ -154,7 +154,7 @@ def test_a_motion_goes_on_without_its_client_where_the_client_chose_so() -> None
 
         thread = threading.Thread(target=move)
         thread.start()
-        assert begun.wait(60.0)
+        assert begun.wait(TIMEOUT_S)
         leaving.close()
-        thread.join(60.0)
-        wait_until(lambda: watcher.state().position_rad["shoulder_pan"] == pytest.approx(0.8, abs=0.02), 60)
+        thread.join(TIMEOUT_S)
+        wait_until(lambda: watcher.state().position_rad["shoulder_pan"] == pytest.approx(0.8, abs=0.02))

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 
 CLIENT = ROOT / "clients" / "python"
 
@@ -11,7 +12,7 @@ CLIENT = ROOT / "clients" / "python"
 def test_the_committed_message_types_are_generated_from_the_servers_tables() -> None:
     program = "import generate_messages; print(generate_messages.generated(), end='')"
     path = {"PYTHONPATH": f"{CLIENT}:{ROOT}"}
-    done = subprocess.run([sys.executable, "-c", program], env=path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], env=path, capture_output=True, text=True, timeout=TIMEOUT_S)
     assert done.stdout == (CLIENT / "armbridge_client" / "messages.py").read_text(), (
         f"run PYTHONPATH=. python clients/python/generate_messages.py\n{done.stderr}"
     )

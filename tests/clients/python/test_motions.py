@@ -10,6 +10,7 @@ import pytest
 from armbridge_client import Arm, GoalRefused, RequestRefused, connect_async, pose
 from armbridge_client.messages import String
 from harness.server import RunningServer
+from harness.waiting import TIMEOUT_S
 
 
 def test_the_tip_moves_to_a_position(arm: Arm) -> None:
@@ -99,7 +100,7 @@ def test_states_come_until_the_reader_leaves(arm: Arm) -> None:
 
 
 async def test_the_asynchronous_arm_has_the_same_methods(server: RunningServer) -> None:
-    async with asyncio.timeout(120.0), await connect_async(server.url) as arm:
+    async with asyncio.timeout(TIMEOUT_S), await connect_async(server.url) as arm:
         await arm.move_named("home")
         plan = await arm.plan("ready")
         await plan.execute()

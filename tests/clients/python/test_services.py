@@ -10,7 +10,7 @@ import pytest
 from armbridge_client import Arm, ControlledByOther, GoalRefused, RequestRefused, WaitingGoal, connect, pose
 from armbridge_client.messages import CompressedImage, JointState, MoveitGoalFeedback, TriggerRequest
 from harness.server import FAST, RunningServer
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 
 TABLE = pose(0.3, 0.0, 0.05)
 
@@ -165,7 +165,7 @@ def test_a_goal_waits_for_its_confirmation(server: RunningServer, arm: Arm, exec
 
         with contextlib.nullcontext() if execute else pytest.raises(GoalRefused, match="PREEMPTED"):
             arm.move("ready", on_progress=on_progress)
-        answers[0].join(10.0)
+        answers[0].join(TIMEOUT_S)
     arm.set_confirm_mode(on=False)
 
 
@@ -195,7 +195,7 @@ def test_a_proposed_goal_waits_for_the_answer_of_another_client(approves: bool) 
 
         with contextlib.nullcontext() if approves else pytest.raises(GoalRefused, match="PREEMPTED"):
             model.move("ready", on_progress=on_progress)
-        answering.join(10.0)
+        answering.join(TIMEOUT_S)
         assert seen[0].proposed
         assert "MODEL" in seen[0].client.upper()
 

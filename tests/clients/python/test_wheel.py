@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from harness.server import ROOT, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.helpers.programs import UV, environment_with
 
 PYENV = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
@@ -39,7 +40,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("wheel")
     # By way of the sdist, which therefore has all that is needed.
     command = [UV, "build", "--out-dir", out, ROOT / "clients" / "python"]
-    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=True)
     (made,) = out.glob("*.whl")
     return made
 
@@ -51,7 +52,7 @@ def test_the_wheel_moves_the_arm(version: str, wheel: Path, server: RunningServe
         pytest.skip(f"this machine has no Python {version}")
     installed = environment_with(interpreter, tmp_path / "venv", wheel)
     command = [installed, "-W", "error", "-X", "dev", "-c", PROGRAM, server.url]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout in ("holding\n", "moving\n")
     (packages,) = tmp_path.glob("venv/lib/python*/site-packages")

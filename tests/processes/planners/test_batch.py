@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from harness.server import free_port
+from harness.waiting import TIMEOUT_S
 from planners.errors import BatchError
 from planners.files import plan_command, problem_file
 from planners.problem import MoveItErrorCode, PlanningFailure
@@ -23,13 +24,11 @@ distributed = pytest.importorskip("distributed", reason="the extra [dask] is not
 
 ROOT = Path(__file__).parents[3]
 GAP, CLUTTER = (ROOT / "benchmarks" / "scenes" / f"{name}.json" for name in ("gap", "clutter"))
-TIMEOUT_S = 120.0
 
 # Long enough that the first of them is answered while most are not.
 SLOWLY = ("--optimize", "1")
 
 HOST = "127.0.0.1"
-START_TIMEOUT_S = 60.0
 
 
 class DaskCluster:
@@ -48,16 +47,16 @@ class DaskCluster:
 
     def kill(self, process: subprocess.Popen[bytes]) -> None:
         process.send_signal(signal.SIGKILL)
-        process.wait(10.0)
+        process.wait(TIMEOUT_S)
 
     def _wait_until_started(self) -> None:
         # Dask's own attempts come further and further apart.
-        deadline_s = time.monotonic() + START_TIMEOUT_S
+        deadline_s = time.monotonic() + TIMEOUT_S
         while not self._answers() and time.monotonic() < deadline_s:
             time.sleep(0.05)
-        with distributed.Client(self.address, timeout=START_TIMEOUT_S) as client:
+        with distributed.Client(self.address, timeout=TIMEOUT_S) as client:
             if self.workers:
-                client.wait_for_workers(len(self.workers), timeout=START_TIMEOUT_S)
+                client.wait_for_workers(len(self.workers), timeout=TIMEOUT_S)
 
     def _answers(self) -> bool:
         with socket.socket() as probe:

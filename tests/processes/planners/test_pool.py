@@ -15,7 +15,7 @@ import psutil
 import pytest
 import pytest_asyncio
 
-from harness.waiting import until, wait_until
+from harness.waiting import TIMEOUT_S, until, wait_until
 from planners import pool as planner_pool
 from planners.interface import LOAD_TIMEOUT_S
 from planners.pool import PlannerPool
@@ -55,7 +55,7 @@ async def pool() -> AsyncIterator[PlannerPool]:
 @pytest_asyncio.fixture(loop_scope="module")
 async def both_idle(pool: PlannerPool) -> PlannerPool:
     """The pool once it has recovered from whatever came before."""
-    await until(lambda: pool.idle_count == 2, 60.0)
+    await until(lambda: pool.idle_count == 2)
     return pool
 
 
@@ -101,7 +101,7 @@ async def test_a_fault_of_a_worker_costs_one_goal_and_at_most_this_worker(both_i
     assert answer.code is MoveItErrorCode.CRASH
     assert FAULTS[fault] in answer.message
     assert isinstance(await both_idle.ask(EASY), Plan)
-    await until(lambda: both_idle.idle_count == 2, 60.0)
+    await until(lambda: both_idle.idle_count == 2)
     assert len(before & set(both_idle.pids)) == (2 if fault == broken_planner.EXCEPTION else 1)
 
 
@@ -153,7 +153,7 @@ async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: 
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert "0.1 s" in answer.message
-    await until(lambda: both_idle.idle_count == 2, 60.0)
+    await until(lambda: both_idle.idle_count == 2)
     assert len(before & set(both_idle.pids)) == 1
 
 
@@ -165,7 +165,7 @@ async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: 
 async def test_a_cancelled_worker_is_kept_if_it_listens(both_idle: PlannerPool, request_: Request, kept: int) -> None:
     before = set(both_idle.pids)
     await given_up(both_idle, request_)
-    await until(lambda: both_idle.idle_count == 2, 60.0)
+    await until(lambda: both_idle.idle_count == 2)
     assert len(before & set(both_idle.pids)) == kept
     assert isinstance(await both_idle.ask(EASY), Plan)
 
@@ -186,7 +186,7 @@ async def test_a_large_scene_reaches_a_worker_whole(both_idle: PlannerPool) -> N
 async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both_idle: PlannerPool) -> None:
     kill_all(both_idle)
     with no_descriptors_left():
-        await until(lambda: sum(worker.usable for worker in both_idle._idle) == 2, 60.0)
+        await until(lambda: sum(worker.usable for worker in both_idle._idle) == 2)
     assert isinstance(await both_idle.ask(EASY), Plan)
 
 
@@ -258,7 +258,7 @@ asyncio.run(serve())
 """
     command = [sys.executable, "-c", program]
     done = await asyncio.to_thread(
-        subprocess.run, command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
+        subprocess.run, command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=True
     )
     pids = [int(pid) for pid in done.stdout.split()]
     assert len(pids) == 2

@@ -171,7 +171,7 @@ def test_no_namesake_is_imported_from_the_working_directory(tmp_path: Path, monk
     (tmp_path / "robot" / "__init__.py").write_text("raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
     process = processes.start_module("server.cli", ["--help"], ())
-    assert process.wait(20.0) == 0
+    assert process.wait(TIMEOUT_S) == 0
     assert sys.executable
 
 
@@ -233,8 +233,8 @@ async def main(started):
         await asyncio.sleep(0.01)
     running = child.running
     {end}
-    await asyncio.wait_for(exited.wait(), 20)
-    await child.wait(20)
+    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
+    await child.wait(TIMEOUT_S)
     print(json.dumps([received[0], child.pid, running, child.ending]))
 
 asyncio.run(main(StartedChild("", body=echo)))
@@ -251,7 +251,11 @@ asyncio.run(main(StartedChild("", body=echo)))
 )
 def test_a_forked_child_is_one_like_any_other(end: str, ending: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", FORKED.replace("{end}", end)], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", FORKED.replace("{end}", end)],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=True,
     )
     (message, pid, session), seen_pid, running, ended = json.loads(done.stdout)
     assert (message, running, ended) == ("hello", True, ending)
@@ -267,5 +271,7 @@ started = StartedChild("", body=lambda sock: time.sleep(60))
 started.close()
 print(started.process.poll())
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=TIMEOUT_S, check=True
+    )
     assert done.stdout == "-9\n"

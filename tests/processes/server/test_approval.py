@@ -10,6 +10,7 @@ from websockets.asyncio.client import connect
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import FAST, RunningServer
+from harness.waiting import TIMEOUT_S
 
 AGENT, PERSON = "agent-0123456789abc", "person-0123456789ab"
 TOKENS = {"ARMBRIDGE_ACCESS__PROPOSE_TOKENS__AGENT": AGENT, "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": PERSON}
@@ -56,7 +57,7 @@ async def test_the_agent_neither_approves_its_goal_nor_moves_the_arm_otherwise(t
         ("/servo_node/delta_joint_cmds", {}),
         ("/arm/speed_factor", {"data": 1.0}),
     ]
-    async with connect(f"{server.url}&token={AGENT}") as agent, asyncio.timeout(30.0):
+    async with connect(f"{server.url}&token={AGENT}") as agent, asyncio.timeout(TIMEOUT_S):
         await agent.send(json.dumps({"op": "set_level", "level": "error"}))
         for topic, message in ways:
             await agent.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))

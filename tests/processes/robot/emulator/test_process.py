@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.waiting import PROGRAM_TIMEOUT_S, running
+from harness.waiting import PROGRAM_TIMEOUT_S, TIMEOUT_S, running
 from robot.emulator.process import LINGER_S
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
@@ -38,7 +38,7 @@ def test_an_emulator_let_go_serves_on_until_the_bus_is_silent(terminal, line):
     while time.monotonic() < let_go_s + 1.2 * LINGER_S:
         assert line.ping(1) == 777
     silent_from_s = time.monotonic()
-    assert terminal.process.wait(30.0) == 0
+    assert terminal.process.wait(TIMEOUT_S) == 0
     assert time.monotonic() - silent_from_s > 0.9 * LINGER_S
 
 
@@ -46,7 +46,7 @@ def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):
     terminal.process.send_signal(signal.SIGINT)
     assert line.ping(1) == 777
     terminal.process.terminate()
-    assert terminal.process.wait(30.0) == 0
+    assert terminal.process.wait(TIMEOUT_S) == 0
 
 
 def standalone(*options):
@@ -70,7 +70,7 @@ def test_without_a_controller_live_commands_come_on_standard_input():
             with pytest.raises(NoReply):
                 bus.ping(6)
         process.terminate()
-        assert process.wait(30.0) == 0
+        assert process.wait(TIMEOUT_S) == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -82,7 +82,7 @@ def test_without_a_controller_it_prints_the_port_and_runs_until_a_signal(tmp_pat
             assert bus.read(6, Register.ID) == 6
         assert str(link.readlink()) == port
         process.send_signal(number)
-        assert process.wait(30.0) == 0
+        assert process.wait(TIMEOUT_S) == 0
     assert not link.is_symlink()
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import ServerOnBus, server_on_bus
+from harness.waiting import TIMEOUT_S
 from robot.calibration import Calibration, save
 from server.arm.commissioning import ANSWER, BEGIN, CANCEL, STATE_TOPIC
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
@@ -20,8 +21,6 @@ TYPE = "armbridge_msgs/CommissioningState"
 STOPS = {joint.servo_id: (joint.range_min, joint.range_max) for joint in nominal_calibration().joints}
 ROLL, GRIPPER = 5, 6
 MIDDLE = 2040
-# A hand goes from stop to stop in two seconds of the arm's time, which a busy machine stretches.
-HAND_TIMEOUT_S = 60.0
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +51,7 @@ def latest(client: ArmClient) -> dict[str, Any]:
 
 
 async def until_step(client: ArmClient, begins: str) -> dict[str, Any]:
-    await client.until(STATE_TOPIC, lambda states: states[-1]["step"].startswith(begins), HAND_TIMEOUT_S)
+    await client.until(STATE_TOPIC, lambda states: states[-1]["step"].startswith(begins), TIMEOUT_S)
     return latest(client)
 
 
@@ -68,7 +67,7 @@ async def move_by_hand(client: ArmClient, arm: ServerOnBus, ticks: dict[int, int
         present = {names[each["joint"]]: each["present"] for each in states[-1]["joints"]}
         return all(abs(present[servo] - at) < 3 for servo, at in ticks.items())
 
-    await client.until(STATE_TOPIC, there, HAND_TIMEOUT_S)
+    await client.until(STATE_TOPIC, there, TIMEOUT_S)
 
 
 def is_at(states: dict[str, Any], joint: str, position_rad: float) -> bool:
@@ -174,7 +173,7 @@ async def test_the_calibration_of_a_swept_arm_is_used_at_once(arm: ServerOnBus, 
     assert elbow.range_max - elbow.range_min == pytest.approx(STOPS[3][1] - STOPS[3][0] - 200, abs=3)
     assert elbow.homing_offset == pytest.approx(100, abs=3)
     assert gripper.drive_mode == 1
-    async with asyncio.timeout(HAND_TIMEOUT_S):
+    async with asyncio.timeout(TIMEOUT_S):
         while sum("armbridge is ready" in line for line in arm.server.lines) < 2:
             await asyncio.sleep(0.05)
     # Systemd ends a service that says that it stops, and one that falls silent.

@@ -18,11 +18,10 @@ from websockets.asyncio.client import connect
 
 from harness.clients import ArmClient, arm_client
 from harness.server import FAST, ROOT
+from harness.waiting import TIMEOUT_S
 from server import cli
 
 STUDENTS = 3
-START_TIMEOUT_S = 120.0
-END_TIMEOUT_S = 30.0
 
 
 class Room:
@@ -40,7 +39,7 @@ class Room:
         )
         assert self.process.stderr is not None
         self.lines = []
-        overdue = threading.Timer(START_TIMEOUT_S, self.process.kill)
+        overdue = threading.Timer(TIMEOUT_S, self.process.kill)
         overdue.start()
         while not self.lines or "the classroom is ready" not in self.lines[-1]:
             self.lines.append(self.process.stderr.readline())
@@ -66,7 +65,7 @@ class Room:
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
         self.process.send_signal(number)
-        code = self.process.wait(END_TIMEOUT_S)
+        code = self.process.wait(TIMEOUT_S)
         if self.process.stderr is not None:
             self.process.stderr.close()
         return code
@@ -88,7 +87,7 @@ def workers(room: Room) -> list[psutil.Process]:
 
 async def answers(url: str) -> None:
     """Wait until a server takes connections."""
-    async with asyncio.timeout(START_TIMEOUT_S):
+    async with asyncio.timeout(TIMEOUT_S):
         while True:
             try:
                 async with connect(url):
@@ -151,7 +150,7 @@ def test_one_ctrl_c_ends_everything_and_the_tokens_stay_for_the_next_time(room: 
     processes = psutil.Process(room.process.pid).children(recursive=True)
     assert len(processes) > 2 * STUDENTS
     assert room.end() == 0
-    psutil.wait_procs(processes, timeout=END_TIMEOUT_S)
+    psutil.wait_procs(processes, timeout=TIMEOUT_S)
     assert not [process for process in processes if process.is_running()]
     again = Room(room.folder)
     try:

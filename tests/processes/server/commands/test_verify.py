@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from harness.server import ServerOnBus, free_port, server_on_bus
+from harness.waiting import TIMEOUT_S
 from server import cli
 from server.commands.terminal import ExitCode
 from server.commands.verification_client import ANSWER_TIMEOUT_S
@@ -15,7 +16,7 @@ TOKEN = "only-the-admin-knows-it"
 
 def verify(url: str, typed: str, *options: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "server.cli", "verify", "--url", url, *options]
-    return subprocess.run(command, input=typed, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, input=typed, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -71,7 +71,7 @@ async def test_a_taught_motion_that_two_cameras_of_the_physics_see_becomes_a_dat
             await ready(client, running)
             for topic in CAMERAS.values():
                 await client.say("subscribe", topic=topic, type="sensor_msgs/CompressedImage")
-                await client.until(topic, bool, 60.0)
+                await client.until(topic, bool)
             assert (await client.call("/dataset/start_episode", task="turn"))["success"]
             done = await client.result(await client.send_goal(REPLAY, REPLAY_TYPE, {"name": "turn", "speed": 1.0}))
             assert done["values"]["error_code"]["val"] == 1, done

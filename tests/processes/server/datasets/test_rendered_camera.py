@@ -19,7 +19,7 @@ from PIL import Image
 
 from harness.clients import arm_client, call
 from harness.server import ROOT, RunningServer
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from robot.description.camera import Camera
 from server.commands.publish import RENDERED
 from server.datasets.camera import IMAGE_TYPE
@@ -54,7 +54,7 @@ async def test_a_red_box_is_where_the_info_of_the_camera_has_it(server: RunningS
         view = ",".join(map(str, VIEW))
         process = await asyncio.create_subprocess_exec(*camera_command(server.url, "--view", view, "--depth"))
         try:
-            await client.until(DEPTH, lambda images: len(images) > 1, 60.0)
+            await client.until(DEPTH, lambda images: len(images) > 1)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 process.terminate()
@@ -93,23 +93,23 @@ async def test_the_arms_own_cameras_are_published_and_come_back_when_their_proce
         for topic in (front, wrist):
             await client.subscribe(topic, IMAGE_TYPE)
         await client.subscribe("/front/camera_info", INFO_TYPE)
-        await client.until(wrist, bool, 60.0)
-        image = (await client.until(front, bool, 60.0))[0]
+        await client.until(wrist, bool)
+        image = (await client.until(front, bool))[0]
         assert image["header"]["frame_id"] == "front_optical_frame"
-        infos = await client.until("/front/camera_info", bool, 60.0)
+        infos = await client.until("/front/camera_info", bool)
         assert image["header"] in [each["header"] for each in infos]
         died = process_of_cameras(server)
         assert died is not None
         os.kill(died, signal.SIGKILL)
         assert server.has_logged("the process of the cameras ended (SIGKILL); starting it again")
         before = len(client.messages(front))
-        await client.until(front, lambda images: len(images) > before + 1, 60.0)
+        await client.until(front, lambda images: len(images) > before + 1)
         restarted = process_of_cameras(server)
         assert restarted not in (None, died)
         top = {"name": "top", "view": [0.2, 0.0, 0.6, 0.2, 0.0, 0.0], "width": 64, "height": 48}
         assert await client.call("/simulation/set_camera", **top)
         await client.subscribe("/top/image/compressed", IMAGE_TYPE)
-        image = (await client.until("/top/image/compressed", bool, 60.0))[0]
+        image = (await client.until("/top/image/compressed", bool))[0]
         assert Image.open(io.BytesIO(base64.b64decode(image["data"]))).size == (64, 48)
         assert process_of_cameras(server) == restarted
 
@@ -130,7 +130,7 @@ def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> No
         env={**environment, "MUJOCO_GL": "glfw"},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=TIMEOUT_S,
         check=False,
     )
     assert done.returncode == 1
@@ -140,7 +140,11 @@ def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> No
 @pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f", "1,2,3,4,5,nan"])
 def test_a_view_is_six_numbers(view: str) -> None:
     done = subprocess.run(
-        camera_command("ws://localhost:1", "--view", view), capture_output=True, text=True, timeout=60, check=False
+        camera_command("ws://localhost:1", "--view", view),
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=False,
     )
     assert done.returncode == 2
     assert f"must be six numbers with commas, not {view!r}" in done.stderr

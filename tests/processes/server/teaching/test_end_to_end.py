@@ -10,6 +10,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import ServerOnBus, server_on_bus
+from harness.waiting import TIMEOUT_S
 from robot.trajectory import Vector
 from tests.helpers.moveit import box, pose
 from tests.helpers.robots import nominal_calibration
@@ -27,8 +28,6 @@ WAY = (
     {"shoulder_pan": -0.3, "elbow_flex": 0.2, "gripper": 0.8},
 )
 
-# A simulated arm passes its time no faster than a busy machine lets it.
-HAND_TIMEOUT_S = 60.0
 
 # The smoothing's tolerance, play of gears, and what a servo lags behind.
 PATH_TOLERANCE_RAD = 0.06
@@ -60,7 +59,7 @@ async def lead(client: ArmClient, arm: ServerOnBus, to_rad: dict[str, float]) ->
         now = positions(states[-1])
         return all(abs(now[name] - at) < 0.02 for name, at in to_rad.items())
 
-    await client.until("/joint_states", there, HAND_TIMEOUT_S)
+    await client.until("/joint_states", there, TIMEOUT_S)
 
 
 async def taught(client: ArmClient, arm: ServerOnBus, name: str) -> dict[str, Any]:
@@ -89,7 +88,7 @@ async def replayed(client: ArmClient, arm: ServerOnBus, name: str, **goal: Any) 
     """Replay a motion; returns the result."""
     await ready(client, arm)
     sent = await client.send_goal(REPLAY, REPLAY_TYPE, {"name": name, "speed": 2.0, **goal})
-    values: dict[str, Any] = (await asyncio.wait_for(client.result(sent), HAND_TIMEOUT_S))["values"]
+    values: dict[str, Any] = (await asyncio.wait_for(client.result(sent), TIMEOUT_S))["values"]
     return values
 
 
@@ -137,7 +136,7 @@ async def test_a_replay_brakes_when_something_comes_into_its_way(arm: ServerOnBu
         ended = await taught(client, arm, "surprised")
         sent = await begun_slowly(client, arm, "surprised", ended["duration_s"])
         await put_crate(client, "surprised")
-        values = (await asyncio.wait_for(client.result(sent), HAND_TIMEOUT_S))["values"]
+        values = (await asyncio.wait_for(client.result(sent), TIMEOUT_S))["values"]
         assert values["error_code"]["val"] == -3
         assert "crate" in values["message"]
         await remove_crate(client)
@@ -152,5 +151,5 @@ async def begun_slowly(client: ArmClient, arm: ServerOnBus, name: str, duration_
         while not any(0.0 < each["remaining_s"] < 9.9 * duration_s for each in client.feedback.get(sent, ())):
             await asyncio.sleep(0.02)
 
-    await asyncio.wait_for(follows(), HAND_TIMEOUT_S)
+    await asyncio.wait_for(follows(), TIMEOUT_S)
     return sent

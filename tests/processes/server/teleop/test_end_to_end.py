@@ -11,11 +11,11 @@ import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import EmulatorControl, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.helpers.robots import so101
 from tests.helpers.teleop import follow
 
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
-TIMEOUT_S = 60.0
 STATE, TOPIC = "/teleop/state", "/glove/joint_states"
 MIDDLE_TICK = 2048
 

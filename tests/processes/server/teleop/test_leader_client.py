@@ -13,13 +13,12 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import FAST, ROOT, EmulatorControl, ServerOnBus, free_port, server_on_bus
-from harness.waiting import running
+from harness.waiting import TIMEOUT_S, running
 from server.teleop.teleoperation import START, STATE_TOPIC, STOP
 from tests.helpers.robots import nominal_calibration
 
 JOINTS = {joint.joint: joint for joint in nominal_calibration().joints}
 
-TIMEOUT_S = 60.0
 
 TOPIC = "/leader/joint_states"
 

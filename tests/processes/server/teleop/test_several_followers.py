@@ -8,6 +8,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import EmulatorControl, RunningServer
+from harness.waiting import TIMEOUT_S
 from tests.helpers.teleop import follow
 
 CONFIG = """
@@ -24,7 +25,6 @@ base_xyz_m = [0.0, -0.7, 0.0]
 role = "leader"
 emulator.control = "{folder}/leader"
 """
-TIMEOUT_S = 60.0
 MIDDLE_TICK = 2048
 TARGETS = "/teleop/leader_joint_states"
 

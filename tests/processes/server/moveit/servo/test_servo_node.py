@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from harness.clients import ArmClient
+from harness.waiting import TIMEOUT_S
 from planners.servo.question import ServoStatus
 from server.moveit.servo.servo_node import STATUS_TOPIC, TWIST_TOPIC
-
-TIMEOUT_S = 30.0
 
 
 async def hold_the_stick(client: ArmClient, long_enough: Callable[[], bool], **linear: float) -> None:

@@ -192,7 +192,7 @@ class Arm(ArmClock):
             self._process.send(self._bodies)
 
     def simulate(self, command: SetBodies | PauseSimulation) -> None:
-        """Command the world of an arm with physics; a restarted process has the same bodies, and is not paused."""
+        """Command the world of an arm with physics; a restarted process has the same bodies, and no pause."""
         if isinstance(command, SetBodies):
             self._bodies = command
         self._process.send(command)

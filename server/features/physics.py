@@ -15,7 +15,7 @@ from planners.scene import Plane, Pose
 from protocol.errors import MessageError
 from robot.arm import Arm
 from robot.errors import RobotError
-from robot.messages import ArmState, PauseSimulation
+from robot.messages import ArmState, Mode, PauseSimulation
 from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
 from server.config import NamedArmSettings
 from server.errors import ConfigurationError, RefusedError
@@ -143,7 +143,7 @@ class Physics(Feature):
         self._held_at_s: dict[str, tuple[float, list[float]]] = {}
         self._updated_at_s: dict[str, float] = {}
         self._stated = asyncio.Event()
-        self._stepping = False
+        self._paused = self._stepping = False
         # Contents of the world that was loaded, and its movable objects; None without one.
         self._world: tuple[SceneContents, dict[str, _Movable]] | None = None
         settings = context.settings.simulation
@@ -182,6 +182,9 @@ class Physics(Feature):
             return
         world.state = state
         self._stated.set()
+        # A process that was started again lets its time pass, which the check of its servos takes.
+        if self._paused and not self._stepping and world.ticks < 0 and state.mode is not Mode.DISCONNECTED:
+            world.arm.simulate(PauseSimulation(paused=True))
         own = {each.name: each for each in world.reported() if self._mover(each.name) == arm}
         self._states.update(own)
         attached, goal_rad = self._scene.contents.attached, world.gripper_goal_rad
@@ -381,7 +384,7 @@ class Physics(Feature):
         self._send(self._bodies, poses)
 
     async def _pause(self, request: dict[str, Any]) -> Message:
-        paused = request["data"]
+        paused, self._paused = request["data"], False
         # Steps in progress are a pause already, and are not cut short.
         if not (paused and self._stepping):
             self._simulate(PauseSimulation(paused))
@@ -389,6 +392,7 @@ class Physics(Feature):
             # The time of one arm must not stand still alone: another's process may be starting again.
             self._simulate(PauseSimulation(paused=False))
             return {"success": False, "message": f"the arm process did not answer within {ANSWER_TIMEOUT_S:g} s"}
+        self._paused = paused
         return {"success": True, "message": f"the time of the simulation {'stands still' if paused else 'passes'}"}
 
     async def _step(self, request: dict[str, Any]) -> Message:

@@ -39,9 +39,9 @@ def dataset(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_a_dataset_with_its_video_is_merged_listed_resumed_and_loses_episodes(dataset: Path, tmp_path: Path) -> None:
+def test_a_dataset_with_its_video_is_merged_resumed_added_to_and_loses_episodes(dataset: Path, tmp_path: Path) -> None:
     both = tmp_path / "both"
-    first, merged, listed, deleted, left, resumed = edit(
+    first, merged, listed, deleted, left, resumed, added, more = edit(
         ("open", dataset),
         ("merge", dataset, dataset, "--output", both),
         ("list", both),
@@ -49,6 +49,8 @@ def test_a_dataset_with_its_video_is_merged_listed_resumed_and_loses_episodes(da
         ("open", both),
         ("resume", both),
         ("open", both),
+        ("add", dataset, both),
+        ("open", dataset),
     )
     assert first == {"episodes": 2, "frames": 27, "task": "drop it", "image": [3, 24, 32]}
     assert merged[:2] == [0, [f"{both}: 4 episodes of 2 datasets"]]
@@ -58,6 +60,8 @@ def test_a_dataset_with_its_video_is_merged_listed_resumed_and_loses_episodes(da
     assert deleted[:2] == [0, [f"{both}: 2 episodes deleted, 2 are left"]]
     assert left == {**first, "frames": 32}
     assert resumed == {**left, "episodes": 3, "frames": 37}
+    assert added[:2] == [0, [f"{dataset}: 5 episodes of 2 datasets"]]
+    assert more == {**first, "episodes": 5, "frames": 64}
     assert (both / "meta/armbridge.json").read_text() == (dataset / "meta/armbridge.json").read_text()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["both", "data", "run.mcap"]
 
@@ -72,7 +76,8 @@ def test_what_cannot_be_edited_is_refused_with_a_sentence_and_stays(dataset: Pat
         ("list", tmp_path): f"{tmp_path}: is no dataset of lerobot: it has no meta/info.json",
         ("delete", dataset, 5): f"{dataset}: has the episodes 0 to 1, not 5",
         ("delete", dataset, 1, 0): f"{dataset}: a dataset must keep an episode; delete the folder instead",
-        ("merge", dataset, dataset, "--output", dataset): f"{dataset} exists already: name another folder (--output)",
+        ("merge", other, dataset, "--output", dataset): f"{dataset} exists already: name another folder (--output)",
+        ("add", dataset, other): f"has another units than in {dataset}",
         ("merge", dataset, dataset, "--output", tmp_path / "x"): f"{tmp_path}/x_old: is left from an edit",
         ("merge", dataset, other, "--output", tmp_path / "y"): f"has another units than in {dataset}",
     }

@@ -1,4 +1,4 @@
-"""Editor of datasets on this machine: ``armbridge-dataset`` lists, deletes and merges episodes by lerobot's own tools.
+"""Editor of datasets on this machine: ``armbridge-dataset`` lists, deletes and adds episodes by lerobot's own tools.
 
 What lerobot does not know is kept here: the arm of an export in ``meta/armbridge.json``. A dataset is complete at each
 moment: a new one gets its name when it is whole.
@@ -70,8 +70,8 @@ def delete(root: Path, episodes: Sequence[int]) -> str:
 
 
 def merge(roots: Sequence[Path], output: Path) -> str:
-    """Write the episodes of several datasets of one arm as a new one."""
-    if output.exists():
+    """Write the episodes of several datasets of one arm as a new one, or in place of the first."""
+    if output.exists() and output != roots[0]:
         raise DatasetError(f"{output} exists already: name another folder (--output)")
     datasets = [open_dataset(root) for root in roots]
     arms = [json.loads((root / ARM_PATH).read_text()) if (root / ARM_PATH).is_file() else {} for root in roots]
@@ -113,7 +113,7 @@ def _make_whole(root: Path, make: Callable[[Path], None]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return its exit code."""
-    parser = argparse.ArgumentParser("armbridge-dataset", description="List, delete and merge episodes of datasets.")
+    parser = argparse.ArgumentParser("armbridge-dataset", description="List, delete and add episodes of datasets.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     listing = commands.add_parser("list", help="list the episodes with length and task")
     listing.add_argument("root", type=Path, metavar="FOLDER")
@@ -122,6 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     deleting.add_argument("root", type=Path, metavar="FOLDER")
     deleting.add_argument("episodes", type=int, nargs="+", metavar="NUMBER")
     deleting.set_defaults(run=lambda options: delete(options.root, options.episodes))
+    adding = commands.add_parser("add", help="go on with a dataset: add the episodes of others to it")
+    adding.add_argument("root", type=Path, metavar="FOLDER")
+    adding.add_argument("others", type=Path, nargs="+", metavar="OTHER")
+    adding.set_defaults(run=lambda options: merge([options.root, *options.others], options.root))
     merging = commands.add_parser("merge", help="write the episodes of several datasets as a new one")
     merging.add_argument("roots", type=Path, nargs="+", metavar="FOLDER")
     merging.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="folder to make")

@@ -88,12 +88,13 @@ class Stage:
         gripper_rad: float = 0.0,
         version: int | None = None,
         ticks: int | None = None,
+        mode: Mode = Mode.HOLDING,
     ) -> None:
         self.clock_s += after_s
         moved = BodyStates(self.arm.sent[-1].version if version is None else version, bodies) if bodies else None
         state = ArmState(
             STAMP_S,
-            Mode.HOLDING,
+            mode,
             ("shoulder_pan", "gripper"),
             goal_rad=np.array([0.0, gripper_rad]),
             clock_s=self.clock_s,
@@ -265,6 +266,18 @@ async def test_a_pause_and_its_steps_are_answered_when_the_arm_has_done_them(sta
     assert await stage.answer("/simulation/step", 4, None, steps=3) == (False, "0 of 3 steps are done")
     assert await stage.answer("/simulation/pause", data=False) == (True, "the time of the simulation passes")
     assert [(each.paused, each.ticks) for each in stage.arm.pauses] == [(True, 0), (True, 3), (True, 3), (False, 0)]
+
+
+async def test_an_arm_whose_process_is_started_again_is_paused_again_until_time_is_to_pass(stage: Stage) -> None:
+    await stage.answer("/simulation/pause", 0, data=True)
+    stage.report(mode=Mode.DISCONNECTED)
+    assert stage.arm.pauses == [PauseSimulation(paused=True)]
+    stage.report()
+    stage.report(ticks=0)
+    assert stage.arm.pauses == 2 * [PauseSimulation(paused=True)]
+    await stage.answer("/simulation/pause", None, data=False)
+    stage.report()
+    assert stage.arm.pauses[2:] == [PauseSimulation(paused=False)]
 
 
 async def test_every_service_needs_the_role_operate(stage: Stage) -> None:

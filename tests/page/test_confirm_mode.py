@@ -42,7 +42,7 @@ def cut_sizes(page: OpenPage) -> list[tuple[int, int]]:
     found = []
     for width, height in SIZES:
         page.page.set_viewport_size({"width": width, "height": height})
-        if page.page.evaluate("(each => each.scrollHeight > each.clientHeight + 1)(document.querySelector('#message'))"):
+        if page.part("message").evaluate("message => message.scrollHeight > message.clientHeight + 1"):
             found.append((width, height))
     page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
     return found

@@ -90,11 +90,13 @@ class RunningServer:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        self._ready.wait(TIMEOUT_S)
-        if not self.port:
+        try:
+            self._ready.wait(TIMEOUT_S)
+            assert self.port, "the server did not start:\n" + "\n".join(self.lines)
+        except BaseException:
             self.process.kill()
             self.__exit__()
-            raise AssertionError("the server did not start:\n" + "\n".join(self.lines))
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -117,7 +117,7 @@ threads = [threading.Thread(target=talk_to_oneself, daemon=True) for _ in range(
 for thread in threads:
     thread.start()
 for _ in threads:
-    held.acquire(timeout=120.0)
+    held.acquire()
 print("said", end="")
 cli.main = lambda: 3
 cli.run_process()

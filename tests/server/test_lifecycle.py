@@ -68,9 +68,7 @@ async def test_a_background_task_that_fails_is_logged_at_once_and_stops(caplog: 
     await task.stop()
 
 
-async def test_parts_stop_in_reverse_also_behind_one_that_hangs_or_fails(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_parts_stop_in_reverse_also_behind_one_that_hangs_or_fails(caplog: pytest.LogCaptureFixture) -> None:
     taken: list[str] = []
 
     async def broken() -> None:

@@ -82,7 +82,8 @@ def merge(roots: Sequence[Path], output: Path) -> str:
             raise DatasetError(f"{root}: {ARM_PATH} has another {' and '.join(differing)} than in {roots[0]}")
 
     def make(folder: Path) -> None:
-        merge_datasets(datasets, f"local/{output.name}", folder)
+        # Videos of an export and of lerobot's own recordings are encoded differently: they do not fit into one file.
+        merge_datasets(datasets, f"local/{output.name}", folder, concatenate_videos=False)
         if arms[0]:
             shutil.copyfile(roots[0] / ARM_PATH, folder / ARM_PATH)
 

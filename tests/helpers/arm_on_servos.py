@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from harness.server import EmulatorControl, read_write_log
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig
@@ -19,8 +19,6 @@ from tests.helpers.robots import nominal_calibration, so101
 CALIBRATION = nominal_calibration()
 ROBOT = within_calibration(so101(), CALIBRATION)
 CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
-# Bound of a wait for what takes milliseconds on a quiet machine.
-SOON_S = 30.0
 
 
 class ArmOnServos:
@@ -39,7 +37,7 @@ class ArmOnServos:
 
     async def start(self) -> None:
         """Start the process and wait until the arm holds."""
-        await self.arm.start(SOON_S)
+        await self.arm.start(TIMEOUT_S)
         await until(lambda: self.arm.state.mode is Mode.HOLDING)
 
     def kill(self, number: signal.Signals = signal.SIGKILL) -> None:

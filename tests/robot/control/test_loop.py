@@ -1,7 +1,5 @@
 import contextlib
 import socket
-import subprocess
-import sys
 import time
 
 import pytest
@@ -15,6 +13,7 @@ from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.messages import ArmConfig, Mode
 from tests.helpers import dynamixel
 from tests.helpers.emulator import SteppedClock
+from tests.helpers.programs import run_python
 from tests.helpers.robots import nominal_calibration, so101
 
 CALIBRATION = nominal_calibration()
@@ -86,5 +85,4 @@ def test_each_kind_of_simulated_arm_loads_its_own_library_alone(hardware: str, l
         f"so101 = built_in('so101'); hardware_opener(ArmConfig(so101.model, {hardware}), LoopClock())(); "
         "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk', 'mujoco'} & set(sys.modules)))"
     )
-    printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
-    assert printed.stdout.strip() == str(loaded)
+    assert run_python(program).stdout.strip() == str(loaded)

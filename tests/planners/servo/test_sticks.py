@@ -119,7 +119,7 @@ def with_brakes(robot: RobotModel, acceleration_rad_s2: float) -> RobotModel:
 @pytest.mark.parametrize(("acceleration_rad_s2", "period_s"), [(1.0, 0.06), (6.0, 0.02)])
 def test_a_fast_joint_stops_before_a_wall(robot: RobotModel, acceleration_rad_s2: float, period_s: float) -> None:
     robot = with_brakes(robot, acceleration_rad_s2)
-    planner, collision = Planner(robot), CollisionModel(robot)
+    planner, collision = Planner(robot, time.process_time), CollisionModel(robot)
     assert planner.set_scene(BESIDE) is None
     collision.set_scene(BESIDE)
     arm = SteeredArm(planner, robot, START, period_s=period_s)

@@ -5,10 +5,12 @@ import time
 
 from websockets.sync import client as blocking
 
-from harness.page import SHARED, OpenPage
+from harness.page import DESKTOP, PHONE, SHARED, OpenPage
 from harness.server import RunningServer
 from harness.waiting import TIMEOUT_S
 from tests.helpers.arm_record import MOVED_RAD, arm_record
+
+SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, (844, 390)]
 
 SETTINGS = SHARED | {"ARMBRIDGE_GOALS__CONFIRM": "true"}
 
@@ -28,7 +30,19 @@ def test_a_goal_is_discarded_or_confirmed_by_a_person(page: OpenPage, server: Ru
             page.until_state("s.plan.trajectory !== null")
             page.until_text("next-step", "Confirm or Discard")
             assert not page.offers("go")
+            assert cut_sizes(page) == []
             page.part(control).click()
             assert json.loads(client.recv(timeout=TIMEOUT_S))["msg"]["val"] == code
             assert (record.way_rad(began_s) > MOVED_RAD) is (control == "confirm")
             page.until("document.querySelector('[data-testid=confirm]').hidden")
+
+
+def cut_sizes(page: OpenPage) -> list[tuple[int, int]]:
+    """Sizes of the window at which the sentence beside the buttons is not shown whole."""
+    found = []
+    for width, height in SIZES:
+        page.page.set_viewport_size({"width": width, "height": height})
+        if page.part("message").evaluate("message => message.scrollHeight > message.clientHeight + 1"):
+            found.append((width, height))
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    return found

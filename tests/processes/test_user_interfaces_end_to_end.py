@@ -12,8 +12,8 @@ import pytest
 from mcap.reader import make_reader
 from websockets.asyncio.client import ClientConnection, connect
 
-from harness.clients import ANSWER_TIMEOUT_S
 from harness.server import RunningServer
+from harness.waiting import TIMEOUT_S
 from protocol.codecs import cdr
 from protocol.interface_packages import read_packages
 from tests.conformance.cases import INTERFACES
@@ -47,7 +47,7 @@ async def say(websocket: ClientConnection, **operation: Any) -> None:
 async def hear(websocket: ClientConnection, op: str) -> dict[str, Any]:
     """Return the next operation of a kind."""
     while True:
-        frame = await asyncio.wait_for(websocket.recv(), ANSWER_TIMEOUT_S)
+        frame = await asyncio.wait_for(websocket.recv(), TIMEOUT_S)
         operation: dict[str, Any] = json.loads(frame) if isinstance(frame, str) else cbor2.loads(frame)
         if operation["op"] == op:
             return operation

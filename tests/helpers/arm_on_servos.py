@@ -8,17 +8,12 @@ from pathlib import Path
 from harness.server import EmulatorControl, read_write_log
 from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
-from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig
-from robot.messages import ArmConfig, ArmHealth, ArmState, EndState, Mode
+from robot.messages import ArmHealth, ArmState, EndState, Mode
 from robot.processes import RestartDelay
 from robot.trajectory import Trajectory
+from tests.helpers.arm_rig import CALIBRATION, CONFIG
 from tests.helpers.motions import smooth_move
-from tests.helpers.robots import nominal_calibration, so101
-
-CALIBRATION = nominal_calibration()
-ROBOT = within_calibration(so101(), CALIBRATION)
-CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
 
 
 class ArmOnServos:

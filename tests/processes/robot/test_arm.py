@@ -20,7 +20,8 @@ from robot.hardware.config import SerialConfig
 from robot.messages import ArmState, ChangePace, EndState, Mode, Order, Outcome, Pace
 from robot.processes import RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS
-from tests.helpers.arm_on_servos import CALIBRATION, CONFIG, ArmOnServos, to
+from tests.helpers.arm_on_servos import ArmOnServos, to
+from tests.helpers.arm_rig import CALIBRATION, CONFIG
 from tests.helpers.resources import no_descriptors_left, runs
 
 

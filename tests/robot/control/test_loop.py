@@ -7,18 +7,13 @@ import pytest
 from robot.channel import Channel
 from robot.control.loop import ArmLoop, hardware_opener
 from robot.control.pacing import MAX_TICK_S, Pacer, Scheduling
-from robot.description.limits import within_calibration
 from robot.errors import PortError
 from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.messages import ArmConfig, Mode
 from tests.helpers import dynamixel
+from tests.helpers.arm_rig import CALIBRATION, NAMES, ROBOT
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.programs import run_python
-from tests.helpers.robots import nominal_calibration, so101
-
-CALIBRATION = nominal_calibration()
-ROBOT = within_calibration(so101(), CALIBRATION)
-NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
 
 
 @pytest.mark.parametrize(

@@ -23,11 +23,6 @@ from tests.helpers.motions import smooth_move
 IDS = [joint.servo_id for joint in CALIBRATION.joints]
 
 
-@pytest.fixture
-def emulator() -> SteppedEmulator:
-    return SteppedEmulator(wire_time=False)
-
-
 def relaxed(emulator: SteppedEmulator, **settings: object) -> ArmRig:
     made = ArmRig(emulator, start_enabled=False, **settings)
     made.until_mode(Mode.RELAXED)

@@ -14,7 +14,7 @@ from tests.helpers import resources
 from tests.helpers.robots import so101
 
 # Of each list of a file, every so manieth problem: all of them are the benchmark's.
-SHARE = 3
+SHARE = 6
 SCENES = ("attached", "base_box", "empty", "pillars", "table")
 SCENES_OF_BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "scenes"
 

@@ -81,18 +81,6 @@ def collision(robot):
     return CollisionModel(replace(robot, parts={}))
 
 
-@pytest.fixture(scope="module")
-def own(robot):
-    return CollisionModel(robot)
-
-
-@pytest.fixture
-def changing(own):
-    """One whose scene may change."""
-    yield own
-    own.set_scene(scene())
-
-
 @pytest.fixture
 def random_states(collision):
     return np.random.default_rng(4).uniform(collision.lower_rad, collision.upper_rad, (150, 6))

@@ -84,14 +84,19 @@ class RunningServer:
             env={**os.environ, "XDG_DATA_HOME": self._data.name, **self.settings},
             stderr=subprocess.PIPE,
             text=True,
+            # Its planners have sessions of their own. Where sessions get equal shares of the processor, all servers of
+            # the tests together would get as much as one planner.
+            start_new_session=True,
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        self._ready.wait(TIMEOUT_S)
-        if not self.port:
+        try:
+            self._ready.wait(TIMEOUT_S)
+            assert self.port, "the server did not start:\n" + "\n".join(self.lines)
+        except BaseException:
             self.process.kill()
             self.__exit__()
-            raise AssertionError("the server did not start:\n" + "\n".join(self.lines))
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator
-from pathlib import Path
 from typing import Any, NoReturn, TypeAlias, cast
 
 from robot import logs
@@ -200,7 +199,7 @@ class Child(asyncio.Protocol):
         self._ended = asyncio.Event()
         if niceness:
             with contextlib.suppress(OSError):
-                _lower_priority(self._process.pid, niceness)
+                os.setpriority(os.PRIO_PROCESS, self._process.pid, niceness)
 
     @property
     def pid(self) -> int:
@@ -286,16 +285,6 @@ class Child(asyncio.Protocol):
             self._on_message(message)
         except Exception:  # a bug in handling one message must not close the channel
             log.exception("serving a message of process %d failed", self.pid)
-
-
-def _lower_priority(pid: int, niceness: int) -> None:
-    """Lower the priority of a child in a session of its own, also against other sessions.
-
-    Where sessions are scheduled as groups, a niceness counts within one only, and the group has its own: sched(7).
-    """
-    os.setpriority(os.PRIO_PROCESS, pid, niceness)
-    if os.getsid(pid) == pid:
-        Path(f"/proc/{pid}/autogroup").write_text(f"{niceness}")
 
 
 async def has_ended(process: Process, timeout_s: float) -> bool:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 from robot import arm, logs
 from server import app, cli
 from server.errors import StartError
@@ -22,13 +23,13 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "configure", lambda *_arguments: None)
 
 
-@pytest.mark.parametrize("arguments", [["config"], ["--help"], ["systemd-unit"]])
+@pytest.mark.parametrize("arguments", [["config"], ["--help"]])
 def test_a_reader_that_has_read_enough_gets_no_traceback(arguments: list[str]) -> None:
     command = [sys.executable, "-m", "server.cli", *arguments]
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=60)
+        done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=TIMEOUT_S)
     finally:
         os.close(writing)
     assert done.stderr == ""
@@ -116,7 +117,7 @@ threads = [threading.Thread(target=talk_to_oneself, daemon=True) for _ in range(
 for thread in threads:
     thread.start()
 for _ in threads:
-    held.acquire(timeout=30.0)
+    held.acquire()
 print("said", end="")
 cli.main = lambda: 3
 cli.run_process()
@@ -124,19 +125,18 @@ cli.run_process()
 
 
 def test_a_network_that_does_not_end_changes_no_exit_code() -> None:
-    answer = subprocess.run([sys.executable, "-c", HELD_UP], capture_output=True, text=True, timeout=60, check=False)
+    answer = subprocess.run(
+        [sys.executable, "-c", HELD_UP], capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+    )
     assert (answer.returncode, answer.stdout, answer.stderr) == (3, "said", "")
 
 
-def test_the_version_names_the_program_and_the_page(tmp_path: Path) -> None:
+def test_the_version_names_the_program_and_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "index.html").write_text('<head>\n<meta name="version" content="0.1.9">\n</head>')
     assert version_line(tmp_path) == f"armbridge {metadata.version('armbridge')}, page 0.1.9"
     (tmp_path / "index.html").write_text("<head></head>")
     assert version_line(tmp_path).endswith(", page of an unknown version")
     assert version_line(tmp_path / "nowhere").endswith(", without the page")
-
-
-def test_the_command_prints_this_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         cli.main(["--version"])
     assert " ".join(capsys.readouterr().out.split()) == version_line(PAGE_DIRECTORY)

@@ -4,6 +4,7 @@ Server, supervisor and controller are the real ones, in stepped time; the joints
 """
 
 import asyncio
+import math
 from collections.abc import Callable
 from contextvars import Context
 from typing import Any
@@ -29,8 +30,8 @@ LIMIT = 0.1
 # The controller chooses the rate of a motion so that no joint is faster; what is left is rounding.
 TOLERANCE = 1e-6
 
-# The planned motions take longer under the limit; their greatest speed comes within this time [s].
-TRIAL_S = 8.0
+# The motions take longer under the limit; their greatest speed comes within this time [s].
+TRIAL_S, LOOK_S = 5.0, 0.5
 
 READY = ROBOT.named_states["arm"]["ready"]
 REACH = {"joint_names": list(ARM_JOINTS), "points": [{"positions": [0.8, 0.0, 0.0, 0.0, 0.0]}]}
@@ -57,13 +58,13 @@ def jog(stage: ServerStage) -> None:
 
 
 def follow(stage: ServerStage) -> None:
-    """Follow a leader who waits for 3 s and then turns at 1 rad/s."""
+    """Follow a leader who waits for 2 s and then turns at 1 rad/s."""
     stage.call("/teleop/start", leader="/glove")
 
     def lead(number: int) -> None:
         at_s = number * 0.02
         stamp = {"sec": 5 + int(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
-        pan_rad = 0.1 + min(max(at_s - 3.0, 0.0), 1.2)
+        pan_rad = 0.1 + min(max(at_s - 2.0, 0.0), 1.2)
         sample = {"header": {"stamp": stamp}, "name": ["shoulder_pan"], "position": [pan_rad]}
         stage.publish("/glove", "sensor_msgs/JointState", sample)
 
@@ -131,10 +132,20 @@ def goals_rad(monkeypatch: pytest.MonkeyPatch) -> list[Vector]:
     return written
 
 
+def share_of(goals_rad: list[Vector]) -> float:
+    """Return the greatest velocity of the goals, as a share of the joint's velocity limit."""
+    steps_rad = np.abs(np.diff(goals_rad, axis=0))
+    return float((steps_rad / (BOUNDS.max_velocity * PERIOD_S)).max())
+
+
 async def peak_share(
-    request: Callable[[ServerStage], None], limit: float, goals_rad: list[Vector], settings: Settings = DEFAULTS
+    request: Callable[[ServerStage], None],
+    limit: float,
+    goals_rad: list[Vector],
+    settings: Settings = DEFAULTS,
+    enough: float = math.inf,
 ) -> float:
-    """Return the greatest velocity that a request commands under a limit, as a share of the joint's velocity limit."""
+    """Return the greatest velocity that a request commands under a limit, or one that is enough."""
     arm = RigArm(settings)
     running = asyncio.create_task(arm.run())
     try:
@@ -142,28 +153,25 @@ async def peak_share(
         await arm.stage.teaching._motions.save("swing", SWING)
         arm.stage.call("/arm/set_speed_limit", speed_limit=limit)
         request(arm.stage)
-        await asyncio.sleep(TRIAL_S)
+        for _ in range(round(TRIAL_S / LOOK_S)):
+            await asyncio.sleep(LOOK_S)
+            if share_of(goals_rad) > enough:
+                break
     finally:
         while PUBLISHING:
             PUBLISHING.pop().cancel()
         await arm.stage.close()
         running.cancel()
-    steps_rad = np.abs(np.diff(goals_rad, axis=0))
-    return float((steps_rad / (BOUNDS.max_velocity * PERIOD_S)).max())
+    return share_of(goals_rad)
 
 
 @pytest.mark.parametrize("request_", REQUESTS.values(), ids=REQUESTS.keys())
-async def test_no_joint_is_commanded_faster_than_the_speed_limit(
+async def test_no_joint_is_commanded_faster_than_the_speed_limit_and_without_it_the_motion_is_faster(
     request_: Callable[[ServerStage], None], goals_rad: list[Vector]
 ) -> None:
     assert LIMIT / 2 < await peak_share(request_, LIMIT, goals_rad) <= LIMIT * (1.0 + TOLERANCE)
-
-
-@pytest.mark.parametrize("request_", REQUESTS.values(), ids=REQUESTS.keys())
-async def test_each_of_these_motions_is_faster_without_a_limit(
-    request_: Callable[[ServerStage], None], goals_rad: list[Vector]
-) -> None:
-    assert await peak_share(request_, 1.0, goals_rad) > 1.2 * LIMIT
+    goals_rad.clear()
+    assert await peak_share(request_, 1.0, goals_rad, enough=1.2 * LIMIT) > 1.2 * LIMIT
 
 
 @pytest.mark.parametrize("action", ["FollowJointTrajectory", "ExecuteTrajectory"])

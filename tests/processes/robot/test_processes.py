@@ -82,21 +82,6 @@ async def test_a_child_answers_in_order_whatever_the_size(echo: Echo) -> None:
     assert await echo.exchange(*sent) == sent
 
 
-def autogroup(pid: int) -> list[str]:
-    """Name of the scheduler's group of a process, the word "nice", and the group's niceness."""
-    return Path(f"/proc/{pid}/autogroup").read_text().split()
-
-
-@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="this kernel has no autogroups")
-async def test_the_niceness_of_a_child_holds_against_other_sessions_too() -> None:
-    child = Child(StartedChild(ECHO), lambda _: None, lambda: None, niceness=5)
-    await child.connect()
-    group, own = autogroup(child.pid), autogroup(os.getpid())
-    await child.kill()
-    assert group[1:] == ["nice", "5"]
-    assert group[0] != own[0]
-
-
 @pytest.mark.parametrize("begun", [False, True], ids=["running", "only begun"])
 async def test_a_signal_that_is_for_the_server_does_not_end_a_child(start: Start, begun: bool) -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.waiting import running
+from harness.waiting import TIMEOUT_S, running
 from robot.hardware.feetech.bus import Bus
 from server import cli
 from server.app import App
@@ -156,4 +156,4 @@ def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: P
         with contextlib.closing(Bus.open(str(link))) as bus:
             assert [bus.ping(servo_id) for servo_id in range(1, 7)] == [777] * 6
         process.terminate()
-        assert process.wait(30.0) == 0
+        assert process.wait(TIMEOUT_S) == 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 from server.cli import main
 from server.datasets import camera
 from server.datasets.camera import CameraError, NewestImage, OpenCvSource, Pixels, open_source, to_jpeg
@@ -27,7 +27,7 @@ class Scripted:
         self._count = count
 
     def read(self) -> Pixels | None:
-        self.allowed.acquire(timeout=30.0)
+        self.allowed.acquire(timeout=TIMEOUT_S)
         if self.number >= self._count:
             return None
         self.number += 1

@@ -13,7 +13,7 @@ from websockets.asyncio.server import ServerConnection, serve
 
 from harness.clients import arm_client
 from harness.server import ROOT, ServerOnBus, free_port
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from server import publishing_client
 from server.datasets.camera import CameraClient, CameraOptions, ImageSource, NewestImage, TestPattern
 from server.publishing_client import PublishedTopic
@@ -101,7 +101,7 @@ async def test_an_end_that_comes_together_with_an_image_is_not_lost(turns: int) 
     for _ in range(turns):
         await asyncio.sleep(0)
     publishing.cancel()
-    await asyncio.wait([publishing], timeout=10.0)
+    await asyncio.wait([publishing], timeout=TIMEOUT_S)
     assert publishing.cancelled()
 
 
@@ -155,9 +155,9 @@ async def test_the_command_publishes_the_test_pattern_until_sigint(served: Serve
     try:
         async with arm_client(served.server.url) as client:
             await client.say("subscribe", topic=TOPIC, type="sensor_msgs/CompressedImage")
-            images = await client.until(TOPIC, lambda all_: len(all_) >= 3, 60.0)
+            images = await client.until(TOPIC, lambda all_: len(all_) >= 3, TIMEOUT_S)
         process.send_signal(signal.SIGINT)
-        out, err = await asyncio.wait_for(process.communicate(), 60.0)
+        out, err = await asyncio.wait_for(process.communicate(), TIMEOUT_S)
     finally:
         if process.returncode is None:
             process.kill()

@@ -412,10 +412,7 @@ def raw_image(at_s: float, encoding: str, pixel: list[int], topic: str = "/wrist
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))
-@pytest.mark.parametrize(
-    ("encoding", "pixel"),
-    [("rgb8", [200, 40, 90]), ("bgra8", [90, 40, 200, 7])],
-)
+@pytest.mark.parametrize(("encoding", "pixel"), [("rgb8", [200, 40, 90]), ("bgra8", [90, 40, 200, 7])])
 def test_a_bag_of_ros_2_with_raw_images_is_exported(
     tmp_path: Path, storage: StoragePlugin, encoding: str, pixel: list[int]
 ) -> None:

@@ -23,12 +23,6 @@ def test_states_are_interpolated_at_a_fixed_rate() -> None:
     assert frames.states[:, 0] == pytest.approx(0.1 + 0.1 * np.arange(31) / 30)
 
 
-def test_without_actions_the_next_state_is_the_action_and_the_last_frame_has_none() -> None:
-    frames = frames_of(EPISODE, TRACKS, 10)
-    assert frames.count == 10
-    assert frames.actions[:, 0] == pytest.approx(frames.states[:, 0] + 0.01)
-
-
 def test_action_and_image_are_the_last_ones_before_the_frame() -> None:
     late_s = TIMES_S + 0.005
     tracks = replace(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from planners.goals import JointGoal
 from planners.interface import Planners
 from planners.pool import PlannerPool
@@ -45,8 +45,6 @@ from tests.helpers.fake_arm import FakeArm, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.steps import StepOf
-
-TIMEOUT_S = 30.0
 
 ARM = so101().groups["arm"].joints
 

@@ -49,14 +49,10 @@ def test_what_one_arm_can_do_each_of_several_can() -> None:
 CONTROLLER = ("_controller/joint_trajectory", "_controller/follow_joint_trajectory")
 
 
-async def test_all_of_several_arms_are_commissioned_one_at_a_time() -> None:
+async def test_each_of_several_arms_is_commissioned_by_its_name() -> None:
     app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
     whole = answered(app.graph, "/arm/commissioning/begin", procedure="verify", name="").values
     assert "by the service of its name: /left/arm/commissioning/begin, /right/" in whole["message"]
-
-
-async def test_each_of_several_arms_is_commissioned_by_its_name() -> None:
-    app = await started(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
     begun = answered(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="").values
     assert begun == {"success": True, "message": "verify begins: see /left/arm/commissioning/state"}
     busy = answered(app.graph, "/left/arm/commissioning/begin", procedure="verify", name="").values

@@ -237,11 +237,7 @@ async def test_a_movable_object_is_put_somewhere_and_a_reset_puts_it_back(stage:
 FAR = "pose has a position that is not finite or beyond 100 m: (1000.0, 0.0, 0.0)"
 UNPLACED = {
     "unknown": ("ball", pose(), "the physics has no object 'ball'"),
-    "fixed": (
-        "wall",
-        pose(),
-        "'wall' stays where it is: move it in the planning scene, or make it movable first",
-    ),
+    "fixed": ("wall", pose(), "'wall' stays where it is: move it in the planning scene, or make it movable first"),
     "not finite": ("cube", pose(math.nan), "pose.position.x must be a finite number, not nan"),
     "far": ("cube", pose(1000.0), FAR),
 }
@@ -292,10 +288,7 @@ async def test_steps_need_a_pause_and_come_one_call_after_the_other(stage: Stage
     assert await stage.answer("/simulation/step", steps=1) == (False, passes)
     stage.report(ticks=0)
     for steps in (0, MAX_STEPS + 1):
-        assert await stage.answer("/simulation/step", steps=steps) == (
-            False,
-            f"steps must be 1 to 1000, not {steps}",
-        )
+        assert await stage.answer("/simulation/step", steps=steps) == (False, f"steps must be 1 to 1000, not {steps}")
     stage.graph.services.call(Node("first"), "/simulation/step", {"steps": 2}, lambda _answer: None)
     await asyncio.sleep(0)
     assert await stage.answer("/simulation/step", steps=1) == (False, "other steps are in progress")
@@ -305,10 +298,7 @@ async def test_an_arm_that_does_not_answer_ends_the_wait_and_the_pause(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("server.features.physics.ANSWER_TIMEOUT_S", 0.0)
-    assert await stage.answer("/simulation/pause", data=True) == (
-        False,
-        "the arm process did not answer within 0 s",
-    )
+    assert await stage.answer("/simulation/pause", data=True) == (False, "the arm process did not answer within 0 s")
     assert [each.paused for each in stage.arm.pauses] == [True, False]
 
 

@@ -17,6 +17,7 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
+from harness.waiting import TIMEOUT_S
 from server import robot_files
 from server.errors import FileTooLargeError, ServiceError
 from server.gateway import http as gate
@@ -71,7 +72,7 @@ class Site:
         return await asyncio.to_thread(self._ask, path, method, headers or {})
 
     def _ask(self, path: str, method: str, headers: dict[str, str]) -> tuple[http.client.HTTPResponse, bytes]:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30.0)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT_S)
         try:
             # To the letter: a client that means harm does not tidy its paths.
             connection.putrequest(method, path, skip_accept_encoding=True)
@@ -213,7 +214,7 @@ async def test_compas_fab_finds_the_meshes_that_the_description_names(site: Site
     assert url.encode() in description
 
     def load() -> bytes:
-        with urlopen(urljoin(base_url, url[len("package://") :]), timeout=10) as response:
+        with urlopen(urljoin(base_url, url[len("package://") :]), timeout=TIMEOUT_S) as response:
             content: bytes = response.read()
         return content
 
@@ -319,7 +320,7 @@ async def test_unread_answers_take_bounded_memory(site: Site, folders: Path, mon
         monkeypatch.setattr(gate, "MAX_UNREAD_BYTES", 0)
         assert [(await site.ask(each))[0].status for each in ("/livez", "/")] == [200, 503]
         monkeypatch.setattr(gate, "MAX_UNREAD_BYTES", 20 << 20)
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(TIMEOUT_S):
         # The end of the deaf client's connection is not ordered with the next request.
         while (await site.ask(path))[0].status != 200:
             pass

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from protocol.limits import Limits
 from protocol.publication import EncodedMessage
 from server.gateway.listener import Listener
@@ -21,7 +21,6 @@ from tests.helpers.gateway import listening
 from tests.helpers.messages import REGISTRY
 
 TALKER = Node("talker")
-TIMEOUT_S = 60.0
 SUBSCRIBE = json.dumps({"op": "subscribe", "topic": "/t"})
 
 

@@ -34,7 +34,7 @@ from server.gateway.listener import (
 )
 from server.gateway.settings import ServerSettings
 from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import (
     TIMEOUT_S,
@@ -47,6 +47,7 @@ from tests.helpers.gateway import (
     status,
     until_empty,
 )
+from tests.helpers.graph import listen as subscribe
 from tests.helpers.messages import REGISTRY
 from tests.helpers.resources import Pair, make_pair, openssl
 
@@ -69,19 +70,15 @@ def test_a_key_of_another_certificate_is_named(pairs: tuple[Pair, Pair]) -> None
     )
 
 
-@pytest.mark.parametrize("missing", ["certificate", "key"])
-def test_a_file_that_cannot_be_read_is_named(pairs: tuple[Pair, Pair], missing: str) -> None:
-    pair = pairs[0]._replace(**{missing: Path("/nowhere.pem")})
-    with pytest.raises(ConfigurationError, match=f"server.tls_{missing}: /nowhere.pem cannot be read: No such file"):
+@pytest.mark.parametrize(("which", "kind"), [("certificate", "CERTIFICATE"), ("key", "PRIVATE KEY")])
+def test_a_file_that_is_missing_or_of_something_else_is_named(
+    pairs: tuple[Pair, Pair], which: str, kind: str, tmp_path: Path
+) -> None:
+    other = tmp_path / "x.pem"
+    pair = pairs[0]._replace(**{which: other})
+    with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*x.pem cannot be read: No such file"):
         Tls(*pair)
-
-
-@pytest.mark.parametrize(
-    ("which", "kind"), [("certificate", "CERTIFICATE"), ("key", "PRIVATE KEY")], ids=["certificate", "key"]
-)
-def test_a_file_of_something_else_is_named(pairs: tuple[Pair, Pair], which: str, kind: str, tmp_path: Path) -> None:
-    (tmp_path / "x.pem").write_bytes(b"\xff\x00 nothing of that kind")
-    pair = pairs[0]._replace(**{which: tmp_path / "x.pem"})
+    other.write_bytes(b"\xff\x00 nothing of that kind")
     with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*x.pem has no {kind} in PEM format"):
         Tls(*pair)
 
@@ -232,53 +229,28 @@ async def test_a_new_certificate_is_for_new_connections(pairs: tuple[Pair, Pair]
             await asyncio.wait_for(await client.ping(), TIMEOUT_S)
 
 
-def latest(graph: Graph, topic: str) -> Any:
-    """Return the latched message of a topic."""
-    return graph.subscribe(Node("late"), topic, None, Subscriber(lambda _publication: None))[-1].msg
-
-
-def test_a_late_subscriber_gets_the_list_of_clients() -> None:
-    graph = Graph(REGISTRY, wall_clock=lambda: 7.0)
-    clock = FakeClock()
+def test_clients_that_come_at_once_are_told_of_together_and_a_late_subscriber_gets_their_list() -> None:
+    graph, clock = Graph(REGISTRY, wall_clock=lambda: 7.0), FakeClock()
     clients = ClientList(graph, clock.call_later)
     clients.open()
-    assert latest(graph, COUNT_TOPIC) == {"data": 0}
-    first, second = Node("a"), Node("b")
-    clients.add(first, "10.0.0.1")
-    assert latest(graph, COUNT_TOPIC) == {"data": 1}
-    clock.advance(LIST_PERIOD_S)
-    clients.add(second, "10.0.0.2")
-    assert latest(graph, COUNT_TOPIC) == {"data": 2}
-    clock.advance(LIST_PERIOD_S)
-    clients.remove(first)
-    assert latest(graph, LIST_TOPIC) == {
-        "clients": [{"ip_address": "10.0.0.2", "connection_time": {"sec": 7, "nanosec": 0}}]
-    }
+    counts, lists = subscribe(graph, COUNT_TOPIC), subscribe(graph, LIST_TOPIC)
 
+    def told() -> list[tuple[int, int]]:
+        return [(count["data"], len(each["clients"])) for count, each in zip(counts, lists, strict=True)]
 
-def test_clients_that_come_at_once_are_told_of_together() -> None:
-    graph, clock = Graph(REGISTRY), FakeClock()
-    clients = ClientList(graph, clock.call_later)
-    counts: list[int] = []
-    lengths: list[int] = []
-    clients.open()
-    listening = Node("listening")
-    graph.subscribe(listening, COUNT_TOPIC, None, Subscriber(lambda published: counts.append(published.msg["data"])))
-    graph.subscribe(
-        listening, LIST_TOPIC, None, Subscriber(lambda published: lengths.append(len(published.msg["clients"])))
-    )
     nodes = [Node(f"client {number}") for number in range(100)]
-    for node in nodes:
-        clients.add(node, "10.0.0.1")
-    assert counts == lengths == [1]
+    for number, node in enumerate(nodes):
+        clients.add(node, f"10.0.0.{number}")
+    assert told() == [(0, 0), (1, 1)]
     clock.advance(LIST_PERIOD_S)
-    assert counts == lengths == [1, 100]
-    for node in nodes:
+    assert told()[2:] == [(100, 100)]
+    for node in nodes[:-1]:
         clients.remove(node)
     clock.advance(LIST_PERIOD_S)
-    assert counts == lengths == [1, 100, 0]
     clock.advance(10 * LIST_PERIOD_S)
-    assert counts == lengths == [1, 100, 0]
+    assert told()[3:] == [(1, 1)]
+    kept = {"clients": [{"ip_address": "10.0.0.99", "connection_time": {"sec": 7, "nanosec": 0}}]}
+    assert subscribe(graph, LIST_TOPIC) == [kept]
 
 
 def test_a_list_that_is_closed_publishes_no_more() -> None:
@@ -332,9 +304,6 @@ async def test_the_listener_tells_where_it_is(host: str) -> None:
     assert listener.url == f"ws://{host}:{listener.port}"
     assert listener.page_url == f"http://{host}:{listener.port}/"
     await listener.close()
-
-
-def test_an_address_of_ipv6_has_its_brackets() -> None:
     assert Listener(Graph(REGISTRY), ServerSettings(host="::1", port=9090)).url == "ws://[::1]:9090"
 
 
@@ -433,31 +402,32 @@ class Limit:
         self.value = value
 
 
-@pytest.mark.parametrize("hard", [4096, resource.RLIM_INFINITY])
-def test_the_limit_is_raised_as_far_as_is_needed(
-    monkeypatch: pytest.MonkeyPatch, hard: int, caplog: pytest.LogCaptureFixture
+# The limits, the clients that are wanted and those that fit, and the soft limit afterwards.
+FILE_LIMITS = [
+    (1024, 4096, 1000, 1000, 1000 + SPARE),
+    (1024, resource.RLIM_INFINITY, 1000, 1000, 1000 + SPARE),
+    (1024, 4096, 100, 100, 1024),
+    (resource.RLIM_INFINITY, 4096, 100, 100, resource.RLIM_INFINITY),
+    (256, 2048, 5000, 2048 - SPARE, 2048),
+    (256, 300, 5000, 150, 300),
+]
+
+
+@pytest.mark.parametrize(("soft", "hard", "wanted", "clients", "raised"), FILE_LIMITS)
+def test_the_limit_is_raised_as_far_as_is_needed_and_reduces_the_number_of_clients_where_that_is_not_enough(
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    soft: int,
+    hard: int,
+    wanted: int,
+    clients: int,
+    raised: int,
 ) -> None:
-    limit = Limit(monkeypatch, 1024, hard)
-    assert raise_file_limit(1000) == 1000
-    assert limit.value == (1000 + SPARE, hard)
-    assert not caplog.records
-
-
-@pytest.mark.parametrize("soft", [1024, resource.RLIM_INFINITY])
-def test_a_limit_that_is_high_enough_stays(monkeypatch: pytest.MonkeyPatch, soft: int) -> None:
-    limit = Limit(monkeypatch, soft, 4096)
-    assert raise_file_limit(100) == 100
-    assert limit.value == (soft, 4096)
-
-
-@pytest.mark.parametrize(("hard", "clients"), [(2048, 2048 - SPARE), (300, 150)])
-def test_one_that_cannot_be_raised_enough_reduces_the_number_of_clients(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, hard: int, clients: int
-) -> None:
-    limit = Limit(monkeypatch, 256, hard)
-    assert raise_file_limit(5000) == clients
-    assert limit.value == (hard, hard)
-    assert f"it serves {clients} clients at a time, not server.max_clients = 5000" in caplog.text
+    limit = Limit(monkeypatch, soft, hard)
+    assert raise_file_limit(wanted) == clients
+    assert limit.value == (raised, hard)
+    told = [] if clients == wanted else [f"it serves {clients} clients at a time, not server.max_clients = {wanted}"]
+    assert [words for words, line in zip(told, caplog.messages, strict=True) if words not in line] == []
 
 
 async def test_clients_beyond_the_system_s_limit_of_open_files_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

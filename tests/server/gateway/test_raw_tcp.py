@@ -93,7 +93,7 @@ def test_any_cut_of_the_stream_gives_the_same_answers(cuts: list[int], speaks_bs
     assert asyncio.run(answers()) == [f'"{{{n}' for n in range(4)]
 
 
-@pytest.mark.parametrize("turn_s", [0.0, 0.0001, 60.0])
+@pytest.mark.parametrize("turn_s", [0.0, 60.0])
 @both
 async def test_a_flood_is_carried_out_in_order_however_long_a_turn_is(
     listener: Listener, monkeypatch: pytest.MonkeyPatch, turn_s: float, *, speaks_bson: bool

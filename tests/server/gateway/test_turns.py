@@ -3,11 +3,10 @@ import threading
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from protocol.errors import MessageError
 from protocol.publication import EncodedMessage, Frame
 from server.gateway.turns import Threads
-
-TIMEOUT_S = 30.0
 
 
 class TestThreads:

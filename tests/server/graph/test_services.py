@@ -3,6 +3,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -97,7 +98,7 @@ async def test_a_function_that_takes_too_long_is_cancelled(services: Services, c
     await asyncio.sleep(0)
     clock.advance(LOCAL_TIMEOUT_S)
     assert not responses[0].ok
-    await asyncio.wait_for(cancelled.wait(), 1.0)
+    await asyncio.wait_for(cancelled.wait(), TIMEOUT_S)
 
 
 # Services of clients

@@ -22,7 +22,7 @@ from websockets.http11 import Request
 
 from harness.clients import ArmClient, values_of
 from harness.server import ROOT, ServerOnBus
-from harness.waiting import join, wait_until
+from harness.waiting import TIMEOUT_S, join, wait_until
 from planners.problem import MoveItErrorCode
 from robot.faults import FaultCode
 from robot.messages import Mode
@@ -303,9 +303,6 @@ def test_the_resources_of_this_process_are_measured() -> None:
     grown_bytes = after["resident_memory_bytes"] - before["resident_memory_bytes"]
     assert 0.9 * size_bytes < grown_bytes < 2.5 * size_bytes
     assert 0.0 < before["cpu_seconds_total"] <= after["cpu_seconds_total"] < 1e5
-
-
-TIMEOUT_S = 30.0
 
 
 def ask(port: int, path: str) -> tuple[int, bytes]:

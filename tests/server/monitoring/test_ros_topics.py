@@ -81,25 +81,25 @@ def test_priority_and_memory_of_the_arm_process_are_reported() -> None:
     assert values_of(statuses()[0])["memory_locked"] == "false"
 
 
-def test_a_simulated_arm_that_a_busy_machine_slows_down_says_so() -> None:
-    arm, servo = statuses(health=replace(HEALTH, real_time_factor=0.42))
-    assert (arm["level"], arm["message"]) == (1, "the arm holds, at 42% of real time: this machine is busy")
-    assert values_of(arm)["real_time_factor"] == "0.42"
-    assert servo["level"] == 0
-    arm, _ = statuses(health=replace(HEALTH, real_time_factor=0.95))
-    assert (arm["level"], values_of(arm)["real_time_factor"]) == (0, "0.95")
+# Real time factor, rate and age of the report [s]; then the levels of the arm and of the servo, and words of the arm.
+SIMULATED = {
+    "slow": (0.42, 1.0, 0.5, 1, 0, "the arm holds, at 42% of real time: this machine is busy"),
+    "nearly in time": (0.95, 1.0, 0.5, 0, 0, "the arm holds"),
+    "slower than its rate": (6.0, 10.0, 2.0, 1, 0, "at 600% of real time, not 1000%: this machine is busy"),
+    "nearly at its rate": (9.5, 10.0, 0.5, 0, 0, "the arm holds"),
+    "slow, and seldom heard": (0.25, 1.0, 8.0, 1, 0, "at 25% of real time"),
+    "heard too seldom": (0.5, 1.0, 8.0, 1, 3, "at 50% of real time"),
+}
 
 
-def test_a_faster_simulated_arm_tells_what_it_reaches_and_is_no_less_often_heard() -> None:
-    arm, servo = statuses(health=replace(HEALTH, real_time_factor=6.0, rate=10.0), health_age_s=2.0)
-    assert (arm["level"], arm["message"]) == (1, "the arm holds, at 600% of real time, not 1000%: this machine is busy")
-    assert servo["level"] == 0
-    assert statuses(health=replace(HEALTH, real_time_factor=9.5, rate=10.0))[0]["level"] == 0
-
-
-def test_a_slow_simulated_arm_reports_as_seldom_as_its_time_passes() -> None:
-    assert statuses(health=replace(HEALTH, real_time_factor=0.25), health_age_s=8.0)[1]["level"] == 0
-    assert statuses(health=replace(HEALTH, real_time_factor=0.5), health_age_s=8.0)[1]["level"] == 3
+@pytest.mark.parametrize(("factor", "rate", "age_s", "of_arm", "of_servo", "words"), SIMULATED.values(), ids=SIMULATED)
+def test_a_simulated_arm_says_how_its_time_passes_and_reports_as_seldom(
+    factor: float, rate: float, age_s: float, of_arm: int, of_servo: int, words: str
+) -> None:
+    arm, servo = statuses(health=replace(HEALTH, real_time_factor=factor, rate=rate), health_age_s=age_s)
+    assert (arm["level"], servo["level"]) == (of_arm, of_servo)
+    assert words in arm["message"]
+    assert values_of(arm)["real_time_factor"] == f"{factor:.2f}"
 
 
 STALLED = replace(STATE, mode=Mode.FAULT, fault=Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex"))

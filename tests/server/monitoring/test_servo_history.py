@@ -74,16 +74,13 @@ async def test_what_the_hardware_does_not_measure_is_empty(world: World) -> None
 
 
 @pytest.mark.parametrize("joint", ["", "elbow"])
-async def test_an_unknown_joint_is_refused_with_those_that_are_known(world: World, joint: str) -> None:
+async def test_an_unknown_joint_is_refused_with_those_that_have_reported(world: World, joint: str) -> None:
+    told = world.asked(joint)
+    assert (told["success"], told["message"]) == (False, "the arm has not reported on its servos yet")
     world.report()
     told = world.asked(joint)
     assert not told["success"]
     assert told["message"] == f"joint: must be one of shoulder_pan, gripper, not {joint!r}"
-
-
-async def test_before_the_first_report_there_is_no_history(world: World) -> None:
-    told = world.asked()
-    assert (told["success"], told["message"]) == (False, "the arm has not reported on its servos yet")
 
 
 async def test_a_warning_is_an_event_when_it_comes_and_when_it_goes(world: World) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 from protocol.codecs.cdr import deserialize
 from protocol.messages import Stamp, complete
 from protocol.publication import PublishedMessage
@@ -129,7 +129,7 @@ class BlockedFiles(RecordingSeries):
 
     def add(self, entry: RecordedMessage) -> None:
         self.reached.set()
-        assert self.go_on.wait(30.0)
+        assert self.go_on.wait(TIMEOUT_S)
         super().add(entry)
 
 
@@ -171,7 +171,7 @@ def test_a_disk_that_stands_still_costs_messages_and_not_memory(
     writer = WriterThread(REGISTRY)
     writer.start(files)
     writer.put(queued())
-    assert files.reached.wait(30.0)
+    assert files.reached.wait(TIMEOUT_S)
     for number in range(1, 11):
         writer.put(queued(number))
     assert (writer.dropped, writer.queued) == (7, 3)

@@ -12,7 +12,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from harness.clients import frame_client
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from server.access.settings import AccessSettings
 from server.errors import RecordingError
 from server.gateway.settings import ServerSettings
@@ -207,7 +207,7 @@ async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
     playing = asyncio.create_task(player(tmp_path, graph, [text(0), text(1000)], rate=1.0).play())
     await until(lambda: "/t" in graph.topic_names.types())
     playing.cancel()
-    await asyncio.wait([playing], timeout=30.0)
+    await asyncio.wait([playing], timeout=TIMEOUT_S)
     assert playing.cancelled()
 
 
@@ -230,7 +230,7 @@ async def url(caplog: pytest.LogCaptureFixture) -> str:
 
 async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(TIMEOUT_S):
         await ReplayServer(options).run()
     assert "1 topics, 3 messages, 2.0 s" in caplog.text
     assert "replay ended: 3 messages published, 0 could not be read" in caplog.text
@@ -243,7 +243,7 @@ async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, cap
         await client.subscribe("/t", "std_msgs/String")
         await client.until("/t", lambda messages: [each["data"] for each in messages].count("2") >= 2)
         signal.raise_signal(signal.SIGTERM)
-        await asyncio.wait_for(playing, 30.0)
+        await asyncio.wait_for(playing, TIMEOUT_S)
     assert "replay ended" in caplog.text
 
 
@@ -263,6 +263,6 @@ async def test_types_of_the_users_packages_are_replayed_where_the_settings_name_
     user = load_registry([INTERFACES])
     path = record(tmp_path / "user.mcap", [entry("/sample", "lab_msgs/Sample", {}, registry=user)], user)
     server = ServerSettings(port=0, interfaces=interfaces)
-    async with asyncio.timeout(30.0):
+    async with asyncio.timeout(TIMEOUT_S):
         await ReplayServer(ReplayOptions(path, server, AccessSettings(), rate=100.0, delay_s=0.0, loop=False)).run()
     assert f"replay ended: {published} messages published" in caplog.text

@@ -188,8 +188,7 @@ async def test_motions_are_renamed_and_deleted(lesson: Lesson) -> None:
 
 
 @pytest.mark.parametrize(
-    ("request_", "says"),
-    [({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "gripper, not 'leg'")],
+    ("request_", "says"), [({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "gripper, not 'leg'")]
 )
 async def test_a_recording_without_a_place_does_not_begin(lesson: Lesson, request_: dict[str, str], says: str) -> None:
     assert says in await refused(lesson, "begin", **request_)

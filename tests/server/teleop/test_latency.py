@@ -207,13 +207,13 @@ def least_distance_m(goals_rad: np.ndarray) -> float:
     return least_m
 
 
-@pytest.mark.parametrize("latency_s", [0.005, 0.047, 0.08, 0.095])
+@pytest.mark.parametrize("latency_s", [0.005, 0.095])
 async def test_a_follower_swings_no_further_than_its_leader(latency_s: float) -> None:
     goals_rad = await Trial(lambda: latency_s).follow(swinging, seconds=4.0)
     assert SWING_RAD * 0.9 < np.abs(goals_rad).max() < SWING_RAD * 1.05
 
 
-@pytest.mark.parametrize("latency_s", [0.005, 0.047, 0.095])
+@pytest.mark.parametrize("latency_s", [0.005, 0.095])
 async def test_a_follower_that_is_led_into_itself_keeps_its_distance(latency_s: float) -> None:
     goals_rad = await Trial(lambda: latency_s).follow(folding, seconds=2.5)
     assert least_distance_m(goals_rad) > DISTANCE_M
@@ -223,9 +223,9 @@ async def test_a_follower_that_is_led_into_itself_keeps_its_distance(latency_s: 
 LATENCIES_S = (0.005, 0.02, 0.05, 0.08, 0.095, 0.12, 0.2, 0.3)
 FASTEST_RAD_S = 2.0
 
-# Seeds whose latencies are between 0.02 and 0.2 s; in seed 9 the follower came nearest to itself. FOLLOWING_SEEDS=200
+# Seeds whose latencies are 0.12, 0.02 and 0.095 s; in seed 9 the follower came nearest to itself. FOLLOWING_SEEDS=200
 # tries as many others.
-SEEDS = range(10, 10 + int(os.environ["FOLLOWING_SEEDS"])) if "FOLLOWING_SEEDS" in os.environ else (1, 2, 3, 4, 9)
+SEEDS = range(10, 10 + int(os.environ["FOLLOWING_SEEDS"])) if "FOLLOWING_SEEDS" in os.environ else (1, 4, 9)
 
 # The leader leads for this time, and then rests [s].
 LED_S, RESTS_S = 6.0, 2.0

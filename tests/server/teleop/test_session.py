@@ -6,6 +6,7 @@ from typing import cast
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
 from server.execution.executor import GoalExecutors
@@ -57,7 +58,7 @@ class Rig:
         self.session.take_sample()
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(TIMEOUT_S):
             while not condition():
                 await asyncio.sleep(0)
 

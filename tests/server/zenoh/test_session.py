@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import zenoh
 
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from server.zenoh import session as session_module
 from server.zenoh.session import ReceiveQueue, SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
@@ -18,9 +18,6 @@ from server.zenoh.settings import ZenohSettings, session_config
 
 def open_session() -> zenoh.Session:
     return zenoh.open(session_config(ZenohSettings(mode="peer")))
-
-
-TIMEOUT_S = 30.0
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ import pytest
 
 from harness.clients import ArmClient
 from harness.server import ServerOnBus
+from harness.waiting import TIMEOUT_S
 from robot.arm import Arm
 from robot.description.model import parse
 from robot.description.urdf import Joint
@@ -136,9 +137,9 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     await settle()
     assert not moving.done()
-    await arm.start(30.0)
+    await arm.start(TIMEOUT_S)
     with pytest.raises(RefusedError, match="/dev/nothing does not exist"):
-        await asyncio.wait_for(moving, 30.0)
+        await asyncio.wait_for(moving, TIMEOUT_S)
     await arm.close()
 
 

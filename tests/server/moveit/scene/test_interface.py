@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from harness.waiting import TIMEOUT_S
 from protocol.errors import MessageError
 from server.errors import RefusedError
 from server.execution.monitors import state_message
@@ -150,7 +151,7 @@ async def test_a_large_scene_may_take_longer_than_a_call_of_a_client_and_later_c
         client.graph.services.call(client.node, service, request, answers.append)
     assert not answers
     client.clock.advance(waited_s)
-    await asyncio.wait_for(client.state.settled(), 30.0)
+    await asyncio.wait_for(client.state.settled(), TIMEOUT_S)
     while len(answers) < 2:
         await asyncio.sleep(0)
     assert [answer.ok for answer in answers] == [True, True]
@@ -168,7 +169,7 @@ async def test_a_scene_whose_call_was_answered_with_a_failure_is_not_applied_aft
     client.graph.services.call(client.node, APPLY, {"scene": scene}, answers.append, timeout_s=2.0)
     client.clock.advance(2.1)
     assert [answer.ok for answer in answers] == [False]
-    await asyncio.wait_for(client.state.settled(), 30.0)
+    await asyncio.wait_for(client.state.settled(), TIMEOUT_S)
     assert client.state.contents.objects.keys() == contents.objects.keys()
     assert client.joints() != dict.fromkeys(JOINTS, 0.1)
     assert "nothing is changed: its request ended before the change was applied" in caplog.text
@@ -179,7 +180,7 @@ async def test_a_scene_whose_client_leaves_before_it_is_made_is_made_all_the_sam
     scene = {"is_diff": True, "world": {"collision_objects": MANY}, "robot_state": state_of(0.1)}
     client.graph.services.call(client.node, APPLY, {"scene": scene}, lambda _answer: None)
     client.graph.services.remove(client.node)
-    await asyncio.wait_for(client.state.settled(), 30.0)
+    await asyncio.wait_for(client.state.settled(), TIMEOUT_S)
     assert len(client.state.contents.objects) == 100
     assert client.joints() != dict.fromkeys(JOINTS, 0.1)
 

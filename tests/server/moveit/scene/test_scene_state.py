@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.waiting import TIMEOUT_S
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from server.errors import RefusedError
@@ -54,7 +55,7 @@ async def test_a_large_change_is_read_by_a_thread_and_later_ones_wait_for_it():
     state.submit(state.diff(MANY), BENT, lambda refusal: ends.append(("many", refusal)))
     state.submit(state.diff(removal), BENT, lambda refusal: ends.append(("removal", refusal)))
     assert (state.pending, ends, len(state.contents.objects)) == (True, [], 0)
-    await asyncio.wait_for(state.settled(), 30.0)
+    await asyncio.wait_for(state.settled(), TIMEOUT_S)
     assert ends == [("many", None), ("removal", None)]
     assert len(state.contents.objects) == 99
 
@@ -63,7 +64,7 @@ async def test_a_large_change_is_applied_to_the_scene_as_it_is_then():
     state, ends = scene_state(), []
     state.submit(state.diff(MANY), BENT, ends.append)
     state.apply_diff(ADDED, BENT)
-    await asyncio.wait_for(state.settled(), 30.0)
+    await asyncio.wait_for(state.settled(), TIMEOUT_S)
     assert ends == [None]
     assert {"cup", "pen", "0", "99"} < state.contents.objects.keys()
 
@@ -73,9 +74,9 @@ async def test_a_large_change_that_is_refused_changes_nothing():
     contents = state.contents
     bad = diff(world={"collision_objects": [*MANY["world"]["collision_objects"], {"id": "ghost", "operation": 1}]})
     with pytest.raises(RefusedError, match="no object 'ghost'"):
-        await asyncio.wait_for(state.change(state.diff(bad), BENT), 30.0)
+        await asyncio.wait_for(state.change(state.diff(bad), BENT), TIMEOUT_S)
     assert state.contents is contents
-    await asyncio.wait_for(state.change(state.diff(ADDED), BENT), 30.0)
+    await asyncio.wait_for(state.change(state.diff(ADDED), BENT), TIMEOUT_S)
     assert "pen" in state.contents.objects
 
 
@@ -86,7 +87,7 @@ async def test_a_change_whose_wait_is_cancelled_is_not_applied():
     await asyncio.sleep(0)
     waiting.cancel()
     await asyncio.wait([waiting])
-    await asyncio.wait_for(state.settled(), 30.0)
+    await asyncio.wait_for(state.settled(), TIMEOUT_S)
     assert waiting.cancelled()
     assert state.contents is contents
 
@@ -99,7 +100,7 @@ async def test_changes_that_wait_are_bounded():
     assert [str(end) for end in ends] == [
         f"changes of the scene with {2 * MAX_WAITING_ELEMENTS} elements would wait; the limit is {MAX_WAITING_ELEMENTS}"
     ]
-    await asyncio.wait_for(state.settled(), 30.0)
+    await asyncio.wait_for(state.settled(), TIMEOUT_S)
     assert ends[1:] == [None]
 
 

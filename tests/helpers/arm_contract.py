@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from harness.emulator import RunningEmulator
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
 from robot.calibration import Calibration, find_calibration
 from robot.description.limits import within_calibration
@@ -40,9 +40,6 @@ WITHIN_RAD = 0.06
 
 # 30 ticks: nothing moves when torque comes on.
 STILL_RAD = 0.046
-
-# A bound of what takes a second or two on a quiet machine.
-ANSWER_S = 40.0
 
 
 class Watched(Arm):
@@ -74,14 +71,14 @@ class Place:
 
     async def start(self) -> None:
         self.arm = Watched(self.config)
-        await self.arm.start(ANSWER_S)
+        await self.arm.start(TIMEOUT_S)
         await self.until(lambda: self.arm.state.mode is Mode.HOLDING)
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        await until(condition, ANSWER_S)
+        await until(condition, TIMEOUT_S)
 
     async def answer(self, motion: asyncio.Future[MotionEnded]) -> MotionEnded:
-        return await asyncio.wait_for(motion, ANSWER_S)
+        return await asyncio.wait_for(motion, TIMEOUT_S)
 
     def at(self, joint: str = JOINT) -> float:
         """Position of a joint [rad]."""

@@ -6,21 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from harness.server import EmulatorControl, read_write_log
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
-from robot.description.limits import within_calibration
 from robot.hardware.config import EmulatedConfig
-from robot.messages import ArmConfig, ArmHealth, ArmState, EndState, Mode
+from robot.messages import ArmHealth, ArmState, EndState, Mode
 from robot.processes import RestartDelay
 from robot.trajectory import Trajectory
+from tests.helpers.arm_rig import CALIBRATION, CONFIG
 from tests.helpers.motions import smooth_move
-from tests.helpers.robots import nominal_calibration, so101
-
-CALIBRATION = nominal_calibration()
-ROBOT = within_calibration(so101(), CALIBRATION)
-CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
-# Bound of a wait for what takes milliseconds on a quiet machine.
-SOON_S = 30.0
 
 
 class ArmOnServos:
@@ -39,7 +32,7 @@ class ArmOnServos:
 
     async def start(self) -> None:
         """Start the process and wait until the arm holds."""
-        await self.arm.start(SOON_S)
+        await self.arm.start(TIMEOUT_S)
         await until(lambda: self.arm.state.mode is Mode.HOLDING)
 
     def kill(self, number: signal.Signals = signal.SIGKILL) -> None:

@@ -17,6 +17,7 @@ from robot.hardware.feetech.bus import Bus, checksum
 from robot.hardware.feetech.family import ACCELERATION
 from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
 from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
+from tests.helpers.robots import SO101
 
 
 def goal_block(goal_ticks: int, velocity_ticks_s: int) -> bytes:
@@ -45,6 +46,14 @@ class SteppedClock(LoopClock):
         return 1.0
 
 
+def options_parser() -> argparse.ArgumentParser:
+    """Build the parser of ``armbridge emulate``, with a built-in arm that was read once."""
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    parser.set_defaults(robot=SO101)
+    return parser
+
+
 class WiredPort(InProcessPort):
     """Port whose bytes take their time on the wire; who waits for them moves the clock."""
 
@@ -68,8 +77,7 @@ class SteppedEmulator:
     """Servos of ``armbridge emulate`` at an in-process port; with ``wire_time`` a wait for bytes moves the clock."""
 
     def __init__(self, *options: str, wire_time: bool = True) -> None:
-        parser = argparse.ArgumentParser()
-        add_options(parser)
+        parser = options_parser()
         self.clock = SteppedClock()
         self._resources = ExitStack()
         parsed = parser.parse_args(options)

@@ -13,6 +13,7 @@ from protocol.values import INTEGER_RANGES
 
 # Of all tests: the types that it has compiled for one of them are there for the others.
 REGISTRY = Registry.load()
+MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
 
 # Of each width in UTF-8; zero, which ends text in C, among them.
 CHARACTERS = "a\x00 ü€😀"

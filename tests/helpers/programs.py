@@ -1,4 +1,4 @@
-"""Clients of other people: programs in interpreters of their own."""
+"""Programs in interpreters of their own, among them clients of other people."""
 
 import json
 import os
@@ -10,9 +10,16 @@ from typing import Any
 
 import pytest
 
+from harness.server import ROOT
 from harness.waiting import TIMEOUT_S
 
 UV = Path(sys.executable).with_name("uv")
+
+
+def run_python(program: str) -> subprocess.CompletedProcess[str]:
+    """Run a program that uses this checkout."""
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
 
 
 def environment_with(python: str, folder: Path, package: str | Path) -> Path:

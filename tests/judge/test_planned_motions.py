@@ -32,7 +32,7 @@ from tests.helpers.arm_rig import ROBOT
 from tests.judge.physical_arm import ArmInWorld, Played
 from tests.planners.scenes import VERSIONS
 
-SCENES = int(os.environ.get("JUDGE_SCENES", "12"))
+SCENES = int(os.environ.get("JUDGE_SCENES", "6"))
 MOTIONS_A_SCENE = 4
 OBJECTS = 10
 

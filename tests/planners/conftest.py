@@ -15,6 +15,7 @@ from tests.helpers.fake_workers import Farm
 from tests.helpers.robots import so101
 from tests.planners.following import Follower
 from tests.planners.scenes import scene
+from tests.planners.setting import Setting
 
 
 @pytest.fixture(scope="session")
@@ -38,6 +39,18 @@ def collision(robot):
 
 
 @pytest.fixture(scope="session")
+def own_collision(robot):
+    return CollisionModel(robot)
+
+
+@pytest.fixture
+def changing(own_collision):
+    """One whose scene may change; it is empty again after the test."""
+    yield own_collision
+    own_collision.set_scene(EMPTY_SCENE)
+
+
+@pytest.fixture(scope="session")
 def goal_states(robot, collision):
     return GoalStates(robot, collision)
 
@@ -46,6 +59,11 @@ def goal_states(robot, collision):
 def planner(robot):
     # By the clock of planner processes, which a busy machine does not hurry.
     return Planner(robot, time.process_time)
+
+
+@pytest.fixture
+def setting(planner, robot, collision):
+    return Setting(planner, robot, collision)
 
 
 @pytest.fixture(scope="session")

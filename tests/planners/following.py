@@ -1,7 +1,5 @@
 """Paths of the tip for the SO-101, from anywhere to nearby."""
 
-import time
-
 import numpy as np
 from hypothesis import strategies as st
 
@@ -47,7 +45,7 @@ class Follower:
         return CartesianProblem("arm", start_rad, TIP, segments, **asked)
 
     def plan(self, problem, should_stop=never):
-        budget = Budget(time.monotonic, problem.allowed_time_s, should_stop)
+        budget = Budget(lambda: 0.0, problem.allowed_time_s, should_stop)
         try:
             return plan_cartesian(problem, self.robot, self.collision, self.forward, budget)
         except PlanningError as error:

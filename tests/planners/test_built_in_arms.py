@@ -1,6 +1,7 @@
 """Built-in arms as they are shipped: named states of Fetch and Koch, and pose goals for seven and eight joints."""
 
 import itertools
+import time
 
 import numpy as np
 import pinocchio as pin
@@ -38,7 +39,7 @@ def fetch() -> RobotModel:
 
 @pytest.fixture(scope="module")
 def planner(fetch: RobotModel) -> Planner:
-    return Planner(fetch)
+    return Planner(fetch, time.process_time)
 
 
 def start(fetch: RobotModel) -> dict[str, float]:

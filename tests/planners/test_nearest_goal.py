@@ -9,17 +9,11 @@ from planners.goals import AxisGoal, Constraints, JointConstraint, JointGoal, Po
 from planners.problem import MoveItErrorCode, NearestGoalAnswer, NearestGoalQuestion, Plan, PlanningFailure
 from planners.scene import Box, Pose, SceneObject
 from tests.planners.scenes import thing
-from tests.planners.setting import Setting
 
 TIP = "gripper_frame_link"
 
 # Beside the arm: half a turn of the pan brings it in there.
 WALL = thing(Box((0.6, 0.1, 0.6)), 0.3, 0.25, 0.3)
-
-
-@pytest.fixture
-def setting(planner, robot, collision):
-    return Setting(planner, robot, collision)
 
 
 @pytest.fixture

@@ -45,16 +45,11 @@ from tests.planners.invariants import (
     refusal,
 )
 from tests.planners.scenes import thing
-from tests.planners.setting import TIP, Setting, end_of
+from tests.planners.setting import TIP, end_of
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 # Folded a little too far: the hulls of lower arm and shoulder overlap by some 7 mm, the links themselves do not.
 FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.65, "wrist_flex": 1.0}
-
-
-@pytest.fixture
-def setting(planner, robot, collision):
-    return Setting(planner, robot, collision)
 
 
 @pytest.mark.parametrize("seed", range(6))

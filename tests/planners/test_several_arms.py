@@ -1,6 +1,7 @@
 """Motions of one of two arms while the other one sags onto itself."""
 
 import functools
+import time
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ GOAL_RAD = dict(zip(LEFT, (0.6, -0.4, 0.3, 0.2, 0.5), strict=True))
 
 @functools.cache
 def planner() -> Planner:
-    return Planner(PAIR)
+    return Planner(PAIR, time.process_time)
 
 
 def motion() -> Plan:

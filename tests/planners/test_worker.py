@@ -2,11 +2,8 @@
 
 import dataclasses
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -43,28 +40,20 @@ from robot.description.model import RobotModel
 from tests.helpers import robots
 from tests.helpers.clock import FakeClock
 from tests.helpers.motions import EASY, STATE
+from tests.helpers.programs import run_python
 from tests.helpers.robots import so101
 from tests.planners.small_arms import PALLETIZER_SRDF, PALLETIZER_URDF
-
-ROOT = Path(__file__).parents[2]
 
 # What a plain goal does not need and takes long to load, by the names in sys.modules.
 LATE_LIBRARIES = {"matplotlib", "scipy", "pydantic", "PIL"}
 
 
-def output_of(program: str) -> list[str]:
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
-    )
-    return done.stdout.split()
-
-
 def test_a_worker_starts_without_what_a_plain_goal_does_not_need() -> None:
-    loaded = output_of(
+    loaded = run_python(
         "import sys; from pathlib import Path; from planners import worker; from robot.description import model;"
         "arm = Path('robot/arms/so101'); worker.Planner(model.load(arm / 'so101.urdf', arm / 'so101.srdf'));"
         "print(*sys.modules)"
-    )
+    ).stdout.split()
     assert "planners.pipeline" in loaded
     assert not LATE_LIBRARIES.intersection(loaded)
 
@@ -78,7 +67,7 @@ try:
 except MemoryError:
     print("caught")
 """
-    assert output_of(program) == ["caught"]
+    assert run_python(program).stdout == "caught\n"
 
 
 AT_ONCE = dataclasses.replace(EASY, optimization_time_s=0.0)

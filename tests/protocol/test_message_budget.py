@@ -3,6 +3,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from protocol.errors import LargeMessageError, MessageError
 from protocol.messages import MAX_VALUES, MessageBudget, Stamp, complete, values_in
 from tests.helpers.messages import REGISTRY
@@ -71,5 +72,5 @@ def test_threads_have_budgets_of_their_own() -> None:
     budget = MessageBudget()
     budget.renew("", 1, 1)
     with ThreadPoolExecutor(1) as thread:
-        thread.submit(budget.take, 2).result(10.0)
+        thread.submit(budget.take, 2).result(TIMEOUT_S)
     budget.take(1)

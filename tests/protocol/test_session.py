@@ -234,9 +234,6 @@ def test_a_fragment_size_of_null_changes_nothing():
     assert len(sent(session)) > 1
 
 
-# Kinds of frames
-
-
 # Bounds
 
 

@@ -4,9 +4,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from protocol.errors import InterfaceError
 from protocol.registry import Registry, read_ros2
 from protocol.type_descriptions import full_text, message_hash, service_hash, typedefs
-from tests.helpers.messages import REGISTRY
+from tests.helpers.messages import MESSAGE_TYPES, REGISTRY
 
-MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
 SEPARATOR = "=" * 80
 
 

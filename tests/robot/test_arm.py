@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
 from robot.messages import Mode, Order, Outcome
 from robot.stop_epochs import STOP_EPOCHS
-from tests.helpers.arm_on_servos import SOON_S, ArmOnServos, to
+from tests.helpers.arm_on_servos import ArmOnServos, to
 from tests.helpers.motions import smooth_move
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -44,14 +44,14 @@ async def rig(running: ArmOnServos) -> ArmOnServos:
 async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.0))
     rig.arm.stop()
-    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.STOPPED
+    assert (await asyncio.wait_for(motion, TIMEOUT_S)).outcome is Outcome.STOPPED
 
 
 async def test_what_was_requested_before_a_stop_moves_nothing_however_late_it_is_sent(rig: ArmOnServos) -> None:
     before = STOP_EPOCHS.present
     rig.arm.stop()
     for late in (rig.arm.execute(to(1.0), epoch=before), rig.arm.stream(("shoulder_pan",), before).ended):
-        assert (await asyncio.wait_for(late, SOON_S)).outcome is Outcome.STOPPED
+        assert (await asyncio.wait_for(late, TIMEOUT_S)).outcome is Outcome.STOPPED
     assert not (await rig.arm.order(Order.ENABLE, epoch=before)).done
     assert (await rig.arm.execute(to(0.1), epoch=STOP_EPOCHS.present)).outcome is Outcome.REACHED
 
@@ -60,7 +60,7 @@ async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     pan = rig.arm.execute(to(0.6))
     roll = rig.arm.execute(smooth_move({"wrist_roll": (0.0, 1.0)}, 2.0))
     rig.arm.stop(roll)
-    assert (await asyncio.wait_for(roll, SOON_S)).outcome is Outcome.STOPPED
+    assert (await asyncio.wait_for(roll, TIMEOUT_S)).outcome is Outcome.STOPPED
     assert (await pan).outcome is Outcome.REACHED
 
 
@@ -91,15 +91,15 @@ class Stick:
 async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig: ArmOnServos) -> None:
     stick = Stick(rig.arm)
     await until(lambda: stick.speed_rad_s == pytest.approx(0.5, abs=0.01) and rig.pan_rad > 0.15)
-    ended = await asyncio.wait_for(stick.stream.ended, SOON_S)
+    ended = await asyncio.wait_for(stick.stream.ended, TIMEOUT_S)
     assert ended.outcome is Outcome.UNSTEERED
     assert rig.arm.state.goal_rad[0] > 0.15
     assert (await rig.arm.execute(to(0.0, start_rad=float(rig.arm.state.goal_rad[0])))).outcome is Outcome.REACHED
 
 
 async def test_streams_are_ended_for_who_needs_the_arm(rig: ArmOnServos) -> None:
-    assert await rig.arm.end_streams(SOON_S)
+    assert await rig.arm.end_streams(TIMEOUT_S)
     stick = Stick(rig.arm)
     await until(lambda: stick.speed_rad_s > 0.0)
-    assert await rig.arm.end_streams(SOON_S)
+    assert await rig.arm.end_streams(TIMEOUT_S)
     assert stick.stream.ended.done()

@@ -1,7 +1,6 @@
 import json
 import math
 import os
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -18,10 +17,8 @@ from robot.calibration import (
     save,
 )
 from robot.errors import CalibrationError
+from tests.helpers.resources import shared_data
 from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-SHARED_FACTS = REPOSITORY.parent / "shared" / "data" / "so101_facts.json"
 
 TICKS = st.integers(0, 4095)
 FOLDERS = SO101.hardware.calibrations
@@ -132,10 +129,9 @@ def test_a_file_of_an_old_schema_of_no_object_or_that_is_not_there_is_refused(tm
 
 
 def test_the_elbow_of_every_measured_arm_spans_the_urdf_within_a_degree():
-    if not SHARED_FACTS.exists():
-        pytest.skip(f"{SHARED_FACTS} is not there")
+    facts = json.loads((shared_data() / "so101_facts.json").read_text())
     elbow = SO101_SERVOS[2]
-    for name, ranges in json.loads(SHARED_FACTS.read_text())["calibration_samples"]["rows"].items():
+    for name, ranges in facts["calibration_samples"]["rows"].items():
         joint = JointCalibration(SO101_SERVOS[2], 3, 0, 0, *ranges["elbow_flex"])
         assert joint.upper_rad == pytest.approx(elbow.upper_rad, abs=math.radians(1.0)), name
         assert joint.lower_rad == pytest.approx(elbow.lower_rad, abs=math.radians(1.0)), name

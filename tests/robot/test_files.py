@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.waiting import running
+from harness.waiting import TIMEOUT_S, running
 from robot import files
 from robot.files import FileLock, FileLockedError, lock_path, locked, replace
 
@@ -35,7 +35,7 @@ def test_a_lock_that_another_process_has_is_refused_with_its_number_and_free_aft
             FileLock(path).acquire()
         assert raised.value.strerror == f"is in use by armbridge (process {holder.pid})"
         holder.kill()
-        holder.wait(10.0)
+        holder.wait(TIMEOUT_S)
         FileLock(path).acquire()
 
 

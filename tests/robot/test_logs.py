@@ -1,10 +1,7 @@
 import gc
 import json
 import logging
-import subprocess
-import sys
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,8 +18,7 @@ from robot.logs import (
     LogLimiter,
     PlainFormatter,
 )
-
-ROOT = Path(__file__).parents[2]
+from tests.helpers.programs import run_python
 
 
 def record(text: str, *values: Any, error: BaseException | None = None) -> logging.LogRecord:
@@ -93,10 +89,7 @@ before = logs.format_in_use()
 logs.configure("INFO", "json")
 raise OSError(f"{before}, then {logs.format_in_use()}")
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=30, check=False
-    )
-    line = json.loads(done.stderr)
+    line = json.loads(run_python(program).stderr)
     assert (line["level"], line["message"]) == ("critical", "ended by an exception")
     assert "OSError: plain, then json" in line["exception"]
 

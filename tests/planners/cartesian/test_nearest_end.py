@@ -1,6 +1,5 @@
 """What works in place of paths that cannot be followed to their end."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 
 from planners.cartesian.tip_path import TipPath, apart_m, apart_rad, first_part
 from planners.nearest_goal import end_as_goal
-from planners.pipeline import Planner
 from planners.problem import (
     CartesianPlan,
     Line,
@@ -25,12 +23,6 @@ from tests.planners.following import arc, line
 from tests.planners.scenes import thing
 
 START = np.array([0.0, -0.3, 0.5, 1.0, 0.0])
-
-
-@pytest.fixture(scope="module")
-def own_planner(robot):
-    # By the clock of planner processes, which a busy machine does not hurry.
-    return Planner(robot, time.process_time)
 
 
 def shifted(follower, *by_m, turned=None):
@@ -64,12 +56,12 @@ def lines_and_arcs(follower):
 
 
 @pytest.mark.parametrize(("kind", "keep_orientation"), [("line", True), ("arc", False), ("two lines", True)])
-def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_planner, put, kind, keep_orientation):
-    put(own_planner, beside(follower))
+def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, planner, put, kind, keep_orientation):
+    put(planner, beside(follower))
     segments = lines_and_arcs(follower)[kind]
     asked = {"keep_orientation": True, "orientation_tolerance_rad": 0.3} if keep_orientation else {}
     problem = follower.problem(START, *segments, **asked)
-    goal, plan = found(own_planner, problem)
+    goal, plan = found(planner, problem)
     assert isinstance(goal, PathGoal)
     assert 0.0 < goal.fraction <= plan.fraction < 1.0
     # No more than a few millimetres of what can be followed are given away.
@@ -80,62 +72,62 @@ def test_the_same_path_can_be_planned_to_the_end_that_is_found(follower, own_pla
     np.testing.assert_allclose(goal.end.position_m, place.translation, atol=1e-4)
     part = first_part(start, segments, goal.fraction * path.length_m, 4)
     assert part[-1].end == goal.end
-    again = own_planner.answer(replace(problem, segments=part))
+    again = planner.answer(replace(problem, segments=part))
     assert isinstance(again, CartesianPlan)
     assert again.stopped_by is None
 
 
-def test_the_end_that_is_found_is_planned_again_whole_where_its_rounding_would_touch(follower, own_planner, put):
+def test_the_end_that_is_found_is_planned_again_whole_where_its_rounding_would_touch(follower, planner, put):
     # Before the second wall the first end that is tried is not followed whole.
     for y_m, down_m in ((0.07897435897435898, 0.0), (0.12, 0.03)):
-        put(own_planner, beside(follower, y_m=y_m))
+        put(planner, beside(follower, y_m=y_m))
         problem = follower.problem(START, line(shifted(follower, 0.0, 0.12, -down_m)))
-        goal, _ = found(own_planner, problem)
-        again = own_planner.answer(replace(problem, segments=(Line(goal.end),)))
+        goal, _ = found(planner, problem)
+        again = planner.answer(replace(problem, segments=(Line(goal.end),)))
         assert again.stopped_by is None
 
 
-def test_the_end_of_a_path_behind_an_obstacle_is_reached_by_another_way(follower, own_planner, put):
+def test_the_end_of_a_path_behind_an_obstacle_is_reached_by_another_way(follower, planner, put):
     x, y, z = follower.pose(START).translation.tolist()
-    put(own_planner, thing(Box((0.3, 0.01, 2.0 * z + 0.03)), x, y + 0.08, 0.0))
+    put(planner, thing(Box((0.3, 0.01, 2.0 * z + 0.03)), x, y + 0.08, 0.0))
     problem = follower.problem(START, line(shifted(follower, 0.0, 0.2, 0.0)))
-    goal, plan = found(own_planner, problem)
+    goal, plan = found(planner, problem)
     assert plan.fraction < 1.0
     assert goal.end_by_other_way
-    assert isinstance(own_planner.answer(end_as_goal(problem, 5.0)), Plan)
+    assert isinstance(planner.answer(end_as_goal(problem, 5.0)), Plan)
 
 
-def test_another_way_keeps_the_orientation_that_the_path_keeps(follower, own_planner):
+def test_another_way_keeps_the_orientation_that_the_path_keeps(follower, planner):
     # Five joints have no such orientation there.
     problem = follower.problem(START, line(shifted(follower, 0.0, 0.1, 0.0, turned=(1.0, 0.0, 0.0))))
-    free, _ = found(own_planner, replace(problem, max_joint_step_rad=1e-4))
-    kept, _ = found(own_planner, replace(problem, keep_orientation=True))
+    free, _ = found(planner, replace(problem, max_joint_step_rad=1e-4))
+    kept, _ = found(planner, replace(problem, keep_orientation=True))
     assert free.end_by_other_way
     assert kept is None or not kept.end_by_other_way
 
 
-def test_an_end_out_of_reach_is_reached_by_no_other_way(follower, own_planner):
-    goal, plan = found(own_planner, follower.problem(START, line(shifted(follower, 0.5, 0.0, 0.0))))
+def test_an_end_out_of_reach_is_reached_by_no_other_way(follower, planner):
+    goal, plan = found(planner, follower.problem(START, line(shifted(follower, 0.5, 0.0, 0.0))))
     assert 0.0 < plan.fraction < 1.0
     assert goal.end is not None
     assert not goal.end_by_other_way
 
 
-def test_a_path_that_does_not_begin_names_no_place(follower, own_planner):
+def test_a_path_that_does_not_begin_names_no_place(follower, planner):
     problem = follower.problem(START, line(shifted(follower, 0.0, 0.05, 0.0)), max_joint_step_rad=1e-9)
-    plan = own_planner.answer(problem)
+    plan = planner.answer(problem)
     assert plan.fraction == 0.0
     assert ", to (" not in plan.stopped_by.message
-    goal, _ = found(own_planner, problem)
+    goal, _ = found(planner, problem)
     assert goal == PathGoal(None, 0.0, goal.length_m, end_by_other_way=True)
 
 
-def test_without_time_once_cancelled_or_for_a_problem_that_is_refused_there_is_none(follower, own_planner, put):
-    put(own_planner, beside(follower))
+def test_without_time_once_cancelled_or_for_a_problem_that_is_refused_there_is_none(follower, planner, put):
+    put(planner, beside(follower))
     problem = follower.problem(START, line(shifted(follower, 0.0, 0.12, 0.0)))
-    assert found(own_planner, problem, 1e-9)[0] is None
-    assert own_planner.answer(NearestGoalQuestion(problem, 5.0), lambda: True) == NearestGoalAnswer(None)
-    unknown, failure = found(own_planner, replace(problem, link="tail"))
+    assert found(planner, problem, 1e-9)[0] is None
+    assert planner.answer(NearestGoalQuestion(problem, 5.0), lambda: True) == NearestGoalAnswer(None)
+    unknown, failure = found(planner, replace(problem, link="tail"))
     assert isinstance(failure, PlanningFailure)
     assert failure.code is MoveItErrorCode.INVALID_LINK_NAME
     assert unknown is None
@@ -154,9 +146,9 @@ def test_the_first_part_of_a_path_is_where_the_path_is(follower, kind):
     assert first_part(start, segments, whole.length_m + 1.0, 9) == segments
 
 
-def test_the_failure_of_a_path_has_the_place_that_its_motion_reaches(follower, own_planner, put):
-    put(own_planner, beside(follower))
-    plan = own_planner.answer(follower.problem(START, line(shifted(follower, 0.0, 0.12, 0.0))))
+def test_the_failure_of_a_path_has_the_place_that_its_motion_reaches(follower, planner, put):
+    put(planner, beside(follower))
+    plan = planner.answer(follower.problem(START, line(shifted(follower, 0.0, 0.12, 0.0))))
     details = plan.stopped_by.details
     reached = follower.pose(plan.trajectory.positions_rad[-1])
     np.testing.assert_allclose(details["reached_m"], reached.translation, atol=2e-4)

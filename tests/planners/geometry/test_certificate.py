@@ -1,4 +1,5 @@
 import itertools
+import time
 
 import numpy as np
 import pytest
@@ -22,17 +23,11 @@ from tests.planners.scenes import around_the_arm, scene, thing
 READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
 
 
-@pytest.fixture(scope="module")
-def own_collision(robot):
-    """One whose scene may change."""
-    return CollisionModel(robot)
-
-
 @pytest.fixture
-def space_in(own_collision, arm):
+def space_in(changing, arm):
     def build(surroundings, **arguments):
-        assert own_collision.set_scene(surroundings) is None
-        return JointSpace(own_collision, arm.joints, np.zeros(6), **arguments)
+        assert changing.set_scene(surroundings) is None
+        return JointSpace(changing, arm.joints, np.zeros(6), **arguments)
 
     return build
 
@@ -83,7 +78,7 @@ def test_the_first_of_several_contacts_is_told(space_in, arm):
 
 
 @pytest.mark.parametrize("seed", [0, 1, 6])
-def test_certified_motions_are_free_at_a_finer_step(space_in, own_collision, arm, seed):
+def test_certified_motions_are_free_at_a_finer_step(space_in, changing, arm, seed):
     rng = np.random.default_rng(seed)
     space = space_in(around_the_arm(seed))
     for _ in range(in_proportion(10)):
@@ -98,11 +93,11 @@ def test_certified_motions_are_free_at_a_finer_step(space_in, own_collision, arm
             assert not touching or touching[0] >= verdict.time_s - 0.02
 
 
-def test_if_only_hulls_touch_the_parts_decide(own_collision, space_in, arm, robot):
+def test_if_only_hulls_touch_the_parts_decide(changing, space_in, arm, robot):
     rng = np.random.default_rng(5)
     space = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
     points = rng.uniform(0.6 * space.lower_rad, 0.6 * space.upper_rad, (1000, 5))
-    tight = [point for point in points if only_hulls_touch(own_collision, np.append(point, 0.0))]
+    tight = [point for point in points if only_hulls_touch(changing, np.append(point, 0.0))]
     assert tight
     for point in tight[:10]:
         fresh = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
@@ -111,12 +106,12 @@ def test_if_only_hulls_touch_the_parts_decide(own_collision, space_in, arm, robo
         assert fresh.free(point)
 
 
-def test_a_certificate_is_given_up_when_its_request_is_cancelled(own_collision, space_in, arm):
+def test_a_certificate_is_given_up_when_its_request_is_cancelled(changing, space_in, arm):
     rng = np.random.default_rng(5)
     box = scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15))
     free = space_in(box)
     points = rng.uniform(0.6 * free.lower_rad, 0.6 * free.upper_rad, (1000, 5))
-    tight = next(point for point in points if only_hulls_touch(own_collision, np.append(point, 0.0)))
+    tight = next(point for point in points if only_hulls_touch(changing, np.append(point, 0.0)))
     asked = itertools.count()
     space = space_in(box, also_free=[np.append(tight, 0.0)], should_stop=lambda: next(asked) == 2)
     with pytest.raises(StoppedError):
@@ -277,7 +272,7 @@ def test_fingers_move_while_their_own_hand_does() -> None:
 
 @pytest.fixture(scope="module")
 def planner() -> Planner:
-    return Planner(PAIR)
+    return Planner(PAIR, time.process_time)
 
 
 def test_the_answer_names_what_touches(planner: Planner) -> None:

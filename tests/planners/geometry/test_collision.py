@@ -25,7 +25,8 @@ def in_scene(robot, each):
 @pytest.fixture
 def checked(robot):
     """Pairs of names that are checked in a scene."""
-    return lambda each: set(in_scene(robot, each)._names)
+    hulls_alone = replace(robot, parts={}, surfaces={})
+    return lambda each: set(in_scene(hulls_alone, each)._names)
 
 
 def test_a_scene_that_cannot_be_built_leaves_none_and_the_next_is_built_whole(robot, monkeypatch):
@@ -78,18 +79,6 @@ def state(collision, **positions_rad):
 def collision(robot):
     """One that knows the hulls only, so that every way to ask has the same answer."""
     return CollisionModel(replace(robot, parts={}))
-
-
-@pytest.fixture(scope="module")
-def own(robot):
-    return CollisionModel(robot)
-
-
-@pytest.fixture
-def changing(own):
-    """One whose scene may change."""
-    yield own
-    own.set_scene(scene())
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from tests.helpers.resources import in_proportion
 from tests.planners.scenes import around_the_arm, outside_m, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
-STATES = 60
+STATES = 30
 
 
 @pytest.fixture(params=[1, 2])
@@ -62,7 +62,7 @@ def test_few_and_many_shapes_are_searched_alike(crowded, monkeypatch, few):
         )
 
 
-@pytest.mark.parametrize("margin_m", [0.0, 0.003, 0.02, (0.0, 0.1)], ids=str)
+@pytest.mark.parametrize("margin_m", [0.0, 0.02, (0.0, 0.1)], ids=str)
 def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margin_m):
     build, states = crowded
     broadphase = build()
@@ -277,11 +277,10 @@ def test_the_slope_of_a_distance_is_how_it_grows(among_balls, seed):
         assert grown_m == pytest.approx(2.0 * here[names].distance_gradient @ step, abs=2e-5)
 
 
-def test_two_that_overlap_get_apart_against_the_slope(robot):
-    model = CollisionModel(robot)
-    model.set_scene(Scene(7102, (SceneObject("floor", ((Plane((0.0, 0.0, 1.0), 0.0), Pose()),)),)))
+def test_two_that_overlap_get_apart_against_the_slope(changing):
+    changing.set_scene(Scene(7102, (SceneObject("floor", ((Plane((0.0, 0.0, 1.0), 0.0), Pose()),)),)))
     q = np.array([0.0, 1.2, -0.4, 0.6, 0.0, 0.0])
-    deep = min(model.near_pairs(q, WITHIN_M), key=lambda pair: pair.distance_m)
+    deep = min(changing.near_pairs(q, WITHIN_M), key=lambda pair: pair.distance_m)
     assert deep.distance_m < 0.0
-    moved = near(model, q + 0.01 * deep.distance_gradient / np.linalg.norm(deep.distance_gradient))
+    moved = near(changing, q + 0.01 * deep.distance_gradient / np.linalg.norm(deep.distance_gradient))
     assert moved[deep.first, deep.second].distance_m > deep.distance_m

@@ -20,10 +20,9 @@ def test_lines_through_the_arm_are_blocked_from_either_side(joint_space, ends):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
-    collision = CollisionModel(robot)
-    collision.set_scene(around_the_arm(seed))
-    space, rng = JointSpace(collision, arm.joints, np.zeros(6)), np.random.default_rng(seed)
+def test_nothing_touches_within_a_range_that_is_free(changing, arm, seed):
+    changing.set_scene(around_the_arm(seed))
+    space, rng = JointSpace(changing, arm.joints, np.zeros(6)), np.random.default_rng(seed)
     free = 0
     for _ in range(100):
         point, joint_travel = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad), rng.uniform(0.0, 0.1, 5)
@@ -35,10 +34,9 @@ def test_nothing_touches_within_a_range_that_is_free(robot, arm, seed):
     assert free > 5
 
 
-def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(robot, arm):
-    collision = CollisionModel(robot)
-    collision.set_scene(around_the_arm(1))
-    space, rng = JointSpace(collision, arm.joints, np.zeros(6)), np.random.default_rng(0)
+def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(changing, arm):
+    changing.set_scene(around_the_arm(1))
+    space, rng = JointSpace(changing, arm.joints, np.zeros(6)), np.random.default_rng(0)
     for _ in range(50):
         point = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad)
         wide, narrow = np.full((1, 5), 0.1), np.full((1, 5), 0.05)
@@ -66,14 +64,13 @@ def test_a_line_that_leaves_its_condition_on_the_way_is_not_free(collision, arm)
     assert not space.line_free(*line)
 
 
-def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(robot, arm):
-    collision = CollisionModel(robot)
-    collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
+def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(changing, arm):
+    changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
     q = np.zeros(6)
-    contacts = {pair.links: pair.depth_m for pair in collision.colliding_pairs(q)}
+    contacts = {pair.links: pair.depth_m for pair in changing.colliding_pairs(q)}
     assert contacts
-    assert not JointSpace(collision, arm.joints, q).free(HOME)
-    space = JointSpace(collision, arm.joints, q, contacts)
+    assert not JointSpace(changing, arm.joints, q).free(HOME)
+    space = JointSpace(changing, arm.joints, q, contacts)
     assert space.free(HOME)
     up, down = HOME + np.array([0.0, -0.4, 0.0, 0.0, 0.0]), HOME + np.array([0.0, 0.05, 0.0, 0.0, 0.0])
     assert space.line_free(HOME, up)
@@ -81,19 +78,18 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(robot, arm):
     assert space.contacts(down)
 
 
-def test_an_allowed_contact_does_not_come_again_further_on(robot, arm):
+def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
     # Two posts of one object: a turn of the base alone brings the arm as deep into the second as it is in the first.
-    collision = CollisionModel(robot)
     turned = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
-    axis_m = collision.tip_positions([np.zeros(6)], "shoulder_link")[0][:2]
+    axis_m = changing.tip_positions([np.zeros(6)], "shoulder_link")[0][:2]
     posts = [Pose((*(axis_m + _turned([0.35, 0.0], pan)), 0.16), _about_z(pan)) for pan in (0.0, -turned[0])]
-    collision.set_scene(scene(SceneObject("posts", tuple((Box((0.1, 0.1, 0.1)), pose) for pose in posts), Pose())))
+    changing.set_scene(scene(SceneObject("posts", tuple((Box((0.1, 0.1, 0.1)), pose) for pose in posts), Pose())))
     q, there = np.zeros(6), np.append(turned, 0.0)
-    overlaps_m = collision.overlaps_m(q)
+    overlaps_m = changing.overlaps_m(q)
     assert overlaps_m
-    assert overlaps_m == pytest.approx(collision.overlaps_m(there), abs=1e-4)
-    assert not collision.in_collision(there, overlaps_m)
-    space = JointSpace(collision, arm.joints, q, overlaps_m)
+    assert overlaps_m == pytest.approx(changing.overlaps_m(there), abs=1e-4)
+    assert not changing.in_collision(there, overlaps_m)
+    space = JointSpace(changing, arm.joints, q, overlaps_m)
     assert space.free(HOME)
     assert not space.free(turned)
     assert space.candidate_pairs(turned[np.newaxis], np.zeros((1, 5)), [ALL_PAIRS]) != [NO_CANDIDATES]

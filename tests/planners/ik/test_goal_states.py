@@ -1,11 +1,9 @@
 import math
-import time
 
 import numpy as np
 import pytest
 
 from planners.budget import Budget
-from planners.geometry.collision import CollisionModel
 from planners.goals import (
     AnyOf,
     AxisGoal,
@@ -18,28 +16,19 @@ from planners.goals import (
     PositionGoal,
 )
 from planners.ik.constraints import ConditionSet, goal_conditions
-from planners.ik.goal_states import (
-    DISTINCT_RAD,
-    MAX_SOLUTIONS,
-    GoalQuery,
-    GoalStates,
-)
+from planners.ik.goal_states import DISTINCT_RAD, MAX_SOLUTIONS, GoalQuery, GoalStates
 from planners.problem import MoveItErrorCode, PlanningFailure
-from planners.scene import Box, Pose, Scene, SceneObject
+from planners.scene import Box, Pose, SceneObject
 from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import never
+from tests.planners.scenes import scene
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)
 
 
 def query(arm, should_stop=never, constraints=None, **options):
-    return GoalQuery(arm, HOME, constraints, Budget(time.monotonic, 5.0, should_stop), **options)
-
-
-@pytest.fixture(scope="module")
-def search(robot, collision):
-    return GoalStates(robot, collision)
+    return GoalQuery(arm, HOME, constraints, Budget(lambda: 0.0, 5.0, should_stop), **options)
 
 
 @pytest.fixture(scope="module")
@@ -49,63 +38,63 @@ def free_states(collision):
     return [q for q in states if not collision.in_collision(q)]
 
 
-def axis_goal(search, q):
-    pose = pose_of(search.forward, q)
-    direction = search.forward.placement(TIP).rotation[:, 2]
+def axis_goal(goal_states, q):
+    pose = pose_of(goal_states.forward, q)
+    direction = goal_states.forward.placement(TIP).rotation[:, 2]
     return AxisGoal(TIP, pose.position_m, 0.001, (0.0, 0.0, 1.0), tuple(direction), 0.05)
 
 
 @pytest.mark.parametrize(
     "goal_at",
     [
-        lambda search, q: PositionGoal(TIP, pose_of(search.forward, q).position_m, 0.001),
-        lambda search, q: PoseGoal(TIP, pose_of(search.forward, q), 0.001, (0.02, 0.02, 0.02), strict=True),
+        lambda goal_states, q: PositionGoal(TIP, pose_of(goal_states.forward, q).position_m, 0.001),
+        lambda goal_states, q: PoseGoal(TIP, pose_of(goal_states.forward, q), 0.001, (0.02, 0.02, 0.02), strict=True),
         axis_goal,
     ],
     ids=["position", "pose", "axis"],
 )
-def test_the_pose_of_a_free_state_is_reached_free_and_within_limits(search, collision, arm, free_states, goal_at):
+def test_the_pose_of_a_free_state_is_reached_free_and_within_limits(goal_states, collision, arm, free_states, goal_at):
     for state in free_states:
-        wanted = goal_conditions(goal_at(search, state), collision)
-        found = search.search(wanted, query(arm))
+        wanted = goal_conditions(goal_at(goal_states, state), collision)
+        found = goal_states.search(wanted, query(arm))
         assert found.solutions, state
         for q in found.solutions:
-            assert ConditionSet(search.forward, wanted.required).holds(q)
+            assert ConditionSet(goal_states.forward, wanted.required).holds(q)
             assert not collision.colliding_pairs(q)
             assert np.all((q >= collision.lower_rad) & (q <= collision.upper_rad))
 
 
-def test_solutions_differ_and_the_soonest_comes_first(search, arm, collision, free_states):
+def test_solutions_differ_and_the_soonest_comes_first(goal_states, arm, collision, free_states):
     for state in free_states[:20]:
-        goal = PositionGoal(TIP, pose_of(search.forward, state).position_m, 0.001)
-        solutions = search.search(goal_conditions(goal, collision), query(arm)).solutions
-        times_s = [search._move_time_s(HOME, q) for q in solutions]
+        goal = PositionGoal(TIP, pose_of(goal_states.forward, state).position_m, 0.001)
+        solutions = goal_states.search(goal_conditions(goal, collision), query(arm)).solutions
+        times_s = [goal_states._move_time_s(HOME, q) for q in solutions]
         assert times_s == sorted(times_s)
         assert len(solutions) <= MAX_SOLUTIONS
         for i, q in enumerate(solutions):
             assert all(np.max(np.abs(q - other)) >= DISTINCT_RAD for other in solutions[:i])
 
 
-def test_nearest_orientation_is_as_near_as_sampling_finds_it(search, arm, collision, free_states):
+def test_nearest_orientation_is_as_near_as_sampling_finds_it(goal_states, arm, collision, free_states):
     rng = np.random.default_rng(7)
     target_m = np.array([0.25, 0.1, 0.15])
     wanted = goal_conditions(
         PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02)), collision
     )
-    found = search.search(wanted, query(arm))
-    preferred = ConditionSet(search.forward, wanted.preferred)
+    found = goal_states.search(wanted, query(arm))
+    preferred = ConditionSet(goal_states.forward, wanted.preferred)
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (30_000, 6))
-    near = np.linalg.norm(search.forward.placements(states, TIP).positions_m - target_m, axis=1) < 0.02
+    near = np.linalg.norm(goal_states.forward.placements(states, TIP).positions_m - target_m, axis=1) < 0.02
     sampled = min(preferred.deviation(q).orientation_rad for q in states[near] if not collision.in_collision(q))
     assert preferred.deviation(found.solutions[0]).orientation_rad <= sampled + 0.1
 
 
-def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_best(search, arm, collision):
+def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_best(goal_states, arm, collision):
     rng = np.random.default_rng(8)
     states = rng.uniform(collision.lower_rad, collision.upper_rad, (20_000, 6))
-    positions_m = search.forward.placements(states, TIP).positions_m
+    positions_m = goal_states.forward.placements(states, TIP).positions_m
     for target_m in ((0.1, 0.0, 0.15), (0.6, 0.2, 0.3), (0.0, 0.7, 0.1)):
-        found = search.search(goal_conditions(PositionGoal(TIP, target_m, 0.001), collision), query(arm))
+        found = goal_states.search(goal_conditions(PositionGoal(TIP, target_m, 0.001), collision), query(arm))
         order = np.argsort(np.linalg.norm(positions_m - target_m, axis=1))
         best = next(i for i in order if not collision.in_collision(states[i]))
         assert not found.solutions
@@ -113,10 +102,10 @@ def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_
         assert found.nearest.position_m <= np.linalg.norm(positions_m[best] - target_m) + 0.002
 
 
-def test_contacts_do_not_matter_when_they_are_not_minded(search, arm, collision):
+def test_contacts_do_not_matter_when_they_are_not_minded(goal_states, arm, collision):
     wanted = goal_conditions(PositionGoal(TIP, (0.0, 0.0, 0.02), 0.01), collision)
-    assert search.search(wanted, query(arm)).colliding
-    assert search.search(wanted, query(arm, avoid_collisions=False)).solutions
+    assert goal_states.search(wanted, query(arm)).colliding
+    assert goal_states.search(wanted, query(arm, avoid_collisions=False)).solutions
 
 
 TIP_AT_HOME = (0.3914, 0.0, 0.2264)
@@ -208,11 +197,10 @@ def test_start_counts_unless_told_otherwise(find):
     assert len(find(goal, accept_start=False)) > 1
 
 
-def test_object_in_the_goal_is_named(robot, arm):
-    collision = CollisionModel(robot)
-    states = GoalStates(robot, collision)
+def test_object_in_the_goal_is_named(robot, changing, arm):
+    states = GoalStates(robot, changing)
     mug = SceneObject("mug", ((Box((0.08, 0.08, 0.08)), Pose()),), Pose((0.25, 0.1, 0.15)))
-    assert collision.set_scene(Scene(1, (mug,))) is None
+    assert changing.set_scene(scene(mug)) is None
     failure = states.find(PositionGoal(TIP, (0.25, 0.1, 0.15), 0.001), query(arm))
     assert isinstance(failure, PlanningFailure)
     assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION

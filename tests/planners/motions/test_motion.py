@@ -202,8 +202,8 @@ def test_same_seed_gives_the_same_motion_whatever_the_clock_says(task_between):
 
 
 def test_a_search_is_named_as_moveit_spells_it(task_between):
-    motion = find_motion(task_between(*BLOCKED_LINES[1], planner_id="RRTstarkConfigDefault"), unlimited())
-    assert motion.method == "RRTstar"
+    motion = find_motion(task_between(*BLOCKED_LINES[1], planner_id="geometric::RRTkConfigDefault"), unlimited())
+    assert motion.method == "RRT"
 
 
 def test_an_unknown_search_is_a_bug_of_the_caller(task_between):

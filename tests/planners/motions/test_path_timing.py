@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 from planners.motions.path_timing import (
     time_along,
     toppra_profile,
@@ -147,7 +148,7 @@ def test_no_warning_is_shown_where_toppra_is_compiled(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPYCACHEPREFIX": str(tmp_path)},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=TIMEOUT_S,
         check=True,
     )
     assert "toppra" not in done.stderr

@@ -49,11 +49,10 @@ OTHERS = {
 
 
 @pytest.fixture
-def table(planner: Planner, robot, put) -> CollisionModel:
-    collision = CollisionModel(robot)
-    for part in (planner, collision):
+def table(planner: Planner, changing: CollisionModel, put) -> CollisionModel:
+    for part in (planner, changing):
         put(part, thing(Box((1.0, 1.0, 0.04)), 0.3, 0.0, -0.03))
-    return collision
+    return changing
 
 
 def stick(turns: list[tuple[float, float, float]], downwards: list[tuple[float, float, float]]):
@@ -97,7 +96,8 @@ def test_random_sticks_keep_the_distance_on_other_arms(name: str, put) -> None:
     planner, collision = Planner(other.robot, time.process_time), CollisionModel(other.robot)
     for part in (planner, collision):
         put(part, thing(Box((2.0, 2.0, 0.04)), 0.5, 0.0, other.table_m - 0.02))
-    for seed in SEEDS:
+    seeds = SEEDS if name == "koch" else SEEDS[:1]
+    for seed in seeds:
         arm = SteeredArm(planner, other.robot, other.start_rad, tip=other.tip)
         arm.steer(random_stick(seed), TRIAL_S)
         assert least_distance_m(arm, collision) > LIMITS.scene_distance_m, seed
@@ -119,7 +119,7 @@ def with_brakes(robot: RobotModel, acceleration_rad_s2: float) -> RobotModel:
 @pytest.mark.parametrize(("acceleration_rad_s2", "period_s"), [(1.0, 0.06), (6.0, 0.02)])
 def test_a_fast_joint_stops_before_a_wall(robot: RobotModel, acceleration_rad_s2: float, period_s: float) -> None:
     robot = with_brakes(robot, acceleration_rad_s2)
-    planner, collision = Planner(robot), CollisionModel(robot)
+    planner, collision = Planner(robot, time.process_time), CollisionModel(robot)
     assert planner.set_scene(BESIDE) is None
     collision.set_scene(BESIDE)
     arm = SteeredArm(planner, robot, START, period_s=period_s)

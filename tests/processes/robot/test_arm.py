@@ -13,14 +13,15 @@ from pathlib import Path
 import pytest
 
 from harness.server import read_write_log
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from robot.arm import RESTART_LINES, Arm, start_arm_process
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
 from robot.hardware.config import SerialConfig
 from robot.messages import ArmState, ChangePace, EndState, Mode, Order, Outcome, Pace
 from robot.processes import RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS
-from tests.helpers.arm_on_servos import CALIBRATION, CONFIG, SOON_S, ArmOnServos, to
+from tests.helpers.arm_on_servos import ArmOnServos, to
+from tests.helpers.arm_rig import CALIBRATION, CONFIG
 from tests.helpers.resources import no_descriptors_left, runs
 
 
@@ -36,7 +37,7 @@ async def rig(tmp_path: Path) -> AsyncIterator[ArmOnServos]:
 async def restarted(tmp_path: Path) -> AsyncIterator[ArmOnServos]:
     """An arm whose process is started again almost at once."""
     made = ArmOnServos(tmp_path, RestartDelay(0.01, 0.02))
-    await made.arm.start(SOON_S)
+    await made.arm.start(TIMEOUT_S)
     yield made
     await made.arm.close()
 
@@ -54,21 +55,21 @@ async def test_a_process_in_place_of_another_knows_the_last_stop(rig: ArmOnServo
     await until_replaced(rig)
     # Past the check of the handle itself.
     rig.arm.last_stop = 0
-    assert (await asyncio.wait_for(rig.arm.execute(to(0.3), epoch=before), SOON_S)).outcome is Outcome.STOPPED
+    assert (await asyncio.wait_for(rig.arm.execute(to(0.3), epoch=before), TIMEOUT_S)).outcome is Outcome.STOPPED
 
 
 async def test_an_order_is_answered_when_the_process_dies(rig: ArmOnServos) -> None:
     rig.kill(signal.SIGSTOP)
     answer = rig.arm.order(Order.RELAX)
     rig.kill()
-    assert "ended before it had answered" in (await asyncio.wait_for(answer, SOON_S)).message
+    assert "ended before it had answered" in (await asyncio.wait_for(answer, TIMEOUT_S)).message
 
 
 async def test_an_order_to_a_hanging_process_is_answered(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 0.1)
     monkeypatch.setattr("robot.arm.SILENT_S", 0.3)
     rig.kill(signal.SIGSTOP)
-    answer = await asyncio.wait_for(rig.arm.order(Order.RELAX), SOON_S)
+    answer = await asyncio.wait_for(rig.arm.order(Order.RELAX), TIMEOUT_S)
     rig.kill(signal.SIGCONT)
     assert answer.message == "the arm process did not answer in 0.1 s"
 
@@ -81,7 +82,7 @@ async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnServ
     until_s = rig.arm_clock_s() + SIMULATED_WATCHDOG_S + 0.6
     while rig.arm_clock_s() < until_s:
         time.sleep(0.1)  # noqa: ASYNC251 - it is to block the event loop
-    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.STOPPED
+    assert (await asyncio.wait_for(motion, TIMEOUT_S)).outcome is Outcome.STOPPED
     await until(lambda: rig.arm.state.mode is Mode.HOLDING)
 
 
@@ -94,7 +95,7 @@ async def test_an_arm_whose_process_is_starved_goes_on_from_where_it_was(rig: Ar
         await asyncio.sleep(0.4)
         rig.kill(signal.SIGCONT)
         await asyncio.sleep(0.05)
-    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.REACHED
+    assert (await asyncio.wait_for(motion, TIMEOUT_S)).outcome is Outcome.REACHED
     assert all(state.fault is None for state in rig.states)
     goals = [data["1"][1] | data["1"][2] << 8 for data in rig.goal_writes() if "1" in data]
     # In 0.02 s, the longest that a tick may be, the trajectory covers 15 ticks of the servo at its fastest.
@@ -109,14 +110,14 @@ async def test_time_limits_use_the_clock_of_a_starved_arm(rig: ArmOnServos, monk
     rig.kill(signal.SIGSTOP)
     await asyncio.sleep(3.0)
     rig.kill(signal.SIGCONT)
-    assert (await asyncio.wait_for(relaxing, SOON_S)).done
+    assert (await asyncio.wait_for(relaxing, TIMEOUT_S)).done
 
 
 async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(1.0, duration_s=2.0))
     await until(lambda: rig.pan_rad > 0.2)
     rig.kill()
-    assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.PROCESS_LOST
+    assert (await asyncio.wait_for(motion, TIMEOUT_S)).outcome is Outcome.PROCESS_LOST
     before = len(rig.goal_writes())
     await until(lambda: rig.arm.state.mode is Mode.HOLDING)
     held_rad = rig.pan_rad
@@ -133,7 +134,7 @@ async def test_a_clock_that_is_faster_than_the_machines_goes_on_from_where_a_dea
     states: list[ArmState] = []
     arm = Arm(replace(CONFIG, hardware=replace(CONFIG.hardware, rate=10.0)), states.append)
     try:
-        await arm.start(SOON_S)
+        await arm.start(TIMEOUT_S)
         assert arm.pid is not None
         os.kill(arm.pid, signal.SIGKILL)
         await until(lambda: states[-1].mode is Mode.HOLDING and any(map(ended, states)))
@@ -152,7 +153,7 @@ async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnServos, monkeypat
     # Only for the hanging one: on a starved machine a sound process is silent for as long.
     with monkeypatch.context() as impatient:
         impatient.setattr("robot.arm.SILENT_HEARTBEATS", 4)
-        assert (await asyncio.wait_for(motion, SOON_S)).outcome is Outcome.PROCESS_LOST
+        assert (await asyncio.wait_for(motion, TIMEOUT_S)).outcome is Outcome.PROCESS_LOST
     await until(lambda: rig.arm.state.mode is Mode.HOLDING)
     assert rig.arm.pid != hanging
 
@@ -193,7 +194,7 @@ async def test_starts_that_fail_without_end_do_not_fill_the_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = ArmOnServos(tmp_path, RestartDelay(0.0, 0.0))
-    await rig.arm.start(SOON_S)
+    await rig.arm.start(TIMEOUT_S)
     starts = FailingStarts(*[OSError(errno.EMFILE, "Too many open files")] * (10 * RESTART_LINES))
     monkeypatch.setattr("robot.arm.start_arm_process", starts)
     rig.kill()
@@ -230,7 +231,7 @@ async def test_an_arm_process_comes_back_where_clients_have_used_up_all_descript
 async def test_a_control_socket_that_cannot_be_made_leaves_the_arm_disconnected_with_the_reason(tmp_path: Path) -> None:
     (tmp_path / "control").write_text("mine")
     rig = ArmOnServos(tmp_path)
-    await rig.arm.start(SOON_S)
+    await rig.arm.start(TIMEOUT_S)
     first = rig.arm.pid
     assert rig.arm.state.mode is Mode.DISCONNECTED
     assert "the emulated servos cannot be made: [Errno 98] Address already in use" in rig.arm.state.reason
@@ -251,13 +252,13 @@ async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew
 
 async def test_who_asks_while_the_arm_is_being_started_waits_for_it(tmp_path: Path) -> None:
     made = ArmOnServos(tmp_path)
-    await asyncio.wait_for(made.arm.until_started(100.0 * SOON_S), SOON_S)
+    await asyncio.wait_for(made.arm.until_started(100.0 * TIMEOUT_S), TIMEOUT_S)
     await made.arm.launch()
-    waiting = asyncio.create_task(made.arm.until_started(SOON_S))
+    waiting = asyncio.create_task(made.arm.until_started(TIMEOUT_S))
     await asyncio.sleep(0)
     assert not waiting.done()
-    await made.arm.start(SOON_S)
-    await asyncio.wait_for(waiting, SOON_S)
+    await made.arm.start(TIMEOUT_S)
+    await asyncio.wait_for(waiting, TIMEOUT_S)
     assert made.arm.state.mode is Mode.HOLDING
     await made.arm.close()
 
@@ -272,10 +273,10 @@ async def test_the_wait_for_an_arm_that_does_not_start_ends_at_its_timeout() -> 
 async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
     states: list[ArmState] = []
     arm = Arm(replace(CONFIG, hardware=SerialConfig(CALIBRATION, "/dev/does-not-exist")), states.append)
-    await arm.start(SOON_S)
+    await arm.start(TIMEOUT_S)
     assert arm.state.mode is Mode.DISCONNECTED
     assert "/dev/does-not-exist does not exist" in arm.state.reason
-    refused = await asyncio.wait_for(arm.execute(to(0.5)), SOON_S)
+    refused = await asyncio.wait_for(arm.execute(to(0.5)), TIMEOUT_S)
     assert refused.outcome is Outcome.BUS_LOST
     await until(lambda: len(states) >= 3)
     await arm.close()
@@ -301,7 +302,7 @@ async def test_an_arm_process_that_gets_no_time_is_waited_for_by_its_own_clock(t
         await asyncio.sleep(2.0)
         os.kill(made.arm.pid, signal.SIGCONT)
         await asyncio.sleep(0.1)
-    await asyncio.wait_for(closing, SOON_S)
+    await asyncio.wait_for(closing, TIMEOUT_S)
     assert is_relaxed(made)
 
 
@@ -309,7 +310,7 @@ async def test_an_arm_process_that_hangs_at_its_end_is_killed(tmp_path: Path, ca
     made = await relaxing_arm(tmp_path)
     assert made.arm.pid is not None
     os.kill(made.arm.pid, signal.SIGSTOP)
-    await asyncio.wait_for(made.arm.close(), SOON_S)
+    await asyncio.wait_for(made.arm.close(), TIMEOUT_S)
     assert not runs(made.arm.pid)
     assert "the arm process has said nothing" in caplog.text or "does not end and is killed" in caplog.text
 

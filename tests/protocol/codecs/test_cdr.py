@@ -9,10 +9,9 @@ from protocol.codecs import cdr
 from protocol.codecs.cbor import packed
 from protocol.codecs.cdr import HEADER
 from protocol.errors import MessageError
-from tests.helpers.messages import REGISTRY, RosbagsTypes, made_up
+from tests.helpers.messages import MESSAGE_TYPES, REGISTRY, RosbagsTypes, made_up
 from tests.helpers.resources import examples
 
-MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
 STORE = get_typestore(Stores.ROS2_JAZZY)
 ROSBAGS = RosbagsTypes(STORE, REGISTRY.message)
 # rosbags takes no message without fields.

@@ -1,7 +1,5 @@
 import json as stdlib_json
 import math
-import subprocess
-import sys
 
 import pytest
 from hypothesis import given
@@ -9,6 +7,7 @@ from hypothesis import strategies as st
 
 from protocol.codecs import json
 from protocol.errors import FrameError
+from tests.helpers.programs import run_python
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats(allow_nan=False) | st.text(),
@@ -142,5 +141,5 @@ except MemoryError:
 
 
 def test_a_text_for_which_there_is_no_memory_does_not_end_the_process() -> None:
-    done = subprocess.run([sys.executable, "-c", NO_MEMORY], capture_output=True, text=True, timeout=60, check=False)
+    done = run_python(NO_MEMORY)
     assert (done.returncode, done.stdout) == (0, "no memory\n")

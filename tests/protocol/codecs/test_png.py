@@ -44,7 +44,7 @@ def test_other_modes_are_refused_by_name(mode):
         png.decode(drawn(mode, (2, 2)))
 
 
-@pytest.mark.parametrize("size", [(3000, 3000), (20_000, 20_000)])
+@pytest.mark.parametrize("size", [(3000, 3000), (14_000, 14_000)])
 def test_a_small_picture_of_a_huge_frame_is_refused_before_it_is_unpacked(size):
     with pytest.raises(FrameError, match=r"limit is 10000000|Decompression"):
         png.decode(drawn("1" if size[0] > 10_000 else "RGB", size))

@@ -8,12 +8,12 @@ from protocol.codecs.cbor import packed
 from protocol.codecs.ros1_serialization import serialize
 from protocol.dialect import declared_in_ros1, to_ros1
 from protocol.messages import Stamp, complete
-from tests.helpers.messages import REGISTRY, RosbagsTypes, made_up
+from tests.helpers.messages import MESSAGE_TYPES, REGISTRY, RosbagsTypes, made_up
 from tests.helpers.resources import examples
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 ROSBAGS = RosbagsTypes(STORE, lambda name: declared_in_ros1(REGISTRY, name))
-SHARED_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name) and ROSBAGS.has(name)]
+SHARED_TYPES = [name for name in MESSAGE_TYPES if ROSBAGS.has(name)]
 
 
 @examples(5)

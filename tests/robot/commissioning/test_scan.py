@@ -29,20 +29,6 @@ def test_a_scan_lists_every_servo_with_what_it_measures(bus):
     assert explain_missing(result, SO101_SERVOS) == []
 
 
-def test_a_scan_writes_nothing(start_emulator, write_log):
-    bus = start_emulator("--write-log", str(write_log)).open_bus()
-    scan(bus, IDS)
-    bus.close()
-    assert write_log.read_text() == ""
-
-
-def test_a_servo_that_is_cut_off_is_missing_from_the_scan_and_named(bus, emulator):
-    emulator.command(offline=[4])
-    result = scan(bus, IDS)
-    assert sorted(result.ids) == [1, 2, 3, 5, 6]
-    assert explain_missing(result, SO101_SERVOS)[0].startswith("no answer from servo 4 (wrist_flex): servos behind it")
-
-
 def test_a_scan_finds_everybody_though_replies_get_lost(bus, emulator):
     emulator.command(drop=0.1)
     assert sorted(scan(bus, IDS).ids) == list(IDS)

@@ -11,7 +11,6 @@ from robot.commissioning.setup import (
     changes_back,
     changes_for,
     check_model,
-    look,
     match_saved,
     needs_writing,
     read_backup,
@@ -120,23 +119,6 @@ def test_one_servo_is_not_taken_for_two_though_some_replies_are_disturbed(kit):
     kit.plug(5)
     kit.emulator.command(corrupt=0.1)
     assert [find(kit, GRIPPER).servo_id for _ in range(10)] == [1] * 10
-
-
-def test_servos_that_have_their_ids_may_stay_connected(kit):
-    kit.plug(5)
-    set_up(kit, GRIPPER)
-    kit.plug(4, 5)
-    set_up(kit, ROLL)
-    kit.plug(3, 4, 5)
-    found = look(kit.line(), 1_000_000, ())
-    assert [servo.servo_id for servo in found] == [1, 5, 6]
-
-
-def test_a_servo_of_another_joint_is_never_taken(kit):
-    kit.plug(5)
-    set_up(kit, GRIPPER)
-    with pytest.raises(StartupError, match=r"only servo 6 \(gripper\) answers.*plug in the servo of wrist_roll"):
-        find(kit, ROLL)
 
 
 def test_silence_is_explained(kit):
@@ -325,12 +307,6 @@ def test_a_file_that_is_there_is_never_overwritten(tmp_path):
     with pytest.raises(BackupError, match="cannot be written"):
         early.save(servo(), NOW)
     assert file.read_text() == "mine"
-
-
-def test_a_file_that_cannot_be_written_is_an_error_before_anything_else_happens(tmp_path):
-    (tmp_path / "folder").write_text("")
-    with pytest.raises(BackupError, match="cannot be written"):
-        BackupFile(tmp_path / "folder" / "kit.json", "so101").save(servo(), NOW)
 
 
 @pytest.mark.parametrize(

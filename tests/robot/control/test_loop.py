@@ -1,7 +1,5 @@
 import contextlib
 import socket
-import subprocess
-import sys
 import time
 
 import pytest
@@ -9,17 +7,13 @@ import pytest
 from robot.channel import Channel
 from robot.control.loop import ArmLoop, hardware_opener
 from robot.control.pacing import MAX_TICK_S, Pacer, Scheduling
-from robot.description.limits import within_calibration
 from robot.errors import PortError
 from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.messages import ArmConfig, Mode
 from tests.helpers import dynamixel
+from tests.helpers.arm_rig import CALIBRATION, NAMES, ROBOT
 from tests.helpers.emulator import SteppedClock
-from tests.helpers.robots import nominal_calibration, so101
-
-CALIBRATION = nominal_calibration()
-ROBOT = within_calibration(so101(), CALIBRATION)
-NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
+from tests.helpers.programs import run_python
 
 
 @pytest.mark.parametrize(
@@ -86,5 +80,4 @@ def test_each_kind_of_simulated_arm_loads_its_own_library_alone(hardware: str, l
         f"so101 = built_in('so101'); hardware_opener(ArmConfig(so101.model, {hardware}), LoopClock())(); "
         "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk', 'mujoco'} & set(sys.modules)))"
     )
-    printed = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
-    assert printed.stdout.strip() == str(loaded)
+    assert run_python(program).stdout.strip() == str(loaded)

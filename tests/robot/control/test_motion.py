@@ -233,18 +233,12 @@ def follow(steps: list[tuple[tuple[float, float], int]], start: tuple[float, flo
 
 @settings(max_examples=100, deadline=None)
 @given(targets)
-def test_at_any_target_velocity_acceleration_and_jerk_stay_bounded(steps) -> None:
+def test_at_any_target_velocity_acceleration_and_jerk_stay_bounded_and_no_joint_leaves_its_limits(steps) -> None:
     positions = follow(steps)
     velocity, acceleration, jerk = (np.diff(positions, n, axis=0) / PERIOD_S**n for n in (1, 2, 3))
     assert (np.abs(velocity) <= STREAM_BOUNDS.max_velocity + 1e-6).all()
     assert (np.abs(acceleration) <= STREAM_BOUNDS.max_acceleration + 1e-4).all()
     assert (np.abs(jerk) <= MAX_JERK + 1e-2).all()
-
-
-@settings(max_examples=100, deadline=None)
-@given(targets)
-def test_at_any_target_no_joint_leaves_its_limits(steps) -> None:
-    positions = follow(steps)
     assert (positions <= STREAM_BOUNDS.upper_rad + 1e-6).all()
     assert (positions >= STREAM_BOUNDS.lower_rad - 1e-6).all()
 

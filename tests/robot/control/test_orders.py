@@ -23,11 +23,6 @@ from tests.helpers.motions import smooth_move
 IDS = [joint.servo_id for joint in CALIBRATION.joints]
 
 
-@pytest.fixture
-def emulator() -> SteppedEmulator:
-    return SteppedEmulator(wire_time=False)
-
-
 def relaxed(emulator: SteppedEmulator, **settings: object) -> ArmRig:
     made = ArmRig(emulator, start_enabled=False, **settings)
     made.until_mode(Mode.RELAXED)
@@ -78,29 +73,25 @@ def test_a_hot_arm_must_cool_down_before_its_fault_is_reset(
     assert str(temperature_c) in answer.message or resets
 
 
-def test_a_servo_that_still_complains_keeps_the_fault(emulator: SteppedEmulator, rig: ArmRig) -> None:
-    emulator.command(status={"4": int(StatusFlag.ENCODER)})
-    rig.run(0.05)
-    latch(rig, FaultCode.ENCODER_ERROR)
-    answer = rig.order(Order.RESET_FAULT)
-    assert not answer.done
-    assert "wrist_flex (id 4) still complains of encoder" in answer.message
-
-
 @pytest.mark.parametrize(
-    ("settings", "remedy"),
-    [({}, ": switch the servos' supply off and on"), ({"hardware": EmulatedConfig(CALIBRATION)}, "")],
-    ids=["real", "simulated"],
+    ("settings", "code", "flag", "complaint"),
+    [
+        ({}, FaultCode.ENCODER_ERROR, StatusFlag.ENCODER, "encoder"),
+        ({}, FaultCode.OVERLOAD, StatusFlag.OVERLOAD, "overload: switch the servos' supply off and on"),
+        ({"hardware": EmulatedConfig(CALIBRATION)}, FaultCode.OVERLOAD, StatusFlag.OVERLOAD, "overload"),
+    ],
+    ids=["encoder", "overload", "overload of a simulated arm"],
 )
-def test_an_overload_that_stays_asks_for_a_power_cut_of_a_real_arm(
-    emulator: SteppedEmulator, settings: dict[str, EmulatedConfig], remedy: str
+def test_a_servo_that_still_complains_keeps_the_fault_and_an_overload_of_a_real_arm_asks_for_a_power_cut(
+    emulator: SteppedEmulator, settings: dict[str, EmulatedConfig], code: FaultCode, flag: StatusFlag, complaint: str
 ) -> None:
     rig = relaxed(emulator, **settings)
-    emulator.command(status={"4": int(StatusFlag.OVERLOAD)})
+    emulator.command(status={"4": int(flag)})
     rig.run(0.05)
-    latch(rig, FaultCode.OVERLOAD)
-    message = rig.order(Order.RESET_FAULT).message
-    assert message.endswith(f"wrist_flex (id 4) still complains of overload{remedy}")
+    latch(rig, code)
+    answer = rig.order(Order.RESET_FAULT)
+    assert not answer.done
+    assert answer.message.endswith(f"wrist_flex (id 4) still complains of {complaint}")
 
 
 def test_without_a_fault_there_is_nothing_to_reset(rig: ArmRig) -> None:
@@ -335,36 +326,22 @@ def test_a_kit_is_no_arm_yet():
     assert [servo.value(40) for servo in rig.emulator.servo_bus.servos] == [0] * 6
 
 
-@pytest.fixture
-def latched() -> ArmRig:
-    """An arm of clones, whose elbow has been pushed until its overload latched."""
+def test_nothing_but_a_power_cut_ends_an_overload_that_stays_and_every_order_says_so() -> None:
     rig = rig_on("clone").started()
     rig.emulator.command(push={"3": 900})
     rig.until(lambda: rig.fault_code == "overload", 10.0)
     rig.emulator.command(push={"3": 0})
     # The controller tries to relax the arm by itself.
     rig.run(5.0)
-    return rig
-
-
-def test_the_reset_of_an_overload_that_stays_says_to_cut_the_supply(latched):
-    answer = latched.order(Order.RESET_FAULT)
-    assert not answer.done
-    assert "elbow_flex (id 3)" in answer.message
-    assert "switch the servos' supply off and on" in answer.message
-
-
-@pytest.mark.parametrize("order", [Order.RELAX, Order.EMERGENCY_STOP])
-def test_torque_that_cannot_be_switched_off_says_to_cut_the_supply(latched, order):
-    answer = latched.order(order)
-    assert not answer.done
-    assert "elbow_flex (id 3): they may still be driven until the servos' supply is cut" in answer.message
-
-
-def test_a_power_cycle_ends_an_overload_that_stays(latched):
-    latched.emulator.command(power_cycle=[1, 2, 3, 4, 5, 6])
-    latched.run(1.0)
-    answer = latched.order(Order.RESET_FAULT)
+    switch, cut = "switch the servos' supply off and on", "they may still be driven until the servos' supply is cut"
+    for order, words in ((Order.RESET_FAULT, switch), (Order.RELAX, cut), (Order.EMERGENCY_STOP, cut)):
+        answer = rig.order(order)
+        assert not answer.done, order
+        assert "elbow_flex (id 3)" in answer.message, order
+        assert words in answer.message, order
+    rig.emulator.command(power_cycle=IDS)
+    rig.run(1.0)
+    answer = rig.order(Order.RESET_FAULT)
     assert answer.done, answer.message
-    assert latched.order(Order.ENABLE).done
-    assert latched.mode is Mode.HOLDING
+    assert rig.order(Order.ENABLE).done
+    assert rig.mode is Mode.HOLDING

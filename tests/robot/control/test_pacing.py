@@ -143,10 +143,10 @@ def test_memory_that_cannot_be_locked_is_logged_with_the_cause(
 # Clocks.
 
 
-def ticked(*gaps_s: float) -> SimulationClock:
-    """A clock whose ticks came so long after one another."""
+def ticked(*gaps_s: float, rate: float = 1.0) -> SimulationClock:
+    """A clock, faster than the machine's by a rate, whose ticks came so long after one another."""
     machine_s = 50.0
-    clock = SimulationClock(machine_s)
+    clock = SimulationClock(machine_s, rate)
     for gap_s in gaps_s:
         machine_s += gap_s
         clock.start_tick(machine_s)
@@ -198,18 +198,8 @@ def test_ticks_that_were_skipped_on_purpose_lose_no_time() -> None:
     assert clock.real_time_factor == pytest.approx(1.0)
 
 
-def faster(*gaps_s: float) -> SimulationClock:
-    """A clock ten times as fast as the machine's, whose ticks came so long after one another."""
-    machine_s = 50.0
-    clock = SimulationClock(machine_s, rate=10.0)
-    for gap_s in gaps_s:
-        machine_s += gap_s
-        clock.start_tick(machine_s)
-    return clock
-
-
 def test_a_faster_clock_has_ticks_of_the_same_length_in_less_time() -> None:
-    clock = faster(*[0.1 * PERIOD_S] * 100)
+    clock = ticked(*[0.1 * PERIOD_S] * 100, rate=10.0)
     assert clock() == pytest.approx(51.0)
     assert clock.real_time_factor == pytest.approx(10.0)
     pacer = Pacer(0.0)
@@ -218,13 +208,13 @@ def test_a_faster_clock_has_ticks_of_the_same_length_in_less_time() -> None:
 
 
 def test_a_faster_clock_on_a_busy_machine_is_slower() -> None:
-    clock = faster(*[0.5 * PERIOD_S] * 10)
+    clock = ticked(*[0.5 * PERIOD_S] * 10, rate=10.0)
     assert clock() == pytest.approx(50.0 + 10 * MAX_TICK_S)
     assert clock.real_time_factor == pytest.approx(4.0)
 
 
 def test_a_faster_clock_is_as_fast_as_the_machines_while_the_arm_is_steered() -> None:
-    clock = faster()
+    clock = ticked(rate=10.0)
     clock.follow_real_time(steered=True)
     clock.start_tick(50.0 + PERIOD_S)
     assert (clock.rate, clock()) == (1.0, pytest.approx(50.0 + PERIOD_S))
@@ -234,7 +224,7 @@ def test_a_faster_clock_is_as_fast_as_the_machines_while_the_arm_is_steered() ->
 
 
 def test_a_faster_clock_goes_on_in_the_next_arm_process() -> None:
-    before = faster(0.1 * PERIOD_S, 5.0)
+    before = ticked(0.1 * PERIOD_S, 5.0, rate=10.0)
     after = SimulationClock(56.0, 10.0, ClockReading(before(), before.stamp_s(0.0)))
     assert after() == before() == pytest.approx(50.0 + PERIOD_S + MAX_TICK_S)
     after.start_tick(56.0 + 0.1 * PERIOD_S)
@@ -244,7 +234,7 @@ def test_a_faster_clock_goes_on_in_the_next_arm_process() -> None:
 
 def test_stamps_have_the_time_of_a_clock_that_is_not_the_machines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "time", lambda: 2050.0)
-    clock = faster(0.1 * PERIOD_S)
+    clock = ticked(0.1 * PERIOD_S, rate=10.0)
     assert clock.stamp_s(2050.0) == pytest.approx(2050.0 + PERIOD_S)
     assert ticked(MAX_TICK_S).stamp_s(2049.9) == 2049.9
     # A clock that stands still has one stamp, also where the machine's clock is set.

@@ -28,12 +28,12 @@ PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=1.5)
 
 
 class Simulation:
-    """The supervisor of an arm with physics, on its own clock and the machine's."""
+    """The supervisor of a simulated arm, on its own clock and the machine's."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, physics: bool = False) -> None:
         self.machine_s = 100.0
         self.clock = SimulationClock(self.machine_s)
-        config = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION, driven=True, physics=True))
+        config = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION, driven=True, physics=physics))
         self.sent: list[object] = []
         self.supervisor = Supervisor(config, lambda message, _: self.sent.append(message), self.clock, Scheduling())
         self.open = hardware_opener(config, self.clock)
@@ -78,9 +78,8 @@ class Simulation:
         return [message.message for message in self.sent if isinstance(message, CommandDone)]
 
 
-@pytest.fixture
-def moving() -> Simulation:
-    simulation = Simulation()
+def paused_in_motion(*, physics: bool = False) -> Simulation:
+    simulation = Simulation(physics=physics)
     simulation.supervisor.handle(Execute(1, PAN))
     simulation.tick(50)
     simulation.pause()
@@ -89,7 +88,13 @@ def moving() -> Simulation:
     return simulation
 
 
-def test_a_motion_stands_still_goes_on_tick_by_tick_and_ends_well_later(moving: Simulation) -> None:
+@pytest.fixture
+def moving() -> Simulation:
+    return paused_in_motion()
+
+
+def test_a_motion_stands_still_goes_on_tick_by_tick_and_ends_well_later() -> None:
+    moving = paused_in_motion(physics=True)
     world, clock_s = world_of(moving), moving.clock()
     before = world.data.qpos.tolist()
     moving.tick(200)
@@ -132,7 +137,7 @@ def test_an_emergency_stop_meanwhile_cuts_torque_and_is_answered_at_once(moving:
     moving.order(Order.EMERGENCY_STOP)
     moving.tick(10)
     assert moving.answers == ["torque is off at every servo"]
-    assert (moving.supervisor.mode, moving.state.stepped_ticks) == (Mode.FAULT, 0)
+    assert (moving.supervisor.mode, moving.clock.stepped_ticks) == (Mode.FAULT, 0)
 
 
 def test_another_order_meanwhile_is_done_when_time_passes_again(moving: Simulation) -> None:
@@ -157,10 +162,10 @@ def test_the_end_of_the_server_ends_the_pause(moving: Simulation, end: str) -> N
 
 
 def test_hardware_that_is_lost_is_checked_again_in_time_that_passes(moving: Simulation) -> None:
-    moving.supervisor.disconnect("the physics had no finite positions, and was reset")
+    moving.supervisor.disconnect("serial port was lost")
     moving.supervisor.connect(moving.open())
     moving.tick(100)
-    assert (moving.state.stepped_ticks, moving.supervisor.mode) == (None, Mode.HOLDING)
+    assert (moving.clock.stepped_ticks, moving.supervisor.mode) == (None, Mode.HOLDING)
 
 
 def world_of(simulation: Simulation) -> World:

@@ -73,11 +73,6 @@ SIMULATED = [EmulatedConfig(CALIBRATION), IdealConfig()]
 
 
 @pytest.fixture
-def emulator() -> SteppedEmulator:
-    return SteppedEmulator(wire_time=False)
-
-
-@pytest.fixture
 def start_rig(emulator: SteppedEmulator) -> Start:
     return lambda **settings: ArmRig(emulator, **settings).started()
 
@@ -230,16 +225,6 @@ def test_a_silent_server_leaves_a_relaxed_arm_where_so_configured(start_rig: Sta
     assert rig.torque() == [0] * 6
 
 
-def seconds_until_stopped(rig: ArmRig) -> float:
-    """Time from the last word of the server to the end of a long motion [s]."""
-    rig.execute(smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=30.0))
-    rig.run(0.4)
-    rig.alive = False
-    since_s = rig.clock()
-    rig.until(lambda: rig.mode is Mode.HOLDING, timeout_s=20.0)
-    return rig.clock() - since_s
-
-
 @pytest.mark.parametrize(
     ("settings", "waits_s"),
     [
@@ -251,7 +236,13 @@ def seconds_until_stopped(rig: ArmRig) -> float:
     ids=["real", "emulated", "ideal", "longer", "by a clock twice as fast as the server's"],
 )
 def test_an_arm_waits_for_its_server_as_configured(start_rig: Start, settings: dict[str, Any], waits_s: float) -> None:
-    assert seconds_until_stopped(start_rig(**settings)) == pytest.approx(waits_s, abs=0.3)
+    rig = start_rig(**settings)
+    rig.execute(smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=30.0))
+    rig.run(0.4)
+    rig.alive = False
+    since_s = rig.clock()
+    rig.until(lambda: rig.mode is Mode.HOLDING, timeout_s=20.0)
+    assert rig.clock() - since_s == pytest.approx(waits_s, abs=0.3)
 
 
 def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) -> list[str]:

@@ -232,10 +232,6 @@ def test_two_servos_of_one_id_or_joint_are_named(tmp_path: Path, key: str, first
     assert f"servos[1].{key} {first} stands at servos[0] as well" in problem
 
 
-def test_everything_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
-    assert len(problems(tmp_path, "[robot]\nurd = 'x'\n[gripper]\nopen = 1\n[joints.a]\nmax_jerk = -1")) == 4
-
-
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(RobotFileError, match=r"robot\.toml cannot be read"):
         read(tmp_path / "robot.toml")

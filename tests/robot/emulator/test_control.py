@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from robot.emulator.arm import EmulatedArm
 from robot.emulator.control import (
     COMMANDS_HELP,
@@ -215,7 +216,7 @@ class Controller:
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
         self.socket.connect(str(path))
-        self.socket.settimeout(30.0)
+        self.socket.settimeout(TIMEOUT_S)
         self._lines = self.socket.makefile("rb")
 
     def send(self, line: bytes) -> None:

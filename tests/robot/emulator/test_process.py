@@ -1,4 +1,3 @@
-import argparse
 import contextlib
 import json
 import os
@@ -22,7 +21,6 @@ from robot.emulator.process import (
     Rehearsal,
     TimedCommand,
     UsbAdapter,
-    add_options,
     build_bus,
     build_rehearsal,
     configure,
@@ -35,6 +33,7 @@ from robot.emulator.process import (
 from robot.emulator.servo_bus import EmulatedBus, Faults, Reply
 from robot.errors import CalibrationError
 from robot.hardware.feetech.registers import Register
+from tests.helpers.emulator import options_parser
 from tests.helpers.robots import nominal_calibration
 
 
@@ -156,15 +155,9 @@ def test_an_adapter_that_comes_back_has_dropped_its_queue_and_the_link_leads_the
     assert (adapter.port, adapter.descriptors) == (there, descriptors)
 
 
-def parser():
-    parser = argparse.ArgumentParser()
-    add_options(parser)
-    return parser
-
-
 @contextlib.contextmanager
 def built(*arguments):
-    options = parser().parse_args(arguments)
+    options = options_parser().parse_args(arguments)
     with contextlib.ExitStack() as resources:
         bus = build_bus(options, resources, 0.0)
         configure(options, Emulation(bus, InProcessPort(bus, lambda: 0.0)))
@@ -213,7 +206,7 @@ def test_the_bus_is_as_asked_for(tmp_path):
 )
 def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence):
     with pytest.raises(SystemExit):
-        parser().parse_args(arguments)
+        options_parser().parse_args(arguments)
     assert sentence in capsys.readouterr().err
 
 
@@ -228,7 +221,7 @@ def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sen
 )
 def test_what_cannot_be_emulated_is_refused_in_a_sentence(arguments, sentence):
     with pytest.raises((CalibrationError, ValueError, OSError), match=sentence):
-        run(parser().parse_args(arguments))
+        run(options_parser().parse_args(arguments))
 
 
 TICK_S = 0.02
@@ -251,8 +244,6 @@ ARMS = pytest.mark.parametrize("calibration", [NOMINAL, MEASURED], ids=["nominal
 
 HOLD = TimedCommand(0.0, {"hand": {"3": 2000}})
 LET_GO = TimedCommand(2.0, {"hand": {"3": None}})
-
-Build = Callable[..., Rehearsal]
 
 
 def bus_of(calibration: Calibration = NOMINAL) -> EmulatedBus[FeetechServo]:
@@ -408,20 +399,13 @@ def test_a_joint_stalls_at_the_obstacle_and_goes_on_when_it_is_taken_away() -> N
     assert ticks[end + 1.0] == pytest.approx(2373, abs=5)
 
 
-@pytest.fixture
-def rehearsed(tmp_path: Path) -> Build:
-    """Builds the rehearsal that a command line asks for."""
-
-    def build(*arguments: str) -> Rehearsal:
-        parser = argparse.ArgumentParser()
-        add_options(parser)
-        return build_rehearsal(parser.parse_args(arguments), bus_of())
-
-    return build
+def rehearsed(*arguments: str) -> Rehearsal:
+    """The rehearsal that a command line asks for."""
+    return build_rehearsal(options_parser().parse_args(arguments), bus_of())
 
 
 @pytest.mark.parametrize("name", REHEARSALS)
-def test_a_rehearsal_is_that_of_the_arm_which_is_emulated(rehearsed: Build, tmp_path: Path, name: str) -> None:
+def test_a_rehearsal_is_that_of_the_arm_which_is_emulated(tmp_path: Path, name: str) -> None:
     save(MEASURED, tmp_path / "arm.json")
     assert rehearsed("--rehearse", name).commands == REHEARSALS[name](NOMINAL)
     assert rehearsed("--rehearse", name, "--calibration", str(tmp_path / "arm.json")).commands == REHEARSALS[name](
@@ -430,7 +414,7 @@ def test_a_rehearsal_is_that_of_the_arm_which_is_emulated(rehearsed: Build, tmp_
 
 
 @pytest.mark.parametrize("ready_made", [True, False])
-def test_either_kind_of_script_can_be_repeated(rehearsed: Build, tmp_path: Path, ready_made: bool) -> None:
+def test_either_kind_of_script_can_be_repeated(tmp_path: Path, ready_made: bool) -> None:
     file = tmp_path / "script.jsonl"
     file.write_text('{"at_s": 0, "hand": {"3": 2000}}\n{"at_s": 2, "hand": {"3": null}}\n')
     rehearsal = rehearsed("--repeat", *(["--rehearse", "push"] if ready_made else ["--script", str(file)]))
@@ -440,7 +424,7 @@ def test_either_kind_of_script_can_be_repeated(rehearsed: Build, tmp_path: Path,
     assert rehearsal.commands_due(2 * last_s) == list(rehearsal.commands)
 
 
-def test_without_a_script_nothing_is_played_or_can_be_repeated(rehearsed: Build) -> None:
+def test_without_a_script_nothing_is_played_or_can_be_repeated() -> None:
     assert rehearsed().commands == ()
     with pytest.raises(ValueError, match="--repeat needs a script to repeat: --script or --rehearse"):
         rehearsed("--repeat")

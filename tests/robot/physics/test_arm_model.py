@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from pathlib import Path
 
 import pytest
 
@@ -55,19 +56,18 @@ def test_a_link_without_mass_and_shape_weighs_next_to_nothing() -> None:
     assert float(built.body_mass.sum()) > 0.1
 
 
-def test_a_mesh_that_mujoco_cannot_read_is_named(tmp_path) -> None:
-    mesh = tmp_path / "base.dae"
-    mesh.write_text("<COLLADA/>")
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("base.dae", "<COLLADA/>", r"base\.dae cannot be loaded by physics, only \.stl, \.obj, \.msh"),
+        ("base.stl", "nothing", r"cannot be loaded by MuJoCo: .*base\.stl"),
+    ],
+    ids=["of another kind", "damaged"],
+)
+def test_a_mesh_that_mujoco_cannot_read_is_named(tmp_path: Path, name: str, text: str, words: str) -> None:
+    mesh = tmp_path / name
+    mesh.write_text(text)
     urdf = robots.SEVEN_JOINT_URDF.replace('<cylinder radius="0.06" length="0.1"/>', f'<mesh filename="{mesh}"/>')
     robot = model.parse(urdf, robots.SEVEN_JOINT_SRDF, mesh_directory=tmp_path)
-    with pytest.raises(DescriptionError, match=r"base\.dae cannot be loaded by physics, only \.stl, \.obj, \.msh"):
-        arm_model(robot)
-
-
-def test_a_damaged_mesh_is_named(tmp_path) -> None:
-    mesh = tmp_path / "base.stl"
-    mesh.write_text("nothing")
-    urdf = robots.SEVEN_JOINT_URDF.replace('<cylinder radius="0.06" length="0.1"/>', f'<mesh filename="{mesh}"/>')
-    robot = model.parse(urdf, robots.SEVEN_JOINT_SRDF, mesh_directory=tmp_path)
-    with pytest.raises(DescriptionError, match=r"cannot be loaded by MuJoCo: .*base\.stl"):
+    with pytest.raises(DescriptionError, match=words):
         compiled(arm_model(robot))

@@ -356,7 +356,7 @@ class Physics(Feature):
             self._reload_world(*self._world)
         movable = [body for body in self._bodies.values() if body.movable]
         self._place({body.name: _pose(body) for body in movable})
-        return {"success": True, "message": f"{len(movable)} objects are where they were put"}
+        return {"success": True, "message": f"put back: {', '.join(body.name for body in movable) or 'nothing'}"}
 
     def _set_pose(self, request: dict[str, Any]) -> Message:
         name = request["id"]

@@ -217,7 +217,7 @@ async def test_a_detached_object_is_where_its_body_is(stage: Stage) -> None:
 
 async def test_a_reset_puts_every_movable_object_back(stage: Stage) -> None:
     grip(stage)
-    assert stage.call("/simulation/reset") == (True, "1 objects are where they were put")
+    assert stage.call("/simulation/reset") == (True, "put back: cube")
     assert stage.position("cube") == (0.2, 0.1, 0.025)
     assert "cube" not in stage.scene.contents.attached
     assert stage.arm.sent[-1].placed == {"cube": ((0.2, 0.1, 0.025), LEVEL)}
@@ -360,7 +360,7 @@ async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
     stage.call("/simulation/set_body", id="cube_red")
     attached = [held("cube_green", touch_links=FINGERS)]
     stage.apply(robot_state={"is_diff": True, "attached_collision_objects": attached})
-    assert stage.call("/simulation/reset") == (True, "4 objects are where they were put")
+    assert stage.call("/simulation/reset") == (True, "put back: cube_red, cube_green, cube_blue, cube_yellow")
     assert stage.arm.bodies == before
     assert {name: each.pose for name, each in stage.scene.contents.objects.items()} == poses
     assert stage.arm.sent[-1].placed.keys() == before.keys()

@@ -6,7 +6,6 @@ import argparse
 import importlib
 import os
 import platform
-import signal
 
 # Modules of this folder, each with a function ``run``.
 BENCHMARKS = (
@@ -47,8 +46,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=main.__doc__)
     parser.add_argument("names", nargs="*", choices=[*BENCHMARKS, []], metavar="NAME", help=", ".join(BENCHMARKS))
     names = parser.parse_args().names or BENCHMARKS
-    # What ends the benchmarks ends their servers, which have sessions of their own.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     print(f"Python {platform.python_version()} on {platform.machine()}, {os.cpu_count()} cores")
     for name in names:
         importlib.import_module(f"benchmarks.{name}").run()

@@ -90,13 +90,11 @@ class RunningServer:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        try:
-            self._ready.wait(TIMEOUT_S)
-            assert self.port, "the server did not start:\n" + "\n".join(self.lines)
-        except BaseException:
+        self._ready.wait(TIMEOUT_S)
+        if not self.port:
             self.process.kill()
             self.__exit__()
-            raise
+            raise AssertionError("the server did not start:\n" + "\n".join(self.lines))
         return self
 
     def __exit__(self, *_: object) -> None:

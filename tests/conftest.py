@@ -34,9 +34,7 @@ def pytest_configure() -> None:
     """Keep the user's data directory out of the tests, and have Ctrl-C mean the same however the tests were started."""
     os.environ["XDG_DATA_HOME"] = _DATA.name
     # A shell has what it starts in the background ignore SIGINT, and programs that a test starts inherit that.
-    # What ends the tests ends their servers, which have sessions of their own.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_unconfigure() -> None:

@@ -84,9 +84,6 @@ class RunningServer:
             env={**os.environ, "XDG_DATA_HOME": self._data.name, **self.settings},
             stderr=subprocess.PIPE,
             text=True,
-            # Its planners have sessions of their own. Where sessions get equal shares of the processor, all servers of
-            # the tests together would get as much as one planner.
-            start_new_session=True,
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()

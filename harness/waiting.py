@@ -9,11 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-# What takes a millisecond, and a start that takes a second, take much longer on a busy machine.
-TIMEOUT_S = 120.0
-
-# Longest run of a program that a test starts.
-PROGRAM_TIMEOUT_S = 300.0
+# What takes a millisecond, and a start or a program that takes seconds, take very much longer on a busy machine.
+TIMEOUT_S = 300.0
 
 
 async def until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) -> None:
@@ -41,7 +38,7 @@ def join(thread: threading.Thread) -> None:
 def running(command: Sequence[str | Path], **options: Any) -> Iterator[subprocess.Popen[str]]:
     """Run a program; the end of the block or of its time kills it, so that no read from it waits without an end."""
     with subprocess.Popen(command, text=True, **options) as process:
-        overdue = threading.Timer(PROGRAM_TIMEOUT_S, process.kill)
+        overdue = threading.Timer(TIMEOUT_S, process.kill)
         overdue.start()
         try:
             yield process

@@ -8,7 +8,7 @@ import sys
 
 from compas_fab.backends import RosClient
 
-STEP_TIMEOUT_S = 20.0
+STEP_TIMEOUT_S = 120.0
 
 
 def main(host: str, port: int) -> None:

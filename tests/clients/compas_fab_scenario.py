@@ -15,7 +15,7 @@ from compas_fab.backends import MoveItPlanner, RosClient
 from compas_fab.backends.exceptions import CollisionCheckError
 from compas_fab.robots import ConfigurationTarget, FrameTarget, FrameWaypoints, RigidBody, TargetMode
 
-STEP_TIMEOUT_S = 20.0
+STEP_TIMEOUT_S = 120.0
 GROUP = "arm"
 
 # Bent forward, the tip some 20 cm before the base; and a quarter turn aside.

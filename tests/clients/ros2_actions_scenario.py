@@ -15,7 +15,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 
 rclpy.init()
 node = Node("scenario")

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from std_srvs.srv import Trigger
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 
 rclpy.init()
 node = Node("scenario")

@@ -6,7 +6,7 @@ const imported = await import(library);
 const ROSLIB = imported.default ?? imported;
 
 // Every wait ends: a step that hears nothing fails by name.
-const STEP_TIMEOUT_MS = 15000;
+const STEP_TIMEOUT_MS = 120_000;
 
 const answers = {};
 

@@ -12,7 +12,7 @@ from typing import Any
 import roslibpy
 from roslibpy import actionlib
 
-STEP_TIMEOUT_S = 15.0
+STEP_TIMEOUT_S = 120.0
 ACTION = ("/grip", "control_msgs/GripperCommandAction")
 FIBONACCI = ("/fibonacci", "actionlib_tutorials/FibonacciAction")
 

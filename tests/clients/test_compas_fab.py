@@ -75,5 +75,5 @@ def test_meshes_come_over_http_from_the_port_of_rosbridge(tmp_path: Path) -> Non
     (tmp_path / "arm.srdf").write_text(robot.srdf)
     files = f"--urdf {tmp_path / 'arm.urdf'} --srdf {tmp_path / 'arm.srdf'}"
     with RunningServer(arguments=f"--port 0 {files}") as server:
-        heard = heard_by(PYTHON, MESHES, "127.0.0.1", str(server.port), timeout_s=60.0)
+        heard = heard_by(PYTHON, MESHES, "127.0.0.1", str(server.port))
     assert heard == {"package://so101_description/assets/sign.obj": [3]}

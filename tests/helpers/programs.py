@@ -40,7 +40,7 @@ def install_with_npm(folder: Path) -> None:
         pytest.skip(f"npm cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
 
 
-def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = 120.0) -> dict[str, Any]:
+def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
     """Return the messages that a scenario heard, step by step; this checkout is not on its interpreter's path."""
     done = subprocess.run(
         [str(python), str(scenario), *arguments],

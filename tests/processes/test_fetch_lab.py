@@ -16,7 +16,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 
 from harness.server import FAST, ROOT, RunningServer
-from harness.waiting import PROGRAM_TIMEOUT_S, running
+from harness.waiting import TIMEOUT_S, running
 from robot.description import robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
 
@@ -173,7 +173,7 @@ def test_the_example_waves_until_ctrl_c_and_leaves_no_goal(server: RunningServer
         assert wave.stdout is not None
         lines = [wave.stdout.readline() for _ in range(2)]
         wave.send_signal(signal.SIGINT)
-        rest, _ = wave.communicate(timeout=PROGRAM_TIMEOUT_S)
+        rest, _ = wave.communicate(timeout=TIMEOUT_S)
     assert lines == ["SUCCESS\n", "SUCCESS\n"]
     assert wave.returncode == 0
     # Empty where the signal came between two goals.

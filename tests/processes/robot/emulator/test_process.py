@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.waiting import PROGRAM_TIMEOUT_S, TIMEOUT_S, running
+from harness.waiting import TIMEOUT_S, running
 from robot.emulator.process import LINGER_S
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
@@ -91,7 +91,7 @@ def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path
     script.write_text('{"at_s": 0, "hand": {"3": 5000}}\n')
     link.symlink_to("/dev/pts/of_another")
     command = [sys.executable, "-P", "-m", "server.cli", "emulate", "--script", str(script), "--link", str(link)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PROGRAM_TIMEOUT_S, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     assert (done.returncode, done.stdout) == (1, "")
     assert f"{script}, line 1: hand.3: must be less than or equal to 4095, not 5000" in done.stderr
     assert str(link.readlink()) == "/dev/pts/of_another"
@@ -111,5 +111,5 @@ def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(
             with pytest.raises(NoReply):
                 bus.ping(6)
         process.terminate()
-        _, shown = process.communicate(timeout=PROGRAM_TIMEOUT_S)
+        _, shown = process.communicate(timeout=TIMEOUT_S)
         assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'

@@ -8,7 +8,7 @@ from typing import IO
 
 import pytest
 
-from harness.waiting import PROGRAM_TIMEOUT_S, running
+from harness.waiting import TIMEOUT_S, running
 from robot.calibration import Calibration
 from server.commands.terminal import ExitCode
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
@@ -48,7 +48,7 @@ def test_an_arm_that_a_rehearsed_hand_sweeps_is_calibrated_with_its_true_ranges(
             press_enter(person)
             read_until(person.stderr, "Turn wrist roll to the middle")
             press_enter(person)
-            told, said = person.communicate(timeout=PROGRAM_TIMEOUT_S)
+            told, said = person.communicate(timeout=TIMEOUT_S)
     assert person.returncode == ExitCode.DONE, said
     calibration = Calibration.load(file, SO101_SERVOS)
     for joint, nominal in zip(calibration.joints, NOMINAL.joints, strict=True):

@@ -98,9 +98,10 @@ test-pythons:
 		$(MAKE) test VENV=build/python$$version PYTHON=$$python || exit; \
 	done
 
-# A module's server is started once. Most of these tests wait: more workers than cores wait side by side.
+# A module's server is started once. Most of these tests wait: more workers than cores wait side by side. With six on two
+# slow cores the tests' own clients starved.
 test-processes: install-dev
-	$(PYTEST) tests/processes -n 6 --dist loadfile $(ARGS)
+	$(PYTEST) tests/processes -n 4 --dist loadfile $(ARGS)
 
 # The page from its lock: types and build, then its logic, then in the browser. Mostly a test waits for the arm, so two
 # browsers share two cores. The pictures of the docs are made by make pictures.

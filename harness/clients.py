@@ -93,7 +93,8 @@ class FrameClient:
 
 @asynccontextmanager
 async def frame_client(url: str) -> AsyncIterator[FrameClient]:
-    websocket = await connect(url, max_size=None)
+    # A server that is slow to answer a ping is no fault here.
+    websocket = await connect(url, max_size=None, ping_interval=None)
     client = FrameClient(websocket)
     try:
         yield client
@@ -170,7 +171,8 @@ def values_of(status: dict[str, Any]) -> dict[str, str]:
 @asynccontextmanager
 async def arm_client(url: str) -> AsyncIterator[ArmClient]:
     """A client that has subscribed to all that is told of the arm."""
-    websocket = await connect(url, max_size=None)
+    # A server that is slow to answer a ping is no fault here.
+    websocket = await connect(url, max_size=None, ping_interval=None)
     client = ArmClient(websocket)
     for topic, type_name in LATCHED.items():
         await client.say("subscribe", topic=topic, type=type_name)

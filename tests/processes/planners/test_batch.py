@@ -116,24 +116,33 @@ class Command:
         return self._process.returncode, [*self.lines, *output.splitlines()], errors.splitlines()
 
 
+def few(path: Path, folder: Path) -> Path:
+    """A file with the first problems of each list of another."""
+    fields = json.loads(path.read_text())
+    lists = ("joint_problems", "position_problems", "infeasible")
+    shorter = folder / path.name
+    shorter.write_text(json.dumps(fields | {name: fields[name][:4] for name in lists}))
+    return shorter
+
+
 def test_several_files_are_planned_as_here(cluster: DaskCluster, tmp_path: Path) -> None:
     here, there = tmp_path / "here.json", tmp_path / "there.json"
-    local = Command(GAP, CLUTTER, "--seed", "3", "--json", here).end()
-    far = Command(GAP, CLUTTER, "--seed", "3", "--json", there, "--scheduler", cluster.address).end()
+    files = few(GAP, tmp_path), few(CLUTTER, tmp_path)
+    local = Command(*files, "--seed", "3", "--json", here).end()
+    far = Command(*files, "--seed", "3", "--json", there, "--scheduler", cluster.address).end()
     assert (far[0], far[1][-1], far[2]) == (local[0], local[1][-1], [])
     assert json.loads(there.read_text()) == json.loads(here.read_text())
     assert {line.split()[0] for line in far[1]} == {line.split()[0] for line in local[1]}
 
 
 def test_problems_of_a_worker_that_dies_are_planned_by_another(mortal_cluster: DaskCluster, tmp_path: Path) -> None:
-    answers = tmp_path / "out.json"
-    # Dozens of problems are left: they last for seconds, and on a busy machine not for minutes.
-    command = Command(GAP, "--all", "--optimize", "0.3", "--json", answers, "--scheduler", mortal_cluster.address)
+    answers, file = tmp_path / "out.json", few(GAP, tmp_path)
+    command = Command(file, "--all", *SLOWLY, "--json", answers, "--scheduler", mortal_cluster.address)
     command.wait_for_answers()
     mortal_cluster.kill(mortal_cluster.workers[0])
     _, lines, errors = command.end()
     assert errors == []
-    assert len(json.loads(answers.read_text())) == len(problem_file.read(GAP, so101()).problems)
+    assert len(json.loads(answers.read_text())) == len(problem_file.read(file, so101()).problems)
     assert not any("CRASH" in line for line in lines)
 
 

@@ -52,23 +52,29 @@ class LoopThread:
         A signal handler may call this in the middle of another call of the same thread. So this thread never holds a
         lock that the loop's thread takes, as one who waits for a future or an event does: SimpleQueue.put takes none.
         """
-        ended: queue.SimpleQueue[asyncio.Task[T]] = queue.SimpleQueue()
+        ended: queue.SimpleQueue[asyncio.Task[T] | None] = queue.SimpleQueue()
         begun: list[asyncio.Task[T]] = []
 
         def begin() -> None:
             begun.append(self._loop.create_task(coroutine))
             begun[0].add_done_callback(ended.put)
 
+        def cancel() -> None:
+            if begun:
+                begun[0].cancel()
+            else:  # interrupted before the loop was told to begin
+                coroutine.close()
+                ended.put(None)
+
         try:
             self._loop.call_soon_threadsafe(begin)
-        except RuntimeError as error:
-            coroutine.close()
-            raise ConnectionLost(_CLOSED) from error
-        try:
             task = self._when_ended(ended)
-        except BaseException:  # KeyboardInterrupt, or what a signal handler raises
+        except BaseException as error:  # KeyboardInterrupt, or what a signal handler raises
+            if self._loop.is_closed() and not begun:
+                coroutine.close()
+                raise ConnectionLost(_CLOSED) from error
             with contextlib.suppress(RuntimeError, queue.Empty):
-                self._loop.call_soon_threadsafe(lambda: begun[0].cancel())
+                self._loop.call_soon_threadsafe(cancel)
                 # Until the coroutine has ended, its objects are in use.
                 ended.get(timeout=END_TIMEOUT_S)
             raise
@@ -76,7 +82,7 @@ class LoopThread:
             raise ConnectionLost(_CLOSED)
         return task.result()
 
-    def _when_ended(self, ended: queue.SimpleQueue[asyncio.Task[T]]) -> asyncio.Task[T] | None:
+    def _when_ended(self, ended: queue.SimpleQueue[asyncio.Task[T] | None]) -> asyncio.Task[T] | None:
         """Wait for a task; None where the thread has ended before."""
         while self._thread.is_alive():
             with contextlib.suppress(queue.Empty):

@@ -10,6 +10,7 @@ from types import FrameType
 import pytest
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused, connect, connect_async
+from armbridge_client.blocking import LoopThread
 from armbridge_client.messages import MoveitGoalFeedback
 from harness.server import RunningServer
 from harness.waiting import TIMEOUT_S, wait_until
@@ -158,3 +159,29 @@ def test_a_motion_goes_on_without_its_client_where_the_client_chose_so() -> None
         leaving.close()
         thread.join(TIMEOUT_S)
         wait_until(lambda: watcher.state().position_rad["shoulder_pan"] == pytest.approx(0.8, abs=0.02))
+
+
+def test_an_interrupt_while_the_loop_is_woken_cancels_what_has_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, ended = threading.Event(), threading.Event()
+
+    async def lasting() -> None:
+        begun.set()
+        try:
+            await asyncio.sleep(TIMEOUT_S)
+        finally:
+            ended.set()
+
+    loop = LoopThread()
+    wake = loop._loop._write_to_self  # type: ignore[attr-defined]
+
+    def interrupted() -> None:
+        monkeypatch.undo()
+        wake()
+        assert begun.wait(TIMEOUT_S)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(loop._loop, "_write_to_self", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        loop.run(lasting())
+    assert ended.is_set()
+    loop.end()

@@ -62,7 +62,7 @@ class LoopThread:
         def cancel() -> None:
             if begun:
                 begun[0].cancel()
-            else:  # interrupted before the loop was told to begin
+            else:  # interrupted before the loop heard of it
                 coroutine.close()
                 ended.put(None)
 

@@ -91,11 +91,14 @@ class FrameClient:
         await asyncio.gather(self._reader, return_exceptions=True)
 
 
+async def _connected(url: str) -> ClientConnection:
+    # A server that is slow to answer a ping is no fault here.
+    return await connect(url, max_size=None, ping_interval=None)
+
+
 @asynccontextmanager
 async def frame_client(url: str) -> AsyncIterator[FrameClient]:
-    # A server that is slow to answer a ping is no fault here.
-    websocket = await connect(url, max_size=None, ping_interval=None)
-    client = FrameClient(websocket)
+    client = FrameClient(await _connected(url))
     try:
         yield client
     finally:
@@ -171,9 +174,7 @@ def values_of(status: dict[str, Any]) -> dict[str, str]:
 @asynccontextmanager
 async def arm_client(url: str) -> AsyncIterator[ArmClient]:
     """A client that has subscribed to all that is told of the arm."""
-    # A server that is slow to answer a ping is no fault here.
-    websocket = await connect(url, max_size=None, ping_interval=None)
-    client = ArmClient(websocket)
+    client = ArmClient(await _connected(url))
     for topic, type_name in LATCHED.items():
         await client.say("subscribe", topic=topic, type=type_name)
     try:

@@ -46,6 +46,9 @@ PANELS = ("move", "drive", "sequence", "world", "plots", "goals", "arm", "camera
 
 DESKTOP = (1280, 800)
 PHONE = (390, 844)
+LYING_PHONE = (844, 390)
+# Sizes of the window at which nothing may be cut off.
+SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
 
 # Software rendering on two shared cores: what takes 0.1 s on a quiet machine takes many seconds on a busy one.
 PATIENCE_MS = 60_000

@@ -116,17 +116,17 @@ class RunningServer:
     def url(self) -> str:
         return f"ws://127.0.0.1:{self.port}/?x=1"
 
-    def end(self, number: signal.Signals, timeout_s: float = TIMEOUT_S) -> tuple[int, float]:
+    def end(self, number: signal.Signals) -> tuple[int, float]:
         """Send a signal and wait; returns exit code and how long it took [s]."""
         started_s = time.monotonic()
         self.process.send_signal(number)
-        code = self.process.wait(timeout_s)
+        code = self.process.wait(TIMEOUT_S)
         return code, time.monotonic() - started_s
 
-    def has_logged(self, text: str, timeout_s: float = TIMEOUT_S) -> bool:
+    def has_logged(self, text: str) -> bool:
         """Wait for a line with a text; returns false if none comes."""
         with contextlib.suppress(AssertionError):
-            wait_until(lambda: any(text in line for line in list(self.lines)), timeout_s)
+            wait_until(lambda: any(text in line for line in list(self.lines)))
             return True
         return False
 

@@ -75,7 +75,7 @@ class Place:
         await self.until(lambda: self.arm.state.mode is Mode.HOLDING)
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        await until(condition, TIMEOUT_S)
+        await until(condition)
 
     async def answer(self, motion: asyncio.Future[MotionEnded]) -> MotionEnded:
         return await asyncio.wait_for(motion, TIMEOUT_S)

@@ -16,7 +16,7 @@ async def follow(client: ArmClient, below: str, **request: Any) -> None:
                 # The way to the leader of the test before may still be braking.
                 assert "it is in use" in answer["message"]
             client.topics.get(topic, []).clear()
-            states = await client.until(topic, lambda states: states[-1]["phase"] in ("following", "idle"), TIMEOUT_S)
+            states = await client.until(topic, lambda states: states[-1]["phase"] in ("following", "idle"))
             if states[-1]["phase"] == "following":
                 return
             # With planners that do not come to their turn within two seconds a following ends; it may be started again.

@@ -76,7 +76,7 @@ def test_what_cannot_be_edited_is_refused_with_a_sentence_and_stays(dataset: Pat
         ("list", tmp_path): f"{tmp_path}: is no dataset of lerobot: it has no meta/info.json",
         ("delete", dataset, 5): f"{dataset}: has the episodes 0 to 1, not 5",
         ("delete", dataset, 1, 0): f"{dataset}: a dataset must keep an episode; delete the folder instead",
-        ("merge", other, dataset, "--output", dataset): f"{dataset} exists already: name another folder (--output)",
+        ("merge", dataset, dataset, "--output", dataset): f"{dataset} exists already: name another folder (--output)",
         ("add", dataset, other): f"has another units than in {dataset}",
         ("merge", dataset, dataset, "--output", tmp_path / "x"): f"{tmp_path}/x_old: is left from an edit",
         ("merge", dataset, other, "--output", tmp_path / "y"): f"has another units than in {dataset}",

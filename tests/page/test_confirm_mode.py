@@ -5,12 +5,10 @@ import time
 
 from websockets.sync import client as blocking
 
-from harness.page import DESKTOP, PHONE, SHARED, OpenPage
+from harness.page import DESKTOP, SHARED, SIZES, OpenPage
 from harness.server import RunningServer
 from harness.waiting import TIMEOUT_S
 from tests.helpers.arm_record import MOVED_RAD, arm_record
-
-SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, (844, 390)]
 
 SETTINGS = SHARED | {"ARMBRIDGE_GOALS__CONFIRM": "true"}
 

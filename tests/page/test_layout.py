@@ -6,11 +6,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser
 
-from harness.page import PHONE, OpenPage, opened
+from harness.page import LYING_PHONE, PHONE, SIZES, OpenPage, opened
 from harness.server import RunningServer
-
-LYING_PHONE = (844, 390)
-SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
 
 # Texts of controls that their box cuts off, panels and tables that scroll sideways, and what leaves the window.
 FIND_CUT = """() => {

@@ -61,7 +61,7 @@ async def moved(client: ArmClient, arm: str, topic: str, type_name: str, msg: di
     """Send a goal to an arm by its name; returns the result."""
     heard = len(client.topics.get(f"/{arm}{RESULT}", ()))
     await client.goal(f"/{arm}{topic}", type_name, msg)
-    results = await client.until(f"/{arm}{RESULT}", lambda results: len(results) > heard, TIMEOUT_S)
+    results = await client.until(f"/{arm}{RESULT}", lambda results: len(results) > heard)
     return results[-1]
 
 
@@ -83,7 +83,7 @@ async def go(client: ArmClient, group: str, **target: Any) -> dict[str, Any]:
 
 async def both_are(client: ArmClient, mode: str) -> None:
     for arm in ("left", "right"):
-        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == mode, TIMEOUT_S)
+        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == mode)
 
 
 async def test_joint_states_have_all_joints_in_one_message_and_each_arm_its_own(client: ArmClient) -> None:
@@ -192,9 +192,9 @@ async def test_an_arm_process_that_dies_leaves_the_other_arm_moving(server: Runn
     ready = next(line for line in server.lines if "armbridge is ready" in line)
     pid = int(ready.split("left arm simulated (process ")[1].split(",")[0])
     os.kill(pid, signal.SIGKILL)
-    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "disconnected", TIMEOUT_S)
+    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "disconnected")
     assert (await to_joints(client, "right", wrist_roll=0.5))["val"] == SUCCESS
-    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "holding", TIMEOUT_S)
+    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "holding")
     assert (await to_joints(client, "left", wrist_roll=0.5))["val"] == SUCCESS
 
 
@@ -212,7 +212,7 @@ async def test_arms_that_are_parked_at_the_end_go_to_rest_one_after_the_other(se
     async with connected(server) as client:
         for arm in ("left", "right"):
             assert (await to_named(client, arm, "ready"))["val"] == SUCCESS
-    code, _ = await asyncio.to_thread(server.end, signal.SIGTERM, TIMEOUT_S)
+    code, _ = await asyncio.to_thread(server.end, signal.SIGTERM)
     assert code == 0
     parking = [line.split("armbridge.arm: ")[1].split(", in ")[0] for line in server.lines if ": parking: " in line]
     parked = ("moves to its rest pose", "is at its rest pose, and is relaxed")

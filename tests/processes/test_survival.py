@@ -95,12 +95,12 @@ async def test_a_server_that_was_killed_can_be_started_again_at_once() -> None:
             await reaches(client)
 
 
-async def until_open(port: int, timeout_s: float = TIMEOUT_S) -> str:
+async def until_open(port: int) -> str:
     """The URL of a server that is starting, once its port is there."""
 
     def is_open() -> bool:
         with socket.socket() as probe:
             return probe.connect_ex(("127.0.0.1", port)) == 0
 
-    await until(is_open, timeout_s)
+    await until(is_open)
     return f"ws://127.0.0.1:{port}"

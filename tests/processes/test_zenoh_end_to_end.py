@@ -122,7 +122,7 @@ async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(
         os.kill(deaf.pid, signal.SIGSTOP)
         heard = lab.machine.hear("/arm1/joint_states", JOINT_STATE)
         await until(lambda: len(heard) >= 100)
-        code, _ = await asyncio.to_thread(lab.arm.end, signal.SIGTERM, TIMEOUT_S)
+        code, _ = await asyncio.to_thread(lab.arm.end, signal.SIGTERM)
     assert code == 0
     await gone(lab)
 
@@ -133,5 +133,5 @@ async def gone(lab: Lab) -> None:
     async with asyncio.timeout(TIMEOUT_S):
         while (await call(lab.viewer.url, "/arm1/arm/stop"))["result"]:
             await asyncio.sleep(0.05)
-    code, _ = await asyncio.to_thread(lab.viewer.end, signal.SIGTERM, TIMEOUT_S)
+    code, _ = await asyncio.to_thread(lab.viewer.end, signal.SIGTERM)
     assert code == 0

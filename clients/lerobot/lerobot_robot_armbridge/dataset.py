@@ -70,9 +70,18 @@ def delete(root: Path, episodes: Sequence[int]) -> str:
 
 
 def merge(roots: Sequence[Path], output: Path) -> str:
-    """Write the episodes of several datasets of one arm as a new one, or in place of the first."""
-    if output.exists() and output != roots[0]:
+    """Write the episodes of several datasets of one arm as a new one."""
+    if output.exists():
         raise DatasetError(f"{output} exists already: name another folder (--output)")
+    return _put_together(roots, output)
+
+
+def add(root: Path, others: Sequence[Path]) -> str:
+    """Add the episodes of other datasets of the same arm to one."""
+    return _put_together([root, *others], root)
+
+
+def _put_together(roots: Sequence[Path], output: Path) -> str:
     datasets = [open_dataset(root) for root in roots]
     arms = [json.loads((root / ARM_PATH).read_text()) if (root / ARM_PATH).is_file() else {} for root in roots]
     for root, arm in zip(roots, arms, strict=True):
@@ -126,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     adding = commands.add_parser("add", help="go on with a dataset: add the episodes of others to it")
     adding.add_argument("root", type=Path, metavar="FOLDER")
     adding.add_argument("others", type=Path, nargs="+", metavar="OTHER")
-    adding.set_defaults(run=lambda options: merge([options.root, *options.others], options.root))
+    adding.set_defaults(run=lambda options: add(options.root, options.others))
     merging = commands.add_parser("merge", help="write the episodes of several datasets as a new one")
     merging.add_argument("roots", type=Path, nargs="+", metavar="FOLDER")
     merging.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="folder to make")

@@ -67,12 +67,13 @@ class LoopThread:
                 ended.put(None)
 
         try:
-            self._loop.call_soon_threadsafe(begin)
-            task = self._when_ended(ended)
-        except BaseException as error:  # KeyboardInterrupt, or what a signal handler raises
-            if self._loop.is_closed() and not begun:
+            try:
+                self._loop.call_soon_threadsafe(begin)
+            except RuntimeError as error:
                 coroutine.close()
                 raise ConnectionLost(_CLOSED) from error
+            task = self._when_ended(ended)
+        except BaseException:  # KeyboardInterrupt, or what a signal handler raises
             with contextlib.suppress(RuntimeError, queue.Empty):
                 self._loop.call_soon_threadsafe(cancel)
                 # Until the coroutine has ended, its objects are in use.

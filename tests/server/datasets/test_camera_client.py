@@ -155,7 +155,7 @@ async def test_the_command_publishes_the_test_pattern_until_sigint(served: Serve
     try:
         async with arm_client(served.server.url) as client:
             await client.say("subscribe", topic=TOPIC, type="sensor_msgs/CompressedImage")
-            images = await client.until(TOPIC, lambda all_: len(all_) >= 3, TIMEOUT_S)
+            images = await client.until(TOPIC, lambda all_: len(all_) >= 3)
         process.send_signal(signal.SIGINT)
         out, err = await asyncio.wait_for(process.communicate(), TIMEOUT_S)
     finally:

@@ -51,7 +51,7 @@ def latest(client: ArmClient) -> dict[str, Any]:
 
 
 async def until_step(client: ArmClient, begins: str) -> dict[str, Any]:
-    await client.until(STATE_TOPIC, lambda states: states[-1]["step"].startswith(begins), TIMEOUT_S)
+    await client.until(STATE_TOPIC, lambda states: states[-1]["step"].startswith(begins))
     return latest(client)
 
 
@@ -67,7 +67,7 @@ async def move_by_hand(client: ArmClient, arm: ServerOnBus, ticks: dict[int, int
         present = {names[each["joint"]]: each["present"] for each in states[-1]["joints"]}
         return all(abs(present[servo] - at) < 3 for servo, at in ticks.items())
 
-    await client.until(STATE_TOPIC, there, TIMEOUT_S)
+    await client.until(STATE_TOPIC, there)
 
 
 def is_at(states: dict[str, Any], joint: str, position_rad: float) -> bool:

@@ -12,7 +12,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import RunningServer, ServerOnBus, read_write_log, server_on_bus
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 from robot.description.robot_folder import built_in
 from tests.helpers.resources import runs
 from tests.server.conftest import FAST, JOINTS
@@ -22,8 +22,6 @@ REST = built_in("so101").model.named_states["arm"]["rest"]
 # A relaxed elbow sinks until its stop holds it.
 SINK_RAD = 0.1
 
-# Bound of a wait for what takes seconds on a quiet machine.
-SOON_S = 120.0
 
 PARKS = {"ARM__ON_EXIT": "park", "ARM__ON_SERVER_LOST": "park"}
 
@@ -47,12 +45,12 @@ class Parked:
         """Kill the server, and wait for the end of its arm process."""
         pid = self.arm_pid
         self.server.process.kill()
-        self.server.process.wait(SOON_S)
-        wait_until(lambda: not runs(pid), SOON_S)
+        self.server.process.wait(TIMEOUT_S)
+        wait_until(lambda: not runs(pid))
 
     def until_known(self, count: int = 1) -> None:
         """Wait until the arm process knows so many ways to the rest pose, one after the other."""
-        wait_until(lambda: self.text.count("the way to the rest pose is known") >= count, SOON_S)
+        wait_until(lambda: self.text.count("the way to the rest pose is known") >= count)
 
     @property
     def relaxed(self) -> bool:
@@ -123,7 +121,7 @@ async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(
     parking.until_known()
     async with arm_client(parking.server.url) as client:
         await client.change_scene(box(0.06))
-        assert parking.server.has_logged("no way to the rest pose", SOON_S)
+        assert parking.server.has_logged("no way to the rest pose")
     parking.kill()
     assert parking.sunk
 
@@ -131,7 +129,7 @@ async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(
 async def test_an_orderly_end_parks_from_wherever_the_arm_comes_to_rest(parking: Parked) -> None:
     async with arm_client(parking.server.url) as client:
         await begin_to_move(client)
-    assert parking.server.end(signal.SIGTERM, SOON_S)[0] == 0
+    assert parking.server.end(signal.SIGTERM)[0] == 0
     assert parking.parked
 
 
@@ -139,10 +137,10 @@ def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     parking.until_known()
     pid = parking.arm_pid
     parking.server.process.send_signal(signal.SIGINT)
-    assert parking.server.has_logged("the arm moves to its rest pose", SOON_S)
+    assert parking.server.has_logged("the arm moves to its rest pose")
     parking.server.process.send_signal(signal.SIGINT)
-    assert parking.server.process.wait(SOON_S) == 0
-    wait_until(lambda: not runs(pid), SOON_S)
+    assert parking.server.process.wait(TIMEOUT_S) == 0
+    wait_until(lambda: not runs(pid))
     assert "must not wait" in parking.text
     assert parking.relaxed
 
@@ -186,7 +184,7 @@ def test_several_arms_go_to_rest_without_the_server(tmp_path: Path) -> None:
         pids = [int(pid) for pid in re.findall(r"process (\d+), 100 Hz", both[0].text)]
         assert len(pids) == 2
         server.process.kill()
-        server.process.wait(SOON_S)
+        server.process.wait(TIMEOUT_S)
         for pid in pids:
-            wait_until(lambda pid=pid: not runs(pid), SOON_S)
+            wait_until(lambda pid=pid: not runs(pid))
         assert [each.parked for each in both] == [True, True], both[0].text

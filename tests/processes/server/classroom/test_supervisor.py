@@ -12,11 +12,9 @@ import psutil
 import pytest
 
 from harness.server import ROOT
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 from server.classroom import supervisor as supervisor_module
 from server.classroom.supervisor import Member
-
-SOON_S = 30.0
 
 # Members that say when they wait for SIGTERM or ignore it, and one that writes to its log, and ends after a while.
 PROGRAM = """
@@ -68,7 +66,7 @@ def run(tmp_path: Path) -> Iterator[Callable[[str], psutil.Process]]:
     yield start
     for process in started:
         process.kill()
-        process.communicate(timeout=SOON_S)
+        process.communicate(timeout=TIMEOUT_S)
 
 
 def until_ready(folder: Path) -> None:

@@ -59,7 +59,7 @@ async def lead(client: ArmClient, arm: ServerOnBus, to_rad: dict[str, float]) ->
         now = positions(states[-1])
         return all(abs(now[name] - at) < 0.02 for name, at in to_rad.items())
 
-    await client.until("/joint_states", there, TIMEOUT_S)
+    await client.until("/joint_states", there)
 
 
 async def taught(client: ArmClient, arm: ServerOnBus, name: str) -> dict[str, Any]:

@@ -66,7 +66,7 @@ async def recovers(client: ArmClient) -> None:
 
 
 async def phase_is(client: ArmClient, phase: str) -> dict[str, Any]:
-    return (await client.until(STATE, lambda states: states[-1]["phase"] == phase, TIMEOUT_S))[-1]
+    return (await client.until(STATE, lambda states: states[-1]["phase"] == phase))[-1]
 
 
 async def follows(client: ArmClient, joint: str, least_rad: float) -> None:
@@ -142,7 +142,7 @@ async def test_a_goal_from_elsewhere_ends_the_following(client: ArmClient) -> No
 
 async def test_a_relaxed_follower_does_not_begin(client: ArmClient) -> None:
     assert (await client.call("/follower/arm/relax"))["success"]
-    await client.until("/follower/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed", TIMEOUT_S)
+    await client.until("/follower/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed")
     refused = await client.call("/teleop/start", follower="follower", leader="leader")
     assert refused["message"].startswith("follower cannot follow: the arm follower is relaxed")
 

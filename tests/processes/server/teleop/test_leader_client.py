@@ -38,7 +38,7 @@ async def elbow_at(client: ArmClient, position_rad: float) -> None:
     def there(states: list[dict[str, Any]]) -> bool:
         return abs(states[-1]["position"][states[-1]["name"].index("elbow_flex")] - position_rad) < 0.1
 
-    await client.until("/joint_states", there, TIMEOUT_S)
+    await client.until("/joint_states", there)
 
 
 async def test_an_arm_follows_a_leader_at_another_machine_and_holds_when_it_is_gone(
@@ -52,7 +52,7 @@ async def test_an_arm_follows_a_leader_at_another_machine_and_holds_when_it_is_g
         await client.say("subscribe", topic=TOPIC, type="sensor_msgs/JointState")
         with leader(f"ws://127.0.0.1:{follower.server.port}", control) as process:
             hand = EmulatorControl(control)
-            await client.until(TOPIC, bool, TIMEOUT_S)
+            await client.until(TOPIC, bool)
             await asyncio.to_thread(hand.command, hand={str(elbow.servo_id): elbow.ticks_from_rad(0.4)})
             answer = await client.call(START, follower="", leader=TOPIC)
             assert answer["success"], answer
@@ -61,7 +61,7 @@ async def test_an_arm_follows_a_leader_at_another_machine_and_holds_when_it_is_g
             await elbow_at(client, -0.2)
             process.kill()
             process.wait(TIMEOUT_S)
-        ended = await client.until(STATE_TOPIC, lambda told: told[-1]["phase"] == "idle", TIMEOUT_S)
+        ended = await client.until(STATE_TOPIC, lambda told: told[-1]["phase"] == "idle")
         assert ended[-1]["message"]
         await client.until_mode("holding")
         await client.call(STOP)

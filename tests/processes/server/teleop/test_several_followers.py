@@ -45,7 +45,7 @@ async def client(server: RunningServer, folder: Path) -> AsyncIterator[ArmClient
 
 async def phase_is(client: ArmClient, arm: str, phase: str) -> str:
     """Wait for a phase of one follower; returns its message."""
-    states = await client.until(f"/{arm}/teleop/state", lambda states: states[-1]["phase"] == phase, TIMEOUT_S)
+    states = await client.until(f"/{arm}/teleop/state", lambda states: states[-1]["phase"] == phase)
     return str(states[-1]["message"])
 
 
@@ -67,7 +67,7 @@ async def test_two_arms_follow_one_leader_at_the_same_time(client: ArmClient, fo
     await both_follow(client)
     EmulatorControl(folder / "leader").command(hand={"5": MIDDLE_TICK + 300})
     await rolled(client, "left", "right", least_rad=0.4)
-    targets = await client.until(TARGETS, lambda told: len(told[-1]["name"]) == 12, TIMEOUT_S)
+    targets = await client.until(TARGETS, lambda told: len(told[-1]["name"]) == 12)
     assert {name.split("_")[0] for name in targets[-1]["name"]} == {"left", "right"}
 
 

@@ -21,6 +21,7 @@ from robot.hardware.config import ClockReading
 from robot.logs import LogLimiter
 from robot.messages import (
     END_LIMIT_S,
+    STARTING_ARM,
     TORQUE_LEFT_ON,
     ArmConfig,
     ArmHealth,
@@ -162,7 +163,7 @@ class Arm(ArmClock):
         self._speed_factor = 1.0
         self._bodies: SetBodies | None = None
         reason = "the arm process is starting"
-        state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, clock_s=time.monotonic())
+        state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, task=STARTING_ARM, clock_s=time.monotonic())
         self.state = self._with_speed_limit(state)
         # Age above which the latest state counts as stale [s].
         self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
@@ -456,7 +457,7 @@ class Arm(ArmClock):
             return
         self._tell_restart("the arm process ended; starting it again")
         self._restart = asyncio.create_task(self._start_again(ran_s), name="restart arm process")
-        self._disconnect("the arm process ended and is starting again")
+        self._disconnect("the arm process ended and is starting again", STARTING_ARM)
 
     async def _start_again(self, ran_s: float) -> None:
         await self._process.kill()
@@ -485,11 +486,11 @@ class Arm(ArmClock):
             self._configure()
         return True
 
-    def _disconnect(self, reason: str) -> None:
+    def _disconnect(self, reason: str, task: str = "") -> None:
         names, fault = self.state.joint_names, self.state.fault
         # A clock that is ahead of the machine's must not go back.
         stamp_s = time.time() if self.rate == 1.0 else self.state.stamp_s
-        state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=self.clock_s)
+        state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason, task, fault=fault, clock_s=self.clock_s)
         try:
             self._take_state(state)
         except Exception:  # a bug in one who takes the state must not end the restarts

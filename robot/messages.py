@@ -313,6 +313,10 @@ class MotionProgress:
     rate: float = 1.0  # share of the planned speed at which it may be played, above 0 while it is not paused, at most 1
 
 
+# Sequences that a viewer shows, as ArmState names them.
+STARTING_ARM, RELAXING_ARM = "starting", "relaxing"
+
+
 @dataclass(frozen=True)
 class ArmState(Frequent):
     """State of the arm at one moment."""
@@ -323,6 +327,7 @@ class ArmState(Frequent):
     # Cause of being disconnected, or connected but refused by the checks; empty otherwise. A connected arm without a
     # reason is still being checked or switched on.
     reason: str = ""
+    task: str = ""  # sequence in progress: STARTING_ARM, RELAXING_ARM or none
     position_rad: Vector | None = None  # measured, shape (joints,)
     velocity_rad_s: Vector | None = None  # measured, shape (joints,)
     age_s: Vector | None = None  # time from each joint's reading to `stamp_s`, shape (joints,) [s]

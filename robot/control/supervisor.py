@@ -22,6 +22,7 @@ from robot.messages import (
     END_LIMIT_S,
     END_TIMEOUT_S,
     PARKING_TIMEOUT_S,
+    RELAXING_ARM,
     TORQUE_LEFT_ON,
     ArmConfig,
     ArmState,
@@ -72,7 +73,6 @@ SILENCE_LINES_PER_S = 1.0 / 600.0
 # Names of sequences in progress, in refusals and logs.
 CONNECTING = "checking the servos"
 CHECKING_AGAIN = "checking the servos again"
-RELAXING_ARM = "relaxing"
 _NAMES = {
     Order.ENABLE: "enabling",
     Order.RELAX: RELAXING_ARM,
@@ -238,9 +238,10 @@ class Supervisor:
         if min(self._state_due, self._health_due) > 0:
             return
         lateness_s = pacer.latest(self._ticks_per_state)
-        reason = "it is being relaxed" if self._runs(RELAXING_ARM) else self._reason
+        task = RELAXING_ARM if self._runs(RELAXING_ARM) else ""
+        reason = "it is being relaxed" if task else self._reason
         state = arm_state(arm, self.mode, self.fault, reason, lateness_s, self._clock)
-        state = replace(state, tick_s=pacer.tick_s)
+        state = replace(state, task=task, tick_s=pacer.tick_s)
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)

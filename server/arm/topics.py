@@ -122,6 +122,7 @@ def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]
     values = {
         "mode": state.mode.value,
         "reason": state.reason,
+        "task": state.task,
         "course": state.pace.direction.value,
         "speed_factor": f"{state.pace.speed_factor:g}",
         "speed_limit": f"{state.pace.speed_limit:g}",

@@ -126,7 +126,8 @@ def test_motions_are_refused_while_the_arm_is_being_relaxed(rig: ArmRig) -> None
     (refused,) = rig.ended
     assert refused.outcome is Outcome.REFUSED
     assert "relaxed" in refused.message
-    assert [each.reason for each in rig.sent if isinstance(each, ArmState)][-1] == "it is being relaxed"
+    last = [each for each in rig.sent if isinstance(each, ArmState)][-1]
+    assert (last.reason, last.task) == ("it is being relaxed", "relaxing")
 
 
 def test_an_emergency_stop_cuts_torque_within_one_tick_and_is_verified(moving: ArmRig) -> None:

@@ -194,16 +194,16 @@ export function readArmState(status: DiagnosticStatus): ArmState {
     const value = Number(values[key] ?? 1);
     return Number.isFinite(value) ? value : 1;
   };
-  // While its torque is lowered, an arm that holds sinks.
-  const sinks = values.mode === "holding" && values.reason?.includes("being relaxed");
   return {
-    mode: sinks ? "relaxing" : (values.mode ?? "disconnected"),
+    // While its torque is lowered, an arm that holds sinks.
+    mode: values.mode === "holding" && values.task === "relaxing" ? "relaxing" : (values.mode ?? "disconnected"),
     message: status.message,
     fault: values.fault ?? "",
     fault_message: values.fault_message ?? "",
     fault_remedy: values.fault_remedy ?? "",
     fault_joint: values.fault_joint ?? "",
     reason: values.reason ?? "",
+    task: values.task ?? "",
     speed_factor: share("speed_factor"),
     speed_limit: share("speed_limit"),
     course: values.course ?? "forward",

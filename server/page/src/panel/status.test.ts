@@ -48,7 +48,7 @@ test.each([
 });
 
 test("a server that starts the arm is checking, and one without an arm says what to do", () => {
-  expect(statePill(state({ arm: { mode: "disconnected", reason: "the arm process is starting" } })).label).toBe("CHECKING");
+  expect(statePill(state({ arm: { mode: "disconnected", task: "starting" } })).label).toBe("CHECKING");
   const without = state({ arm: { mode: "disconnected", reason: "no port" } });
   expect([statePill(without).label, statusText(without)]).toEqual(["NO ARM", "No arm is connected. Check its cable and its power. No port."]);
 });

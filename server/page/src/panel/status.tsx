@@ -37,8 +37,8 @@ export function isAwaitingConfirmation({ id, state }: GoalState): boolean {
 }
 
 /** Return true before the server has told the arm's mode, and while it starts and checks the arm, which is no fault. */
-function isBeingChecked({ mode, reason }: State["arm"]): boolean {
-  return mode === "" || mode === "connected" || (mode === "disconnected" && reason.includes("is starting"));
+function isBeingChecked({ mode, task }: State["arm"]): boolean {
+  return mode === "" || mode === "connected" || (mode === "disconnected" && task === "starting");
 }
 
 /** Return the sentence beside the pill: what is the matter and what to do, else the state or result of the goal. */

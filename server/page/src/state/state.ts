@@ -66,6 +66,7 @@ export interface ArmState {
   fault_remedy: string;
   fault_joint: string;
   reason: string;
+  task: string;
   speed_factor: number;
   speed_limit: number;
   course: string;
@@ -425,6 +426,7 @@ export function emptyState(url: string): State {
       fault_remedy: "",
       fault_joint: "",
       reason: "",
+      task: "",
       speed_factor: 1,
       speed_limit: 1,
       course: "forward",

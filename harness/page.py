@@ -20,6 +20,7 @@ from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, sync_pla
 
 from harness.clients import call, goal
 from harness.server import ROOT
+from harness.waiting import TIMEOUT_S
 
 BUILT = ROOT / "server" / "page" / "dist" / "index.html"
 SHOTS = ROOT / "build" / "page"
@@ -50,8 +51,8 @@ LYING_PHONE = (844, 390)
 # Sizes of the window at which nothing may be cut off.
 SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
 
-# Software rendering on two shared cores: what takes 0.1 s on a quiet machine takes many seconds on a busy one.
-PATIENCE_MS = 60_000
+# Software rendering on two shared cores: what takes 0.1 s on a quiet machine takes minutes beside fifty other programs.
+PATIENCE_MS = 1e3 * TIMEOUT_S
 
 # How often the page is asked whether something is so.
 LOOK_MS = 20

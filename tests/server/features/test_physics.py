@@ -55,8 +55,8 @@ class Stage:
             self.arms[name], served = PhysicalArm(), SimpleNamespace(settings=own)
             arm = SimpleNamespace(name=name, robot=robot, graph=LocalGraph(self.graph, name), served=served)
             worlds.append(ArmWorld(cast(Any, arm), cast(Any, self.arms[name])))
-        planning = SimpleNamespace(scene_state=self.scene, current=current_state())
-        context = SimpleNamespace(planning=planning, graph=self.graph, settings=settings)
+        planning, whole = SimpleNamespace(scene_state=self.scene, current=current_state()), SimpleNamespace(robot=ROBOT)
+        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph, settings=settings)
         self.physics = Physics(cast(Any, context), worlds)
 
     @property

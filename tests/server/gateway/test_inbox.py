@@ -180,15 +180,15 @@ def test_another_client_has_its_turn_in_between(world: World) -> None:
 
 def test_what_comes_behind_waits_in_order(world: World, client: Handler) -> None:
     client.publish("/1", "/2", "/3")
-    client.publish("/4")
-    client.publish("/strict5")
+    client.publish("/strict4")
+    client.publish("/5")
     client.publish("/6", length=LONG_FRAME_BYTES)
     client.publish("/strict7")
     client.publish("/8")
     client.inbox.receive_frame(json.dumps({"op": "call_service", "service": "/c"}))
     world.run()
     client.publish("/strict9")
-    expected = ["/1", "/2", "/3", "/4", "/strict5", "/6", "/strict7", "/8", "call_service", "/strict9"]
+    expected = ["/1", "/2", "/3", "/strict4", "/5", "/6", "/strict7", "/8", "call_service", "/strict9"]
     assert world.done == expected
 
 

@@ -87,7 +87,7 @@ def test_any_instruction_and_any_bytes_at_all_leave_the_servos_able_to_answer(
 
 
 @OF_BOTH_FAMILIES
-def test_an_instruction_is_answered_by_its_servo_and_a_broadcast_by_none_but_a_ping_by_all(
+def test_an_instruction_is_answered_by_its_servo_a_broadcast_by_none_and_a_ping_by_all(
     family: Family, wire: Wire
 ) -> None:
     replies = [wire.status(servo.servo_id, servo.ping()) for servo in wire.servos]

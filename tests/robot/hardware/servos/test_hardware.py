@@ -341,7 +341,7 @@ def dynamixels() -> ServoTracker:
     return ServoTracker(DYNAMIXEL.driver, DYNAMIXEL.servo_map)
 
 
-def test_readings_are_complete_with_supply_and_temperature_and_in_the_units_of_the_controller(
+def test_readings_are_complete_with_supply_and_temperature_and_in_the_controllers_units(
     dynamixels: ServoTracker,
 ) -> None:
     dynamixels.take(IDS, dynamixel_replies(whole=False), 0.0)
@@ -376,9 +376,7 @@ def test_the_turns_that_a_servo_has_counted_do_not_show(dynamixels: ServoTracker
     assert dynamixels.turns_ticks() == {**dict.fromkeys(IDS, 0), 3: 4096}
 
 
-def test_an_alert_is_asked_about_until_it_is_known_and_again_later_and_over_when_there_is_none(
-    dynamixels: ServoTracker,
-) -> None:
+def test_an_alert_is_asked_about_until_it_is_known_and_again_later_until_it_is_over(dynamixels: ServoTracker) -> None:
     dynamixels.take(IDS, dynamixel_replies(), 0.0)
     assert dynamixels.alerting() == []
     dynamixels.take(IDS, dynamixel_replies(alerting=3), 0.01)

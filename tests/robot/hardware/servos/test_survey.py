@@ -30,9 +30,7 @@ def test_servos_are_found_as_they_are(family: Family, emulator: Any) -> None:
         assert servo.warnings == ()
 
 
-def test_servos_that_do_not_answer_are_named_and_no_cables_and_supply_if_they_are_emulated(
-    family: Family, emulator: Any
-) -> None:
+def test_servos_that_do_not_answer_are_named_and_no_cable_if_they_are_emulated(family: Family, emulator: Any) -> None:
     for offline, sentence in (({3}, r"^no answer from elbow_flex \(id 3\)$"), (set(IDS), "^no servo answers$")):
         emulator.servo_bus.faults.offline = offline
         with pytest.raises(StartupError, match=sentence):

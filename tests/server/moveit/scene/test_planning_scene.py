@@ -125,11 +125,7 @@ BAD = [
     ({"link_scale": [{"link_name": "base_link", "scale": 0.0}]}, -16, "above 0, up to 100, not 0"),
     ({"object_colors": [{"id": "a", "color": {"r": math.nan}}]}, -16, "object_colors[0].color of 'a'"),
     ({"object_colors": MANY}, -16, f"more than {planning_scene.MAX_COLORS}"),
-    (
-        {"fixed_frame_transforms": [ODD_PLANNING_FRAME]},
-        -21,
-        "must be the planning frame 'base_link', not 'wrist_link'",
-    ),
+    ({"fixed_frame_transforms": [ODD_PLANNING_FRAME]}, -21, "must be the planning frame 'base_link', not 'wrist_link'"),
     ({"fixed_frame_transforms": [FRAME_OF_NAN]}, -16, "fixed_frame_transforms[0].transform"),
     ({"allowed_collision_matrix": {"entry_names": ["a"]}}, -16, "allowed_collision_matrix.entry_values"),
 ]

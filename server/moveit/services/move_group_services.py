@@ -208,7 +208,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     requests = sequence_requests(request["request"])
     steps = [RequestStep(context.problems, item) for item in requests]
     start = context.start(requests[0]["start_state"], caller)
-    planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool.ask)
+    planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
     root, performed, failure = context.robot.root_link, planned.performed, planned.failure
     if failure is not None:
         failure = await explained(failure, planned.problem, start.scene, context)

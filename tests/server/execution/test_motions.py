@@ -1,6 +1,7 @@
 import math
 import re
 from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from server.execution.motions import (
     STATE_AGE_S,
     MotionStep,
     PathTime,
+    PlannedSequence,
     Positions,
     deviation_note,
     plan_sequence,
@@ -38,6 +40,9 @@ from server.execution.motions import (
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101
 from tests.helpers.steps import StepOf
+
+if TYPE_CHECKING:
+    from planners.interface import Planners
 
 START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})
@@ -70,9 +75,13 @@ class Planning:
         return Plan(motion, "straight line", 0.25, deviation=self.deviation)
 
 
+async def planned_by(planning: Planning, *steps: MotionStep) -> PlannedSequence:
+    return await plan_sequence(steps, START, EMPTY_SCENE, cast("Planners", planning))
+
+
 async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
     planning = Planning()
-    planned = await plan_sequence([to(0.3), to(0.7)], START, EMPTY_SCENE, planning.ask)
+    planned = await planned_by(planning, to(0.3), to(0.7))
     assert planning.starts == [START, {"a": 0.3, "b": 0.5}]
     assert planned.failure is None
     assert len(planned.performed.planned) == 2
@@ -81,7 +90,7 @@ async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
 
 
 async def test_the_motions_before_a_failure_are_kept_and_the_item_is_named() -> None:
-    planned = await plan_sequence([to(0.3), to(2.0), to(0.1)], START, EMPTY_SCENE, Planning().ask)
+    planned = await planned_by(Planning(), to(0.3), to(2.0), to(0.1))
     assert len(planned.performed.planned) == 1
     assert planned.failure is not None
     assert planned.failure.message == "items[1]: there is a wall"
@@ -95,7 +104,7 @@ async def test_a_step_without_a_problem_is_not_planned() -> None:
     def refusing(_start_rad: Positions) -> PlanningProblem:
         raise RefusedError(WALL)
 
-    planned = await plan_sequence([StepOf(refusing)], START, EMPTY_SCENE, planning.ask)
+    planned = await planned_by(planning, StepOf(refusing))
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 

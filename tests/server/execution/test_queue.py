@@ -6,7 +6,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress, TimeLimits
-from server.execution.queue import GoalQueue, RunningGoal
+from server.execution.queue import GoalListener, GoalQueue, RunningGoal
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
 
@@ -42,7 +42,7 @@ class ScriptedRunner(GoalRunner):
         return await super().run(goal)
 
 
-class Desk:
+class Desk(GoalListener):
     """A queue, its executor, and all that it told."""
 
     move: type[str] = Move
@@ -51,8 +51,12 @@ class Desk:
         self.runner = runner or ScriptedRunner()
         self.states: list[tuple[str, GoalState]] = []
         self.answers: list[tuple[str, Answer]] = []
-        self.queue: GoalQueue = GoalQueue(self.runner, policy, 3, self._progress, self._answer)
-        self.queue.start()
+        self.open(GoalQueue(self.runner, policy, 3))
+
+    def open(self, queue: GoalQueue) -> None:
+        self.queue = queue
+        queue.listeners.append(self)
+        queue.start()
 
     async def submit(self, *requests: object) -> None:
         """Submit goals; each is begun, or waits, before the next one comes."""
@@ -65,10 +69,10 @@ class Desk:
         self.runner.finish()
         await settle()
 
-    def _progress(self, goal: Goal, progress: Progress) -> None:
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
         self.states.append((goal.goal_id, progress.state))
 
-    def _answer(self, goal: Goal, answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         self.answers.append((goal.goal_id, answer))
 
     def codes(self) -> list[tuple[str, MoveItErrorCode]]:
@@ -197,8 +201,7 @@ class ArmsDesk(Desk):
     def __init__(self, policy: GoalPolicy = GoalPolicy.QUEUE) -> None:
         super().__init__()
         self.arms = TwoArms()
-        self.queue = GoalQueue(self.arms, policy, 3, self._progress, self._answer)
-        self.queue.start()
+        self.open(GoalQueue(self.arms, policy, 3))
 
 
 def submit(*requests: str, policy: GoalPolicy | None = None) -> Callable[[ArmsDesk], Awaitable[None]]:

@@ -117,7 +117,7 @@ class Trial:
         self.arms = [TickingArm(name and f"{name}_") for name in names]
         self.samples = [JitterBuffer({}, 0.0) for _ in names]
         planning = replace(planning_of(self.arms[0], robot, pool=self), current=cast("CurrentState", self))
-        queue: GoalQueue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+        queue: GoalQueue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
         context = FollowingContext(planning, queue, self._go_to, self.clock)
         self.sessions = [
             FollowingSession(

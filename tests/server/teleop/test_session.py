@@ -28,7 +28,7 @@ PLANNING_S = 0.002
 
 def idle_queue() -> GoalQueue:
     """A queue that is never started: ramps are played by the rig."""
-    return GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+    return GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
 
 
 class Rig:

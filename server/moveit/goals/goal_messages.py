@@ -225,7 +225,6 @@ class Suggestion:
         return {TARGET_FIELDS[self.topic]: self.msg["data"] if self.topic == NAMED_TOPIC else self.msg}
 
     def added_to(self, message: str) -> str:
-        """Return the sentence of an answer with the suggestion."""
         return f"{message}; what would work: {self.words}"
 
 

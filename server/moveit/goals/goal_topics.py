@@ -216,7 +216,6 @@ def _status(goal: Goal, progress: Progress, level: int, details: Mapping[str, st
 
 
 def details_as_json(answer: Answer) -> dict[str, str]:
-    """Return the diagnostic details of an answer, each value as JSON text."""
     return {name: json.dumps(value, default=str) for name, value in answer.details.items()}
 
 

@@ -131,7 +131,7 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
     reasons = [problem.message for problem in (*state.problems, *filter(None, unmet))]
     for reason in reasons:
         log.info("/check_state_validity: %s", reason)
-    raise UnsuccessfulError(response, "; ".join(reasons), complete=True)
+    raise UnsuccessfulError(CompleteResponse(response), "; ".join(reasons))
 
 
 def _constraint_result(unmet: PlanningFailure | None) -> dict[str, Any]:

@@ -30,7 +30,6 @@ from server.moveit.scene.interface import (
     TRANSFORMS,
     MonitoredScenePublisher,
     SceneInterface,
-    SceneServices,
     scene_diff,
     scene_message,
 )
@@ -98,7 +97,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        SceneServices(self.graph, Node("scene"), self.state, self.assumed, current_state())
+        SceneInterface(self.graph, self.state, self.assumed, current_state(), MoveItParameters())
 
     def another(self):
         other = copy(self)
@@ -125,7 +124,7 @@ def state_of(position_rad):
     return {"is_diff": True, "joint_state": {"name": list(JOINTS), "position": [position_rad] * len(JOINTS)}}
 
 
-def test_the_answer_is_a_complete_message():
+async def test_the_answer_is_a_complete_message():
     client = Client()
     assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
     for components in (0, 8, 671):
@@ -199,7 +198,7 @@ def test_a_scene_sent_back_assumes_nothing():
     assert client.assumed.of(client.node) is None
 
 
-def test_moving_frames_are_where_the_client_assumes_the_arm():
+async def test_moving_frames_are_where_the_client_assumes_the_arm():
     client = Client()
     lid = box("lid", frame="gripper_link")
     assert client.apply(robot_state=state_of(0.5), world={"collision_objects": [lid]})
@@ -214,7 +213,7 @@ def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
     assert client.state.contents.objects == {}
 
 
-def test_an_object_attached_again_as_by_compas_fab_stays_attached():
+async def test_an_object_attached_again_as_by_compas_fab_stays_attached():
     """Put everything down, assume a state, move the thing to the hand, take it by its name alone."""
     client = Client()
     assert client.apply(world={"collision_objects": [box("tool")]})

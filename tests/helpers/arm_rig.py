@@ -29,6 +29,7 @@ from robot.messages import (
     Mode,
     MotionEnded,
     Order,
+    Outcome,
 )
 from robot.trajectory import Trajectory
 from tests.helpers.emulator import SteppedEmulator
@@ -189,6 +190,11 @@ class ArmRig:
     def ended(self) -> list[MotionEnded]:
         return [message for message in self.sent if isinstance(message, MotionEnded)]
 
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """How the motions ended."""
+        return [ended.outcome for ended in self.ended]
+
     def tick(self) -> None:
         """One period of the loop."""
         for _ in range(STEPS_A_TICK):
@@ -226,11 +232,20 @@ class ArmRig:
 
     def order(self, order: Order, calibration: Calibration | None = None) -> CommandDone:
         """Give an order and wait for its answer."""
-        number = self.begin(order, calibration)
+        return self.wait(self.begin(order, calibration))
+
+    def wait(self, number: int) -> CommandDone:
+        """Wait for the answer to an order that was begun."""
         self.until(lambda: self.answer(number) is not None)
         answer = self.answer(number)
         assert answer is not None
         return answer
+
+    def refused(self, order: Order, calibration: Calibration | None = None) -> str:
+        """Give an order that is refused; returns the reason."""
+        answer = self.order(order, calibration)
+        assert not answer.done, answer.message
+        return answer.message
 
     def execute(self, trajectory: Trajectory, motion_id: int = 1, **options: Any) -> None:
         self.supervisor.handle(Execute(motion_id, trajectory, **options))

@@ -5,15 +5,19 @@ from typing import Any, cast
 from robot.calibration import Calibration, JointCalibration
 from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
+from robot.emulator.arm import EmulatedArm
 from robot.emulator.dynamixel import DynamixelServo, emulated_dynamixel_arm
+from robot.emulator.feetech import emulated_feetech_arm
 from robot.hardware.config import EmulatedConfig, SerialConfig
 from robot.hardware.dynamixel.family import Bus, Dynamixel
 from robot.hardware.dynamixel.registers import Register
 from robot.hardware.interface import HardwareInterface
 from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
+from tests.helpers import arm_rig
 from tests.helpers.arm_rig import ArmRig, ServosInUse
 from tests.helpers.emulator import SteppedClock
+from tests.helpers.robots import so101
 
 KOCH = robot_folder.built_in("koch_v1_1")
 SERVOS = KOCH.hardware.servos
@@ -37,6 +41,15 @@ CALIBRATION = Calibration(
 ROBOT = within_calibration(KOCH.model, CALIBRATION)
 BOUNDS = JointBounds.of(ROBOT, NAMES)
 METAL = SerialConfig(CALIBRATION, "/dev/arm", "dynamixel")
+
+
+def emulated_arm(kind: str, clock: SteppedClock, **settings: Any) -> EmulatedArm[Any]:
+    """Build the emulated servos of a Koch, or those of an SO-101 for the kind "feetech"."""
+    if kind == "dynamixel":
+        config = EmulatedConfig(CALIBRATION, kind=kind, **settings)
+        return emulated_dynamixel_arm(ROBOT, config, BOUNDS, GuardLimits(), clock)
+    config = EmulatedConfig(arm_rig.CALIBRATION, **settings)
+    return emulated_feetech_arm(so101(), config, arm_rig.BOUNDS, GuardLimits(), clock)
 
 
 class SteppedDynamixels:

@@ -56,6 +56,10 @@ def test_replies_are_there_at_once_one_that_does_not_come_is_not_waited_for_and_
     with pytest.raises(NoReply):
         at_once.open_bus().ping(9)
     assert at_once.clock() == started_s
+    # Nor do USB frames delay a reply.
+    at_once.clock.advance(0.0001)
+    at_once.command(usb_frame_ms=1)
+    assert len(at_once.open_bus().sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
 
 
 def test_with_wire_time_replies_and_silence_are_waited_for_as_on_a_serial_port(emulator):
@@ -90,9 +94,3 @@ def test_a_frozen_adapter_is_silent_and_keeps_no_more_than_a_pseudo_terminal(at_
     assert at_once.port.receive(1.0) == b""
     at_once.command(frozen=False)
     assert len(at_once.port.receive(1.0)) == MAX_WAITING_BYTES // len(ping) * len(ping)
-
-
-def test_usb_frames_delay_nothing_without_wire_time(at_once):
-    at_once.clock.advance(0.0001)
-    at_once.command(usb_frame_ms=1)
-    assert len(at_once.open_bus().sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6

@@ -1,11 +1,7 @@
-"""Emulated servos of an arm as a source of hardware, and the weight of its links on them."""
-
 import contextlib
 import json
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,46 +13,18 @@ from hypothesis import strategies as st
 from robot.calibration import Calibration
 from robot.description import model
 from robot.emulator.arm import EmulatedArm, LinkWeights, weight_of
-from robot.emulator.dynamixel import emulated_dynamixel_arm
-from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos, emulated_feetech_arm
+from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos
 from robot.errors import StartupError
-from robot.hardware.config import EmulatedConfig
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import HardwareInterface, run_to_end
-from robot.messages import GuardLimits
 from tests.helpers import arm_rig, dynamixel
+from tests.helpers.dynamixel import emulated_arm
 from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import SO101_SERVOS, so101
 
-STEP_S = 0.01
-
-
-@dataclass(frozen=True)
-class Arm:
-    """An arm of one family: its description, and the kinds of its source and configuration."""
-
-    robot: Any
-    calibration: Calibration
-    bounds: Any
-    source: Any
-    config: Any
-
-    def start(self, clock: SteppedClock, **settings: Any) -> EmulatedArm[Any]:
-        config = self.config(self.calibration, **settings)
-        arm: EmulatedArm[Any] = self.source(self.robot, config, self.bounds, GuardLimits(), clock)
-        return arm
-
-
-SO101 = Arm(so101(), arm_rig.CALIBRATION, arm_rig.BOUNDS, emulated_feetech_arm, EmulatedConfig)
-KOCH = Arm(
-    dynamixel.ROBOT,
-    dynamixel.CALIBRATION,
-    dynamixel.BOUNDS,
-    emulated_dynamixel_arm,
-    partial(EmulatedConfig, kind="dynamixel"),
-)
-OF_BOTH_FAMILIES = pytest.mark.parametrize("arm", [SO101, KOCH], ids=["Feetech", "Dynamixel"])
+CALIBRATIONS = {"feetech": arm_rig.CALIBRATION, "dynamixel": dynamixel.CALIBRATION}
+OF_BOTH_FAMILIES = pytest.mark.parametrize("kind", CALIBRATIONS)
 
 
 @pytest.fixture
@@ -65,9 +33,7 @@ def clock() -> SteppedClock:
 
 
 def position_rad(hardware: HardwareInterface) -> np.ndarray:
-    measured = hardware.read()
-    assert measured is not None
-    return measured.position_rad
+    return hardware.read().position_rad
 
 
 def found(arm: EmulatedArm[Any]) -> Any:
@@ -75,21 +41,21 @@ def found(arm: EmulatedArm[Any]) -> Any:
 
 
 @OF_BOTH_FAMILIES
-def test_servos_start_relaxed_where_they_are_put_inside_their_mechanical_stops(arm: Arm, clock: SteppedClock) -> None:
-    source = arm.start(clock, start_rad={"shoulder_lift": -0.5, "gripper": 9.0})
-    stand = {"shoulder_lift": -0.5, "gripper": arm.calibration.joints[5].upper_rad}
-    expected = [stand.get(joint.joint, 0.0) for joint in arm.calibration.joints]
+def test_servos_start_relaxed_where_they_are_put_inside_their_mechanical_stops(kind: str, clock: SteppedClock) -> None:
+    source = emulated_arm(kind, clock, start_rad={"shoulder_lift": -0.5, "gripper": 9.0})
+    stand = {"shoulder_lift": -0.5, "gripper": CALIBRATIONS[kind].joints[5].upper_rad}
+    expected = [stand.get(joint.joint, 0.0) for joint in CALIBRATIONS[kind].joints]
     assert position_rad(source.open()) == pytest.approx(expected, abs=0.002)
     assert not found(source).driven.any()
 
 
 @OF_BOTH_FAMILIES
-def test_driven_servos_hold_where_they_are_at_their_torque_limits(arm: Arm, clock: SteppedClock) -> None:
-    source = arm.start(clock, start_rad={"shoulder_lift": -0.5}, driven=True)
+def test_driven_servos_hold_where_they_are_at_their_torque_limits(kind: str, clock: SteppedClock) -> None:
+    source = emulated_arm(kind, clock, start_rad={"shoulder_lift": -0.5}, driven=True)
     hardware = source.open()
     before = position_rad(hardware)
     for _ in range(50):
-        clock.advance(STEP_S)
+        clock.advance(0.01)
         after = position_rad(hardware)
     assert after == pytest.approx(before, abs=0.03)
     assert found(source).driven.all()
@@ -97,8 +63,8 @@ def test_driven_servos_hold_where_they_are_at_their_torque_limits(arm: Arm, cloc
 
 
 @OF_BOTH_FAMILIES
-def test_servos_go_on_while_the_hardware_is_closed(arm: Arm, clock: SteppedClock) -> None:
-    source = arm.start(clock)
+def test_servos_go_on_while_the_hardware_is_closed(kind: str, clock: SteppedClock) -> None:
+    source = emulated_arm(kind, clock)
     hardware = source.open()
     run_to_end(hardware.survey())
     run_to_end(hardware.enable(range(6)), clock.advance)
@@ -110,10 +76,9 @@ def lost_replies(source: EmulatedArm[Any], clock: SteppedClock) -> list[int]:
     """Replies that are missing in each of some cycles."""
     hardware = source.open()
     counters = hardware.counters
-    assert counters is not None
     lost = []
     for _ in range(50):
-        clock.advance(STEP_S)
+        clock.advance(0.01)
         before = counters.timeouts
         hardware.read()
         lost.append(counters.timeouts - before)
@@ -121,52 +86,36 @@ def lost_replies(source: EmulatedArm[Any], clock: SteppedClock) -> list[int]:
 
 
 @OF_BOTH_FAMILIES
-def test_replies_are_lost_or_damaged_as_configured_and_alike_for_a_seed(arm: Arm, clock: SteppedClock) -> None:
-    assert sum(lost_replies(arm.start(clock), clock)) == 0
-    assert 10 < sum(lost_replies(arm.start(clock, corrupt=0.1), clock)) < 60
-    first, again, other = (lost_replies(arm.start(clock, drop=0.1, seed=seed), clock) for seed in (3, 3, 4))
+def test_replies_are_lost_or_damaged_as_configured_and_alike_for_a_seed(kind: str, clock: SteppedClock) -> None:
+    assert sum(lost_replies(emulated_arm(kind, clock), clock)) == 0
+    assert 10 < sum(lost_replies(emulated_arm(kind, clock, corrupt=0.1), clock)) < 60
+    first, again, other = (lost_replies(emulated_arm(kind, clock, drop=0.1, seed=seed), clock) for seed in (3, 3, 4))
     assert 10 < sum(first) < 60
     assert first == again != other
 
 
 @OF_BOTH_FAMILIES
-def test_the_weight_of_the_links_is_on_the_servos_and_a_relaxed_arm_sinks(arm: Arm, clock: SteppedClock) -> None:
-    upright = arm.start(clock, start_rad={"shoulder_lift": -0.485}).bus.servos[1].plant.gravity_permille
-    shoulder = arm.start(clock, start_rad={"shoulder_lift": 1.0}).bus.servos[1]
+def test_the_weight_of_the_links_is_on_the_servos_and_a_relaxed_arm_sinks(kind: str, clock: SteppedClock) -> None:
+    upright = emulated_arm(kind, clock, start_rad={"shoulder_lift": -0.485}).bus.servos[1].plant.gravity_permille
+    shoulder = emulated_arm(kind, clock, start_rad={"shoulder_lift": 1.0}).bus.servos[1]
     stretched, before = shoulder.plant.gravity_permille, shoulder.plant.position_ticks
     assert abs(stretched) > 1.2 * abs(upright) > 0.0
     run(shoulder, 1.0)
     assert (shoulder.plant.position_ticks - before) * stretched < 0.0
 
 
-# Feetech alone.
-
-
-@pytest.fixture
-def logged(clock: SteppedClock, write_log: Path) -> Iterator[Callable[..., EmulatedArm[Any]]]:
-    """Starts an SO-101 that keeps a log."""
-    with contextlib.ExitStack() as started:
-
-        def start(**settings: Any) -> EmulatedArm[Any]:
-            source = SO101.start(clock, write_log=write_log, **settings)
-            assert source.bus.log is not None
-            started.callback(source.bus.log.close)
-            return source
-
-        yield start
-
-
 @pytest.mark.parametrize(("resumes", "lines"), [(False, []), (True, ["{}"])])
 def test_only_servos_that_were_there_before_go_on_with_their_record(
-    logged: Callable[..., EmulatedArm[Any]], write_log: Path, resumes: bool, lines: list[str]
+    clock: SteppedClock, write_log: Path, resumes: bool, lines: list[str]
 ) -> None:
     write_log.write_text("{}\n")
-    logged(resumes=resumes)
-    assert write_log.read_text().splitlines() == lines
+    log = emulated_arm("feetech", clock, write_log=write_log, resumes=resumes).bus.log
+    with contextlib.closing(log):
+        assert write_log.read_text().splitlines() == lines
 
 
 def test_servos_with_a_shifted_zero_start_relaxed_and_are_refused_torque(clock: SteppedClock) -> None:
-    hardware = SO101.start(clock, population="ros2_driver", driven=True).open()
+    hardware = emulated_arm("feetech", clock, population="ros2_driver", driven=True).open()
     run_to_end(hardware.survey())
     assert not run_to_end(hardware.driven()).any()
     with pytest.raises(StartupError, match="the zero has shifted since the calibration at shoulder_pan"):
@@ -185,9 +134,6 @@ def test_a_calibration_gives_the_servos_its_offsets_and_ranges(offset_calibratio
     servo = build_servos(offset_calibration, [0.0] * 6)[0]
     assert (servo.servo_id, servo.present_ticks, servo.value(Register.HOMING_OFFSET)) == (11, 1950, -120)
     assert (servo.value(Register.MIN_ANGLE_LIMIT), servo.value(Register.MAX_ANGLE_LIMIT)) == (900, 3000)
-
-
-# The weight.
 
 
 def gravity_permille(calibration: Calibration, pose: list[float]) -> list[float]:

@@ -1,24 +1,22 @@
 import contextlib
 import json
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from harness.waiting import TIMEOUT_S
-from robot.emulator.arm import EmulatedArm
 from robot.emulator.control import (
     COMMANDS_HELP,
     MAX_COMMAND_BYTES,
     MAX_CONTROLLERS,
     CommandedPort,
-    ControlSocket,
     Emulation,
     LiveCommand,
     answer,
 )
-from robot.emulator.feetech import FEETECH, FeetechServo, build_servos, emulated_feetech_arm
+from robot.emulator.feetech import FEETECH, build_servos, emulated_feetech_arm
 from robot.emulator.process import UsbAdapter
 from robot.emulator.servo_bus import EmulatedBus, Faults, WriteLog
 from robot.errors import PortError, PortLost
@@ -33,13 +31,8 @@ from tests.helpers.robots import nominal_calibration, so101
 
 
 @pytest.fixture
-def log_path(tmp_path):
-    return tmp_path / "log"
-
-
-@pytest.fixture
-def emulation(log_path):
-    log, adapter = WriteLog(log_path), UsbAdapter()
+def emulation(tmp_path):
+    log, adapter = WriteLog(tmp_path / "log"), UsbAdapter()
     servos = build_servos(nominal_calibration(), [0.0] * 6)
     yield Emulation(EmulatedBus(servos, FEETECH, Faults(), 0.0, log), adapter)
     adapter.unplug()
@@ -56,13 +49,15 @@ def command(emulation):
     return send
 
 
-def test_every_command_is_carried_out_and_acknowledged(emulation, command):
+def test_every_command_is_carried_out_and_acknowledged_and_no_part_of_one_that_is_refused(emulation, command):
     faults = emulation.bus.faults
     assert command(drop=0.25, corrupt=1, offline=[3, 4]) == {"ok": True}
     assert (faults.drop, faults.corrupt, faults.offline) == (0.25, 1.0, {3, 4})
     assert command(online=[3], push={"2": 50, "elbow_flex": -7}) == {"ok": True}
     assert faults.offline == {4}
     assert [servo.plant.push_permille for servo in emulation.bus.servos] == [0, 50, -7, 0, 0, 0]
+    assert "error" in command(drop=0.5, offline=[9])
+    assert faults.drop == 0.25
 
 
 def test_an_adapter_comes_and_goes_and_its_name_is_reported(emulation, command):
@@ -75,11 +70,14 @@ def test_an_adapter_comes_and_goes_and_its_name_is_reported(emulation, command):
     assert len(emulation.adapter.descriptors) == 1
 
 
-def test_switches_reach_bus_and_adapter_and_go_on_and_off(emulation, command):
+def test_switches_and_numbers_reach_bus_adapter_and_servos(emulation, command):
+    faults, adapter = emulation.bus.faults, emulation.adapter
     for on in (True, False):
         command(stall_behind_missing=on, frozen=on)
-        assert emulation.bus.faults.stall_behind_missing is on
-        assert emulation.adapter.frozen is on
+        assert (faults.stall_behind_missing, adapter.frozen) == (on, on)
+    command(delay_s=0.1, supply=4.5, heat_rate=7.0, usb_frame_ms=1.0)
+    assert (faults.delay_s, adapter.frame_s) == (0.1, 0.001)
+    assert {(servo.voltage_v, servo.motor.rate) for servo in emulation.bus.servos} == {(4.5, 7.0)}
 
 
 def test_every_command_is_documented_with_an_example_that_is_carried_out(emulation):
@@ -120,24 +118,12 @@ def test_what_makes_no_sense_is_answered_with_field_limit_and_value(emulation, l
     assert reason in json.loads(reply)["error"]
 
 
-def test_no_part_of_a_refused_command_is_carried_out(emulation, command):
-    assert "error" in command(drop=0.5, offline=[9])
-    assert emulation.bus.faults.drop == 0.0
-
-
 @pytest.fixture
 def servo(emulation):
     servo = emulation.bus.servos[2]
     servo.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(2048))
     servo.write(Register.TORQUE_ENABLE, bytes([1]))
     return servo
-
-
-def test_numbers_go_where_they_belong(emulation, command):
-    command(delay_s=0.1, supply=4.5, heat_rate=7.0, usb_frame_ms=1.0)
-    assert emulation.bus.faults.delay_s == 0.1
-    assert emulation.adapter.frame_s == 0.001
-    assert {(servo.voltage_v, servo.motor.rate) for servo in emulation.bus.servos} == {(4.5, 7.0)}
 
 
 @pytest.mark.parametrize(
@@ -147,7 +133,6 @@ def test_numbers_go_where_they_belong(emulation, command):
         ({"torque_off": [3]}, (0, 2048)),
         ({"powers_up_holding": [3], "power_cycle": [3]}, (1, 2048)),
     ],
-    ids=["a power cycle forgets both", "torque off behind the driver's back", "a servo that powers up holding"],
 )
 def test_torque_and_goal_of_a_servo_after_commands(command, servo, commands, torque_and_goal):
     command(**commands)
@@ -174,40 +159,6 @@ def test_the_rest_reaches_the_servo(command, servo):
     assert (servo.motor.temperature_c, servo.voltage_v) == (66.0, 4.2)
     run(servo, 0.02)
     assert servo.error == StatusFlag.ENCODER
-
-
-# The socket.
-
-
-STEP_S = 0.01
-
-
-@pytest.fixture
-def clock() -> SteppedClock:
-    return SteppedClock()
-
-
-def close(control: ControlSocket) -> None:
-    control._listener.close()
-    for controller in control._controllers:
-        controller.close()
-
-
-@pytest.fixture
-def make(clock: SteppedClock) -> Iterator[Callable[..., EmulatedArm[FeetechServo]]]:
-    """Makes emulated servos; a process would close at its end what is closed here."""
-    with contextlib.ExitStack() as made:
-
-        def servos(**settings: object) -> EmulatedArm[FeetechServo]:
-            config = EmulatedConfig(CALIBRATION, **settings)  # type: ignore[arg-type]
-            one = emulated_feetech_arm(so101(), config, BOUNDS, GuardLimits(), clock)
-            if one.bus.log is not None:
-                made.callback(one.bus.log.close)
-            assert isinstance(one.port, CommandedPort)
-            made.callback(close, one.port._control)
-            return one
-
-        yield servos
 
 
 class Controller:
@@ -239,36 +190,41 @@ class Controller:
 
 
 class Controlled:
-    """Servos with a control socket, read cycle by cycle."""
+    """Servos with a control socket, read cycle by cycle, and those who control them."""
 
-    def __init__(self, servos: EmulatedArm[FeetechServo], clock: SteppedClock, path: Path) -> None:
-        self.servos = servos
-        self.hardware = servos.open()
-        self.path = path
-        self._clock = clock
+    def __init__(self, path: Path, resources: contextlib.ExitStack) -> None:
+        self._path, self._resources, self._clock = path, resources, SteppedClock()
+        config = EmulatedConfig(CALIBRATION, control=path)
+        self.servos = emulated_feetech_arm(so101(), config, BOUNDS, GuardLimits(), self._clock)
+        self.hardware = self.servos.open()
+        resources.callback(self._close)
 
     def cycle(self) -> Measured | None:
-        self._clock.advance(STEP_S)
+        self._clock.advance(0.01)
         return self.hardware.read()
 
+    def connect(self) -> Controller:
+        controller = self._resources.enter_context(contextlib.closing(Controller(self._path)))
+        self.cycle()
+        return controller
+
+    def _close(self) -> None:
+        """Close what a process would close at its end."""
+        assert isinstance(self.servos.port, CommandedPort)
+        control = self.servos.port._control
+        for each in (control._listener, *control._controllers):
+            each.close()
+
 
 @pytest.fixture
-def controlled(make, clock, tmp_path) -> Controlled:
-    path = tmp_path / "control"
-    return Controlled(make(control=path), clock, path)
+def resources() -> Iterator[contextlib.ExitStack]:
+    with contextlib.ExitStack() as stack:
+        yield stack
 
 
 @pytest.fixture
-def connect(controlled) -> Iterator[Callable[[], Controller]]:
-    with contextlib.ExitStack() as open_lines:
-
-        def controller() -> Controller:
-            made = Controller(controlled.path)
-            open_lines.callback(made.close)
-            controlled.cycle()
-            return made
-
-        yield controller
+def controlled(resources, tmp_path) -> Controlled:
+    return Controlled(tmp_path / "control", resources)
 
 
 @pytest.mark.parametrize(
@@ -278,10 +234,9 @@ def connect(controlled) -> Iterator[Callable[[], Controller]]:
         ([b'{"offline": [3]}\n\n{"plugged": true}\n'], [{"ok": True}, {"ok": True, "port": "simulated"}]),
         ([b'{"offl', b'ine": [3]}\n'], [{"ok": True}]),
     ],
-    ids=["one", "several together", "one in pieces"],
 )
-def test_commands_are_carried_out_and_answered_in_their_order_in_the_next_cycle(controlled, connect, pieces, answers):
-    controller = connect()
+def test_commands_are_carried_out_and_answered_in_their_order_in_the_next_cycle(controlled, pieces, answers):
+    controller = controlled.connect()
     for piece in pieces:
         controller.send(piece)
         controlled.cycle()
@@ -289,37 +244,28 @@ def test_commands_are_carried_out_and_answered_in_their_order_in_the_next_cycle(
     assert controlled.servos.bus.faults.offline == {3}
 
 
-def test_a_controller_that_goes_away_makes_room_for_others(controlled, connect):
+def test_more_controllers_than_can_be_wanted_are_let_go_and_those_that_go_away_make_room(controlled):
     for _ in range(MAX_CONTROLLERS):
-        connect().close()
+        controlled.connect().close()
         controlled.cycle()
-    stays = connect()
-    stays.send(b'{"offline": [3]}\n')
-    controlled.cycle()
-    assert stays.answer() == {"ok": True}
-
-
-def test_a_controller_that_sends_no_line_end_is_let_go(controlled, connect):
-    controller = connect()
-    sent = 0
-    with contextlib.suppress(OSError):
-        while sent <= MAX_COMMAND_BYTES + 4096:
-            controller.send(b"x" * 4096)
-            sent += 4096
-            controlled.cycle()
-    assert controller.let_go
-
-
-def test_more_controllers_than_can_be_wanted_are_let_go(controlled, connect):
-    controllers = [connect() for _ in range(MAX_CONTROLLERS + 1)]
+    controllers = [controlled.connect() for _ in range(MAX_CONTROLLERS + 1)]
     assert controllers[-1].let_go
     controllers[-2].send(b'{"offline": [3]}\n')
     controlled.cycle()
     assert controllers[-2].answer() == {"ok": True}
 
 
-def test_an_adapter_is_pulled_and_plugged_in_by_commands(controlled, connect):
-    controller = connect()
+def test_a_controller_that_sends_no_line_end_is_let_go(controlled):
+    controller = controlled.connect()
+    with contextlib.suppress(OSError):
+        for _ in range(MAX_COMMAND_BYTES // 4096 + 2):
+            controller.send(b"x" * 4096)
+            controlled.cycle()
+    assert controller.let_go
+
+
+def test_an_adapter_is_pulled_and_plugged_in_by_commands(controlled):
+    controller = controlled.connect()
     controller.send(b'{"plugged": false}\n')
     with pytest.raises(PortLost):
         controlled.cycle()
@@ -327,23 +273,16 @@ def test_an_adapter_is_pulled_and_plugged_in_by_commands(controlled, connect):
         controlled.servos.open()
     controller.send(b'{"plugged": true}\n')
     measured = controlled.servos.open().read()
-    assert measured is not None
     assert measured.position_rad.shape == (6,)
     assert [controller.answer()["ok"], controller.answer()["ok"]] == [True, True]
 
 
-def test_a_socket_that_an_ended_process_has_left_is_replaced(make, tmp_path):
-    path = tmp_path / "control"
-    with socket.socket(socket.AF_UNIX) as left:
-        left.bind(str(path))
-    make(control=path)
-    with contextlib.closing(Controller(path)):
-        pass
-
-
-def test_a_file_in_the_place_of_the_socket_is_left_alone(make, tmp_path):
-    path = tmp_path / "control"
-    path.write_text("mine")
+def test_a_socket_that_an_ended_process_has_left_is_replaced_and_a_file_left_alone(resources, tmp_path):
+    left, file = tmp_path / "control", tmp_path / "file"
+    with socket.socket(socket.AF_UNIX) as ended:
+        ended.bind(str(left))
+    Controlled(left, resources).connect()
+    file.write_text("mine")
     with pytest.raises(OSError, match="in use"):
-        make(control=path)
-    assert path.read_text() == "mine"
+        Controlled(file, resources)
+    assert file.read_text() == "mine"

@@ -1,3 +1,5 @@
+from typing import Any
+
 import pytest
 
 from robot.emulator.dynamixel import (
@@ -32,8 +34,8 @@ def read(servo: DynamixelServo, register: Register) -> int:
     return register.decode(servo.read(register, len(register.encode(0))))
 
 
-def holding(**kind: int) -> DynamixelServo:
-    servo = servo_at(**kind)  # type: ignore[arg-type]
+def holding(**kind: Any) -> DynamixelServo:
+    servo = servo_at(**kind)
     servo.hold()
     return servo
 
@@ -72,17 +74,13 @@ def test_what_cannot_be_written_is_refused(register: Register, value: int, error
     assert read(servo, register) == before
 
 
-def test_position_mode_refuses_goals_beyond_its_limits() -> None:
+def test_goals_beyond_the_limits_of_position_mode_and_the_eeprom_of_a_driven_servo_are_refused() -> None:
     servo = servo_at(mode=OperatingMode.POSITION)
     assert write(servo, Register.GOAL_POSITION, 3501) == DATA_LIMIT_ERROR
     assert write(servo, Register.GOAL_POSITION, 3500) == 0
-
-
-def test_the_eeprom_is_locked_while_torque_is_on() -> None:
-    servo = holding()
-    assert write(servo, Register.OPERATING_MODE, 3) == ACCESS_ERROR
-    write(servo, Register.TORQUE_ENABLE, 0)
-    assert write(servo, Register.OPERATING_MODE, 3) == 0
+    for torque, refused in ((1, ACCESS_ERROR), (0, 0)):
+        write(servo, Register.TORQUE_ENABLE, torque)
+        assert write(servo, Register.OPERATING_MODE, 4) == refused
 
 
 def test_half_a_register_cannot_be_written_and_nothing_of_the_write_is_taken() -> None:
@@ -119,10 +117,13 @@ def test_a_blocked_servo_pushes_with_its_current_limit() -> None:
     assert read(servo, Register.PRESENT_CURRENT) == pytest.approx(367, abs=3)
 
 
-def test_the_watchdog_stops_a_driven_servo_on_its_way_until_it_is_cleared() -> None:
-    servo = holding()
-    write(servo, Register.PROFILE_VELOCITY, 40)
+def test_the_watchdog_stops_a_driven_servo_on_its_way_until_it_is_cleared_and_no_relaxed_one() -> None:
+    servo = servo_at()
     write(servo, Register.BUS_WATCHDOG, 10)
+    run(servo, 1.0)
+    assert read(servo, Register.BUS_WATCHDOG) == 10
+    servo.hold()
+    write(servo, Register.PROFILE_VELOCITY, 40)
     write(servo, Register.GOAL_POSITION, 3000)
     servo.hear()
     run(servo, 0.18)
@@ -138,14 +139,7 @@ def test_the_watchdog_stops_a_driven_servo_on_its_way_until_it_is_cleared() -> N
     assert write(servo, Register.GOAL_POSITION, 2100) == 0
 
 
-def test_the_watchdog_of_a_relaxed_servo_does_not_trip() -> None:
-    servo = servo_at()
-    write(servo, Register.BUS_WATCHDOG, 10)
-    run(servo, 1.0)
-    assert read(servo, Register.BUS_WATCHDOG) == 10
-
-
-def test_an_overloaded_servo_switches_itself_off_until_it_reboots() -> None:
+def test_an_overloaded_servo_switches_itself_off_until_it_reboots_but_not_by_other_errors() -> None:
     servo = holding()
     servo.plant.block(2050.0)
     write(servo, Register.GOAL_POSITION, 3000)
@@ -157,14 +151,10 @@ def test_an_overloaded_servo_switches_itself_off_until_it_reboots() -> None:
     servo.power_up()
     assert servo.error == 0
     assert write(servo, Register.TORQUE_ENABLE, 1) == 0
-
-
-def test_an_error_that_is_not_in_shutdown_leaves_torque_on() -> None:
-    servo = servo_at(model="xl430-w250")
-    servo.hold()
-    servo.fail(0x01)
-    assert read(servo, Register.TORQUE_ENABLE) == 1
-    assert servo.error == ALERT
+    # An error that is not in SHUTDOWN.
+    other = holding(model="xl430-w250")
+    other.fail(0x01)
+    assert (read(other, Register.TORQUE_ENABLE), other.error) == (1, ALERT)
 
 
 @pytest.mark.parametrize(("quantity", "value", "bit"), [("temperature_c", 71.0, 0x04), ("voltage_v", 7.2, 0x01)])

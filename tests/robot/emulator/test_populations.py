@@ -7,22 +7,14 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register
 from tests.helpers.emulated_family import run
-from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration, so101
 
 JOINTS = [joint.joint for joint in nominal_calibration().joints]
 
 
 @pytest.fixture
-def kit():
-    emulator = SteppedEmulator("--population", "kit")
-    yield emulator
-    emulator.end()
-
-
-def leave_only(kit: SteppedEmulator, *joints: str) -> None:
-    assert kit.command(unplug=JOINTS) == {"ok": True}
-    assert kit.command(plug=list(joints)) == {"ok": True}
+def kit(start_emulator):
+    return start_emulator("--population", "kit")
 
 
 def set_id(bus: Bus, present: int, wanted: int) -> None:
@@ -43,7 +35,7 @@ def test_a_kit_gets_its_ids_one_servo_at_a_time_and_keeps_them(kit):
 
 
 def test_a_servo_that_shares_its_id_leaves_the_others_understood(kit):
-    leave_only(kit, "shoulder_pan", "wrist_roll", "gripper")
+    assert kit.command(unplug=JOINTS) == kit.command(plug=["shoulder_pan", "wrist_roll", "gripper"]) == {"ok": True}
     bus = kit.open_bus()
     kit.command(unplug=["shoulder_pan", "wrist_roll"])
     set_id(bus, 1, 6)
@@ -78,19 +70,15 @@ def test_another_drivers_offsets_shift_what_is_read_and_not_the_arm():
         shift = after.value(Register.HOMING_OFFSET) - before.value(Register.HOMING_OFFSET)
         assert after.present_ticks == before.present_ticks - shift
         assert after.plant.position_ticks == before.plant.position_ticks
-    assert [each.value(Register.HOMING_OFFSET) for each in servos_of("ros2_driver")] == list(
-        ROS2_DRIVER.offset_shift_ticks
-    )
+    shifts = [each.value(Register.HOMING_OFFSET) for each in servos_of("ros2_driver")]
+    assert shifts == list(ROS2_DRIVER.offset_shift_ticks)
 
 
 def test_servos_found_again_read_what_they_read_before():
     start_rad = [0.1, -0.5, 0.4, 0.2, 0.1, 0.3]
-    for shifted, true in zip(
-        build_servos(NOMINAL, start_rad, ROS2_DRIVER, as_read=True),
-        build_servos(NOMINAL, start_rad, FACTORY),
-        strict=True,
-    ):
-        assert shifted.present_ticks == true.present_ticks
+    shifted = build_servos(NOMINAL, start_rad, ROS2_DRIVER, as_read=True)
+    true = build_servos(NOMINAL, start_rad, FACTORY)
+    assert [servo.present_ticks for servo in shifted] == [servo.present_ticks for servo in true]
 
 
 def test_clones_are_of_one_other_model_but_not_of_one_firmware():

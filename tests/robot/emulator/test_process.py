@@ -1,9 +1,8 @@
 import contextlib
 import json
-import os
 import random
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,27 +11,15 @@ import pytest
 import serial
 
 from robot.calibration import MAX_TICK, Calibration, save
+from robot.emulator import process
 from robot.emulator.arm import InProcessPort
 from robot.emulator.control import Emulation, LiveCommand, answer, check
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
-from robot.emulator.process import (
-    LEAD_S,
-    REHEARSALS,
-    Rehearsal,
-    TimedCommand,
-    UsbAdapter,
-    build_bus,
-    build_rehearsal,
-    configure,
-    push,
-    read_script,
-    run,
-    stall,
-    sweep,
-)
+from robot.emulator.process import REHEARSALS, Rehearsal, TimedCommand, UsbAdapter
 from robot.emulator.servo_bus import EmulatedBus, Faults, Reply
 from robot.errors import CalibrationError
 from robot.hardware.feetech.registers import Register
+from tests.helpers.emulated_family import FEETECH as FEETECH_FAMILY
 from tests.helpers.emulator import options_parser
 from tests.helpers.robots import nominal_calibration
 
@@ -50,20 +37,14 @@ def client(adapter):
         yield line
 
 
-def test_every_byte_passes_unaltered(adapter):
-    client = os.open(adapter.port, os.O_RDWR | os.O_NOCTTY)
+def test_every_byte_passes_unaltered_and_those_that_are_not_read_are_lost_without_a_wait(adapter, client):
     every_byte = bytes(range(256))
     adapter.take([reply(1.0, every_byte)])
     adapter.deliver(1.0)
-    assert os.read(client, 512) == every_byte
-    os.write(client, every_byte)
-    assert adapter.read() == every_byte
-    assert adapter.read() == b""
-    os.close(client)
-
-
-def test_bytes_that_are_not_read_are_lost_without_a_wait(adapter):
-    for at_s in range(100):
+    assert client.read(512) == every_byte
+    client.write(every_byte)
+    assert (adapter.read(), adapter.read()) == (every_byte, b"")
+    for at_s in range(2, 100):
         adapter.take([reply(at_s, bytes(4096))])
         adapter.deliver(at_s)
 
@@ -101,14 +82,9 @@ def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due_and_does_not_wait
 def test_with_frames_bytes_are_given_at_the_end_of_theirs(adapter, client):
     adapter.frame_s = 0.001
     adapter.take(BURST)
-    adapter.deliver(1.0009)
-    assert client.read(9) == b""
-    adapter.deliver(1.0011)
-    assert client.read(9) == b"one"
-    adapter.deliver(1.0019)
-    assert client.read(9) == b""
-    adapter.deliver(1.0021)
-    assert client.read(9) == b"two"
+    for now_s, received in ((1.0009, b""), (1.0011, b"one"), (1.0019, b""), (1.0021, b"two")):
+        adapter.deliver(now_s)
+        assert client.read(9) == received
 
 
 def test_a_frozen_adapter_takes_and_gives_nothing_until_it_goes_on(adapter, client):
@@ -159,37 +135,30 @@ def test_an_adapter_that_comes_back_has_dropped_its_queue_and_the_link_leads_the
 def built(*arguments):
     options = options_parser().parse_args(arguments)
     with contextlib.ExitStack() as resources:
-        bus = build_bus(options, resources, 0.0)
-        configure(options, Emulation(bus, InProcessPort(bus, lambda: 0.0)))
+        bus = process.build_bus(options, resources, 0.0)
+        process.configure(options, Emulation(bus, InProcessPort(bus, lambda: 0.0)))
         yield bus
 
 
-def test_without_options_there_is_an_arm_without_faults():
+def test_without_options_there_is_an_arm_without_faults_and_every_fault_that_strikes_by_chance_is_an_option():
     chance = random.Random()
     with built() as bus:
         assert [servo.servo_id for servo in bus.servos] == [1, 2, 3, 4, 5, 6]
         assert replace(bus.faults, random=chance) == Faults(random=chance)
         assert {servo.plant.gravity_permille != 0.0 for servo in bus.servos[1:4]} == {True}
-
-
-def test_every_fault_that_strikes_by_chance_is_an_option():
     for field in fields(Faults):
         if field.type == "float":
             with built("--" + field.name.replace("_", "-"), "0.25") as bus:
                 assert getattr(bus.faults, field.name) == 0.25, field.name
 
 
-def test_the_servos_are_of_the_kind_asked_for():
-    with built("--supply", "4.8", "--heat-rate", "9", "--overload-latches", "--powers-up-holding") as bus:
+def test_servos_and_bus_are_as_asked_for(tmp_path):
+    log, kind = tmp_path / "log", ("--supply", "4.8", "--heat-rate", "9", "--overload-latches", "--powers-up-holding")
+    with built(*kind, "--stall-behind-missing", "--delay-s", "0.1", "--write-log", str(log)) as bus:
         for servo in bus.servos:
             assert (servo.voltage_v, servo.motor.rate, servo.protection.latches) == (4.8, 9.0, True)
             assert servo.value(Register.TORQUE_ENABLE) == 1
             assert servo.value(Register.GOAL_POSITION) == servo.present_ticks
-
-
-def test_the_bus_is_as_asked_for(tmp_path):
-    log = tmp_path / "log"
-    with built("--stall-behind-missing", "--delay-s", "0.1", "--write-log", str(log)) as bus:
         assert bus.faults.stall_behind_missing
         assert bus.faults.delay_s == 0.1
         bus.record_command({})
@@ -202,26 +171,16 @@ def test_the_bus_is_as_asked_for(tmp_path):
         (["--start=a"], "not a list of numbers"),
         (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0"),
         (["--supply", "nan"], "supply: must be a finite number, not nan"),
-    ],
-)
-def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence):
-    with pytest.raises(SystemExit):
-        options_parser().parse_args(arguments)
-    assert sentence in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
         (["--start=0,0,0"], "needs 6 positions, not 3"),
         (["--start=0,9,0,0,0,0"], "shoulder_lift cannot start at 9 rad"),
         (["--calibration", "/nowhere.json"], "/nowhere.json: cannot be read"),
         (["--write-log", "/nowhere/log"], "/nowhere/log"),
     ],
 )
-def test_what_cannot_be_emulated_is_refused_in_a_sentence(arguments, sentence):
-    with pytest.raises((CalibrationError, ValueError, OSError), match=sentence):
-        run(options_parser().parse_args(arguments))
+def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence):
+    with pytest.raises((SystemExit, CalibrationError, ValueError, OSError)) as refused:
+        process.run(options_parser().parse_args(arguments))
+    assert sentence in capsys.readouterr().err + str(refused.value)
 
 
 TICK_S = 0.02
@@ -234,13 +193,11 @@ MEASURED = Calibration(
     tuple(
         joint
         if joint.servo.turns_freely
-        else replace(
-            joint, homing_offset=-300 + 150 * k, range_min=joint.range_min + 60, range_max=joint.range_max - 20
-        )
+        else replace(joint, homing_offset=150 * k - 300, range_min=joint.range_min + 60, range_max=joint.range_max - 20)
         for k, joint in enumerate(NOMINAL.joints)
     )
 )
-ARMS = pytest.mark.parametrize("calibration", [NOMINAL, MEASURED], ids=["nominal", "measured"])
+ARMS = pytest.mark.parametrize("calibration", [NOMINAL, MEASURED])
 
 HOLD = TimedCommand(0.0, {"hand": {"3": 2000}})
 LET_GO = TimedCommand(2.0, {"hand": {"3": None}})
@@ -251,15 +208,15 @@ def bus_of(calibration: Calibration = NOMINAL) -> EmulatedBus[FeetechServo]:
 
 
 def played(
-    commands: Sequence[TimedCommand],
-    calibration: Calibration,
-    prepare: Callable[[EmulatedBus[FeetechServo]], None] = lambda bus: None,
+    commands: Sequence[TimedCommand], calibration: Calibration, elbow_ticks: int | None = None
 ) -> Iterator[tuple[float, tuple[FeetechServo, ...]]]:
-    """Play commands to servos in a time of their own; yields it, from the start on, with the servos."""
+    """Play commands to servos, of which the elbow may hold at a goal, in a time of their own; yields it with them."""
     bus = bus_of(calibration)
     emulation = Emulation(bus, InProcessPort(bus, lambda: 0.0))
     rehearsal = Rehearsal(commands)
-    prepare(bus)
+    if elbow_ticks is not None:
+        for register, value in (("GOAL_POSITION", elbow_ticks), ("TORQUE_LIMIT", 800), ("TORQUE_ENABLE", 1)):
+            FEETECH_FAMILY.write(bus.servos[ELBOW], register, value)
     rehearsal.start(0.0)
     for tick in range(round((commands[-1].at_s + 2.0) / TICK_S)):
         now_s = tick * TICK_S
@@ -267,16 +224,6 @@ def played(
         for due in rehearsal.commands_due(now_s):
             assert json.loads(answer(json.dumps(due.command).encode(), emulation)) == {"ok": True}
         yield now_s, bus.servos
-
-
-def hold_the_elbow_at(goal_ticks: int) -> Callable[[EmulatedBus[FeetechServo]], None]:
-    def hold(bus: EmulatedBus[FeetechServo]) -> None:
-        elbow = bus.servos[ELBOW]
-        elbow.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(goal_ticks))
-        elbow.write(Register.TORQUE_LIMIT, Register.TORQUE_LIMIT.encode(800))
-        elbow.write(Register.TORQUE_ENABLE, bytes([1]))
-
-    return hold
 
 
 def test_every_command_is_due_once_at_its_time_from_the_first_start() -> None:
@@ -312,7 +259,7 @@ def test_a_script_that_takes_no_time_is_not_repeated(commands: list[TimedCommand
 def test_a_script_is_read_line_by_line(tmp_path: Path) -> None:
     file = tmp_path / "script.jsonl"
     file.write_text('{"at_s": 0, "hand": {"3": 2000}}\n\n{"at_s": 2, "hand": {"3": null}, "drop": 0.5}\n{"at_s": 2.5}')
-    assert read_script(file, bus_of()) == (
+    assert process.read_script(file, bus_of()) == (
         HOLD,
         TimedCommand(2.0, {"hand": {"3": None}, "drop": 0.5}),
         TimedCommand(2.5, {}),
@@ -338,14 +285,14 @@ def test_a_line_that_cannot_be_is_refused_with_file_and_number(tmp_path: Path, l
     file = tmp_path / "script.jsonl"
     file.write_text(f'{{"at_s": 1}}\n\n{line}\n')
     with pytest.raises(ValueError, match="^" + re.escape(f"{file}, line 3: {error_text}")):
-        read_script(file, bus_of())
+        process.read_script(file, bus_of())
 
 
 def test_a_script_without_commands_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "script.jsonl"
     file.write_text("\n")
     with pytest.raises(ValueError, match=re.escape(f"{file}: the script has no commands")):
-        read_script(file, bus_of())
+        process.read_script(file, bus_of())
 
 
 @ARMS
@@ -362,10 +309,10 @@ def test_a_sweep_holds_the_middle_and_then_brings_every_joint_to_both_stops_and_
     middle = [(joint.range_min + joint.range_max) // 2 for joint in calibration.joints]
     (free,) = [k for k, joint in enumerate(calibration.joints) if joint.servo.turns_freely]
     lowest, highest = [MAX_TICK] * 6, [0] * 6
-    *_, let_go = commands = sweep(calibration)
+    *_, let_go = commands = process.sweep(calibration)
     for now_s, servos in played(commands, calibration):
         present = [servo.present_ticks for servo in servos]
-        if 1.0 <= now_s < LEAD_S or let_go.at_s - 0.1 < now_s < let_go.at_s:
+        if 1.0 <= now_s < process.LEAD_S or let_go.at_s - 0.1 < now_s < let_go.at_s:
             assert present == middle
         # calibrate takes the middle of a joint that turns freely from wherever the arm is when Enter is pressed.
         assert abs(present[free] - MAX_TICK / 2) <= 1.0
@@ -377,9 +324,9 @@ def test_a_sweep_holds_the_middle_and_then_brings_every_joint_to_both_stops_and_
 
 
 def test_a_joint_that_holds_gives_way_to_a_push_and_comes_back() -> None:
-    start, end = (timed.at_s for timed in push(NOMINAL))
+    start, end = (timed.at_s for timed in process.push(NOMINAL))
     away = {}
-    for now_s, servos in played(push(NOMINAL), NOMINAL, hold_the_elbow_at(2047)):
+    for now_s, servos in played(process.push(NOMINAL), NOMINAL, 2047):
         away[round(now_s, 2)] = abs(servos[ELBOW].present_ticks - 2047)
     assert away[start - 1.0] <= 5
     assert 20 <= away[end - 1.0] <= 50
@@ -387,30 +334,29 @@ def test_a_joint_that_holds_gives_way_to_a_push_and_comes_back() -> None:
 
 
 def test_a_joint_stalls_at_the_obstacle_and_goes_on_when_it_is_taken_away() -> None:
-    start, end = (timed.at_s for timed in stall(NOMINAL))
+    start, end = (timed.at_s for timed in process.stall(NOMINAL))
     ticks = {}
-    for now_s, servos in played(stall(NOMINAL), NOMINAL, hold_the_elbow_at(2047)):
+    for now_s, servos in played(process.stall(NOMINAL), NOMINAL, 2047):
         elbow = servos[ELBOW]
         if abs(now_s - start - 1.0) < TICK_S / 2:
-            elbow.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(2373))
+            FEETECH_FAMILY.write(elbow, "GOAL_POSITION", 2373)
         ticks[round(now_s, 2)] = elbow.present_ticks
-    (obstacle,) = stall(NOMINAL)[0].command["obstacle"].values()
+    (obstacle,) = process.stall(NOMINAL)[0].command["obstacle"].values()
     assert ticks[start + 2.5] == obstacle < 2373 - 60
     assert ticks[end + 1.0] == pytest.approx(2373, abs=5)
 
 
 def rehearsed(*arguments: str) -> Rehearsal:
     """The rehearsal that a command line asks for."""
-    return build_rehearsal(options_parser().parse_args(arguments), bus_of())
+    return process.build_rehearsal(options_parser().parse_args(arguments), bus_of())
 
 
 @pytest.mark.parametrize("name", REHEARSALS)
 def test_a_rehearsal_is_that_of_the_arm_which_is_emulated(tmp_path: Path, name: str) -> None:
     save(MEASURED, tmp_path / "arm.json")
     assert rehearsed("--rehearse", name).commands == REHEARSALS[name](NOMINAL)
-    assert rehearsed("--rehearse", name, "--calibration", str(tmp_path / "arm.json")).commands == REHEARSALS[name](
-        MEASURED
-    )
+    measured = rehearsed("--rehearse", name, "--calibration", str(tmp_path / "arm.json"))
+    assert measured.commands == REHEARSALS[name](MEASURED)
 
 
 @pytest.mark.parametrize("ready_made", [True, False])

@@ -1,5 +1,3 @@
-"""Servos on one wire: what both families do alike, Feetech's wire and maintenance, Dynamixel's errors."""
-
 import contextlib
 import json
 import random
@@ -75,15 +73,12 @@ def wire(family: Family) -> Wire:
 
 
 @OF_BOTH_FAMILIES
-@given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=60))
-def test_any_instruction_raises_no_exception(family: Family, servo_id: int, code: int, parameters: bytes) -> None:
-    Wire(family).ask(servo_id, code, parameters)
-
-
-@OF_BOTH_FAMILIES
-@given(st.binary(max_size=200))
-def test_any_bytes_at_all_leave_the_servos_able_to_answer(family: Family, data: bytes) -> None:
+@given(st.integers(0, 255), st.integers(0, 255), st.binary(max_size=60), st.binary(max_size=200))
+def test_any_instruction_and_any_bytes_at_all_leave_the_servos_able_to_answer(
+    family: Family, servo_id: int, code: int, parameters: bytes, data: bytes
+) -> None:
     wire = Wire(family)
+    wire.ask(servo_id, code, parameters)
     wire.send(data)
     wire.now_s = 10.0
     servo = family.build(7)
@@ -92,17 +87,20 @@ def test_any_bytes_at_all_leave_the_servos_able_to_answer(family: Family, data: 
 
 
 @OF_BOTH_FAMILIES
-def test_a_ping_is_answered_by_the_servo_named_and_a_broadcast_ping_by_all(wire: Wire) -> None:
+def test_an_instruction_is_answered_by_its_servo_a_broadcast_by_none_and_a_ping_by_all(
+    family: Family, wire: Wire
+) -> None:
     replies = [wire.status(servo.servo_id, servo.ping()) for servo in wire.servos]
-    assert wire.ask(3, PING) == replies[2]
-    assert wire.ask(9, PING) == b""
-    assert wire.ask(ALL, PING) == b"".join(replies)
-
-
-@OF_BOTH_FAMILIES
-def test_a_read_is_answered_and_a_broadcast_read_by_none(family: Family, wire: Wire) -> None:
+    assert (wire.ask(3, PING), wire.ask(9, PING), wire.ask(ALL, PING)) == (replies[2], b"", b"".join(replies))
     assert wire.ask(2, READ, family.block("ID")) == wire.status(2, b"\x02")
     assert wire.ask(ALL, READ, family.block("ID")) == b""
+    assert wire.ask(2, WRITE, family.assignment("GOAL_POSITION", 2100)) == wire.status(2)
+    assert wire.ask(ALL, WRITE, family.assignment("TORQUE_ENABLE", 1)) == b""
+    assert (wire.values("GOAL_POSITION"), wire.values("TORQUE_ENABLE")) == ([0, 2100, 0], [1, 1, 1])
+    goal = family.registers.Register.GOAL_POSITION
+    data = b"".join(bytes([servo]) + goal.encode(2000 + servo) for servo in (1, 3))
+    assert wire.ask(ALL, SYNC_WRITE, family.block("GOAL_POSITION") + data) == b""
+    assert wire.values("GOAL_POSITION") == [2001, 2100, 2003]
 
 
 @OF_BOTH_FAMILIES
@@ -113,21 +111,6 @@ def test_a_sync_read_is_answered_in_its_order_and_may_end_at_a_servo_that_is_mis
     wire.bus.faults.offline, wire.bus.faults.stall_behind_missing = {2}, stalls
     replies = b"".join(wire.status(servo, bytes([servo])) for servo in answering)
     assert wire.ask(ALL, SYNC_READ, family.block("ID") + bytes([3, 2, 1])) == replies
-
-
-@OF_BOTH_FAMILIES
-def test_a_sync_write_is_taken_by_each_servo_and_answered_by_none(family: Family, wire: Wire) -> None:
-    goal = family.registers.Register.GOAL_POSITION
-    data = b"".join(bytes([servo]) + goal.encode(2000 + servo) for servo in (1, 3))
-    assert wire.ask(ALL, SYNC_WRITE, family.block("GOAL_POSITION") + data) == b""
-    assert wire.values("GOAL_POSITION") == [2001, 0, 2003]
-
-
-@OF_BOTH_FAMILIES
-def test_a_write_is_acknowledged_by_its_servo_and_a_broadcast_write_by_none(family: Family, wire: Wire) -> None:
-    assert wire.ask(2, WRITE, family.assignment("GOAL_POSITION", 2100)) == wire.status(2)
-    assert wire.ask(ALL, WRITE, family.assignment("TORQUE_ENABLE", 1)) == b""
-    assert (wire.values("GOAL_POSITION"), wire.values("TORQUE_ENABLE")) == ([0, 2100, 0], [1, 1, 1])
 
 
 @OF_BOTH_FAMILIES
@@ -156,10 +139,13 @@ def test_an_instruction_for_a_servo_that_is_offline_or_lost_is_not_carried_out(f
 
 
 @OF_BOTH_FAMILIES
-def test_an_instruction_whose_reply_is_lost_is_carried_out(family: Family) -> None:
+def test_an_instruction_whose_reply_is_lost_is_carried_out_and_its_servo_moves(family: Family) -> None:
     wire = Wire(family, drop=1.0)
-    assert wire.ask(2, WRITE, family.assignment("TORQUE_ENABLE", 1)) == b""
-    assert wire.values("TORQUE_ENABLE") == [0, 1, 0]
+    for name, value in (("GOAL_POSITION", 2500), ("TORQUE_ENABLE", 1)):
+        assert wire.ask(2, WRITE, family.assignment(name, value)) == b""
+    for k in range(50):
+        wire.bus.advance(0.02 * k)
+    assert [servo.present_ticks for servo in wire.servos] == pytest.approx([2048, 2500, 2048], abs=1)
 
 
 @OF_BOTH_FAMILIES
@@ -188,17 +174,6 @@ def test_a_damaged_instruction_is_not_carried_out(family: Family, wire: Wire, at
     assert wire.values("TORQUE_ENABLE") == [0, 0, 0]
 
 
-@OF_BOTH_FAMILIES
-def test_servos_move_while_the_bus_is_silent(family: Family, wire: Wire) -> None:
-    wire.ask(1, WRITE, family.assignment("GOAL_POSITION", 2500))
-    wire.ask(1, WRITE, family.assignment("TORQUE_ENABLE", 1))
-    for k in range(50):
-        wire.bus.advance(0.02 * k)
-    assert wire.servos[0].present_ticks == pytest.approx(2500, abs=1)
-
-
-# Packets.
-
 INSTRUCTIONS = st.builds(Instruction, st.integers(0, ALL), st.integers(1, 0x83), st.binary(max_size=60))
 
 
@@ -207,20 +182,20 @@ def bytes_of(family: Family, instruction: Instruction) -> bytes:
 
 
 @OF_BOTH_FAMILIES
-@given(st.lists(INSTRUCTIONS, max_size=4), st.lists(st.integers(1, 40), max_size=20))
-def test_instructions_may_come_in_pieces(family: Family, instructions: list[Instruction], cuts: list[int]) -> None:
-    stream = b"".join(bytes_of(family, instruction) for instruction in instructions)
+@given(
+    st.lists(st.integers(0, 0xFE), max_size=60).map(bytes),
+    st.lists(INSTRUCTIONS, max_size=4),
+    st.lists(st.integers(1, 40), max_size=20),
+)
+def test_instructions_may_come_in_pieces_and_behind_noise(
+    family: Family, noise: bytes, instructions: list[Instruction], cuts: list[int]
+) -> None:
+    stream = noise + b"".join(bytes_of(family, instruction) for instruction in instructions)
     parser, parsed = InstructionParser(family.codec), []
     for count in [*cuts, len(stream)]:
         parsed += parser.feed(stream[:count], 0.0)
         stream = stream[count:]
     assert parsed == instructions
-
-
-@OF_BOTH_FAMILIES
-@given(st.lists(st.integers(0, 0xFE), max_size=60).map(bytes), INSTRUCTIONS)
-def test_noise_before_an_instruction_is_skipped(family: Family, noise: bytes, instruction: Instruction) -> None:
-    assert InstructionParser(family.codec).feed(noise + bytes_of(family, instruction), 0.0) == [instruction]
 
 
 @OF_BOTH_FAMILIES
@@ -241,15 +216,12 @@ def test_packets_sent_at_once_are_heard_as_none_of_them() -> None:
     assert heard
 
 
-# Time on the wire.
-
 BLOCK_READ = packet(ALL, SYNC_READ, [56, 15, *range(1, 7)])
 
 
 def bus_with(faults: Faults | None = None, **settings: Any) -> EmulatedBus[FeetechServo]:
-    return EmulatedBus(
-        build_servos(nominal_calibration(), [0.0] * 6), FEETECH_CODEC, faults or Faults(), 0.0, **settings
-    )
+    servos = build_servos(nominal_calibration(), [0.0] * 6)
+    return EmulatedBus(servos, FEETECH_CODEC, faults or Faults(), 0.0, **settings)
 
 
 @pytest.fixture
@@ -261,26 +233,18 @@ def said(bus, data, now_s=0.0, baudrate=1_000_000):
     return b"".join(reply.data for reply in bus.receive(data, now_s, baudrate))
 
 
-def test_replies_are_due_when_their_last_byte_has_passed_the_wire(bus):
-    replies = bus.receive(BLOCK_READ, 5.0)
-    assert [reply.due_s - 5.0 for reply in replies] == pytest.approx(
-        [14 * 10e-6 + (k + 1) * (21 * 10e-6 + 20e-6) for k in range(6)]
-    )
-
-
-def test_the_return_delay_holds_up_each_reply(bus):
-    (at_once,) = bus.receive(packet(1, PING), 1.0)
-    bus.servos[0].write(Register.RETURN_DELAY, bytes([250]))
-    (delayed,) = bus.receive(packet(1, PING), 2.0)
-    assert (delayed.due_s - 2.0) - (at_once.due_s - 1.0) == pytest.approx(500e-6)
-
-
-def test_instructions_that_come_together_are_answered_one_after_the_other(bus):
-    first, second = bus.receive(packet(1, PING) + packet(2, PING), 0.0)
+def test_replies_are_due_when_their_last_byte_has_passed_the_wire_the_return_delay_and_those_before_it(bus):
+    due_s = [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)]
+    assert due_s == pytest.approx([5.0 + 14 * 10e-6 + (k + 1) * (21 * 10e-6 + 20e-6) for k in range(6)])
+    (at_once,) = bus.receive(packet(1, PING), 6.0)
+    first, second = bus.receive(packet(1, PING) + packet(2, PING), 7.0)
     assert second.due_s - first.due_s == pytest.approx(12 * 10e-6 + 20e-6)
+    bus.servos[0].write(Register.RETURN_DELAY, bytes([250]))
+    (delayed,) = bus.receive(packet(1, PING), 8.0)
+    assert (delayed.due_s - 8.0) - (at_once.due_s - 6.0) == pytest.approx(500e-6)
 
 
-def test_who_talks_over_replies_is_not_heard_and_loses_them(bus):
+def test_who_talks_over_replies_is_not_heard_and_loses_them_but_is_heard_when_they_are_over(bus):
     bus.receive(packet(ALL, WRITE, [Register.TORQUE_ENABLE, 1]), 0.0)
     replies = bus.receive(BLOCK_READ, 1.0)
     whole = [reply.data for reply in replies]
@@ -288,10 +252,7 @@ def test_who_talks_over_replies_is_not_heard_and_loses_them(bus):
     assert said(bus, packet(ALL, WRITE, [Register.TORQUE_ENABLE, 0]), now_s) == b""
     assert {servo.value(Register.TORQUE_ENABLE) for servo in bus.servos} == {1}
     assert [reply.data for reply in replies] == [*whole[:2], whole[2][:5], b"", b"", b""]
-
-
-def test_who_talks_when_the_replies_are_over_is_heard(bus):
-    replies = bus.receive(BLOCK_READ, 1.0)
+    replies = bus.receive(BLOCK_READ, 2.0)
     assert said(bus, packet(1, PING), replies[-1].end_s) == FEETECH_CODEC.status_packet(1, 0)
     assert all(len(reply.data) == 21 for reply in replies)
 
@@ -313,24 +274,31 @@ def test_without_wire_time_every_reply_is_there_at_once_whatever_the_return_dela
     assert said(bus, packet(1, PING), 5.0) == FEETECH_CODEC.status_packet(1, 0)
 
 
-# Feetech alone.
-
-
 @pytest.fixture
 def feetechs() -> Wire:
     return Wire(FEETECH)
 
 
-def test_a_servo_of_response_level_0_answers_pings_and_reads_alone(feetechs):
+@pytest.fixture
+def dynamixels() -> Wire:
+    return Wire(DYNAMIXEL)
+
+
+def test_a_servo_answers_no_more_than_its_response_level_allows(feetechs, dynamixels):
     feetechs.servos[1].write(Register.RESPONSE_LEVEL, bytes([0]))
     assert feetechs.ask(2, PING) == feetechs.status(2)
     assert feetechs.ask(2, READ, FEETECH.block("ID")) == feetechs.status(2, b"\x02")
     assert feetechs.ask(2, WRITE, FEETECH.assignment("TORQUE_LIMIT", 100)) == b""
     assert feetechs.ask(ALL, SYNC_READ, FEETECH.block("ID") + b"\x02") == feetechs.status(2, b"\x02")
+    for level, answers in ((1, [False, True, True]), (0, [False, False, True])):
+        dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("STATUS_RETURN_LEVEL", level))
+        asked = ((WRITE, DYNAMIXEL.assignment("LED", 1)), (READ, DYNAMIXEL.block("LED")), (PING, b""))
+        assert [dynamixels.ask(2, *each) != b"" for each in asked] == answers
 
 
-def test_an_instruction_that_makes_no_sense_does_nothing_and_is_not_answered(feetechs):
+def test_an_instruction_that_makes_no_sense_does_nothing_and_is_an_error_of_a_dynamixel(feetechs, dynamixels):
     assert feetechs.ask(2, 0x55) == feetechs.ask(2, READ, b"\x05") == feetechs.ask(ALL, SYNC_READ, b"\x05\x01") == b""
+    assert dynamixels.ask(2, 0x92, b"\x01") == dynamixels.status(2, error=INSTRUCTION_ERROR)
 
 
 def test_a_restore_brings_back_what_was_backed_up_for_good_and_keeps_the_id(feetechs):
@@ -345,21 +313,16 @@ def test_a_restore_brings_back_what_was_backed_up_for_good_and_keeps_the_id(feet
 
 
 @pytest.mark.parametrize(("code", "parameters"), [(CALIBRATE, b""), (WRITE, bytes([Register.TORQUE_ENABLE, 128]))])
-def test_the_present_position_is_made_the_middle_for_good(feetechs, code, parameters):
-    servo = feetechs.servos[2]
-    servo.plant.position_ticks = 1000.0
-    servo.write(Register.TORQUE_ENABLE, bytes([1]))
-    feetechs.ask(3, code, parameters)
-    assert (servo.present_ticks, servo.value(Register.TORQUE_ENABLE)) == (2048, 1)
-    feetechs.ask(3, REBOOT)
-    assert servo.present_ticks == 2048
-
-
-def test_a_middle_out_of_reach_comes_as_near_as_the_offset_goes(feetechs):
-    servo = feetechs.servos[0]
-    servo.plant.position_ticks = 0.0
-    feetechs.ask(1, CALIBRATE)
-    assert (servo.present_ticks, servo.value(Register.HOMING_OFFSET)) == (2047, -2047)
+def test_the_present_position_is_made_the_middle_for_good_or_as_near_as_the_offset_goes(feetechs, code, parameters):
+    for servo, at, shown in ((2, 1000.0, 2048), (0, 0.0, 2047)):
+        made = feetechs.servos[servo]
+        made.plant.position_ticks = at
+        made.write(Register.TORQUE_ENABLE, bytes([1]))
+        feetechs.ask(servo + 1, code, parameters)
+        assert (made.present_ticks, made.value(Register.TORQUE_ENABLE)) == (shown, 1)
+        feetechs.ask(servo + 1, REBOOT)
+        assert made.present_ticks == shown
+    assert feetechs.values("HOMING_OFFSET")[0] == -2047
 
 
 def test_a_reset_of_turns_is_acknowledged_and_changes_nothing(feetechs):
@@ -389,28 +352,6 @@ def test_writes_and_commands_are_recorded_and_nothing_else(tmp_path: Path) -> No
     ]
 
 
-# Dynamixel alone.
-
-
-@pytest.fixture
-def dynamixels() -> Wire:
-    return Wire(DYNAMIXEL)
-
-
-def test_an_unknown_instruction_is_an_instruction_error(dynamixels):
-    assert dynamixels.ask(2, 0x92, b"\x01") == dynamixels.status(2, error=INSTRUCTION_ERROR)
-
-
-def test_a_servo_answers_no_more_than_its_status_return_level_allows(dynamixels):
-    led = DYNAMIXEL.assignment("LED", 1)
-    dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("STATUS_RETURN_LEVEL", 1))
-    assert dynamixels.ask(2, WRITE, led) == b""
-    assert dynamixels.ask(2, READ, DYNAMIXEL.block("LED")) != b""
-    dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("STATUS_RETURN_LEVEL", 0))
-    assert dynamixels.ask(2, READ, DYNAMIXEL.block("LED")) == b""
-    assert dynamixels.ask(2, PING) != b""
-
-
 def test_every_instruction_on_the_bus_feeds_every_watchdog(dynamixels):
     for servo in dynamixels.servos:
         servo.hold()
@@ -425,7 +366,6 @@ def test_every_instruction_on_the_bus_feeds_every_watchdog(dynamixels):
 
 ID = 1
 SENT = FEETECH_CODEC.status_packet(ID, 0, bytes(15))
-OF_REPLIES = ["drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise"]
 
 
 def faults(seed=5, **probabilities):
@@ -436,7 +376,7 @@ def arrived(chance):
     return chance.apply(FEETECH_CODEC.status_packet(chance.id_of_reply(ID), 0, bytes(15)))
 
 
-@pytest.mark.parametrize("name", OF_REPLIES)
+@pytest.mark.parametrize("name", ["drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise"])
 def test_a_reply_is_struck_as_often_as_asked_and_alike_for_a_seed(name):
     def arrivals():
         chance = faults(**{name: 0.3})
@@ -458,39 +398,25 @@ def test_a_doubled_reply_comes_twice_and_a_noisy_one_ends_as_it_was_sent():
     assert len(noisy) > len(SENT)
 
 
-def lines_of(path, record):
-    log = WriteLog(path)
-    record(log)
-    lines = [json.loads(line) for line in path.read_text().splitlines()]  # not closed: a killed process leaves all
-    log.close()
-    return lines
-
-
-def test_a_line_has_the_write_and_the_state_of_every_servo(tmp_path):
-    servos = build_servos(nominal_calibration(), [0.0] * 6)
+def test_a_line_has_the_write_by_its_whole_registers_and_the_state_of_every_servo(tmp_path):
+    block, servos, log = goal_block(-5, 700), build_servos(nominal_calibration(), [0.0] * 6), WriteLog(tmp_path / "log")
     servos[1].write(40, b"\x01")
     before_s = time.monotonic()
-    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(12.5, 3, 40, {2: b"\x01"}, servos))
+    log.record_write(12.5, 0x83, 41, {3: block, 4: block[:2]}, servos)
+    # Not closed: a killed process leaves all.
+    (line,) = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
+    log.close()
     assert before_s <= line.pop("machine_t") <= time.monotonic()
+    whole = {"ACCELERATION": 254, "GOAL_POSITION": -5, "GOAL_TIME": 0, "GOAL_VELOCITY": 700}
     assert line == {
         "t": 12.5,
-        "instruction": "write",
-        "address": 40,
-        "data": {"2": [1]},
-        "registers": {"2": {"TORQUE_ENABLE": 1}},
+        "instruction": "sync_write",
+        "address": 41,
+        "data": {"3": list(block), "4": list(block[:2])},
+        "registers": {"3": whole, "4": {"ACCELERATION": 254}},
         "present": {str(servo.servo_id): servo.present_ticks for servo in servos},
         "torque": {"1": 0, "2": 1, "3": 0, "4": 0, "5": 0, "6": 0},
         "goal": {str(i): 0 for i in range(1, 7)},
         "limit": {str(i): 1000 for i in range(1, 7)},
         "status": {str(i): 0 for i in range(1, 7)},
-    }
-
-
-def test_the_registers_wholly_written_are_named_and_decoded(tmp_path):
-    block, servos = goal_block(-5, 700), build_servos(nominal_calibration(), [0.0] * 6)
-    data = {3: block, 4: block[:2]}
-    (line,) = lines_of(tmp_path / "log", lambda log: log.record_write(0.0, 0x83, 41, data, servos))
-    assert line["registers"] == {
-        "3": {"ACCELERATION": 254, "GOAL_POSITION": -5, "GOAL_TIME": 0, "GOAL_VELOCITY": 700},
-        "4": {"ACCELERATION": 254},
     }

@@ -3,6 +3,7 @@ import ssl
 import stat
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cryptography import x509
@@ -26,36 +27,32 @@ def leaf(files: CertificateFiles) -> x509.Certificate:
     return x509.load_pem_x509_certificates(files.certificate.read_bytes())[0]
 
 
+def of(kind: type, certificate: x509.Certificate) -> Any:
+    """An extension of a certificate."""
+    return certificate.extensions.get_extension_for_class(kind)
+
+
 def test_the_certificate_has_what_phones_ask_for(files: CertificateFiles) -> None:
     outcome = ensure_certificate(files, NAMES, NOW)
     certificate = leaf(files)
-    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    names = of(x509.SubjectAlternativeName, certificate).value
     assert names.get_values_for_type(x509.DNSName) == ["arm.local"]
     assert [str(each) for each in names.get_values_for_type(x509.IPAddress)] == ["127.0.0.1", "::1"]
     assert [each.value for each in certificate.subject] == ["arm.local"]
-    usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
-    assert list(usage) == [ExtendedKeyUsageOID.SERVER_AUTH]
-    validity = certificate.not_valid_after_utc - certificate.not_valid_before_utc
-    assert validity <= timedelta(days=398)
+    assert list(of(x509.ExtendedKeyUsage, certificate).value) == [ExtendedKeyUsageOID.SERVER_AUTH]
+    assert certificate.not_valid_after_utc - certificate.not_valid_before_utc <= timedelta(days=398)
     assert certificate.not_valid_before_utc < NOW
     assert outcome.ends == certificate.not_valid_after_utc
-    constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
-    assert not constraints.ca
+    assert not of(x509.BasicConstraints, certificate).value.ca
 
 
-def test_the_authority_signs_servers_alone(files: CertificateFiles) -> None:
+def test_the_authority_signs_servers_alone_and_keys_are_of_the_user_alone(files: CertificateFiles) -> None:
     ensure_certificate(files, NAMES, NOW)
-    authority = x509.load_pem_x509_certificate(files.authority.read_bytes())
-    constraints = authority.extensions.get_extension_for_class(x509.BasicConstraints)
+    constraints = of(x509.BasicConstraints, x509.load_pem_x509_certificate(files.authority.read_bytes()))
     assert constraints.critical
     assert constraints.value == x509.BasicConstraints(ca=True, path_length=0)
-
-
-def test_keys_and_their_folder_are_of_the_user_alone(files: CertificateFiles) -> None:
-    ensure_certificate(files, NAMES, NOW)
-    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (files.authority_key, files.key)}
-    assert modes == {"armbridge-authority.key": 0o600, "server.key": 0o600}
-    assert stat.S_IMODE(files.directory.stat().st_mode) == 0o700
+    kept = {files.authority_key: 0o600, files.key: 0o600, files.directory: 0o700}
+    assert {path: stat.S_IMODE(path.stat().st_mode) for path in kept} == kept
 
 
 async def test_a_client_that_knows_the_authority_alone_trusts_the_server(files: CertificateFiles) -> None:

@@ -29,16 +29,19 @@ class Leased:
 
 @pytest.fixture
 def leased() -> Leased:
-    return Leased()
+    """An arm that ``a`` drives since 0 s."""
+    made = Leased()
+    made.lease.drive(made.a, 0.0)
+    return made
 
 
 def test_another_client_is_told_the_holder_the_time_and_how_control_becomes_free(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
-    refusal = leased.lease.drive(leased.b, 1.0)
-    assert refusal == (
+    assert leased.lease.drive(leased.b, 1.0) == (
         "a has controlled the arm since 13:46:40 UTC; it is free when that client leaves, calls "
         "/arm/release_control, or asks for nothing for another 9 s (access.control_idle_s = 10)"
     )
+    # Parts of the server are not asked.
+    assert leased.lease.drive(Node("inside"), 0.0) is None
     assert leased.lease.holder is leased.a
 
 
@@ -69,7 +72,6 @@ def test_answers_name_the_arm_and_are_true_for_the_next_client() -> None:
 
 
 def test_another_is_told_of_the_goal_that_runs_and_of_its_end(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
     leased.busy = GOAL
     assert leased.lease.drive(leased.b, 20.0) == (
         "a has controlled the arm since 13:46:40 UTC, and goal 5 of a from /execute_trajectory runs until about "
@@ -79,7 +81,6 @@ def test_another_is_told_of_the_goal_that_runs_and_of_its_end(leased: Leased) ->
 
 
 def test_another_is_told_of_a_goal_whose_end_is_not_known_and_of_those_behind_it(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
     leased.busy = RunningGoal("goal 5 of a from /move_action", None, 2)
     assert (
         "goal 5 of a from /move_action is worked on, whose motion has not begun, and 2 more wait behind it; it is free"
@@ -87,14 +88,12 @@ def test_another_is_told_of_a_goal_whose_end_is_not_known_and_of_those_behind_it
 
 
 def test_an_idle_holder_loses_control(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
     leased.lease.drive(leased.a, 5.0)
     assert leased.lease.drive(leased.b, 14.9) is not None
     assert leased.lease.drive(leased.b, 15.0) is None
 
 
 def test_nobody_idles_while_a_goal_is_worked_on_nor_right_after(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
     leased.busy = GOAL
     leased.lease.tick(60.0)
     leased.busy = None
@@ -113,14 +112,12 @@ def test_an_idle_holder_of_one_arm_loses_it_to_a_client_that_drives_all() -> Non
     "thief", [Identity("", Role.ADMIN), Identity("otto", Role.OPERATE), Identity("screen", Role.VIEW), None]
 )
 def test_nobody_but_an_admin_by_token_takes_it_from_another(leased: Leased, thief: Identity | None) -> None:
-    leased.lease.drive(leased.a, 0.0)
     leased.b.identity = thief
     assert "access.admin_tokens" in str(leased.lease.release(leased.b, 0.0))
     assert leased.lease.holder is leased.a
 
 
 def test_after_an_admin_released_control_its_former_holder_waits(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
     leased.b.identity = Identity("ada", Role.ADMIN)
     leased.lease.release(leased.b, 1.0)
     assert "b has taken control from another; it is free in 2 s" in str(leased.lease.drive(leased.a, 2.0))
@@ -131,18 +128,11 @@ def test_after_an_admin_released_control_its_former_holder_waits(leased: Leased)
 
 @pytest.mark.parametrize("leaves", [True, False])
 def test_an_admin_that_does_not_take_control_keeps_nobody_waiting(leased: Leased, leaves: bool) -> None:
-    leased.lease.drive(leased.a, 0.0)
     leased.b.identity = Identity("ada", Role.ADMIN)
     leased.lease.release(leased.b, 1.0)
     if leaves:
         leased.lease.leave(leased.b)
     assert leased.lease.drive(leased.a, 1.5 if leaves else 1.0 + RESERVED_S) is None
-
-
-def test_parts_of_the_server_are_not_asked(leased: Leased) -> None:
-    leased.lease.drive(leased.a, 0.0)
-    assert leased.lease.drive(Node("inside"), 0.0) is None
-    assert leased.lease.holder is leased.a
 
 
 class World(InProcess):
@@ -152,12 +142,10 @@ class World(InProcess):
         super().__init__(access=AccessSettings.model_validate(settings))
         self.control = ControlServices(LocalGraph(self.graph), self.access.lease, self.clock, self.clock.call_later)
 
-    def call(self, client: str, service: str) -> dict[str, Any]:
+    def call(self, client: str, service: str) -> Any:
         self.say(client, op="call_service", service=service, id="asked")
-        answers = [heard for heard in self.heard(client) if heard.get("id") == "asked"]
-        assert len(answers) == 1
-        values: dict[str, Any] = answers[0]["values"]
-        return values
+        (answer,) = (heard for heard in self.heard(client) if heard.get("id") == "asked")
+        return answer["values"]
 
     def watch(self, client: str) -> None:
         self.say(client, op="subscribe", topic="/arm/control")
@@ -174,9 +162,8 @@ def world() -> World:
 def test_a_late_subscriber_hears_at_once_that_nobody_has_control(world: World) -> None:
     world.watch("late")
     (status,) = world.told("late")
-    assert status["name"] == "control"
-    assert status["hardware_id"] == ""
-    assert status["message"] == "nobody controls the arm; the first who moves it does"
+    sentence = "nobody controls the arm; the first who moves it does"
+    assert (status["name"], status["hardware_id"], status["message"]) == ("control", "", sentence)
     told = {"holder": "", "address": "", "policy": "lease", "since": "", "idle_s": "0", "free_in_s": ""}
     assert values_of(status) == told
 
@@ -188,14 +175,8 @@ def test_the_client_that_takes_control_is_named(world: World) -> None:
     assert world.call("a", "/arm/take_control") == {"success": True, "message": "a controls the arm"}
     (status,) = world.told("viewer")
     assert (status["hardware_id"], status["message"]) == ("a", "a controls the arm")
-    assert values_of(status) | {"since": ""} == {
-        "holder": "a",
-        "address": "10.0.0.1:5",
-        "policy": "lease",
-        "since": "",
-        "idle_s": "0",
-        "free_in_s": "10",
-    }
+    told = {"holder": "a", "address": "10.0.0.1:5", "policy": "lease", "since": "", "idle_s": "0", "free_in_s": "10"}
+    assert values_of(status) | {"since": ""} == told
 
 
 async def test_a_client_that_leaves_releases_control_and_others_are_told(world: World) -> None:
@@ -225,18 +206,17 @@ async def test_the_time_until_control_is_free_includes_that_of_the_goal(world: W
 
 async def test_no_beat_comes_after_the_end(world: World) -> None:
     world.call("a", "/arm/take_control")
+    world.control.close()
     world.watch("viewer")
     world.told("viewer")
-    world.control.close()
     await world.advance(5.0)
     assert world.told("viewer") == []
 
 
 def test_with_shared_control_every_client_is_granted_it() -> None:
     world = World(control="shared")
-    for name in ("a", "b"):
-        answer = world.call(name, "/arm/take_control")
-        assert answer == {"success": True, "message": "all clients may drive the arm at once (access.control)"}
+    answer = {"success": True, "message": "all clients may drive the arm at once (access.control)"}
+    assert [world.call(name, "/arm/take_control") for name in ("a", "b")] == [answer] * 2
 
 
 def test_a_client_is_told_what_it_is_called_and_what_it_may_do(world: World) -> None:

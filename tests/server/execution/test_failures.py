@@ -1,12 +1,11 @@
 import asyncio
 import itertools
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from planners.files import problem_file
-from planners.goals import AnyGoal, JointGoal
+from planners.goals import JointGoal
 from planners.problem import CartesianProblem, Line, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
 from server.execution import failures
@@ -16,13 +15,8 @@ from tests.helpers.motions import EASY
 from tests.helpers.moveit import DirectPool
 from tests.helpers.robots import so101
 
-IN_THE_WAY = Scene(1, (SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),), Pose((0.2, 0.0, 0.1))),))
 FAILURE = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "the goal touches the box")
-
-KEPT = 5
-
-TIP = "gripper_frame_link"
-
+KEPT, TIP = 5, "gripper_frame_link"
 # A wall beside the arm, which reaches over it in its home position.
 WALL = Scene(version=31, objects=(SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.25, 0.3))),))
 
@@ -32,17 +26,13 @@ def failed_goals(tmp_path: Path) -> FailedGoals:
     return FailedGoals(tmp_path / "failed", so101(), itertools.count(1_800_000_000).__next__, KEPT)
 
 
-def names(directory: Path) -> list[str]:
-    return sorted(path.name for path in directory.glob("*.json"))
-
-
 async def test_a_saved_goal_is_read_as_it_was_written(failed_goals: FailedGoals, tmp_path: Path) -> None:
-    await failed_goals.save(EASY, IN_THE_WAY, FAILURE)
+    await failed_goals.save(EASY, WALL, FAILURE)
     (path,) = (tmp_path / "failed").glob("*.json")
     assert path.name == "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json"
     saved = problem_file.read(path, so101())
     assert saved.problems[0].problem.goal == EASY.goal
-    assert saved.scene.objects == IN_THE_WAY.objects
+    assert saved.scene.objects == WALL.objects
 
 
 async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Path) -> None:
@@ -50,7 +40,7 @@ async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Pa
     (tmp_path / "failed" / "notes.json").write_text("of the user")
     for _ in range(KEPT + 3):
         await failed_goals.save(EASY, Scene(), FAILURE)
-    left = names(tmp_path / "failed")
+    left = sorted(path.name for path in (tmp_path / "failed").glob("*.json"))
     assert len(left) == KEPT + 1
     assert left[0].startswith("goal-20270115T080003")
     assert left[-1] == "notes.json"
@@ -60,10 +50,6 @@ async def test_an_unwritable_directory_is_only_logged(tmp_path: Path, caplog: py
     (tmp_path / "file").write_text("")
     await FailedGoals(tmp_path / "file", so101(), lambda: 0.0, KEPT).save(EASY, Scene(), FAILURE)
     assert "is not saved" in caplog.text
-
-
-async def planned(goal: AnyGoal) -> Any:
-    return await DirectPool().ask(PlanningProblem("arm", HOME, goal), WALL)
 
 
 async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_own_end_is_by_another_way() -> None:
@@ -99,7 +85,8 @@ async def test_a_goal_to_which_no_motion_was_found_gets_the_nearest_that_one_rea
     assert (failure.code, failure.message) == (late.code, late.message)
     assert failure.details["allowed_time_s"] == 5.0
     assert failure.details["free_rad"]["shoulder_pan"] < 0.0
-    assert isinstance(await planned(JointGoal(failure.details["free_rad"])), Plan)
+    nearest = PlanningProblem("arm", HOME, JointGoal(failure.details["free_rad"]))
+    assert isinstance(await DirectPool().ask(nearest, WALL), Plan)
 
 
 async def test_a_goal_that_is_not_beyond_limits_is_not_asked_about_for_its_constraints() -> None:

@@ -1,61 +1,23 @@
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from planners.interface import Planners
 from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
 from planners.scene import Scene
 from robot.arm import Arm
 from robot.arm_group import ArmGroup
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
-from server.errors import RefusedError
 from server.execution.monitors import CurrentState, SceneMonitor, check_ready
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import rejection
 from tests.helpers.robots import so101
-
-ROBOT = so101()
-NAMES = ("shoulder_pan", "gripper")
-
-GOAL = np.zeros(6)
-METAL_MAX_AGE_S, SIMULATED_MAX_AGE_S = 1.0, 5.0
-STALLED = Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex")
-
-UNUSABLE = {
-    "disconnected": (
-        ArmState(0.0, Mode.DISCONNECTED, (), reason="unplugged"),
-        MoveItErrorCode.COMMUNICATION_FAILURE,
-        "the arm is not connected: unplugged",
-    ),
-    "refused by its checks": (
-        ArmState(0.0, Mode.CONNECTED, (), reason="servo 3 is missing"),
-        MoveItErrorCode.COMMUNICATION_FAILURE,
-        "the arm is not ready: servo 3 is missing",
-    ),
-    "relaxed": (ArmState(0.0, Mode.RELAXED, (), goal_rad=GOAL), MoveItErrorCode.CONTROL_FAILED, "/arm/enable"),
-    "fault": (
-        ArmState(0.0, Mode.FAULT, (), goal_rad=GOAL, fault=STALLED),
-        MoveItErrorCode.CONTROL_FAILED,
-        "joint elbow_flex is stalled. Clear what blocks the joint, then reset the fault. .*/arm/reset_fault",
-    ),
-}
-
-
-def current(**parts):
-    return CurrentState(SimpleNamespace(state=ArmState(0.0, Mode.HOLDING, NAMES, **parts)), ROBOT)
-
-
-def test_positions_are_those_that_the_arm_holds_and_not_those_it_droops_to():
-    state = current(position_rad=np.array([0.1, 0.2]), goal_rad=np.array([0.3, 0.4]))
-    assert state.positions_rad() == {"shoulder_pan": 0.3, "gripper": 0.4}
 
 
 @dataclass
@@ -64,36 +26,50 @@ class Read:
 
     state: ArmState
     state_age_s: float = 0.1
-    state_max_age_s: float = METAL_MAX_AGE_S
+    state_max_age_s: float = 1.0
     name: str = ""
 
 
-@pytest.mark.parametrize(("state", "code", "words"), UNUSABLE.values(), ids=UNUSABLE.keys())
-def test_an_arm_that_is_not_ready_names_reason_and_remedy(state: ArmState, code: MoveItErrorCode, words: str) -> None:
-    with pytest.raises(RefusedError, match=words) as refused:
-        check_ready(Read(state))
-    assert refused.value.failure.code is code
+def test_positions_are_those_that_the_arm_holds_and_not_those_it_droops_to() -> None:
+    goal_rad, position_rad = np.array([0.3, 0.4]), np.array([0.1, 0.2])
+    state = ArmState(0.0, Mode.HOLDING, ("shoulder_pan", "gripper"), position_rad=position_rad, goal_rad=goal_rad)
+    assert CurrentState(Read(state), so101()).positions_rad() == {"shoulder_pan": 0.3, "gripper": 0.4}
 
 
+LOST, UNFIT = MoveItErrorCode.COMMUNICATION_FAILURE, MoveItErrorCode.CONTROL_FAILED
+GOAL = np.zeros(6)
 HOLDING = ArmState(0.0, Mode.HOLDING, (), goal_rad=GOAL)
 RELAXED = ArmState(0.0, Mode.RELAXED, (), goal_rad=GOAL)
+STALLED = Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex")
+FAULTY = ArmState(0.0, Mode.FAULT, (), goal_rad=GOAL, fault=STALLED)
+CLEAR = "joint elbow_flex is stalled. Clear what blocks the joint, then reset the fault. "
+UNUSABLE = [
+    (ArmState(0.0, Mode.DISCONNECTED, (), reason="unplugged"), LOST, "the arm is not connected: unplugged"),
+    (ArmState(0.0, Mode.CONNECTED, (), reason="servo 3 is missing"), LOST, "the arm is not ready: servo 3 is missing"),
+    (RELAXED, UNFIT, "the arm is relaxed: enable it by the service /arm/enable first"),
+    (FAULTY, UNFIT, f"the arm has a fault: {CLEAR}The service that resets it is /arm/reset_fault."),
+]
+
+
+@pytest.mark.parametrize(("state", "code", "sentence"), UNUSABLE)
+def test_an_arm_that_is_not_ready_names_reason_and_remedy(
+    state: ArmState, code: MoveItErrorCode, sentence: str
+) -> None:
+    refused = rejection(check_ready, Read(state))
+    assert (refused.code, refused.message) == (code, sentence)
 
 
 def test_a_refusal_names_the_one_of_several_arms_that_is_not_ready() -> None:
-    arms = {name: (cast("Arm", Read(state, name=name)), ()) for name, state in STATES_OF_SEVERAL.items()}
+    states = {"leader": RELAXED, "left": HOLDING, "right": RELAXED}
+    arms = {name: (cast("Arm", Read(state, name=name)), ()) for name, state in states.items()}
     refused = rejection(check_ready, ArmGroup(arms, ("leader",)))
     sentence = "the arm right is relaxed: enable it by the service /right/arm/enable first"
-    assert (refused.code, refused.message) == (MoveItErrorCode.CONTROL_FAILED, sentence)
-    assert rejection(check_ready, Read(RELAXED, name="right")).message == sentence
-    faulty = rejection(check_ready, Read(UNUSABLE["fault"][0], name="right")).message
-    assert faulty.startswith("the arm right has a fault: joint elbow_flex is stalled")
-    assert faulty.endswith("The service that resets it is /right/arm/reset_fault.")
+    assert (refused.code, refused.message) == (UNFIT, sentence)
+    faulty = rejection(check_ready, Read(FAULTY, name="right")).message
+    assert faulty == f"the arm right has a fault: {CLEAR}The service that resets it is /right/arm/reset_fault."
 
 
-STATES_OF_SEVERAL = {"leader": RELAXED, "left": HOLDING, "right": RELAXED}
-
-
-@pytest.mark.parametrize(("age_s", "max_age_s"), [(1.5, METAL_MAX_AGE_S), (5.5, SIMULATED_MAX_AGE_S)])
+@pytest.mark.parametrize(("age_s", "max_age_s"), [(1.5, 1.0), (5.5, 5.0)])
 def test_an_old_state_refuses_motions(age_s: float, max_age_s: float) -> None:
     refused = rejection(check_ready, Read(HOLDING, age_s, max_age_s))
     assert refused.code is MoveItErrorCode.ROBOT_STATE_STALE
@@ -102,18 +78,19 @@ def test_an_old_state_refuses_motions(age_s: float, max_age_s: float) -> None:
 
 QUESTION = RecheckQuestion("arm", smooth_move({"a": (0.0, 1.0)}, 1.0), {}, 0.0)
 WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")
+TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answer within 1 s and was given up")
 
 
 class Place:
-    """A scene that a test changes, and planners that look at it when the test lets them."""
+    """A scene that a test changes, and planners that look at it in 2 s, when the test lets them."""
 
     def __init__(self) -> None:
-        self.scene = Scene(1)
+        self.scene, self.clock = Scene(1), FakeClock()
         self.answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
         self.looked: list[int] = []
         self.contacts: list[PlanningFailure] = []
-        self.slow = False
         self.go_on = asyncio.Event()
+        self.go_on.set()
         self._callback: Callable[[], None] = lambda: None
 
     def on_change(self, callback: Callable[[], None]) -> None:
@@ -125,38 +102,33 @@ class Place:
 
     async def ask(self, _question: RecheckQuestion, scene: Scene) -> RecheckAnswer | PlanningFailure:
         self.looked.append(scene.version)
-        if self.slow:
-            await self.go_on.wait()
+        self.clock.advance(2.0)
+        await self.go_on.wait()
         return self.answer
 
-
-def watching(place: Place) -> SceneMonitor:
-    pool: Planners = place  # type: ignore[assignment]
-    monitor = SceneMonitor(pool, place)
-    monitor.start(1, lambda: (QUESTION,), place.contacts.append)
-    return monitor
-
-
-@pytest.fixture
-def place() -> Place:
-    return Place()
+    def watch(self) -> SceneMonitor:
+        """Watch a motion of an arm whose states may be 5 s old."""
+        monitor = SceneMonitor(cast("Any", self), self, 5.0, self.clock)
+        monitor.start(1, lambda: (QUESTION,), self.contacts.append)
+        return monitor
 
 
-async def test_changes_during_a_check_are_checked_together(place: Place) -> None:
-    watching(place)
-    place.slow = True
+async def test_changes_during_a_check_are_checked_together() -> None:
+    place = Place()
+    place.watch()
+    place.go_on.clear()
     for _ in range(100):
         place.change()
         await settle()
     place.go_on.set()
     await settle()
-    assert place.looked == [2, 101]
-    assert place.contacts == []
+    assert (place.looked, place.contacts) == ([2, 101], [])
 
 
-async def test_a_motion_that_has_ended_is_checked_no_more(place: Place) -> None:
-    monitor = watching(place)
-    place.slow = True
+async def test_a_motion_that_has_ended_is_checked_no_more() -> None:
+    place = Place()
+    monitor = place.watch()
+    place.go_on.clear()
     place.answer = RecheckAnswer(WALL, 0.5)
     place.change()
     await settle()
@@ -164,42 +136,21 @@ async def test_a_motion_that_has_ended_is_checked_no_more(place: Place) -> None:
     place.go_on.set()
     place.change()
     await settle()
-    assert place.contacts == []
-    assert place.looked == [2]
+    assert (place.looked, place.contacts) == ([2], [])
 
 
-async def test_a_scene_that_changed_before_the_motion_began_is_checked(place: Place) -> None:
+async def test_a_scene_that_changed_before_the_motion_began_is_checked() -> None:
+    place = Place()
     place.change()
-    watching(place)
+    place.watch()
     await settle()
     assert place.looked == [2]
 
 
-class StarvedPlace(Place):
-    """Planners that answer too late, each time that they are asked, for as long as a test says."""
-
-    def __init__(self, starved_s: float) -> None:
-        super().__init__()
-        self.clock = FakeClock()
-        self._until_s = self.clock() + starved_s
-
-    async def ask(self, question: RecheckQuestion, scene: Scene) -> RecheckAnswer | PlanningFailure:
-        self.clock.advance(2.0)
-        answer = await super().ask(question, scene)
-        return TOO_LATE if self.clock() < self._until_s else answer
-
-
-TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answer within 1 s and was given up")
-
-
-def watching_patiently(place: StarvedPlace) -> None:
-    monitor = SceneMonitor(place, place, 5.0, place.clock)  # type: ignore[arg-type]
-    monitor.start(1, lambda: (QUESTION,), place.contacts.append)
-
-
 async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_the_motion() -> None:
-    place = StarvedPlace(starved_s=60.0)
-    watching_patiently(place)
+    place = Place()
+    place.watch()
+    place.answer = TOO_LATE
     place.change()
     await settle()
     assert [contact.code for contact in place.contacts] == [MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE]

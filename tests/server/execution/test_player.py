@@ -10,7 +10,6 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import EMPTY_SCENE
 from robot.messages import Outcome, Pace, PlaybackDirection
 from server.execution import player
-from server.execution import player as player_module
 from server.execution.goal import Answer, ExecutionDeadline, Goal, GoalRequest, Progress, TimeLimits
 from server.execution.monitors import Questions
 from server.execution.motions import HORIZON_S
@@ -99,9 +98,8 @@ async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
 
     stage.running = asyncio.create_task(stage.player.play(Goal("1", GoalRequest("/goal"), broken), MOTION, questions))
     await settle()
-    motion = stage.arm.played[-1]
-    assert motion is MOTION.trajectory
-    await asyncio.sleep(2.0 * player_module.PROGRESS_PERIOD_S)
+    assert stage.arm.played == [MOTION.trajectory]
+    await asyncio.sleep(2.0 * player.PROGRESS_PERIOD_S)
     with pytest.raises(ValueError, match="a bug"):
         await stage.answer()
     assert len(stage.arm.stops) == 1
@@ -125,9 +123,13 @@ async def test_the_scene_monitor_asks_about_the_rest_of_the_motion_and_on_the_wa
     assert stage.scene_monitor.questions()[0].from_s == from_s
 
 
+class WornDeadline(ExecutionDeadline):
+    exceeded = "the arm did not end the motion"
+
+
 async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags() -> None:
     stage = Stage()
-    stage.goal.deadline = Worn()
+    stage.goal.deadline = WornDeadline(LIMITS)
     await stage.begin()
     answer = await stage.answer()
     assert answer.code is MoveItErrorCode.TIMED_OUT
@@ -135,20 +137,14 @@ async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lag
     assert "is 0.000 rad behind; stopped half-way" in answer.message
 
 
-@pytest.fixture
-async def stubborn() -> Stage:
-    """A motion of an arm that does not brake by itself."""
-    made = Stage(StubbornArm())
-    await made.begin()
-    return made
-
-
 LOOKS_S = 10.0 * player.PROGRESS_PERIOD_S
 BRAKING_S = player.BRAKING_TIMEOUT_S
 ALLOWED_S = LIMITS.allowed_s(MOTION.trajectory.duration_s)
 
 
-async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock(stubborn: Stage) -> None:
+async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock() -> None:
+    stubborn = Stage(StubbornArm())
+    await stubborn.begin()
     stubborn.goal.cancel("preempted by a test", replaced=True)
     await stubborn.answer()
     resting = asyncio.create_task(stubborn.player.stop_outgoing())
@@ -160,7 +156,9 @@ async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock(stubbo
     await asyncio.wait_for(resting, 5.0)
 
 
-async def test_a_silent_arm_is_not_awaited(stubborn: Stage) -> None:
+async def test_a_silent_arm_is_not_awaited() -> None:
+    stubborn = Stage(StubbornArm())
+    await stubborn.begin()
     stubborn.pass_time(1.1 * ALLOWED_S)
     await asyncio.sleep(LOOKS_S)
     stubborn.arm.state_age_s = 5.1
@@ -180,21 +178,13 @@ async def test_the_pauses_of_all_motions_of_a_goal_count_together() -> None:
     assert answer.message.startswith("the motion was paused or going back for 720 s (limit 600 s)")
 
 
-class Worn(ExecutionDeadline):
-    """Deadline that is exceeded."""
-
-    exceeded = "the arm did not end the motion"
-
-
 async def test_an_outgoing_motion_goes_on_until_another_replaces_it(stage: Stage) -> None:
     stage.pass_time(1.0)
     stage.arm.show(0.4)
     stage.goal.cancel("preempted by a test", replaced=True)
     assert await stage.answer() == Answer(MoveItErrorCode.PREEMPTED, "preempted by a test")
-    outgoing = stage.player.outgoing
-    assert outgoing is not None
+    outgoing: Any = stage.player.outgoing
     point = outgoing.splice_point(stage.clock(), HORIZON_S)
-    assert point is not None
     assert stage.arm.stops == []
     stage.running = asyncio.create_task(stage.player.play(stage.next_goal(), MOTION, questions, from_s=point.from_s))
     await settle()

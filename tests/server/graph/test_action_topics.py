@@ -2,7 +2,6 @@ from typing import Any
 
 import pytest
 
-from protocol.publication import PublishedMessage
 from server.graph.action_topics import ENDED_KEPT_S, MAX_PUBLISHED
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.node import Node
@@ -28,11 +27,8 @@ class World:
         self.graph.actions.offer(self.provider, "/grip", GRIPPER, self.goals.append)
 
     def listen(self, topic: str) -> None:
-        def deliver(published: PublishedMessage) -> None:
-            self.heard.append(published.msg)
-
-        for earlier in self.graph.subscribe(CLIENT, topic, None, Subscriber(deliver)):
-            deliver(earlier)
+        subscriber = Subscriber(lambda published: self.heard.append(published.msg))
+        self.heard += [earlier.msg for earlier in self.graph.subscribe(CLIENT, topic, None, subscriber)]
 
     def send(self) -> ActionGoal:
         self.graph.actions.send_goal(CLIENT, "/grip", GRIPPER, {}, lambda _result: None)
@@ -77,22 +73,21 @@ def test_messages_are_complete(world: World) -> None:
     # Feedback is heard though the sender has left.
     goal.forget_sender()
     goal.feedback({"position": 1.0})
-    types = ["action_msgs/msg/GoalStatusArray", "control_msgs/action/GripperCommand_FeedbackMessage"]
-    for type_name, message in zip(types, world.heard, strict=True):
-        assert world.graph.message_types.complete(type_name, message) == message
-    assert world.heard[0]["status_list"][0]["goal_info"]["stamp"] == {"sec": 12, "nanosec": 500_000_000}
-    assert world.heard[0]["status_list"][0]["goal_info"]["goal_id"] == world.heard[1]["goal_id"]
-    assert world.heard[1]["feedback"]["position"] == 1.0
+    status, feedback = world.heard
+    for name, message in (
+        ("action_msgs/msg/GoalStatusArray", status),
+        ("control_msgs/action/GripperCommand_FeedbackMessage", feedback),
+    ):
+        assert world.graph.message_types.complete(name, message) == message
+    info = status["status_list"][0]["goal_info"]
+    assert info == {"stamp": {"sec": 12, "nanosec": 500_000_000}, "goal_id": feedback["goal_id"]}
+    assert feedback["feedback"]["position"] == 1.0
 
 
-def test_a_goal_that_was_never_taken_on_has_no_status(world: World) -> None:
+def test_an_ended_goal_is_told_for_a_while_and_one_that_was_never_taken_on_is_not(world: World) -> None:
     world.listen(STATUS)
     world.send().fail("no", GoalStatus.UNKNOWN)
     assert world.statuses == []
-
-
-def test_an_ended_goal_is_told_for_a_while(world: World) -> None:
-    world.listen(STATUS)
     world.send().finish(GoalStatus.SUCCEEDED, {})
     world.clock.advance(ENDED_KEPT_S / 2)
     world.send()
@@ -134,18 +129,14 @@ def test_the_topics_pass_to_the_client_that_takes_an_action_over() -> None:
     assert world.statuses == [2]
 
 
-def test_an_action_works_without_topics_that_somebody_else_has_made() -> None:
+def test_an_action_of_an_unknown_type_or_with_a_topic_of_somebody_else_works_without_that_topic() -> None:
     world = World(Node("client", remote=True))
     world.graph.advertise(CLIENT, "/lift/_action/status", "std_msgs/String")
-    goals: list[ActionGoal] = []
-    world.graph.actions.offer(world.provider, "/lift", GRIPPER, goals.append)
+    world.graph.actions.offer(world.provider, "/lift", GRIPPER, world.goals.append)
     world.graph.actions.send_goal(CLIENT, "/lift", GRIPPER, {}, lambda _result: None)
-    goals[0].feedback({})
-    goals[0].finish(GoalStatus.SUCCEEDED, {})
-    assert goals[0].ended
-
-
-def test_an_action_of_an_unknown_type_has_its_status_alone(world: World) -> None:
+    world.goals[0].feedback({})
+    world.goals[0].finish(GoalStatus.SUCCEEDED, {})
+    assert world.goals[0].ended
     world.graph.actions.offer(world.provider, "/other", "acme_msgs/Do", world.goals.append)
     assert world.graph.publishers("/other/_action/status") == [world.provider]
     assert world.graph.publishers("/other/_action/feedback") == []

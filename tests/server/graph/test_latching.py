@@ -30,55 +30,44 @@ def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
 
 def test_recent_messages_are_bounded_the_oldest_goes(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latching, "MAX_RECENT_BYTES", 1000)
+    # One that is larger than the bound is not kept.
+    kept.keep(published("x" * 2000), 0.0, 1.0)
+    assert data_of(kept, 0.5) == []
     for number in range(20):
         kept.keep(published(f"{number:0200}", f"/t{number}"), 0.0, 1.0)
     assert [number for number in range(20) if kept.of(f"/t{number}", 0.5)] == [16, 17, 18, 19]
 
 
-def test_a_message_larger_than_the_bound_is_not_kept(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(latching, "MAX_RECENT_BYTES", 1000)
-    kept.keep(published("x" * 2000), 0.0, 1.0)
-    assert data_of(kept, 0.5) == []
-    kept.keep(published("x"), 0.0, 1.0)
-    assert data_of(kept, 0.5) == ["x"]
-
-
 FIRST, SECOND = Node("first", remote=True), Node("second", remote=True)
 
 
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Limits of a few messages of 600 characters."""
-    monkeypatch.setattr(latching, "MAX_SERVER_LATCHED_BYTES", 1000)
-    monkeypatch.setattr(latching, "MAX_CLIENTS_LATCHED_BYTES", 2000)
-    monkeypatch.setattr(latching, "MAX_CLIENT_LATCHED_BYTES", 1300)
-
-
-@pytest.mark.usefixtures("small")
 class TestRoom:
+    """Limits of a few messages of 600 characters."""
+
+    @pytest.fixture(autouse=True)
+    def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for name, limit in (("SERVER", 1000), ("CLIENTS", 2000), ("CLIENT", 1300)):
+            monkeypatch.setattr(latching, f"MAX_{name}_LATCHED_BYTES", limit)
+
     def test_the_servers_latched_messages_are_bounded_in_bytes_together(self, kept: LatchedMessages) -> None:
         assert kept.latch(published("x" * 600, "/a")) is None
-        assert kept.latch(published("x" * 600, "/b")) == (
-            "the server has 1222 bytes latched with it, the limit is 1000"
-        )
+        sentence = "the server has 1222 bytes latched with it, the limit is 1000"
+        assert kept.latch(published("x" * 600, "/b")) == sentence
         kept.unlatch("/a")
         assert kept.latch(published("x" * 600, "/b")) is None
         assert data_of(kept, 0.0, "/a") == []
 
     def test_those_of_a_client_are_bounded(self, kept: LatchedMessages) -> None:
-        assert kept.latch(published("x" * 600, "/a"), FIRST) is None
-        assert kept.latch(published("x" * 600, "/b"), FIRST) is None
-        assert kept.latch(published("x" * 600, "/c"), FIRST) == (
-            "this client has 1833 bytes latched with it, the limit is 1300"
-        )
+        sentence = "this client has 1833 bytes latched with it, the limit is 1300"
+        latched = [kept.latch(published("x" * 600, topic), FIRST) for topic in ("/a", "/b", "/c")]
+        assert latched == [None, None, sentence]
         assert kept.latch(published("y" * 600, "/b"), FIRST) is None
 
     def test_those_of_all_clients_are_bounded_together(self, kept: LatchedMessages) -> None:
-        for topic, client in (("/a", FIRST), ("/b", FIRST), ("/c", SECOND)):
-            assert kept.latch(published("x" * 600, topic), client) is None
-        assert kept.latch(published("x" * 600, "/d"), SECOND) == (
-            "all clients have 2444 bytes latched with it, the limit is 2000"
-        )
+        sentence = "all clients have 2444 bytes latched with it, the limit is 2000"
+        clients = (("/a", FIRST), ("/b", FIRST), ("/c", SECOND), ("/d", SECOND))
+        latched = [kept.latch(published("x" * 600, topic), client) for topic, client in clients]
+        assert latched == [None, None, None, sentence]
 
     def test_a_message_that_has_an_end_makes_room_the_earliest_first(self, kept: LatchedMessages) -> None:
         for topic in ("/a", "/b", "/c"):

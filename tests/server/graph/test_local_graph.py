@@ -1,10 +1,9 @@
 """The view of the graph below a prefix, by which one of several arms has the names of a single one."""
 
-import asyncio
 from dataclasses import replace
 from typing import Any
 
-from server.graph.actions import ActionGoal, GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus, Result
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL, STOPPING
@@ -35,10 +34,10 @@ def test_what_is_published_elsewhere_is_not_heard_below_the_prefix() -> None:
     graph, left = graph_with_left()
     heard: list[Any] = []
     left.subscribe(Node("part"), "/stop", "std_msgs/Empty", Subscriber(heard.append))
-    graph.advertise(Node("client"), "/stop", "std_msgs/Empty")
-    graph.publish(Node("client"), "/stop", {})
-    assert heard == []
-    graph.publish(Node("client"), "/left/stop", {})
+    for topic in ("/stop", "/left/stop"):
+        assert heard == []
+        graph.advertise(Node("client"), topic, "std_msgs/Empty")
+        graph.publish(Node("client"), topic, {})
     assert len(heard) == 1
 
 
@@ -55,7 +54,7 @@ def test_rules_below_the_prefix_are_those_of_the_arm() -> None:
 
 async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> None:
     graph, left = graph_with_left()
-    ended: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+    results: list[Result] = []
     names = []
 
     def start(goal: ActionGoal) -> None:
@@ -63,9 +62,6 @@ async def test_actions_stand_below_the_prefix_and_goals_name_them_in_full() -> N
         goal.finish(GoalStatus.SUCCEEDED, {})
 
     left.offer_action(Node("part"), "/wave", "example_interfaces/action/Fibonacci", start, rule=GOAL)
-    client = Node("client")
-    graph.actions.send_goal(
-        client, "/left/wave", "example_interfaces/action/Fibonacci", {"order": 1}, ended.set_result, None
-    )
-    assert (await ended).status == GoalStatus.SUCCEEDED
+    graph.actions.send_goal(Node("client"), "/left/wave", "example_interfaces/Fibonacci", {"order": 1}, results.append)
+    assert [result.status for result in results] == [GoalStatus.SUCCEEDED]
     assert names == ["/left/wave"] == [left.resolve("/wave")]

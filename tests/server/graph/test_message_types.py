@@ -15,11 +15,10 @@ from server.graph.message_types import (
     PostponedError,
     ReceivedMessage,
 )
+from tests.helpers.messages import REGISTRY
 
-REGISTRY = Registry.load()
-
-STRICT = MessageTypes(REGISTRY, wall_clock=lambda: 12.5)
-RELAYING = MessageTypes(REGISTRY, relay_unknown_types=True)
+STRICT, RELAYING = MessageTypes(REGISTRY), MessageTypes(REGISTRY, relay_unknown_types=True)
+POSES = "geometry_msgs/msg/PoseArray"
 
 
 @pytest.mark.parametrize("name", ["Thing", "a/b/c/d", ""])
@@ -36,24 +35,23 @@ def test_messages_of_unknown_types_are_objects_as_they_came() -> None:
         RELAYING.complete_arguments("acme_msgs/srv/Do_Request", [1])
 
 
-POSES = "geometry_msgs/msg/PoseArray"
-
-
-def test_a_small_message_of_a_client_is_completed_at_once() -> None:
+def test_a_small_message_of_a_client_is_completed_at_once_and_any_of_the_server_itself() -> None:
     received = ReceivedMessage({"poses": [{}] * 10}, 50)
     assert len(STRICT.complete(POSES, received)["poses"]) == 10
     assert received.cost_bytes == 50
+    assert len(STRICT.complete(POSES, {"poses": [{}] * FREE_VALUES})["poses"]) == FREE_VALUES
 
 
 @pytest.mark.parametrize(
-    ("received", "why"),
+    "received",
     [
-        (ReceivedMessage({"poses": [{}] * (VALUES_AT_ONCE // 7 + 1)}, 2000), "many values"),
-        (ReceivedMessage({"poses": []}, BYTES_AT_ONCE + 1), "many bytes"),
-        (ReceivedMessage({"poses": []}, ROS1_BYTES_AT_ONCE + 1, "ros1"), "to be translated"),
+        ReceivedMessage({"poses": [{}] * (VALUES_AT_ONCE // 7 + 1)}, 2000),
+        ReceivedMessage({"poses": []}, BYTES_AT_ONCE + 1),
+        ReceivedMessage({"poses": []}, ROS1_BYTES_AT_ONCE + 1, "ros1"),
     ],
+    ids=["many values", "many bytes", "to be translated"],
 )
-def test_a_large_message_of_a_client_is_completed_in_the_background_first(received: ReceivedMessage, why: str) -> None:
+def test_a_large_message_of_a_client_is_completed_in_the_background_first(received: ReceivedMessage) -> None:
     with pytest.raises(PostponedError) as postponed:
         STRICT.complete(POSES, received)
     assert postponed.value.message is received
@@ -86,30 +84,19 @@ def test_a_message_grows_by_what_came_and_a_little_no_more() -> None:
     assert len(STRICT.complete(POSES, longer)["poses"]) == elements
 
 
-def test_messages_of_the_server_itself_are_completed_at_once_however_large() -> None:
-    assert len(STRICT.complete(POSES, {"poses": [{}] * FREE_VALUES})["poses"]) == FREE_VALUES
-
-
-async def test_types_are_compiled_when_there_is_time_and_not_when_they_are_offered() -> None:
+async def test_types_are_compiled_when_there_is_time_and_the_event_loop_goes_on() -> None:
     types = MessageTypes(Registry.load())
     names = ("moveit_msgs/action/MoveGroup_Goal", "moveit_msgs/action/MoveGroup_Result")
     compiled_before = strict_type.cache_info().misses
     types.compile_later(*names)
     assert strict_type.cache_info().misses == compiled_before
-    await types.compile_waiting()
+    compiling, turns = asyncio.create_task(types.compile_waiting()), 0
+    while not compiling.done():
+        await asyncio.sleep(0)
+        turns += 1
+    assert turns > 2
     compiled = strict_type.cache_info().misses
     assert compiled >= compiled_before + len(names)
     for name in names:
         types.complete(name, {})
     assert strict_type.cache_info().misses == compiled
-
-
-async def test_the_event_loop_goes_on_while_types_are_compiled() -> None:
-    types = MessageTypes(Registry.load())
-    types.compile_later("moveit_msgs/action/MoveGroup_Goal")
-    compiling = asyncio.create_task(types.compile_waiting())
-    turns = 0
-    while not compiling.done():
-        await asyncio.sleep(0)
-        turns += 1
-    assert turns > 2

@@ -7,37 +7,12 @@ from harness.waiting import TIMEOUT_S
 from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
-from server.graph.services import LOCAL_TIMEOUT_S, MAX_TIMEOUT_S, Call, Response, Services, answer
+from server.graph.services import LOCAL_TIMEOUT_S, MAX_TIMEOUT_S, Call, Response, Services
 from tests.helpers.clock import FakeClock
+from tests.helpers.fake_arm import settle
 from tests.helpers.messages import REGISTRY
 
-INTERFACES = MessageTypes(REGISTRY)
-
-
-@pytest.fixture
-def call() -> Call:
-    return Call("/switch", "std_srvs/srv/SetBool", {"data": True}, INTERFACES, Node("caller"))
-
-
-@pytest.fixture
-def responses(call: Call) -> list[Response]:
-    heard: list[Response] = []
-    call.when_ended(heard.append)
-    return heard
-
-
-async def test_an_awaited_service_error_is_a_failure(call: Call, responses: list[Response]) -> None:
-    async def switch(_request: dict[str, Any]) -> dict[str, Any]:
-        await asyncio.sleep(0)
-        raise ServiceError("no power")
-
-    answer(call, switch)
-    for _ in range(3):
-        await asyncio.sleep(0)
-    assert responses == [Response(ok=False, values="no power")]
-
-
-SERVER, CALLER = Node("server"), Node("caller", remote=True)
+SERVER, CALLER, PROVIDER = Node("server"), Node("caller", remote=True), Node("provider", remote=True)
 SET_BOOL = "std_srvs/SetBool"
 ON = {"success": True, "message": "on"}
 
@@ -52,23 +27,33 @@ def services(clock: FakeClock) -> Services:
     return Services(MessageTypes(REGISTRY), clock.call_later)
 
 
-class Provider:
-    """A client that offers a service and answers when the test says so."""
+@pytest.fixture
+def provided(services: Services) -> list[Call]:
+    """Calls of a service that a client offers, and answers when the test does."""
+    calls: list[Call] = []
+    services.offer_calls(PROVIDER, "/switch", SET_BOOL, calls.append)
+    return calls
 
-    def __init__(self, services: Services, name: str = "/switch") -> None:
-        self.node = Node("provider", remote=True)
-        self.calls: list[Call] = []
-        services.offer_calls(self.node, name, SET_BOOL, self.calls.append)
 
-
-def ask(services: Services, name: str = "/switch", caller: Node = CALLER, **options: Any) -> list[Response]:
-    """Call a service; what comes back lands in the list."""
+def ask(services: Services, **options: Any) -> list[Response]:
+    """Call the service; what comes back lands in the list."""
     responses: list[Response] = []
-    services.call(caller, name, options.pop("arguments", {}), responses.append, **options)
+    services.call(CALLER, "/switch", {}, responses.append, **options)
     return responses
 
 
 # Services of local parts
+
+
+async def test_an_awaited_service_error_is_a_failure(services: Services) -> None:
+    async def switch(_request: dict[str, Any]) -> dict[str, Any]:
+        await asyncio.sleep(0)
+        raise ServiceError("no power")
+
+    services.offer(SERVER, "/switch", SET_BOOL, switch)
+    responses = ask(services)
+    await settle()
+    assert responses == [Response(ok=False, values="no power")]
 
 
 @pytest.mark.parametrize("answer", [{"success": "yes"}, {"foo": 1}, "text", None])
@@ -107,8 +92,8 @@ async def test_a_function_that_takes_too_long_is_cancelled(services: Services, c
 @pytest.mark.parametrize(
     ("timeout_s", "bound_s"), [(None, LOCAL_TIMEOUT_S), (0.5, 0.5), (0.0, MAX_TIMEOUT_S), (1e9, MAX_TIMEOUT_S)]
 )
+@pytest.mark.usefixtures("provided")
 def test_every_call_ends_in_time(services: Services, clock: FakeClock, timeout_s: float | None, bound_s: float) -> None:
-    Provider(services)
     responses = ask(services, timeout_s=timeout_s)
     clock.advance(bound_s * 0.99)
     assert responses == []
@@ -117,21 +102,17 @@ def test_every_call_ends_in_time(services: Services, clock: FakeClock, timeout_s
     assert f"did not answer in {bound_s:g} s" in responses[0].values
 
 
-def test_a_call_that_has_ended_leaves_nothing_behind(services: Services, clock: FakeClock) -> None:
-    provider = Provider(services)
+def test_a_call_that_has_ended_or_whose_caller_leaves_leaves_nothing_behind(
+    services: Services, clock: FakeClock, provided: list[Call]
+) -> None:
     ask(services)
-    provider.calls[0].succeed(ON)
+    provided[0].succeed(ON)
+    ask(services)
+    services.remove(CALLER)
+    assert provided[1].ended
     assert clock.waiting == 0
     assert not services._offers["/switch"].requests
     assert not list(services._made.of(CALLER))
-
-
-def test_the_calls_of_a_caller_that_leaves_end_for_their_provider(services: Services, clock: FakeClock) -> None:
-    provider = Provider(services)
-    ask(services)
-    services.remove(CALLER)
-    assert provider.calls[0].ended
-    assert clock.waiting == 0
 
 
 # Names
@@ -149,27 +130,28 @@ def test_the_number_of_services_is_bounded_and_a_repeated_offer_counts_once(monk
 def test_nobody_takes_the_place_of_a_part_of_the_server_but_itself(services: Services) -> None:
     services.offer(SERVER, "/switch", SET_BOOL, lambda _: ON)
     with pytest.raises(GraphError, match="service /switch: is offered by the server itself"):
-        Provider(services)
+        services.offer_calls(PROVIDER, "/switch", SET_BOOL, lambda _call: None)
     services.offer(SERVER, "/switch", SET_BOOL, lambda _: {"success": False})
     assert ask(services)[0].values["success"] is False
 
 
 @pytest.mark.parametrize("type_name", ["std_srvs/Nothing", "std_msgs/String", "control_msgs/action/PointHead"])
+@pytest.mark.usefixtures("provided")
 def test_a_type_that_is_none_of_a_service_is_refused_and_ends_nothing(services: Services, type_name: str) -> None:
-    provider = Provider(services)
     responses = ask(services)
     with pytest.raises(GraphError, match=f"service /switch: .*{type_name}"):
         services.offer_calls(Node("other", remote=True), "/switch", type_name, lambda _call: None)
-    assert (responses, services.provider("/switch")) == ([], provider.node)
+    assert (responses, services.provider("/switch")) == ([], PROVIDER)
 
 
 def test_an_error_of_one_that_hears_of_the_end_keeps_it_from_no_other(
-    call: Call, responses: list[Response], caplog: pytest.LogCaptureFixture
+    services: Services, provided: list[Call], caplog: pytest.LogCaptureFixture
 ) -> None:
+    responses = ask(services)
     heard: list[Response] = []
-    call.when_ended(lambda _end: heard[1])
-    call.when_ended(heard.append)
-    call.fail("stopped")
-    call.fail("once more")
+    provided[0].when_ended(lambda _end: heard[1])
+    provided[0].when_ended(heard.append)
+    provided[0].fail("stopped")
+    provided[0].fail("once more")
     assert heard == responses == [Response(ok=False, values="stopped")]
     assert "a listener to the end of a request failed" in caplog.text

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from robot.trajectory import Trajectory
 from server.execution.motions import Performed
@@ -12,39 +11,21 @@ from tests.helpers.moveit import REGISTRY, ROBOT
 MOTION = Trajectory(("elbow_flex",), np.array([0.0, 1.0]), np.array([[0.0], [0.5]]), np.zeros((2, 1)), np.zeros((2, 1)))
 
 
-@pytest.fixture
-def graph() -> Graph:
-    return Graph(REGISTRY)
-
-
-@pytest.fixture
-def display(graph: Graph) -> DisplayTopics:
-    return DisplayTopics(graph, ROBOT)
-
-
-def test_a_planned_motion_is_shown_with_its_start(graph: Graph, display: DisplayTopics) -> None:
-    heard = listen(graph, PATH_TOPIC)
+def test_motions_contacts_and_the_state_of_the_pipeline_are_shown_to_subscribers() -> None:
+    graph = Graph(REGISTRY)
+    display = DisplayTopics(graph, ROBOT)
+    display.pipeline({}, {})
+    paths, contacts, pipeline = (listen(graph, topic) for topic in (PATH_TOPIC, CONTACTS_TOPIC, PIPELINE_TOPIC))
     display.performed(Performed(HOME, (MOTION, MOTION)))
-    (shown,) = heard
-    assert shown["model_id"] == ROBOT.name
-    assert len(shown["trajectory"]) == 2
+    (shown,) = paths
+    assert (shown["model_id"], len(shown["trajectory"])) == (ROBOT.name, 2)
     assert shown["trajectory_start"]["joint_state"]["name"] == list(HOME)
-
-
-def test_contacts_are_spheres_in_place_of_those_before(graph, display) -> None:
-    heard = listen(graph, CONTACTS_TOPIC)
+    # Contacts are spheres, in place of those before.
     display.contacts([{"first": "gripper_link", "second": "crate", "depth_m": 0.01, "point_m": (0.3, 0.1, 0.2)}])
-    clear, ball = heard[0]["markers"]
-    assert clear["action"] == 3
-    assert ball["ns"] == "gripper_link, crate"
+    clear, ball = contacts[0]["markers"]
+    assert (clear["action"], ball["ns"]) == (3, "gripper_link, crate")
     assert ball["pose"]["position"] == {"x": 0.3, "y": 0.1, "z": 0.2}
     assert ball["header"]["frame_id"] == ROBOT.root_link
-
-
-def test_the_state_of_the_pipeline_is_published_for_subscribers_alone(graph: Graph, display: DisplayTopics) -> None:
-    display.pipeline({}, {})
-    heard = listen(graph, PIPELINE_TOPIC)
     display.pipeline({"group_name": "arm"}, {"planning_time": 0.5})
-    (told,) = heard
-    assert told["request"]["group_name"] == "arm"
-    assert told["response"]["planning_time"] == 0.5
+    (told,) = pipeline
+    assert (told["request"]["group_name"], told["response"]["planning_time"]) == ("arm", 0.5)

@@ -78,50 +78,39 @@ async def test_a_state_of_the_description_is_neither_overwritten_nor_changed(sta
     assert states.saved == {"mine": BENT}
 
 
-@pytest.mark.parametrize("name", ["", "   ", "a" * (MAX_NAME_LENGTH + 1), "a\x07b"])
-async def test_an_invalid_name_is_refused(states: NamedStates, name: str) -> None:
-    with pytest.raises(ServiceError, match=f"1 to {MAX_NAME_LENGTH}"):
-        await states.save(name, BENT)
-
-
 @pytest.mark.parametrize(
-    ("positions_rad", "words"),
-    [({}, "no joint"), ({"knee": 0.1}, "no joint 'knee'"), ({"elbow_flex": math.nan}, "elbow_flex .* not nan")],
+    ("name", "positions_rad", "words"),
+    [
+        *((name, BENT, f"1 to {MAX_NAME_LENGTH}") for name in ("", "   ", "a" * (MAX_NAME_LENGTH + 1), "a\x07b")),
+        ("mine", {}, "no joint"),
+        ("mine", {"knee": 0.1}, "no joint 'knee'"),
+        ("mine", {"elbow_flex": math.nan}, "elbow_flex .* not nan"),
+        ("one more", BENT, "the limit is 1"),
+    ],
 )
-async def test_an_invalid_state_is_refused(states: NamedStates, positions_rad: Positions, words: str) -> None:
-    with pytest.raises(ServiceError, match=words):
-        await states.save("mine", positions_rad)
-
-
-async def test_the_number_of_saved_states_is_bounded(states: NamedStates, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_invalid_name_or_state_or_one_more_than_the_limit_is_refused(
+    states: NamedStates, monkeypatch: pytest.MonkeyPatch, name: str, positions_rad: Positions, words: str
+) -> None:
     monkeypatch.setattr(named_states, "MAX_STATES", 1)
     await states.save("a", BENT)
     await states.save("A", BENT)
-    with pytest.raises(ServiceError, match="the limit is 1"):
-        await states.save("b", BENT)
+    with pytest.raises(ServiceError, match=words):
+        await states.save(name, positions_rad)
 
 
-async def test_two_servers_keep_what_the_other_has_saved(path: Path) -> None:
+async def test_two_servers_and_those_of_another_arm_keep_what_the_other_has_saved_and_know_what_it_has_deleted(
+    path: Path,
+) -> None:
+    await NamedStatesFile(path).change(lambda _before: {"its": {"knee": 0.1}})
     one, other = opened(path), opened(path)
     await one.save("mine", BENT)
     await other.save("yours", {"elbow_flex": 0.5})
-    assert set(NamedStatesFile(path).load()) == {"mine", "yours"}
-    assert set(other.saved) == {"mine", "yours"}
-
-
-async def test_a_state_that_another_server_has_deleted_is_not_known_any_more(path: Path) -> None:
-    await opened(path).save("mine", BENT)
-    one, other = opened(path), opened(path)
+    assert NamedStatesFile(path).load().keys() == {"its", "mine", "yours"}
+    assert other.saved.keys() == {"mine", "yours"}
     await one.delete("mine")
     with pytest.raises(ServiceError, match="no state 'mine'"):
-        await other.rename("mine", "yours")
-    assert NamedStatesFile(path).load() == {}
-
-
-async def test_states_of_another_arm_stay_in_the_file(path: Path) -> None:
-    await NamedStatesFile(path).change(lambda _before: {"its": {"knee": 0.1}})
-    await opened(path).save("mine", BENT)
-    assert set(NamedStatesFile(path).load()) == {"its", "mine"}
+        await other.rename("mine", "theirs")
+    assert NamedStatesFile(path).load().keys() == {"its", "yours"}
 
 
 async def test_a_file_of_another_process_is_refused_with_its_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +123,9 @@ async def test_a_file_of_another_process_is_refused_with_its_name(path: Path, mo
     await opened(path).save("mine", BENT)
 
 
-async def test_a_file_that_cannot_be_read_is_not_overwritten(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_file_that_cannot_be_read_or_written_is_an_error_and_the_old_one_stays(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     states = opened(path)
     await states.save("mine", BENT)
 
@@ -145,21 +136,26 @@ async def test_a_file_that_cannot_be_read_is_not_overwritten(path: Path, monkeyp
         patched.setattr(NamedStatesFile, "_read", unreadable)
         with pytest.raises(ServiceError, match=r"cannot be kept: .*: Input/output error"):
             await states.save("yours", BENT)
-    assert set(NamedStatesFile(path).load()) == {"mine"}
+    path.with_name(f".{path.name}.new").mkdir()
+    with pytest.raises(ServiceError, match=str(path)):
+        await states.save("yours", BENT)
+    assert NamedStatesFile(path).load() == {"mine": BENT}
+    assert states.find("yours") is None
 
 
-BROKEN = {
-    "not JSON": "{",
-    "nests too deep": "[" * 100_000,
-    "not UTF-8": "\udcff",
-    "another form": '{"states": []}',
-    "no states": "{}",
-    "a word for a number": '{"states": {"mine": {"elbow_flex": "much"}}}',
-    "true for a number": '{"states": {"mine": {"elbow_flex": true}}}',
-}
+BROKEN = [
+    "{",
+    "[" * 100_000,
+    # No UTF-8.
+    "\udcff",
+    '{"states": []}',
+    "{}",
+    '{"states": {"mine": {"elbow_flex": "much"}}}',
+    '{"states": {"mine": {"elbow_flex": true}}}',
+]
 
 
-@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
+@pytest.mark.parametrize("content", BROKEN, ids=range(len(BROKEN)))
 def test_an_invalid_file_is_logged_and_renamed(path: Path, content: str, caplog: pytest.LogCaptureFixture) -> None:
     path.parent.mkdir()
     octets = content.encode("utf-8", "surrogateescape")
@@ -168,15 +164,6 @@ def test_an_invalid_file_is_logged_and_renamed(path: Path, content: str, caplog:
     assert str(path) in caplog.text
     assert path.with_name(f"{path.name}.broken").read_bytes() == octets
     assert not path.exists()
-
-
-async def test_a_file_that_cannot_be_written_is_an_error_and_the_old_one_stays(states: NamedStates, path: Path) -> None:
-    await states.save("mine", BENT)
-    path.with_name(f".{path.name}.new").mkdir()
-    with pytest.raises(ServiceError, match=str(path)):
-        await states.save("yours", BENT)
-    assert NamedStatesFile(path).load() == {"mine": BENT}
-    assert states.find("yours") is None
 
 
 def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -197,10 +184,8 @@ class Office:
     """The services, for an arm that says where it is."""
 
     def __init__(self, states: NamedStates) -> None:
-        self.graph = Graph(REGISTRY)
-        self.states = states
-        self.arm = FakeArm(None)
-        NamedStatesServices(self.graph, ROBOT, self.states, CurrentState(self.arm, ROBOT))
+        self.graph, self.arm = Graph(REGISTRY), FakeArm(None)
+        NamedStatesServices(self.graph, ROBOT, states, CurrentState(self.arm, ROBOT))
         self.heard = listen(self.graph, NAMED_STATES_TOPIC)
 
     async def call(self, service: str, **request: Any) -> Response:
@@ -212,19 +197,15 @@ async def office(states: NamedStates) -> Office:
     return Office(states)
 
 
-async def test_the_present_positions_are_saved_and_published(office: Office) -> None:
+async def test_the_present_positions_or_a_state_in_the_request_are_saved_published_and_returned(office: Office) -> None:
     office.arm.put(**dict.fromkeys(JOINTS, 0.25))
     assert (await office.call("/save_robot_state", name="mine")).values == {"success": True}
-    assert office.states.find("mine") == ("mine", dict.fromkeys(JOINTS, 0.25))
     told = json.loads(office.heard[-1]["data"])
     assert told["mine"] == {"saved": True, "joints": dict.fromkeys(JOINTS, 0.25)}
     assert not told["home"]["saved"]
-
-
-async def test_a_state_in_the_request_is_saved_and_returned(office: Office) -> None:
     state = {"joint_state": {"name": ["elbow_flex"], "position": [0.4]}}
-    assert (await office.call("/save_robot_state", name="mine", state=state)).ok
-    joints = (await office.call("/get_robot_state", name="Mine")).values["state"]["joint_state"]
+    assert (await office.call("/save_robot_state", name="Mine", state=state)).ok
+    joints = (await office.call("/get_robot_state", name="mine")).values["state"]["joint_state"]
     assert (joints["name"], joints["position"]) == (["elbow_flex"], [0.4])
 
 
@@ -237,9 +218,9 @@ async def test_states_are_listed_by_pattern_renamed_and_deleted(office: Office) 
     assert await listed(robot="so101") == ["extended", "home", "mine", "ready", "rest"]
     assert (await office.call("/rename_robot_state", old_name="mine", new_name="rest two")).ok
     assert await listed(regex="r.*") == ["ready", "rest", "rest two"]
-    assert (await office.call("/has_robot_state", name="rest two")).values == {"exists": True}
-    assert (await office.call("/delete_robot_state", name="rest two")).ok
-    assert (await office.call("/has_robot_state", name="rest two")).values == {"exists": False}
+    for exists in (True, False):
+        assert (await office.call("/has_robot_state", name="rest two")).values == {"exists": exists}
+        assert (await office.call("/delete_robot_state", name="rest two")).ok is exists
 
 
 @pytest.mark.parametrize(
@@ -253,9 +234,7 @@ async def test_states_are_listed_by_pattern_renamed_and_deleted(office: Office) 
         ("/delete_robot_state", {"name": "nowhere"}, "extended, home"),
     ],
 )
-async def test_what_cannot_be_done_is_refused(
-    office: Office, service: str, request_: dict[str, Any], sentence: str
-) -> None:
+async def test_what_cannot_be_done_is_refused(office: Office, service: str, request_: Any, sentence: str) -> None:
     answer = await office.call(service, **request_)
     assert not answer.ok
     assert sentence in answer.values

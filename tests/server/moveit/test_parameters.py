@@ -38,13 +38,9 @@ def test_the_number_of_parameters_is_bounded(parameters: PlannerParameters) -> N
         parameters.set("arm", "one more", {}, replace=False)
 
 
-def test_without_collision_checks_no_distance_is_kept() -> None:
+def test_without_collision_checks_no_distance_is_kept_and_motion_must_be_slowed_before_it_is_stopped() -> None:
     assert ServoParameters().limits.scene_distance_m == ServoParameters().scene_distance
     free = ServoParameters(check_collisions=False).limits
-    assert free.scene_distance_m is None
-    assert free.self_distance_m is None
-
-
-def test_motion_must_be_slowed_before_it_is_stopped() -> None:
+    assert (free.scene_distance_m, free.self_distance_m) == (None, None)
     with pytest.raises(ValidationError, match="lower_singularity_threshold"):
         ServoParameters(lower_singularity_threshold=30.0, hard_stop_singularity_threshold=20.0)

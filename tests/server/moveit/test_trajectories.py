@@ -36,12 +36,6 @@ def read(*points, names=JOINTS, start_rad=HOME):
     return outcome(read_joint_trajectory, trajectory, ROBOT, start_rad)
 
 
-def motion(*points, **fields) -> Trajectory:
-    found = read(*points, **fields)
-    assert isinstance(found, Trajectory), found
-    return found
-
-
 def test_a_motion_comes_back_from_its_message() -> None:
     random = np.random.default_rng(1)
     positions, velocities, accelerations = random.uniform(-1.0, 1.0, (3, 4, 2))
@@ -54,28 +48,17 @@ def test_a_motion_comes_back_from_its_message() -> None:
         assert getattr(back, name) == pytest.approx(getattr(one, name))
 
 
-def test_a_first_point_after_the_start_is_reached_from_it_at_rest() -> None:
-    moved = motion(at(1.0, 0.3, 0.4), start_rad=HOME | {"elbow_flex": 0.1})
+def test_a_first_point_after_the_start_is_reached_from_rest_and_a_last_point_in_motion_is_brought_to_it() -> None:
+    moved = read(at(1.0, 0.3, 0.4, velocities=[0.3, 0.1]), start_rad=HOME | {"elbow_flex": 0.1})
     assert moved.time_s.tolist() == [0.0, 1.0]
     assert moved.positions_rad.tolist() == [[0.0, 0.1], [0.3, 0.4]]
     assert moved.velocities_rad_s.tolist() == [[0.0, 0.0], [0.0, 0.0]]
 
 
-def test_a_last_point_in_motion_is_brought_to_rest() -> None:
-    moved = motion(at(0.0, 0.0, 0.0, velocities=[0.0, 0.0]), at(1.0, 0.2, 0.1, velocities=[0.3, 0.1]))
-    assert moved.velocities_rad_s[-1].tolist() == [0.0, 0.0]
-    assert moved.positions_rad[-1].tolist() == [0.2, 0.1]
-
-
 def test_motions_that_were_put_together_by_hand_are_one_motion() -> None:
     """The end of one and the begin of the next are the same point at the same time, give or take a nanosecond."""
-    rest = {"velocities": [0.0, 0.0]}
-    moved = motion(
-        at(0.0, 0.0, 0.0, **rest),
-        at(1.0, 0.2, 0.1, **rest),
-        at(1.0 - 1e-9, 0.2, 0.1, **rest),
-        at(2.0, 0.0, 0.0, **rest),
-    )
+    ways = (0.0, 0.0), (1.0, 0.2), (1.0 - 1e-9, 0.2), (2.0, 0.0)
+    moved = read(*(at(time_s, way, 0.5 * way, velocities=[0.0, 0.0]) for time_s, way in ways))
     assert moved.time_s.tolist() == [0.0, 1.0, 2.0]
 
 
@@ -85,25 +68,22 @@ def test_times_that_do_not_increase_are_refused_by_index(second: float, third: f
     assert assert_refused(failure, MoveItErrorCode.INVALID_MOTION_PLAN, "points[2]").details["index"] == 2
 
 
-BAD = {
-    "no joints": ({"names": ()}, [at(0.0)], ("joint_names is empty",)),
-    "unknown": ({"names": ("knee",)}, [at(1.0, 0.1)], ("'knee'", "elbow_flex")),
-    "twice": ({"names": ("elbow_flex", "elbow_flex")}, [at(1.0, 0.1, 0.1)], ("more than once",)),
-    "no points": ({}, [], ("0 entries",)),
-    "no positions": ({}, [at(1.0, velocities=[0.1, 0.1])], ("positions must be given",)),
-    "too few": ({}, [at(1.0, 0.1)], ("points[0].positions has 1 values for 2 joints",)),
-    "velocities": ({}, [at(1.0, 0.1, 0.1, velocities=[0.0])], ("points[0].velocities has 1 values",)),
-    "no number": ({}, [at(0.0, 0.0, 0.0), at(1.0, math.nan, 0.1)], ("points[1].positions",)),
-    "a second of nanoseconds": (
-        {},
-        [at(0.0, 0.0, 0.0), {"positions": [0.1, 0.1], "time_from_start": {"sec": 1, "nanosec": 1_000_000_000}}],
-        ("points[1].time_from_start.nanosec", "1000000000"),
-    ),
-    "before": ({}, [at(-1.0, 0.1, 0.1)], ("points[0].time_from_start", "-1")),
-}
+SECOND = {"positions": [0.1, 0.1], "time_from_start": {"sec": 1, "nanosec": 10**9}}
+BAD = [
+    ({"names": ()}, [at(0.0)], ("joint_names is empty",)),
+    ({"names": ("knee",)}, [at(1.0, 0.1)], ("'knee'", "elbow_flex")),
+    ({"names": ("elbow_flex", "elbow_flex")}, [at(1.0, 0.1, 0.1)], ("more than once",)),
+    ({}, [], ("0 entries",)),
+    ({}, [at(1.0, velocities=[0.1, 0.1])], ("positions must be given",)),
+    ({}, [at(1.0, 0.1)], ("points[0].positions has 1 values for 2 joints",)),
+    ({}, [at(1.0, 0.1, 0.1, velocities=[0.0])], ("points[0].velocities has 1 values",)),
+    ({}, [at(0.0, 0.0, 0.0), at(1.0, math.nan, 0.1)], ("points[1].positions",)),
+    ({}, [at(0.0, 0.0, 0.0), SECOND], ("points[1].time_from_start.nanosec", "1000000000")),
+    ({}, [at(-1.0, 0.1, 0.1)], ("points[0].time_from_start", "-1")),
+]
 
 
-@pytest.mark.parametrize(("fields", "points", "words"), BAD.values(), ids=BAD.keys())
+@pytest.mark.parametrize(("fields", "points", "words"), BAD)
 def test_a_senseless_motion_is_refused_by_field(fields, points, words) -> None:
     assert_refused(read(*points, **fields), MoveItErrorCode.INVALID_MOTION_PLAN, *words)
 
@@ -113,11 +93,8 @@ STEPS = st.lists(st.tuples(st.floats(0.05, 3.0), POSITIONS), min_size=1, max_siz
 
 
 def through(time_s, positions):
-    positions = np.asarray(positions, float).reshape(len(time_s), -1)
-    velocities = knot_velocities(np.asarray(time_s, float), positions)
-    accelerations = knot_accelerations(np.asarray(time_s, float), positions, velocities)
-    names = tuple(f"j{i}" for i in range(positions.shape[1]))
-    return Trajectory(names, np.asarray(time_s, float), positions, velocities, accelerations)
+    velocities = knot_velocities(time_s, positions)
+    return Trajectory(("j",), time_s, positions, velocities, knot_accelerations(time_s, positions, velocities))
 
 
 @examples(60)
@@ -126,7 +103,7 @@ def through(time_s, positions):
 def test_the_curve_stays_between_each_two_points(first, steps) -> None:
     spans, positions = zip(*steps, strict=True)
     time_s = np.concatenate(([0.0], np.cumsum(spans)))
-    curve = through(time_s, [first, *positions])
+    curve = through(time_s, np.array([first, *positions])[:, np.newaxis])
     for i in range(len(spans)):
         values = [curve.sample(t)[0][0] for t in np.linspace(time_s[i], time_s[i + 1], 12)]
         ends = curve.positions_rad[i : i + 2, 0]

@@ -97,39 +97,35 @@ class ActionClient:
         return written(frame, goal_id=self.goal_id, **fields)
 
 
-async def test_a_ros_2_machine_sends_a_goal_and_hears_of_it_until_its_result() -> None:
+async def test_a_ros_2_machine_sends_a_goal_hears_of_it_until_its_result_and_cancels_another() -> None:
     async with networked(offer=(GRIP,)) as (site, machine):
         goals, client = offered(site), ActionClient(machine)
         statuses = machine.hear(f"{GRIP}/_action/status", "action_msgs/msg/GoalStatusArray")
         feedback: list[bytes] = []
         machine.session.declare_subscriber(key("feedback"), lambda sample: feedback.append(bytes(sample.payload)))
-        await until(
-            lambda: machine.has_token(f"/MP/%/%/armbridge/%grip%_action%feedback/{dds(GRIPPER + '_FeedbackMessage')}")
-        )
-        await until(lambda: machine.has_token("/MP/%/%/armbridge/%grip%_action%status/action_msgs::msg::dds_::"))
+        for token in (f"feedback/{dds(GRIPPER + '_FeedbackMessage')}", "status/action_msgs::msg::dds_::"):
+            await until(lambda token=token: machine.has_token(f"/MP/%/%/armbridge/%grip%_action%{token}"))
         assert await client.send(0.5)
         assert goals[0].request["command"]["position"] == 0.5
         goals[0].feedback({"position": 0.25})
         await until(lambda: feedback)
-        result = asyncio.create_task(client.result())
+        asking = asyncio.create_task(client.result())
         await until(lambda: site.bridge._sharing is not None and statuses)
         goals[0].finish(GoalStatus.SUCCEEDED, {"position": 0.5, "reached_goal": True})
-        assert ((await result).status, (await result).position, (await result).reached_goal) == (SUCCEEDED, 0.5, True)
+        result = await asking
+        assert (result.status, result.position, result.reached_goal) == (SUCCEEDED, 0.5, True)
         # Who asks late gets it too.
         assert (await client.result()).status == SUCCEEDED
         await until(lambda: statuses[-1][0].status_list[-1].status == SUCCEEDED)
+        # Another goal is cancelled by the id that the machine chose.
+        other = ActionClient(machine)
+        assert await other.send()
+        goals[1].when_canceled(lambda: goals[1].finish(GoalStatus.CANCELED, {}))
+        await other.cancel()
+        assert (await other.result()).status == CANCELED
     told = read("FeedbackMessage", feedback[0])
     assert (told.position, bytes(told.goal_id)) == (0.25, bytes(client.goal_id))
-    assert bytes(statuses[-1][0].status_list[-1].goal_info.goal_id.uuid) == bytes(client.goal_id)
-
-
-async def test_a_ros_2_machine_cancels_its_goal_by_the_id_that_it_chose() -> None:
-    async with networked(offer=(GRIP,)) as (site, machine):
-        goals, client = offered(site), ActionClient(machine)
-        assert await client.send()
-        goals[0].when_canceled(lambda: goals[0].finish(GoalStatus.CANCELED, {}))
-        await client.cancel()
-        assert (await client.result()).status == CANCELED
+    assert bytes(statuses[-1][0].status_list[0].goal_info.goal_id.uuid) == bytes(client.goal_id)
 
 
 async def test_an_action_that_fits_no_pattern_takes_no_goals() -> None:
@@ -197,16 +193,15 @@ async def test_results_are_kept_for_a_while_and_in_number(monkeypatch: pytest.Mo
 async def test_a_stop_that_comes_while_a_goal_is_decoded_is_not_overtaken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network, "BYTES_AT_ONCE", 0)
     topic, epochs, held = "/moveit_goal_named", list[int](), list[Any]()
+
+    def note(_asked: object) -> dict[str, Any]:
+        epochs.append(arrival_epoch())
+        return {}
+
     async with networked(offer=(GRIP, "/moveit_goal"), subscribe=(topic,)) as (site, machine):
-        note = Subscriber(lambda _message: epochs.append(arrival_epoch()))
-        site.graph.subscribe(site.part, topic, "std_msgs/msg/String", note)
-        site.graph.actions.offer(site.part, GRIP, GRIPPER, lambda _goal: epochs.append(arrival_epoch()), rule=GOAL)
-
-        def serve(_request: object) -> dict[str, Any]:
-            epochs.append(arrival_epoch())
-            return {}
-
-        site.graph.services.offer(site.part, "/moveit_goal", "std_srvs/srv/Trigger", serve)
+        site.graph.subscribe(site.part, topic, "std_msgs/msg/String", Subscriber(note))
+        site.graph.actions.offer(site.part, GRIP, GRIPPER, note, rule=GOAL)
+        site.graph.services.offer(site.part, "/moveit_goal", "std_srvs/srv/Trigger", note)
         assert site.bridge._sharing is not None
         background = site.bridge._sharing._network.background
         run = background.run
@@ -225,9 +220,6 @@ async def test_a_stop_that_comes_while_a_goal_is_decoded_is_not_overtaken(monkey
     assert epochs == [arrived] * 3
 
 
-# Actions of other machines.
-
-
 class ActionServer:
     """Action on the ROS 2 machine; goals stay unanswered until they are ended."""
 
@@ -236,11 +228,12 @@ class ActionServer:
         self.cancelled: list[bytes] = []
         self._machine, self._accepts = machine, accepts
         self._waiting: list[zenoh.Query] = []
-        for part, serve in (
-            ("send_goal", self._send_goal),
-            ("get_result", self._waiting.append),
-            ("cancel_goal", self._cancel_goal),
-        ):
+        serving = {
+            "send_goal": self._send_goal,
+            "get_result": self._waiting.append,
+            "cancel_goal": lambda query: self.cancelled.append(bytes(query.payload or b"")[4:20]),
+        }
+        for part, serve in serving.items():
             machine.session.declare_queryable(key(part), serve, complete=True)
             machine.announce("SS", f"{GRIP}/_action/{part}", dds(SERVICES[part]))
 
@@ -249,9 +242,6 @@ class ActionServer:
         stamp = STORE.types["builtin_interfaces/msg/Time"](0, 0)
         answer = written("SendGoalResponse", accepted=self._accepts, stamp=stamp)
         query.reply(key("send_goal"), answer, attachment=query.attachment)
-
-    def _cancel_goal(self, query: zenoh.Query) -> None:
-        self.cancelled.append(bytes(query.payload or b"")[4:20])
 
     def feedback(self, position: float) -> None:
         values = {"position": position, "effort": 0.0, "stalled": False, "reached_goal": False}
@@ -262,9 +252,8 @@ class ActionServer:
         await until(lambda: self._waiting)
         query = self._waiting.pop()
         values = {"position": position, "effort": 0.0, "stalled": False, "reached_goal": True}
-        query.reply(
-            key("get_result"), written("GetResultResponse", status=status, **values), attachment=query.attachment
-        )
+        frame = written("GetResultResponse", status=status, **values)
+        query.reply(key("get_result"), frame, attachment=query.attachment)
         query.drop()
 
 
@@ -284,13 +273,12 @@ async def found_by(site: Site) -> None:
     await until(lambda: site.graph.actions.names.type_of(GRIP) == GRIPPER)
 
 
-async def test_a_client_sends_a_goal_to_an_action_of_a_ros_2_machine() -> None:
+async def test_a_client_sends_a_goal_to_an_action_of_a_ros_2_machine_and_cancels_another() -> None:
     async with networked(call=(GRIP,), subscribe=("/*",)) as (site, machine):
         server = ActionServer(machine)
         await found_by(site)
-        await until(
-            lambda: machine.has_token(f"/SC/%/%/armbridge/%grip%_action%get_result/{dds(SERVICES['get_result'])}")
-        )
+        token = f"/SC/%/%/armbridge/%grip%_action%get_result/{dds(SERVICES['get_result'])}"
+        await until(lambda: machine.has_token(token))
         sent = Sent(site)
         await until(lambda: server.requests)
         server.feedback(0.25)
@@ -298,22 +286,16 @@ async def test_a_client_sends_a_goal_to_an_action_of_a_ros_2_machine() -> None:
         await server.end(SUCCEEDED, 0.5)
         await until(lambda: sent.results)
         assert site.graph.services.names.type_of(f"{GRIP}/_action/send_goal") is None
+        other = Sent(site)
+        assert other.goal is not None
+        other.goal.cancel()
+        await until(lambda: server.cancelled)
+        await server.end(CANCELED, 0.0)
+        await until(lambda: other.results)
     assert (server.requests[0].position, sent.feedback[0]["position"]) == (0.5, 0.25)
     assert (sent.results[0].ok, sent.results[0].status) == (True, SUCCEEDED)
     assert sent.results[0].values["position"] == 0.5
-
-
-async def test_a_client_cancels_its_goal_there() -> None:
-    async with networked(call=(GRIP,)) as (site, machine):
-        server = ActionServer(machine)
-        await found_by(site)
-        sent = Sent(site)
-        assert sent.goal is not None
-        sent.goal.cancel()
-        await until(lambda: server.cancelled)
-        await server.end(CANCELED, 0.0)
-        await until(lambda: sent.results)
-    assert (sent.results[0].status, server.cancelled) == (CANCELED, [sent.goal.goal_id])
+    assert (other.results[0].status, server.cancelled) == (CANCELED, [other.goal.goal_id])
 
 
 async def test_a_goal_that_is_rejected_there_or_whose_machine_goes_fails() -> None:

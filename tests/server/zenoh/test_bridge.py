@@ -18,8 +18,6 @@ from tests.helpers.resources import Pair, make_pair, make_signed_pair
 from tests.helpers.zenoh_network import REGISTRY, RosMachine, Site, free_port, networked
 from tests.test_readme import blocks
 
-# The bridge.
-
 STRING, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"
 
 
@@ -85,9 +83,6 @@ async def test_a_bridge_that_has_not_joined_yet_ends() -> None:
     assert running.cancelled()
 
 
-# Sharing.
-
-
 async def test_a_client_sends_goals_to_another_arm_by_its_name_there() -> None:
     port = free_port()
     async with (
@@ -109,10 +104,9 @@ async def test_a_client_sends_goals_to_another_arm_by_its_name_there() -> None:
 async def test_a_machine_without_a_namespace_does_not_take_this_arms_out_of_its_own() -> None:
     async with networked(namespace="/arm1", publish=("/joint_states", "/news")) as (site, machine):
         machine.announce_topic("/joint_states", STRING)
-        site.graph.advertise(site.client, "/news", STRING)
-        await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%news/"))
-        site.graph.advertise(site.part, "/joint_states", STRING)
-        await until(lambda: machine.has_token("/MP/%/%arm1/armbridge/%arm1%joint_states/"))
+        for node, topic in ((site.client, "news"), (site.part, "joint_states")):
+            site.graph.advertise(node, f"/{topic}", STRING)
+            await until(lambda topic=topic: machine.has_token(f"/MP/%/%arm1/armbridge/%arm1%{topic}/"))
 
 
 async def test_one_server_shows_the_arms_of_others_to_its_viewers() -> None:
@@ -198,17 +192,11 @@ async def test_the_sharing_outlives_an_error(monkeypatch: pytest.MonkeyPatch, ca
     assert "zenoh: a refresh failed" in caplog.text
 
 
-# Zenoh is optional.
-
-
 def test_only_a_server_that_takes_part_has_a_bridge() -> None:
-    made = [
-        bridge_of(ZenohSettings(**mode), Graph(REGISTRY), unlimited(), 10_000_000) for mode in ({}, {"mode": "peer"})
-    ]
+    modes: list[dict[str, Any]] = [{}, {"mode": "peer"}]
+    made = [bridge_of(ZenohSettings(**mode), Graph(REGISTRY), unlimited(), 10_000_000) for mode in modes]
     assert [type(each) for each in made] == [type(None), Bridge]
 
-
-# Discovery.
 
 CHATTER = Endpoint("/chatter", "std_msgs/msg/String", "RIHS01_0")
 
@@ -230,28 +218,20 @@ class Found:
         return self.discovery.entities()
 
 
-def test_an_entity_is_known_until_it_goes() -> None:
+def test_an_entity_is_known_until_the_last_that_does_the_same_goes() -> None:
     found = Found()
-    token = found.token()
-    assert found.update(token) == (Entity(EntityKind.PUBLISHER, "them", CHATTER, latched=False),)
-    assert found.update(token, alive=False) == ()
+    first, second = found.token(), found.token()
+    known = (Entity(EntityKind.PUBLISHER, "them", CHATTER, latched=False),)
+    assert found.update(first) == found.update(second) == found.update(first, alive=False) == known
+    assert found.update(second, alive=False) == ()
 
 
 def test_only_valid_tokens_of_others_that_are_of_concern_are_kept() -> None:
-    services = Found(lambda entity: entity.kind is EntityKind.SERVICE)
+    services, found = Found(lambda entity: entity.kind is EntityKind.SERVICE), Found()
     assert services.update(services.token()) == ()
-    found = Found()
     assert found.update(found.ours.entity(EntityKind.PUBLISHER, CHATTER)) == ()
     for alive in (True, False):
         assert found.update("@ros2_lv/0/nonsense", alive=alive) == ()
-
-
-def test_several_that_do_the_same_are_one() -> None:
-    found = Found()
-    first, second = found.token(), found.token()
-    assert len(found.update(first)) == len(found.update(second)) == 1
-    assert len(found.update(first, alive=False)) == 1
-    assert found.update(second, alive=False) == ()
 
 
 def test_invented_liveliness_tokens_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,8 +62,6 @@ def test_characters_with_a_meaning_in_keys_are_no_part_of_names() -> None:
     assert [name for name in (*names, *others) if is_name(name)] == names
 
 
-# Attachments.
-
 GID = bytes(range(16))
 
 

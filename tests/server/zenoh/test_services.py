@@ -37,27 +37,19 @@ def failure(reply: zenoh.Reply) -> str:
     return bytes(reply.err.payload).decode()
 
 
-async def test_a_ros_2_machine_calls_a_service_and_knows_its_answer_again() -> None:
-    async with networked(offer=("/arm/*",)) as (site, machine):
-        requests = offered(site)
-        (reply,) = await replies(machine, number=42)
-    assert len(requests) == 1
-    assert reply.ok is not None
-    assert str(reply.ok.key_expr) == f"0/arm/stop/{TRIGGER_KEY}"
-    assert bytes(reply.ok.payload) == DONE
-    assert reply.ok.attachment is not None
-    answered = bytes(reply.ok.attachment)
-    assert answered[:8] == attached(42)[:8]
-    assert answered[16:] == attached(42)[16:]
-
-
-async def test_a_service_that_fits_no_pattern_cannot_be_called() -> None:
+async def test_a_ros_2_machine_calls_what_fits_a_pattern_until_it_is_withdrawn_and_knows_its_answer_again() -> None:
     async with networked(offer=("/arm/stop",)) as (site, machine):
-        offered(site)
-        requests = offered(site, "/arm/enable")
-        assert await replies(machine, "/arm/stop")
-        assert await asyncio.to_thread(machine.call, "/arm/enable") == []
-    assert requests == []
+        requests, others = offered(site), offered(site, "/arm/enable")
+        (reply,) = await replies(machine, number=42)
+        assert len(requests) == 1
+        assert await asyncio.to_thread(machine.call, "/arm/enable") == others == []
+        site.graph.services.withdraw(site.part, "/arm/stop")
+        await until(lambda: not machine.has_token("%arm%stop"))
+        assert await asyncio.to_thread(machine.call, "/arm/stop") == []
+    assert reply.ok is not None
+    assert (str(reply.ok.key_expr), bytes(reply.ok.payload)) == (f"0/arm/stop/{TRIGGER_KEY}", DONE)
+    answered, asked = bytes(reply.ok.attachment or b""), attached(42)
+    assert (answered[:8], answered[16:]) == (asked[:8], asked[16:])
 
 
 async def test_a_query_for_many_keys_calls_no_service() -> None:
@@ -95,8 +87,7 @@ async def test_a_viewing_network_is_told_the_missing_role_but_may_stop_the_arm()
     async with networked(offer=("/arm/*",), role="view") as (site, machine):
         requests = offered(site, "/arm/enable")
         offered(site)
-        (refused,) = await replies(machine, "/arm/enable")
-        (stopped,) = await replies(machine)
+        (refused,), (stopped,) = await replies(machine, "/arm/enable"), await replies(machine)
     assert requests == []
     assert "needs the role operate" in failure(refused)
     assert stopped.ok is not None
@@ -113,8 +104,7 @@ async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
 async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(services, "MAX_INCOMING_CALLS", 2)
     monkeypatch.setattr(services, "MAX_INCOMING_STOPS", 1)
-    enable = "/arm/enable"
-    go_on = asyncio.Event()
+    enable, go_on = "/arm/enable", asyncio.Event()
 
     async def answer(_request: dict[str, Any]) -> dict[str, Any]:
         await go_on.wait()
@@ -125,25 +115,12 @@ async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(monkeypatc
         offered(site)
         first = [asyncio.create_task(replies(machine, enable)) for _ in range(2)]
         await until(lambda: len(site.calls_of(enable)) == 2)
-        (refused,) = await replies(machine, enable)
-        (stopped,) = await replies(machine)
+        (refused,), (stopped,) = await replies(machine, enable), await replies(machine)
         go_on.set()
         answered = [(await call)[0] for call in first]
         (later,) = await replies(machine, enable)
     assert failure(refused) == "Service /arm/enable: 2 calls are on their way already"
     assert all(reply.ok is not None for reply in (*answered, stopped, later))
-
-
-async def test_a_service_that_is_withdrawn_is_taken_back() -> None:
-    async with networked(offer=("/arm/*",)) as (site, machine):
-        offered(site)
-        assert await replies(machine)
-        site.graph.services.withdraw(site.part, "/arm/stop")
-        await until(lambda: not machine.has_token("%arm%stop"))
-        assert await asyncio.to_thread(machine.call, "/arm/stop") == []
-
-
-# Services of other machines that clients call.
 
 
 class Offering:
@@ -176,17 +153,19 @@ async def found_by(site: Site, service: str = "/lamp/switch") -> None:
     await until(lambda: site.graph.services.names.type_of(service) == "std_srvs/srv/Trigger")
 
 
-async def test_a_client_calls_a_service_of_a_ros_2_machine() -> None:
+async def test_a_client_calls_a_service_of_a_ros_2_machine_that_fits_a_pattern() -> None:
     async with networked(call=("/lamp/*",)) as (site, machine):
+        Offering(machine, "/door/open")
         offering = Offering(machine)
         await found_by(site)
         response = await site.called("/lamp/switch")
         again = await site.called("/lamp/switch")
+    assert site.graph.services.names.type_of("/door/open") is None
     assert response.values == again.values == {"success": True, "message": "done"}
     # An empty request is one octet; the calls are counted.
     assert [payload for payload, _ in offering.queries] == [b"\x00\x01\x00\x00\x00"] * 2
-    assert [int.from_bytes(attachment[:8], "little") for _, attachment in offering.queries] == [1, 2]
-    assert {len(attachment) for _, attachment in offering.queries} == {33}
+    numbers = [int.from_bytes(attachment[:8], "little") for _, attachment in offering.queries]
+    assert (numbers, {len(attachment) for _, attachment in offering.queries}) == ([1, 2], {33})
 
 
 async def test_a_service_that_goes_is_gone_and_calls_on_their_way_fail() -> None:
@@ -220,25 +199,15 @@ async def test_a_bad_response_fails_the_call(response: bytes, sentence: str) -> 
 
 
 async def test_a_name_that_is_taken_here_keeps_its_service(caplog: pytest.LogCaptureFixture) -> None:
-    def answer(_request: dict[str, Any]) -> dict[str, Any]:
-        return {"success": True, "message": "here"}
-
+    here = {"success": True, "message": "here"}
     async with networked(call=("/lamp/*",)) as (site, machine):
-        site.graph.services.offer(site.client, "/lamp/switch", "std_srvs/Trigger", answer)
+        site.graph.services.offer(site.client, "/lamp/switch", "std_srvs/Trigger", lambda _request: here)
         Offering(machine)
         Offering(machine, "/lamp/other")
         await found_by(site, "/lamp/other")
         response = await site.called("/lamp/switch")
     assert response.values["message"] == "here"
     assert "/lamp/switch of another machine cannot be called" in caplog.text
-
-
-async def test_services_that_fit_no_pattern_are_not_there() -> None:
-    async with networked(call=("/lamp/*",)) as (site, machine):
-        Offering(machine, "/door/open")
-        Offering(machine)
-        await found_by(site)
-    assert site.graph.services.names.type_of("/door/open") is None
 
 
 async def test_of_too_many_calls_at_a_time_those_beyond_fail_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -69,15 +69,11 @@ def test_work_submitted_before_the_end_is_done(opened: SessionThread) -> None:
     assert done.is_set()
 
 
-def test_a_call_that_waits_for_its_machine_holds_up_no_topic(opened: SessionThread) -> None:
+def test_a_call_that_waits_for_its_machine_holds_up_neither_topics_nor_the_end(opened: SessionThread) -> None:
     done = threading.Event()
     with hanging(opened.submit_call):
         opened.submit(lambda _session: done.set())
         assert done.wait(TIMEOUT_S)
-
-
-def test_a_call_that_waits_for_its_machine_does_not_hold_up_the_end(opened: SessionThread) -> None:
-    with hanging(opened.submit_call):
         assert opened.close()
 
 
@@ -92,7 +88,7 @@ def test_a_stuck_network_delays_neither_work_nor_end(opened: SessionThread, monk
 
 def test_a_failed_session_is_opened_again(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(session_module, "RETRY_PERIOD_S", 0.01)
-    tries = iter([zenoh.ZError("no router at /a/line/of/zenoh"), zenoh.ZError("no router at /a/line/of/zenoh"), None])
+    tries = iter([*[zenoh.ZError("no router at /a/line/of/zenoh")] * 2, None])
 
     def open_later() -> zenoh.Session:
         error = next(tries)
@@ -103,9 +99,8 @@ def test_a_failed_session_is_opened_again(monkeypatch: pytest.MonkeyPatch, caplo
     thread = SessionThread(open_later)
     thread.start()
     assert thread.opened.result(TIMEOUT_S)
-    assert [record.message for record in caplog.records] == [
-        "zenoh: not open yet: no router; trying again every 0.01 s"
-    ]
+    message = "zenoh: not open yet: no router; trying again every 0.01 s"
+    assert [record.message for record in caplog.records] == [message]
     assert thread.close()
 
 
@@ -118,9 +113,6 @@ def test_a_session_that_never_opens_does_not_hold_up_the_end(monkeypatch: pytest
     thread = SessionThread(open_never)
     thread.start()
     assert thread.close()
-
-
-# The queue to the event loop.
 
 
 @pytest.fixture

@@ -12,10 +12,7 @@ from server.errors import ConfigurationError
 from server.zenoh.settings import ZenohSettings, check_installed, exposed_endpoint, session_config
 from tests.test_readme import blocks
 
-# Settings.
-
 PAGE = ROOT / "docs" / "zenoh.md"
-
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     **{
@@ -54,9 +51,6 @@ def with_file(folder: Path, text: str, **settings: Any) -> ZenohSettings:
     """Settings with a configuration file of zenoh."""
     (folder / "zenoh.json5").write_text(text)
     return ZenohSettings(mode="peer", config_file=folder / "zenoh.json5", **settings)
-
-
-# zenoh's configuration.
 
 
 def value(settings: ZenohSettings, path: str) -> Any:
@@ -105,14 +99,12 @@ def test_an_endpoint_that_zenoh_refuses_is_named() -> None:
 
 @pytest.mark.parametrize("taken_in", [{"subscribe": ("/moveit_goal_*",)}, {"offer": ("/arm/*",)}])
 def test_commands_from_everyone_in_the_network_must_be_asked_for_twice(taken_in: dict[str, Any]) -> None:
-    exposed: dict[str, Any] = {"mode": "peer", "listen": ("tcp/0.0.0.0:7447",), **taken_in}
+    exposed: dict[str, Any] = {"mode": "peer", "listen": ("tcp/0.0.0.0:7447",)}
     with pytest.raises(ConfigurationError, match=r"^zenoh\.listen: tcp/0\.0\.0\.0:7447 lets .*zenoh\.insecure = true$"):
-        session_config(ZenohSettings(**exposed))
-    session_config(ZenohSettings(**exposed, insecure=True))
-
-
-def test_the_state_of_the_arm_may_be_told_to_everyone() -> None:
-    session_config(ZenohSettings(mode="peer", listen=("tcp/0.0.0.0:7447",)))
+        session_config(ZenohSettings(**exposed, **taken_in))
+    session_config(ZenohSettings(**exposed, **taken_in, insecure=True))
+    # The state of the arm may be told to everyone.
+    session_config(ZenohSettings(**exposed))
 
 
 @pytest.mark.parametrize(
@@ -136,22 +128,13 @@ def test_a_missing_zenoh_is_reported_with_how_to_install_it(monkeypatch: pytest.
     check_installed(ZenohSettings())
 
 
-# Endpoints.
-
-
-OF_THIS_MACHINE = [
-    "tcp/127.0.0.1:7447",
-    "udp/127.3.2.1:7447",
-    "tcp/[::1]:7447",
-    "tcp/localhost:7447",
-    "unixsock-stream//s",
-]
+HERE = ["tcp/127.0.0.1:7447", "udp/127.3.2.1:7447", "tcp/[::1]:7447", "tcp/localhost:7447", "unixsock-stream//s"]
 OF_EVERYBODY = [f"tcp/{host}:7447" for host in ("0.0.0.0", "[::]", "192.168.1.2", "arm.local")]
 
 
 def test_exposed_endpoints_are_found_unless_certificates_guard_them() -> None:
-    assert exposed_endpoint(OF_THIS_MACHINE, mutual_tls=False) is None
+    assert exposed_endpoint(HERE, mutual_tls=False) is None
     for endpoint in (*OF_EVERYBODY, "tls/0.0.0.0:7447", "?"):
-        assert exposed_endpoint([*OF_THIS_MACHINE, endpoint], mutual_tls=False) == endpoint
+        assert exposed_endpoint([*HERE, endpoint], mutual_tls=False) == endpoint
     assert exposed_endpoint(["tls/0.0.0.0:7447", "quic/0.0.0.0:7447"], mutual_tls=True) is None
     assert exposed_endpoint(["tcp/0.0.0.0:7447"], mutual_tls=True) == "tcp/0.0.0.0:7447"

@@ -33,9 +33,6 @@ def surveyed(bus: Bus, family: Feetech = FAMILY) -> dict[int, ServoFound]:
     return run(survey(family, bus, ServoMap(family, CALIBRATION, BOUNDS)))
 
 
-# Survey.
-
-
 def test_a_servo_in_another_operating_mode_is_refused(bus: Bus) -> None:
     bus.write(2, Register.OPERATING_MODE, 1)
     with pytest.raises(StartupError, match=r"servo 2 \(shoulder_lift\) is in operating mode 1"):
@@ -102,9 +99,6 @@ def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:
     assert bus.counters.sent - before == 3 * len(IDS)
 
 
-# Hardware.
-
-
 def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:
     emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))
     found = FeetechsInUse(emulator).found
@@ -145,9 +139,6 @@ def test_torque_limits_that_servos_have_lost_are_written_again(emulator: Stepped
     assert [servo.value(Register.TORQUE_LIMIT) for servo in emulator.servo_bus.servos] == [800] * 5 + [500]
 
 
-# Torque.
-
-
 def test_a_servo_that_would_clamp_its_goal_is_not_switched_on(emulator: SteppedEmulator) -> None:
     emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, 2000)
     with pytest.raises(StartupError, match="shoulder_pan stands at"):
@@ -175,31 +166,28 @@ def test_a_latched_overload_that_ignores_torque_off_needs_a_power_cycle(emulator
         run_to_end(servos.hardware.clear_overloads([2], hold=True), emulator.run)
 
 
-def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
-    elbow = replace(nominal_calibration().joints[2], range_min=950, homing_offset=-12)
-    wanted = Calibration((*nominal_calibration().joints[:2], elbow, *nominal_calibration().joints[3:]))
-    found = run_to_end(read_differences(bus, wanted))
-    assert found == differences(wanted, scan(bus, IDS).registers)
-    assert [each.register for each in found] == [Register.MIN_ANGLE_LIMIT, Register.HOMING_OFFSET]
+def recalibrated(*changed: int) -> Calibration:
+    """The calibration with another offset and range of some servos."""
+    return Calibration(
+        tuple(
+            replace(joint, homing_offset=-25, range_min=joint.range_min + 40, range_max=joint.range_max + 30)
+            if joint.servo_id in changed
+            else joint
+            for joint in nominal_calibration().joints
+        )
+    )
 
 
 REGISTERS = (Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT)
-
 
 # Two servos, so that one is done or not begun while the other is written.
 CHANGED = (2, 3)
 
 
-def recalibrated():
-    """The calibration with another offset and range of two joints."""
-    return Calibration(
-        tuple(
-            replace(joint, homing_offset=-25, range_min=joint.range_min + 40, range_max=joint.range_max + 30)
-            if joint.servo_id in CHANGED
-            else joint
-            for joint in nominal_calibration().joints
-        )
-    )
+def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
+    found = run_to_end(read_differences(bus, recalibrated(3)))
+    assert found == differences(recalibrated(3), scan(bus, IDS).registers)
+    assert {each.register for each in found} == set(REGISTERS)
 
 
 def calibrated_registers_of(bus, servos=IDS):
@@ -207,44 +195,29 @@ def calibrated_registers_of(bus, servos=IDS):
     return {servo: tuple(bus.read(servo, register) for register in REGISTERS) for servo in servos}
 
 
-def lose_port(emulator):
-    emulator.command(plugged=False)
-
-
-def lose_all_replies(emulator):
-    emulator.command(offline=list(IDS))
-
-
-def interrupted(at_step, interrupt):
+def interrupted(at_step, loss):
     """Servos whose writing was interrupted before a step; None when it had fewer steps."""
     emulator = SteppedEmulator(wire_time=False)
     bus = emulator.open_bus()
     before = calibrated_registers_of(bus)
-    steps = write_to_servos(bus, run_to_end(read_differences(bus, recalibrated()), no_wait))
+    steps = write_to_servos(bus, run(read_differences(bus, recalibrated(*CHANGED))))
     try:
         for _ in range(at_step):
             next(steps)
     except StopIteration:
         return None
-    interrupt(emulator)
+    emulator.command(**loss)
     with contextlib.suppress(RobotError):
-        run_to_end(steps, no_wait)
-    emulator.command(online=list(IDS))
-    emulator.command(plugged=True)
+        run(steps)
+    emulator.command(online=IDS, plugged=True)
     return emulator.open_bus(), before
 
 
-def no_wait(_seconds):
-    """Take the next step at once."""
-
-
-@pytest.mark.parametrize("interrupt", [lose_all_replies, lose_port])
-def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_limits(interrupt):
-    wanted = {
-        joint.servo_id: (joint.homing_offset, joint.range_min, joint.range_max) for joint in recalibrated().joints
-    }
+@pytest.mark.parametrize("loss", [{"offline": IDS}, {"plugged": False}])
+def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_limits(loss):
+    wanted = {each.servo_id: (each.homing_offset, each.range_min, each.range_max) for each in recalibrated(2, 3).joints}
     for at_step in itertools.count(1):
-        found = interrupted(at_step, interrupt)
+        found = interrupted(at_step, loss)
         if found is None:
             break
         bus, before = found
@@ -254,18 +227,13 @@ def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_l
 
 
 def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator, write_log):
-    emulator = start_emulator("--write-log", str(write_log))
-    nominal = nominal_calibration()
-    elbow = replace(nominal.joints[2], range_min=950, homing_offset=-12)
-    wanted = Calibration((*nominal.joints[:2], elbow, *nominal.joints[3:]))
+    emulator, wanted = start_emulator("--write-log", str(write_log)), recalibrated(3)
     bus = emulator.open_bus()
     run_to_end(write_to_servos(bus, differences(wanted, scan(bus, IDS).registers)), emulator.run)
     emulator.command(power_cycle=[3])
     assert differences(wanted, scan(bus, IDS).registers) == []
-    written = [(entry["address"], *entry["data"]) for entry in read_write_log(write_log) if entry["data"]]
-    assert set(written) <= {(Register.LOCK, "3"), (Register.HOMING_OFFSET, "3"), (Register.MIN_ANGLE_LIMIT, "3")} | {
-        (Register.TORQUE_ENABLE, "3")
-    }
+    written = {(entry["address"], *entry["data"]) for entry in read_write_log(write_log) if entry["data"]}
+    assert written <= {(register, "3") for register in (*REGISTERS, Register.LOCK, Register.TORQUE_ENABLE)}
     assert bus.read(3, Register.LOCK) == 1
     bus.close()
 
@@ -295,10 +263,7 @@ def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
 @pytest.mark.parametrize(
     ("spec", "words"),
     [
-        (
-            ProfileTable(registers={"P_GAINN": 20}),
-            r"hardware.profile.registers.P_GAINN: there is no such setting; .*P_GAIN",
-        ),
+        (ProfileTable(registers={"P_GAINN": 20}), r"registers.P_GAINN: there is no such setting; .*P_GAIN"),
         (ProfileTable(registers={"GOAL_POSITION": 20}), "there is no such setting"),
         (ProfileTable(gripper={"P_GAIN": 256}), r"hardware.profile.gripper.P_GAIN: must be 0 to 255, not 256"),
         (ProfileTable(registers={"HOMING_OFFSET": 2048}), "must be -2047 to 2047, not 2048"),

@@ -30,18 +30,12 @@ def test_servos_are_found_as_they_are(family: Family, emulator: Any) -> None:
         assert servo.warnings == ()
 
 
-@pytest.mark.parametrize(
-    ("offline", "sentence"), [({3}, r"^no answer from elbow_flex \(id 3\)$"), (set(IDS), "^no servo answers$")]
-)
-def test_errors_of_emulated_servos_name_no_cables_and_supply(
-    family: Family, emulator: Any, offline: set[int], sentence: str
-) -> None:
-    emulator.servo_bus.faults.offline = offline
-    with pytest.raises(StartupError, match=sentence):
-        surveyed(family, emulator, simulated=True)
-
-
-def test_a_servo_that_stops_answering_is_named(family: Family, emulator: Any) -> None:
+def test_servos_that_do_not_answer_are_named_and_no_cable_if_they_are_emulated(family: Family, emulator: Any) -> None:
+    for offline, sentence in (({3}, r"^no answer from elbow_flex \(id 3\)$"), (set(IDS), "^no servo answers$")):
+        emulator.servo_bus.faults.offline = offline
+        with pytest.raises(StartupError, match=sentence):
+            surveyed(family, emulator, simulated=True)
+    emulator.servo_bus.faults.offline = set()
     steps = survey(family.driver, emulator.open_bus(), family.servo_map)
     for _ in range(len(IDS) + 2):
         next(steps)
@@ -79,18 +73,11 @@ def test_servos_whose_calibration_has_changed_since_the_start_are_refused(family
     assert change_refusal(family.driver, servos, after, before, offsets_known=True) == ""
 
 
-# Feetech alone: limits that keep it from a calibrated position.
-
-
 @pytest.mark.parametrize(
     ("low", "high", "refused"),
     [
-        (-60, -60, True),
-        (60, 60, True),
-        (None, None, False),
-        (60, None, False),
-        (None, -60, False),
-        (60, -60, False),
+        *((ticks, ticks, True) for ticks in (-60, 60)),
+        *((low, high, False) for low in (60, None) for high in (-60, None)),
         (60, 0, False),
     ],
 )
@@ -102,9 +89,6 @@ def test_shifted_limits_are_refused_others_may_differ(low: int | None, high: int
     FEETECH.put(emulator, 3, "MAX_ANGLE_LIMIT", highest)
     reason = calibration_refusal(FEETECH.driver, FEETECH.servo_map, surveyed(FEETECH, emulator))
     assert (f"elbow_flex (id 3) {lowest} to {highest} instead of" in reason and "--write-back" in reason) is refused
-
-
-# Dynamixel alone: turns.
 
 
 def test_a_servo_that_was_turned_many_times_is_refused() -> None:

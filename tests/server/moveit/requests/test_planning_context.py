@@ -6,52 +6,45 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planners.problem import MoveItErrorCode, PlanningProblem
+from planners.problem import MoveItErrorCode
 from server.graph.node import Node
 from server.moveit.requests.planning_context import MAX_START_BOUNDS_ERROR_RAD, start_positions
 from server.moveit.requests.planning_problems import RequestStep
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, joint, message, outcome, rejection
+from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, box, diff, held, joint, message, rejection
 
 ELBOW = ROBOT.joints["elbow_flex"]
-CURRENT = HOME | {"shoulder_pan": 0.3}
 
 
 def state(positions=None, **fields):
     positions = positions or {}
-    joints = {"name": list(positions), "position": list(positions.values())}
-    return message("RobotState", joint_state=joints, **fields)
-
-
-def start(positions=None, current=CURRENT, **fields):
-    return outcome(start_positions, state(positions, **fields), current, ROBOT)
+    return message("RobotState", joint_state={"name": list(positions), "position": list(positions.values())}, **fields)
 
 
 @given(st.floats(0.0, MAX_START_BOUNDS_ERROR_RAD, exclude_min=True), st.sampled_from([-1.0, 1.0]))
 def test_a_start_slightly_beyond_a_limit_is_clamped_with_a_warning(beyond: float, side: float) -> None:
     limit = ELBOW.upper if side > 0.0 else ELBOW.lower
-    positions_rad, warnings = start({"elbow_flex": limit + side * beyond * 0.999})
+    positions_rad, warnings = start_positions(state({"elbow_flex": limit + side * beyond * 0.999}), HOME, ROBOT)
     assert positions_rad["elbow_flex"] == pytest.approx(limit)
     assert all("elbow_flex" in warning for warning in warnings)
 
 
-NO_STATES = {
-    "a position that is no number": (["elbow_flex"], [math.nan], ["'elbow_flex'", "nan"]),
-    "an infinite position": (["elbow_flex"], [math.inf], ["'elbow_flex'", "inf"]),
-    "an unknown joint": (["knee"], [0.1], ["'knee'", "elbow_flex"]),
-    "unlike lengths": (["elbow_flex"], [], ["1 entries", "0"]),
-    "a joint twice": (["elbow_flex"] * 2, [0.1, 0.2], ["more than once"]),
-}
-
-
-@pytest.mark.parametrize(("name", "position", "words"), NO_STATES.values(), ids=NO_STATES.keys())
+@pytest.mark.parametrize(
+    ("name", "position", "words"),
+    [
+        (["elbow_flex"], [math.nan], ["'elbow_flex'", "nan"]),
+        (["elbow_flex"], [math.inf], ["'elbow_flex'", "inf"]),
+        (["knee"], [0.1], ["'knee'", "elbow_flex"]),
+        (["elbow_flex"], [], ["1 entries", "0"]),
+        (["elbow_flex"] * 2, [0.1, 0.2], ["more than once"]),
+    ],
+)
 def test_a_state_that_is_none_is_refused_by_name(name, position, words) -> None:
     told = message("RobotState", joint_state={"name": name, "position": position})
-    assert_refused(outcome(start_positions, told, CURRENT, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, *words)
+    assert_refused(rejection(start_positions, told, HOME, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, *words)
 
 
-BOX = {"primitives": [{"type": 1, "dimensions": [0.01] * 3}], "primitive_poses": [{}]}
-HELD = {"link_name": "gripper_link", "object": {"id": "mug", "header": {"frame_id": "gripper_link"}, **BOX}}
+HELD = held("mug", **box("mug", frame="gripper_link"))
 
 
 def test_a_request_s_state_overrides_that_which_its_client_alone_assumes(rig: ServiceRig) -> None:
@@ -65,31 +58,22 @@ def test_a_request_s_state_overrides_that_which_its_client_alone_assumes(rig: Se
 
 def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
     rig.arm.lose_positions()
-    raised = rejection(rig.context.start, state(), rig.client)
-    assert_refused(raised, MoveItErrorCode.ROBOT_STATE_STALE)
+    assert_refused(rejection(rig.context.start, state(), rig.client), MoveItErrorCode.ROBOT_STATE_STALE)
 
 
-def test_objects_attached_by_a_start_state_count_for_its_request_alone(rig: ServiceRig) -> None:
+def test_attached_objects_of_a_start_state_count_for_its_request_alone_and_a_whole_one_detaches_others(
+    rig: ServiceRig,
+) -> None:
     scene = rig.context.start(state(is_diff=True, attached_collision_objects=[HELD]), rig.client).scene
     assert [held.object.name for held in scene.attached] == ["mug"]
     assert not rig.scene_state.scene.attached
-
-
-def test_a_whole_start_state_detaches_unlisted_objects(rig: ServiceRig) -> None:
-    diff = message("PlanningScene", is_diff=True, robot_state={"is_diff": True, "attached_collision_objects": [HELD]})
-    rig.scene_state.apply_diff(diff, HOME)
+    rig.scene_state.apply_diff(diff(robot_state={"attached_collision_objects": [HELD]}), HOME)
     assert rig.context.start(state(), rig.client).scene.attached
     assert not rig.context.start(state(HOME, is_diff=False), rig.client).scene.attached
 
 
-def request(**fields):
-    goal = {"joint_constraints": [joint("elbow_flex", 0.5)]}
-    return message("MotionPlanRequest", **{"goal_constraints": [goal], **fields})
-
-
 def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
-    step = RequestStep(rig.context.problems, request())
+    goal = {"joint_constraints": [joint("elbow_flex", 0.5)]}
+    step = RequestStep(rig.context.problems, message("MotionPlanRequest", goal_constraints=[goal]))
     for start_rad in (HOME, HOME | {"wrist_roll": 0.3}):
-        problem = step.problem(start_rad)
-        assert isinstance(problem, PlanningProblem)
-        assert problem.start_rad == start_rad
+        assert step.problem(start_rad).start_rad == start_rad

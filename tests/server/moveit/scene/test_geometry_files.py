@@ -9,15 +9,7 @@ from planners.scene import Cylinder
 from server.errors import RefusedError
 from server.graph.node import Node
 from server.graph.topics import Graph
-from server.moveit.scene import geometry_files as geometry_files_module
-from server.moveit.scene.geometry_files import (
-    LOAD,
-    SAVE,
-    file_within,
-    offer_geometry_files,
-    read_geometry,
-    write_geometry,
-)
+from server.moveit.scene import geometry_files
 from tests.helpers.graph import called
 from tests.helpers.moveit import BENT, REGISTRY, box, current_state, diff, message, pose, rejection, scene_state
 
@@ -28,25 +20,22 @@ class Files:
     def __init__(self, directory):
         self.state = scene_state(box("cup"), box("pen"))
         self.graph = Graph(REGISTRY)
-        offer_geometry_files(self.graph, Node("scene"), self.state, current_state(), directory)
+        geometry_files.offer_geometry_files(self.graph, Node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):
         return (await called(self.graph, service, file_path_and_name=name)).values["success"]
 
-    def empty(self):
-        self.state.apply(self.state.world(message("PlanningSceneWorld")), BENT)
-
 
 async def test_a_saved_scene_is_loaded(tmp_path):
     files = Files(tmp_path)
-    assert await files.call(SAVE, "kitchen.scene")
-    before = files.state.contents.objects
-    files.empty()
-    assert await files.call(LOAD, str(tmp_path / "kitchen.scene"))
-    assert list(files.state.contents.objects) == list(before)
+    assert await files.call(geometry_files.SAVE, "kitchen.scene")
+    files.state.apply(files.state.world(message("PlanningSceneWorld")), BENT)
+    assert files.state.contents.objects == {}
+    assert await files.call(geometry_files.LOAD, str(tmp_path / "kitchen.scene"))
+    assert list(files.state.contents.objects) == ["cup", "pen"]
 
 
-@pytest.mark.parametrize("service", [SAVE, LOAD])
+@pytest.mark.parametrize("service", [geometry_files.SAVE, geometry_files.LOAD])
 async def test_no_file_outside_the_folder_is_touched(tmp_path, service, caplog):
     files = Files(tmp_path)
     for name in ("../x", "/etc/passwd", "a/../../x", "", ".", "\0", "x" * 5000):
@@ -57,16 +46,13 @@ async def test_no_file_outside_the_folder_is_touched(tmp_path, service, caplog):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_link_that_leads_out_of_the_folder_is_followed_and_refused(tmp_path):
+def test_a_link_that_leads_out_of_the_folder_is_refused_and_without_a_folder_every_file(tmp_path):
     (tmp_path / "inside").mkdir()
     (tmp_path / "inside" / "way out").symlink_to(tmp_path)
     with pytest.raises(RefusedError, match="must be a file in"):
-        file_within(tmp_path / "inside", "way out/x")
-
-
-def test_without_a_folder_there_are_no_files():
+        geometry_files.file_within(tmp_path / "inside", "way out/x")
     with pytest.raises(RefusedError, match=r"moveit\.geometry_directory names no folder"):
-        file_within(None, "x")
+        geometry_files.file_within(None, "x")
 
 
 async def test_a_missing_or_malformed_file_changes_nothing(tmp_path, caplog):
@@ -77,18 +63,18 @@ async def test_a_missing_or_malformed_file_changes_nothing(tmp_path, caplog):
     before = files.state.contents
     with caplog.at_level(logging.WARNING, "armbridge"):
         for name in ("absent", "binary", "text", "nan"):
-            assert not await files.call(LOAD, name)
+            assert not await files.call(geometry_files.LOAD, name)
     assert files.state.contents is before
     assert len(caplog.records) == 4
 
 
 async def test_the_size_of_files_is_bounded_both_ways(tmp_path, monkeypatch, caplog):
     files = Files(tmp_path)
-    assert await files.call(SAVE, "fits")
-    monkeypatch.setattr(geometry_files_module, "MAX_FILE_BYTES", 10)
+    assert await files.call(geometry_files.SAVE, "fits")
+    monkeypatch.setattr(geometry_files, "MAX_FILE_BYTES", 10)
     with caplog.at_level(logging.WARNING, "armbridge"):
-        assert not await files.call(SAVE, "new")
-        assert not await files.call(LOAD, "fits")
+        assert not await files.call(geometry_files.SAVE, "new")
+        assert not await files.call(geometry_files.LOAD, "fits")
     assert caplog.text.count("more than 10") == 2
 
 
@@ -110,55 +96,42 @@ RACK = {
 }
 
 
-def again(state):
-    """The scene that a scene's text gives."""
-    objects = read_geometry(write_geometry(state.contents), "base_link")
-    other = scene_state()
-    other.apply_diff(diff(world={"collision_objects": objects}), None)
-    return other
-
-
-def test_every_shape_and_subframe_comes_back_from_the_text_exactly():
+def test_every_shape_and_subframe_comes_back_from_the_text_exactly_with_a_colour_behind_each_shape():
     state = scene_state(RACK, box("cup"))
-    things = again(state).contents.objects
-    assert {name: thing.message for name, thing in things.items()} == {
-        name: thing.message for name, thing in state.contents.objects.items()
-    }
-
-
-def test_a_colour_stands_behind_each_shape():
-    state = scene_state(box("cup"))
     color = {"r": 0.5, "g": 0.25, "b": 0.0, "a": 1.0}
     state.apply_diff(diff(object_colors=[{"id": "cup", "color": color}]), BENT)
-    assert "0.5 0.25 0.0 1.0" in write_geometry(state.contents).splitlines()
+    text = geometry_files.write_geometry(state.contents)
+    assert "0.5 0.25 0.0 1.0" in text.splitlines()
+    before, after = (
+        state.contents.objects,
+        scene_state(*geometry_files.read_geometry(text, "base_link")).contents.objects,
+    )
+    assert [(name, each.message) for name, each in after.items()] == [(n, each.message) for n, each in before.items()]
 
 
 def test_moveit_s_own_text_is_read_in_both_versions():
     text = "(noname)\n* Can\n0.1 0.2 0.3\n0 0 0 1\n1\ncylinder\n0.03 0.12\n0 0 0\n0 0 0 1\n0 0 0 0\n0\n.\n"
-    (can,) = scene_state(*read_geometry(text, "")).contents.objects.values()
+    (can,) = scene_state(*geometry_files.read_geometry(text, "")).contents.objects.values()
     assert (can.pose.position_m, can.shapes[0][0]) == ((0.1, 0.2, 0.3), Cylinder(0.03, 0.12))
     text = "(noname)\n* Box\n1\nbox\n0.1 0.1 0.1\n0.5 0 0\n0 0 0 1\n0 0 0 0\n.\n"
-    (thing,) = scene_state(*read_geometry(text, "")).contents.objects.values()
+    (thing,) = scene_state(*geometry_files.read_geometry(text, "")).contents.objects.values()
     assert thing.pose.position_m == (0.5, 0.0, 0.0)
 
 
 GOOD = "s\n* b\n0 0 0\n0 0 0 1\n1\nbox\n1 1 1\n0 0 0\n0 0 0 1\n0 0 0 0\n0\n.\n"
-BAD = {
-    "empty": ("", "the file ends after line 0"),
-    "no end": (GOOD.replace(".", "* c"), "the file ends after line 12"),
-    "no thing": (GOOD.replace("* b", "b"), "line 2 must be '* ID' or '.'"),
-    "unknown shape": (GOOD.replace("box", "torus"), "line 6 must be one of box, sphere"),
-    "words for figures": (GOOD.replace("1 1 1", "1 one 1"), "line 7 must be a box's edges"),
-    "too few figures": (GOOD.replace("1 1 1", "1 1"), "line 7 must be a box's edges"),
-    "half a shape": (GOOD.replace("\n1\n", "\n0.5\n"), "line 5 must be the number of shapes"),
-    "more than there are lines": (GOOD.replace("\n1\n", "\n1000000000\n"), "line 5 must be the number of shapes"),
-    "no number of shapes": (GOOD.replace("\n1\n", "\n-1\n"), "line 5 must be the number of shapes"),
-    "infinitely many": (GOOD.replace("\n1\n", "\ninf\n"), "line 5 must be the number of shapes"),
-}
+NUMBER = "line 5 must be the number of shapes"
+BAD = [
+    ("", "the file ends after line 0"),
+    (GOOD.replace(".", "* c"), "the file ends after line 12"),
+    (GOOD.replace("* b", "b"), "line 2 must be '* ID' or '.'"),
+    (GOOD.replace("box", "torus"), "line 6 must be one of box, sphere"),
+    (GOOD.replace("1 1 1", "1 one 1"), "line 7 must be a box's edges"),
+    (GOOD.replace("1 1 1", "1 1"), "line 7 must be a box's edges"),
+    *((GOOD.replace("\n1\n", f"\n{number}\n"), NUMBER) for number in ("0.5", "1000000000", "-1", "inf")),
+]
 
 
-@pytest.mark.parametrize(("text", "words"), BAD.values(), ids=BAD.keys())
+@pytest.mark.parametrize(("text", "words"), BAD)
 def test_a_wrong_line_is_refused_by_its_number(text, words):
-    assert read_geometry(GOOD, "")
-    refusal = rejection(read_geometry, text, "")
-    assert words in refusal.message
+    assert geometry_files.read_geometry(GOOD, "")
+    assert words in rejection(geometry_files.read_geometry, text, "").message

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-from copy import copy
 
 import numpy as np
 import pytest
@@ -17,22 +16,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.messages import matrix_of
 from server.moveit.parameters import MoveItParameters
-from server.moveit.scene.interface import (
-    ALLOWED_COLLISION_MATRIX,
-    APPLY,
-    CLEAR_OCTOMAP,
-    EVERYTHING,
-    GET,
-    LINK_PADDING_AND_SCALING,
-    MONITORED_TOPIC,
-    OBJECT_COLORS,
-    SCENE_SETTINGS,
-    TRANSFORMS,
-    MonitoredScenePublisher,
-    SceneInterface,
-    scene_diff,
-    scene_message,
-)
+from server.moveit.scene import interface
 from server.moveit.scene.scene_state import AT_ONCE_ELEMENTS, AssumedStates, SceneChange, SceneState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS
@@ -56,7 +40,7 @@ from tests.helpers.resources import examples
 
 def opened():
     graph, state = Graph(REGISTRY), SceneState(ROBOT)
-    SceneInterface(graph, state, AssumedStates(ROBOT), current_state(), MoveItParameters())
+    interface.SceneInterface(graph, state, AssumedStates(ROBOT), current_state(), MoveItParameters())
     return graph, state
 
 
@@ -97,12 +81,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        SceneInterface(self.graph, self.state, self.assumed, current_state(), MoveItParameters())
-
-    def another(self):
-        other = copy(self)
-        other.node = Node("another", remote=True)
-        return other
+        interface.SceneInterface(self.graph, self.state, self.assumed, current_state(), MoveItParameters())
 
     def call(self, service, **request):
         response = answered(self.graph, service, self.node, **request)
@@ -110,10 +89,10 @@ class Client:
         return response.values
 
     def get(self, components=0):
-        return self.call(GET, components={"components": components})["scene"]
+        return self.call(interface.GET, components={"components": components})["scene"]
 
     def apply(self, **scene):
-        return self.call(APPLY, scene={"is_diff": True, **scene})["success"]
+        return self.call(interface.APPLY, scene={"is_diff": True, **scene})["success"]
 
     def joints(self):
         joint_state = self.get()["robot_state"]["joint_state"]
@@ -128,13 +107,15 @@ async def test_the_answer_is_a_complete_message():
     client = Client()
     assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
     for components in (0, 8, 671):
-        answer = client.call(GET, components={"components": components})
+        answer = client.call(interface.GET, components={"components": components})
         assert client.graph.message_types.complete("moveit_msgs/srv/GetPlanningScene_Response", answer) == answer
+    # The octomap that is not there can be cleared.
+    assert client.call(interface.CLEAR_OCTOMAP) == {}
 
 
 def test_a_refusal_tells_its_reason_beside_the_response_and_in_the_log(caplog):
     scene = {"is_diff": True, "world": {"collision_objects": [{"id": "ghost", "operation": 1}]}}
-    response = answered(Client().graph, APPLY, scene=scene)
+    response = answered(Client().graph, interface.APPLY, scene=scene)
     assert response.values == {"success": False}
     assert response.reason.startswith("refused, nothing is changed: world.collision_objects[0]: there is no object")
     assert "no object 'ghost'" in caplog.text
@@ -146,7 +127,8 @@ MANY = [box(str(number), at=pose(2.0)) for number in range(100)]
 @pytest.mark.parametrize("waited_s", [1.0, 59.0])
 async def test_a_large_scene_may_take_longer_than_a_call_of_a_client_and_later_calls_wait_for_it(waited_s):
     client, answers = Client(), []
-    for service, request in ((APPLY, {"scene": {"is_diff": True, "world": {"collision_objects": MANY}}}), (GET, {})):
+    scene = {"is_diff": True, "world": {"collision_objects": MANY}}
+    for service, request in ((interface.APPLY, {"scene": scene}), (interface.GET, {})):
         client.graph.services.call(client.node, service, request, answers.append)
     assert not answers
     client.clock.advance(waited_s)
@@ -165,7 +147,7 @@ async def test_a_scene_whose_call_was_answered_with_a_failure_is_not_applied_aft
     # Behind another change that takes a thread, also a small one waits for its turn.
     client.state.submit(SceneChange(lambda _draft: None, AT_ONCE_ELEMENTS + 1), None, lambda _refusal: None)
     scene = {"is_diff": True, "world": {"collision_objects": objects}, "robot_state": state_of(0.1)}
-    client.graph.services.call(client.node, APPLY, {"scene": scene}, answers.append, timeout_s=2.0)
+    client.graph.services.call(client.node, interface.APPLY, {"scene": scene}, answers.append, timeout_s=2.0)
     client.clock.advance(2.1)
     assert [answer.ok for answer in answers] == [False]
     await asyncio.wait_for(client.state.settled(), TIMEOUT_S)
@@ -177,25 +159,22 @@ async def test_a_scene_whose_call_was_answered_with_a_failure_is_not_applied_aft
 async def test_a_scene_whose_client_leaves_before_it_is_made_is_made_all_the_same():
     client = Client()
     scene = {"is_diff": True, "world": {"collision_objects": MANY}, "robot_state": state_of(0.1)}
-    client.graph.services.call(client.node, APPLY, {"scene": scene}, lambda _answer: None)
+    client.graph.services.call(client.node, interface.APPLY, {"scene": scene}, lambda _answer: None)
     client.graph.services.remove(client.node)
     await asyncio.wait_for(client.state.settled(), TIMEOUT_S)
     assert len(client.state.contents.objects) == 100
     assert client.joints() != dict.fromkeys(JOINTS, 0.1)
 
 
-def test_an_assumed_state_is_given_back_to_the_client_that_set_it():
+def test_an_assumed_state_is_given_back_to_the_client_that_set_it_and_a_scene_sent_back_assumes_nothing():
     client = Client()
     assert client.joints() == pytest.approx(BENT)
-    assert client.apply(robot_state=state_of(0.5))
-    assert client.joints() == dict.fromkeys(JOINTS, 0.5)
-    assert client.another().joints() == pytest.approx(BENT)
-
-
-def test_a_scene_sent_back_assumes_nothing():
-    client = Client()
     assert client.apply(**{**client.get(), "is_diff": True})
     assert client.assumed.of(client.node) is None
+    assert client.apply(robot_state=state_of(0.5))
+    assert client.joints() == dict.fromkeys(JOINTS, 0.5)
+    client.node = Node("another", remote=True)
+    assert client.joints() == pytest.approx(BENT)
 
 
 async def test_moving_frames_are_where_the_client_assumes_the_arm():
@@ -231,10 +210,6 @@ async def test_an_object_attached_again_as_by_compas_fab_stays_attached():
         np.testing.assert_allclose(held.position_m, (0.1, 0.0, 0.0), atol=1e-12)
 
 
-def test_the_octomap_that_is_not_there_can_be_cleared():
-    assert Client().call(CLEAR_OCTOMAP) == {}
-
-
 # Not the default.
 PERIOD_S = 0.5
 
@@ -244,14 +219,12 @@ class Watched:
 
     def __init__(self):
         self.clock, self.state = FakeClock(), scene_state(box("table"))
-        self.graph = Graph(REGISTRY, self.clock, call_later=self.clock.call_later)
-        self.monitored = MonitoredScenePublisher(
-            self.graph, self.state, current_state(), 2.0, self.clock, self.clock.call_later
-        )
-        self.heard = listen(self.graph, MONITORED_TOPIC)
+        graph, later = Graph(REGISTRY, self.clock, call_later=self.clock.call_later), self.clock.call_later
+        self.monitored = interface.MonitoredScenePublisher(graph, self.state, current_state(), 2.0, self.clock, later)
+        self.heard = listen(graph, interface.MONITORED_TOPIC)
 
-    def add(self, name):
-        self.state.apply(self.state.collision_object(collision_object(**box(name))), BENT)
+    def add(self, name, **fields):
+        self.state.apply(self.state.collision_object(collision_object(**box(name, **fields))), BENT)
 
 
 def ids(message):
@@ -271,22 +244,18 @@ def test_a_subscriber_gets_the_whole_scene_first_and_then_fast_changes_together(
     assert all(change["is_diff"] for change in watched.heard[1:])
 
 
-def test_a_change_that_is_reverted_in_time_is_not_published():
+def test_nothing_is_published_of_a_change_that_is_reverted_in_time_nor_after_the_end():
     watched = Watched()
     watched.add("cup")
     watched.clock.advance(0.0)
     watched.add("pen")
-    watched.state.apply(watched.state.collision_object(collision_object(id="pen", operation=1)), BENT)
+    watched.add("pen", operation=1)
     watched.clock.advance(PERIOD_S)
     assert len(watched.heard) == 2
-
-
-def test_nothing_is_published_after_the_end():
-    watched = Watched()
-    watched.add("cup")
+    watched.add("pen")
     watched.monitored.close()
     watched.clock.advance(PERIOD_S)
-    assert len(watched.heard) == 1
+    assert len(watched.heard) == 2
 
 
 STATE = state_message(BENT, ROBOT.root_link, 0.0)
@@ -312,33 +281,33 @@ def full():
 FULL = full()
 
 
-def told(components):
-    return scene_message(FULL.contents, ROBOT, STATE, components)
-
-
 FIELDS = {
-    "name": SCENE_SETTINGS,
-    "robot_model_name": SCENE_SETTINGS,
-    "fixed_frame_transforms": TRANSFORMS,
-    "allowed_collision_matrix": ALLOWED_COLLISION_MATRIX,
-    "link_padding": LINK_PADDING_AND_SCALING,
-    "link_scale": LINK_PADDING_AND_SCALING,
-    "object_colors": OBJECT_COLORS,
+    "name": interface.SCENE_SETTINGS,
+    "robot_model_name": interface.SCENE_SETTINGS,
+    "fixed_frame_transforms": interface.TRANSFORMS,
+    "allowed_collision_matrix": interface.ALLOWED_COLLISION_MATRIX,
+    "link_padding": interface.LINK_PADDING_AND_SCALING,
+    "link_scale": interface.LINK_PADDING_AND_SCALING,
+    "object_colors": interface.OBJECT_COLORS,
 }
 
 
 @pytest.mark.parametrize(("field", "component"), FIELDS.items())
 def test_a_field_that_is_not_requested_is_empty(field, component):
-    nothing = message("PlanningScene")
-    assert told(component)[field] == told(0)[field] != nothing[field]
-    assert told(EVERYTHING - component)[field] == nothing[field]
+    alone, all_of_it, without = (
+        interface.scene_message(FULL.contents, ROBOT, STATE, components)[field]
+        for components in (component, 0, interface.EVERYTHING - component)
+    )
+    assert alone == all_of_it != without == message("PlanningScene")[field]
 
 
 def test_a_scene_sent_back_as_a_diff_or_whole_changes_nothing():
     state = full()
     contents, scene = state.contents, state.scene
     for is_diff in (True, False):
-        sent = message("PlanningScene", **scene_message(contents, ROBOT, STATE, EVERYTHING)) | {"is_diff": is_diff}
+        sent = message("PlanningScene", **interface.scene_message(contents, ROBOT, STATE, interface.EVERYTHING)) | {
+            "is_diff": is_diff
+        }
         state.apply_diff(sent, BENT)
         assert (state.contents, state.scene) == (contents, scene)
 
@@ -378,19 +347,19 @@ def after(changes):
 @given(st.lists(st.sampled_from(CHANGES), max_size=4), st.lists(st.sampled_from(CHANGES), max_size=4))
 def test_a_diff_turns_one_scene_into_another(first, then):
     follower, leader = after(first), after([*first, *then])
-    sent = scene_diff(follower.contents, leader.contents, ROBOT)
+    sent = interface.scene_diff(follower.contents, leader.contents, ROBOT)
     follower.apply_diff(message("PlanningScene", **sent), BENT)
-    for part in ("objects", "attached"):
-        ours, theirs = getattr(follower.contents, part), getattr(leader.contents, part)
-        assert {name: each.message for name, each in ours.items()} == {name: e.message for name, e in theirs.items()}
-    assert (follower.contents.padding_m, follower.contents.scale) == (leader.contents.padding_m, leader.contents.scale)
-    assert follower.contents.allowed_collisions == leader.contents.allowed_collisions
+    ours, theirs = follower.contents, leader.contents
+    for mine, others in ((ours.objects, theirs.objects), (ours.attached, theirs.attached)):
+        assert {name: each.message for name, each in mine.items()} == {name: e.message for name, e in others.items()}
+    assert (ours.padding_m, ours.scale) == (theirs.padding_m, theirs.scale)
+    assert ours.allowed_collisions == theirs.allowed_collisions
     # A difference removes no colours and frames.
-    for part in ("colors", "fixed_frames"):
-        assert getattr(leader.contents, part).items() <= getattr(follower.contents, part).items()
+    assert theirs.colors.items() <= ours.colors.items()
+    assert theirs.fixed_frames.items() <= ours.fixed_frames.items()
 
 
 @pytest.mark.parametrize(("one", "other"), [(SceneState(ROBOT), FULL), (FULL, SceneState(ROBOT))])
 def test_a_difference_is_a_complete_message(one, other):
-    sent = scene_diff(one.contents, other.contents, ROBOT)
+    sent = interface.scene_diff(one.contents, other.contents, ROBOT)
     assert message("PlanningScene", **sent) == sent

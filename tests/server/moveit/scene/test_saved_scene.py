@@ -24,6 +24,7 @@ from tests.helpers.rules import server_rules
 
 CORNERS = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.1, "z": 0.0}]
 MESH = {"triangles": [{"vertex_indices": [0, 1, 2]}], "vertices": CORNERS}
+CUBE = {"type": 1, "dimensions": [0.05, 0.05, 0.05]}
 COLOR = {"r": 1.0, "g": 0.5, "b": 0.0, "a": 1.0}
 
 
@@ -81,14 +82,11 @@ async def test_all_that_clients_added_is_there_at_the_next_start(path: Path, cap
             "subframe_names": ["tip"],
             "subframe_poses": [pose()],
         }
+        cup = held("cup", touch_links=("moving_jaw_so101_v1_link",), primitives=[CUBE])
         run.apply(
             name="kitchen",
             world={"collision_objects": [box("wall", at=pose(x=0.5)), mesh]},
-            robot_state={
-                "attached_collision_objects": [
-                    held("cup", touch_links=("moving_jaw_so101_v1_link",), primitives=[CUBE])
-                ]
-            },
+            robot_state={"attached_collision_objects": [cup]},
             allowed_collision_matrix={
                 "entry_names": names,
                 "entry_values": [{"enabled": [True] * len(names)} for _ in names],
@@ -106,15 +104,6 @@ async def test_all_that_clients_added_is_there_at_the_next_start(path: Path, cap
     assert f"the planning scene is restored from {path}: 3 objects, 1 of them held" in caplog.text
 
 
-CUBE = {"type": 1, "dimensions": [0.05, 0.05, 0.05]}
-
-
-async def test_a_matrix_that_nobody_changed_is_left_to_the_description(path: Path) -> None:
-    async with Run(path) as run:
-        run.add("wall")
-    assert read_json(path, 10_000)["allowed_collision_matrix"]["entry_names"] == []
-
-
 async def test_changes_are_written_together_after_a_while_and_the_last_ones_at_the_end(path: Path) -> None:
     async with Run(path) as run:
         run.add("a")
@@ -126,6 +115,8 @@ async def test_changes_are_written_together_after_a_while_and_the_last_ones_at_t
         run.add("c")
         assert run.written() == ["a", "b"]
     assert run.written() == ["a", "b", "c"]
+    # A matrix that nobody changed is left to the description.
+    assert read_json(path, 10_000)["allowed_collision_matrix"]["entry_names"] == []
 
 
 async def test_what_changes_while_it_is_written_is_written_next(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,19 +150,20 @@ async def test_a_slow_disk_is_written_to_less_often(path: Path, monkeypatch: pyt
         assert run.written() == ["a", "b"]
 
 
-BROKEN = {
-    "not JSON": "{",
-    "nests too deep": "[" * 100_000,
-    "not UTF-8": "\udcff",
-    "another form": "[]",
-    "a word for a list": '{"world": {"collision_objects": "all"}}',
-    "no object": '{"world": {"collision_objects": [7]}}',
-    "an object without shape": '{"world": {"collision_objects": [{"id": "x"}]}}',
-    "an unknown link": json.dumps({"robot_state": {"attached_collision_objects": [held("cup", "tail")]}}),
-}
+BROKEN = [
+    "{",
+    "[" * 100_000,
+    # No UTF-8.
+    "\udcff",
+    "[]",
+    '{"world": {"collision_objects": "all"}}',
+    '{"world": {"collision_objects": [7]}}',
+    '{"world": {"collision_objects": [{"id": "x"}]}}',
+    json.dumps({"robot_state": {"attached_collision_objects": [held("cup", "tail")]}}),
+]
 
 
-@pytest.mark.parametrize("content", BROKEN.values(), ids=BROKEN.keys())
+@pytest.mark.parametrize("content", BROKEN, ids=range(len(BROKEN)))
 async def test_an_unrestorable_file_is_set_aside(path: Path, content: str, caplog: pytest.LogCaptureFixture) -> None:
     octets = content.encode("utf-8", "surrogateescape")
     with files.locked(path):
@@ -184,11 +176,12 @@ async def test_an_unrestorable_file_is_set_aside(path: Path, content: str, caplo
     assert "cannot be restored" in caplog.text
 
 
-@pytest.mark.parametrize("fault", ["a folder in its place", "no folder"])
-async def test_an_unusable_file_prevents_nothing(tmp_path: Path, fault: str, caplog: pytest.LogCaptureFixture) -> None:
+# There is a folder in its place, or a file in that of its folder.
+@pytest.mark.parametrize("name", ["scene.json", "file/scene.json"])
+async def test_an_unusable_file_prevents_nothing(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "scene.json").mkdir()
-    async with Run(tmp_path / ("scene.json" if fault == "a folder in its place" else "file/scene.json")) as run:
+    async with Run(tmp_path / name) as run:
         run.add("wall")
     assert (tmp_path / "scene.json").is_dir()
     assert "the planning scene is not kept" in caplog.text
@@ -251,12 +244,9 @@ async def test_a_scene_comes_back_with_what_is_held_and_without_what_was_added_s
 
 async def test_scenes_are_listed_by_name_and_deleted(tmp_path):
     scenes = Scenes(tmp_path / "new", box("cup"))
-    assert await scenes.call("list") == {"names": []}
-    for name in ("b", "a"):
-        assert (await scenes.call("save", name=name))["success"]
-    assert await scenes.call("list") == {"names": ["a", "b"]}
-    assert (await scenes.call("delete", name="a"))["success"]
-    assert await scenes.call("list") == {"names": ["b"]}
+    for service, name, names in (("save", "b", ["b"]), ("save", "a", ["a", "b"]), ("delete", "b", ["a"])):
+        assert (await scenes.call(service, name=name))["success"]
+        assert await scenes.call("list") == {"names": names}
 
 
 async def test_a_scene_that_is_too_large_is_refused_and_the_old_one_stays(tmp_path, monkeypatch):
@@ -264,8 +254,8 @@ async def test_a_scene_that_is_too_large_is_refused_and_the_old_one_stays(tmp_pa
     await scenes.call("save", name="a")
     before = (tmp_path / "a.json").read_bytes()
     monkeypatch.setattr(saved_scene, "MAX_SCENE_BYTES", 100)
-    assert "more than 100 bytes" in (await scenes.call("save", name="a"))["message"]
-    assert "more than 100 bytes" in (await scenes.call("load", name="a"))["message"]
+    for service in ("save", "load"):
+        assert "more than 100 bytes" in (await scenes.call(service, name="a"))["message"]
     assert (tmp_path / "a.json").read_bytes() == before
 
 

@@ -3,6 +3,7 @@
 import asyncio
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -19,17 +20,7 @@ from robot.messages import MotionEnded, Outcome, Setpoint
 from server.errors import refused
 from server.execution.monitors import CurrentState
 from server.moveit.parameters import ServoParameters
-from server.moveit.servo.servo_loop import (
-    REST_S,
-    Ask,
-    ServoInput,
-    ServoListener,
-    ServoSession,
-    ServoSetup,
-    TwistCommand,
-    read_joint_jog,
-    read_twist,
-)
+from server.moveit.servo import servo_loop
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm
 from tests.helpers.moveit import REGISTRY, outcome
@@ -53,44 +44,40 @@ def jog(names: list[str], velocities: list[float], **more: Any) -> Any:
 
 
 def test_unitless_commands_are_scaled_to_speeds() -> None:
-    read = read_twist(twist({"x": 0.5}, angular={"z": -1.0}), UNITLESS)
-    assert isinstance(read, TwistCommand)
+    read = servo_loop.read_twist(twist({"x": 0.5}, angular={"z": -1.0}), UNITLESS)
+    assert isinstance(read, servo_loop.TwistCommand)
     assert read.linear_m_s == pytest.approx((0.1, 0.0, 0.0))
     assert read.angular_rad_s == pytest.approx((0.0, 0.0, -0.8))
-    assert read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities({"elbow_flex": 0.25})
+    assert servo_loop.read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities(
+        {"elbow_flex": 0.25}
+    )
 
 
-@pytest.mark.parametrize(
-    ("read", "said"),
-    [
-        (outcome(read_twist, twist({"y": 1.5}), UNITLESS), "twist.linear.y must be -1 to 1"),
-        (
-            outcome(read_twist, twist({}, angular={"x": math.nan}), UNITLESS),
-            "twist.angular.x must be a finite number, not nan",
-        ),
-        (outcome(read_twist, twist({"z": math.inf}), SPEEDS), "twist.linear.z"),
-        (outcome(read_joint_jog, jog(["elbow_flex"], []), STEERED_JOINTS, UNITLESS), "0 values for 1 joint_names"),
-        (outcome(read_joint_jog, jog([], []), STEERED_JOINTS, UNITLESS), "0 values for 0 joint_names"),
-        (
-            outcome(read_joint_jog, jog(["elbow_flex"], [], displacements=[0.1]), STEERED_JOINTS, UNITLESS),
-            "displacements are not followed",
-        ),
-        (outcome(read_joint_jog, jog(["gripper"], [0.1]), STEERED_JOINTS, UNITLESS), "'gripper'"),
-        (outcome(read_joint_jog, jog(["elbow_flex"] * 2, [0.1, 0.2]), STEERED_JOINTS, UNITLESS), "twice"),
-        (
-            outcome(read_joint_jog, jog(["elbow_flex"], [math.nan]), STEERED_JOINTS, UNITLESS),
-            "velocities of elbow_flex",
-        ),
-    ],
-)
-def test_a_bad_command_is_rejected_with_field_and_value(read: object, said: str) -> None:
+ELBOW = ["elbow_flex"]
+BAD: list[tuple[Any, Any, str]] = [
+    (UNITLESS, twist({"y": 1.5}), "twist.linear.y must be -1 to 1"),
+    (UNITLESS, twist({}, angular={"x": math.nan}), "twist.angular.x must be a finite number, not nan"),
+    (SPEEDS, twist({"z": math.inf}), "twist.linear.z"),
+    (UNITLESS, jog(ELBOW, []), "0 values for 1 joint_names"),
+    (UNITLESS, jog([], []), "0 values for 0 joint_names"),
+    (UNITLESS, jog(ELBOW, [], displacements=[0.1]), "displacements are not followed"),
+    (UNITLESS, jog(["gripper"], [0.1]), "'gripper'"),
+    (UNITLESS, jog(ELBOW * 2, [0.1, 0.2]), "twice"),
+    (UNITLESS, jog(ELBOW, [math.nan]), "velocities of elbow_flex"),
+]
+
+
+@pytest.mark.parametrize(("parameters", "command", "said"), BAD)
+def test_a_bad_command_is_rejected_with_field_and_value(parameters: Any, command: Any, said: str) -> None:
+    jogs = (STEERED_JOINTS,) if "joint_names" in command else ()
+    read = outcome(servo_loop.read_joint_jog if jogs else servo_loop.read_twist, command, *jogs, parameters)
     assert isinstance(read, PlanningFailure)
     assert said in read.message
 
 
 JOINTS = ROBOT.groups["arm"].joints
 PERIOD_S, TIMEOUT_S = 0.02, 0.25
-NORTH = TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "")
+NORTH, STILL = (servo_loop.TwistCommand((speed, 0.0, 0.0), (0.0, 0.0, 0.0), "") for speed in (0.1, 0.0))
 MOVING = dict.fromkeys(JOINTS, 0.1) | {"elbow_flex": 0.3}
 RESTING = dict.fromkeys(JOINTS, 0.0)
 KEPT = Anchor(Pose((0.3, 0.0, 0.2)))
@@ -107,32 +94,23 @@ class Rig:
         self.answer: Callable[[ServoQuestion], ServoAnswer | PlanningFailure] = lambda question: ServoAnswer(
             RESTING if question.command.zero else MOVING, anchor=KEPT
         )
-        self._setup = ServoSetup("arm", JOINTS, "gripper_frame_link", ServoLimits(), period_s, TIMEOUT_S, at_once)
+        self._setup = servo_loop.ServoSetup(
+            "arm", JOINTS, "gripper_frame_link", ServoLimits(), period_s, TIMEOUT_S, at_once
+        )
         self.session = self.made(self._ask)
 
-    def made(self, ask: Ask) -> ServoSession:
+    def made(self, ask: servo_loop.Ask) -> servo_loop.ServoSession:
         """Return a session of its own with these planners."""
-        return ServoSession(
-            self.arm.as_arm,
-            self._setup,
-            cast(
-                "Any",
-                SimpleNamespace(frames=SimpleNamespace(resolve=self._resolve), current=CurrentState(self.arm, ROBOT)),
-            ),
-            ServoListener(lambda status, message: self.told.append((status, message)), self.interruptions.append),
-            ask,
-            self.clock,
-        )
+        frames: Any = SimpleNamespace(resolve=self._resolve)
+        context: Any = SimpleNamespace(frames=frames, current=CurrentState(self.arm, ROBOT))
+        listener = servo_loop.ServoListener(lambda *told: self.told.append(told), self.interruptions.append)
+        return servo_loop.ServoSession(self.arm.as_arm, self._setup, context, listener, ask, self.clock)
 
     async def until_let_go(self) -> None:
-        async with asyncio.timeout(30.0):
-            while self.session._task is not None:
-                await asyncio.sleep(0)
+        await until(lambda: self.session._task is None)
 
     async def until_asked(self, times: int) -> None:
-        async with asyncio.timeout(30.0):
-            while len(self.questions) < times:
-                await asyncio.sleep(0)
+        await until(lambda: len(self.questions) >= times)
 
     async def _ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
         self.questions.append(question)
@@ -182,7 +160,7 @@ async def test_a_command_expires_and_then_the_arm_is_released(rig: Rig, timeout_
     await rig.until_let_go()
     moving = [bool(setpoint.velocity_rad_s.any()) for setpoint in rig.arm.setpoints]
     assert moving.count(True) == pytest.approx(lasts_s / PERIOD_S, abs=1.5)
-    assert moving.count(False) == pytest.approx(REST_S / PERIOD_S, abs=1.5)
+    assert moving.count(False) == pytest.approx(servo_loop.REST_S / PERIOD_S, abs=1.5)
     assert rig.told[-1] == (ServoStatus.NO_WARNING, "")
     assert not rig.interruptions
 
@@ -249,7 +227,7 @@ async def test_letting_go_while_an_answer_is_late_brakes_without_it(rig: Rig) ->
     session = rig.made(ask)
     session.set_command(NORTH)
     await asked.wait()
-    session.set_command(TwistCommand((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ""))
+    session.set_command(STILL)
     assert not rig.arm.setpoints[-1].velocity_rad_s.any()
     before = len(rig.arm.setpoints)
     late.set()
@@ -259,15 +237,15 @@ async def test_letting_go_while_an_answer_is_late_brakes_without_it(rig: Rig) ->
 
 
 async def test_an_unknown_frame_moves_nothing(rig: Rig) -> None:
-    rig.session.set_command(TwistCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.0), "nowhere"))
+    rig.session.set_command(replace(NORTH, frame_id="nowhere"))
     await until(lambda: len(rig.told) >= 2)
     assert not any(setpoint.velocity_rad_s.any() for setpoint in rig.arm.setpoints)
     assert set(rig.told) == {(ServoStatus.INVALID, "there is no frame 'nowhere'")}
     await rig.session.close()
 
 
-@pytest.mark.parametrize("halt", [TwistCommand((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ""), JointVelocities({})])
-async def test_a_halt_waits_for_no_planner_and_no_step(halt: ServoInput) -> None:
+@pytest.mark.parametrize("halt", [STILL, JointVelocities({})])
+async def test_a_halt_waits_for_no_planner_and_no_step(halt: servo_loop.ServoInput) -> None:
     rig = Rig(period_s=1000.0)
     rig.session.set_command(NORTH)
     await until(lambda: rig.told)

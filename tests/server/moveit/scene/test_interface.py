@@ -37,13 +37,6 @@ from tests.helpers.moveit import (
 )
 from tests.helpers.resources import examples
 
-
-def opened():
-    graph, state = Graph(REGISTRY), SceneState(ROBOT)
-    interface.SceneInterface(graph, state, AssumedStates(ROBOT), current_state(), MoveItParameters())
-    return graph, state
-
-
 CUP, GHOST, CROWD = box("cup"), {"id": "ghost", "operation": 1}, {"primitives": [{}] * 1001}
 # A message that a topic takes, one that it refuses, and one with more shapes than a scene has.
 MESSAGES = {
@@ -60,7 +53,8 @@ MESSAGES = {
 
 @pytest.mark.parametrize(("topic", "messages"), MESSAGES.items(), ids=MESSAGES)
 async def test_every_topic_changes_the_scene_and_logs_a_refusal_with_its_name(topic, messages, caplog):
-    graph, state = opened()
+    graph, state = Graph(REGISTRY), SceneState(ROBOT)
+    interface.SceneInterface(graph, state, AssumedStates(ROBOT), current_state(), MoveItParameters())
     graph.publish(Node("client"), topic, messages[0])
     assert "cup" in {**state.contents.objects, **state.contents.attached}
     graph.publish(Node("client"), topic, messages[1])

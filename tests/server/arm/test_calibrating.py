@@ -18,36 +18,34 @@ def lerobot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "robots" / "so_follower"
 
 
-def test_a_name_is_one_of_lerobots(lerobot: Path) -> None:
+def test_a_name_is_one_of_lerobots_and_without_one_the_calibration_in_use_is_written(lerobot: Path) -> None:
     description = Description.read(ArmSettings(calibration=Path("mine")))
+    assert (description.calibration, description.calibration_file) == (nominal_calibration(), lerobot / "mine.json")
     assert calibration_file("other", description) == (lerobot / "other.json", False)
-    assert calibration_file("mine", description) == (lerobot / "mine.json", True)
+    for name in ("mine", ""):
+        assert calibration_file(name, description) == (lerobot / "mine.json", True)
 
 
-def test_without_a_name_the_calibration_in_use_is_written(lerobot: Path) -> None:
-    description = Description.read(ArmSettings(calibration=Path("mine")))
-    assert calibration_file("", description) == (lerobot / "mine.json", True)
-    with pytest.raises(CalibrationError, match="no calibration is in use: name the one to write"):
-        calibration_file("", Description.read(ArmSettings()))
+UNCALIBRATED = Description.read(ArmSettings())
+WRONG = [
+    ("", UNCALIBRATED, "no calibration is in use: name the one to write"),
+    *((name, UNCALIBRATED, "is no name") for name in ("a/b", "../mine", "mine.json", "-x", "x" * 65, "a b")),
+    ("mine", Description.read(ArmSettings(robot="koch_v1_1")), "has dynamixel servos"),
+    (
+        "mine",
+        replace(UNCALIBRATED, hardware=replace(UNCALIBRATED.hardware, calibrations=())),
+        "lerobot has no place for this arm",
+    ),
+]
 
 
-@pytest.mark.parametrize("name", ["a/b", "../mine", "mine.json", "-x", "x" * 65, "a b"])
-def test_a_name_leads_nowhere_else(lerobot: Path, name: str) -> None:
+@pytest.mark.parametrize(("name", "description", "words"), WRONG)
+def test_a_name_leads_nowhere_else_and_a_file_is_refused_where_there_is_no_place_for_it(
+    lerobot: Path, name: str, description: Description, words: str
+) -> None:
     assert lerobot.is_dir()
-    with pytest.raises(CalibrationError, match="is no name"):
-        calibration_file(name, Description.read(ArmSettings()))
-
-
-def test_an_arm_with_other_servos_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="has dynamixel servos"):
-        calibration_file("mine", Description.read(ArmSettings(robot="koch_v1_1")))
-
-
-def test_an_arm_that_lerobot_does_not_know_needs_a_file() -> None:
-    description = Description.read(ArmSettings())
-    description = replace(description, hardware=replace(description.hardware, calibrations=()))
-    with pytest.raises(CalibrationError, match="lerobot has no place for this arm"):
-        calibration_file("mine", description)
+    with pytest.raises(CalibrationError, match=words):
+        calibration_file(name, description)
 
 
 def test_states_that_come_too_rarely_to_follow_a_hand_refuse_a_calibration() -> None:

@@ -209,9 +209,7 @@ async def test_no_way_is_planned_unless_the_arm_is_parked_at_its_end_and_holds(p
     assert world.asked == []
 
 
-async def test_a_way_that_cannot_be_found_takes_the_one_before_back_and_is_told_of_once(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_without_a_way_the_one_before_is_taken_back(world: World, caplog: pytest.LogCaptureFixture) -> None:
     await world.run()
     world.failure = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "a box is in the way")
     world.arm.put(shoulder_pan=0.5)
@@ -325,19 +323,15 @@ class Leaving:
         assert not self.last.due()
 
 
-def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_unless_one_comes_within_it() -> None:
+def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_and_after_goals_that_move() -> None:
     leaving = Leaving()
     leaving.come_and_go()
     leaving.drivers.add(1)
-    assert not leaving.due_after(6.0)
+    assert not leaving.due_after(6.0), "a client has come within it"
     leaving.come_and_go()
     assert not leaving.due_after(4.9)
     assert leaving.due_after(0.2)
     assert not leaving.due_after(100.0)
-
-
-def test_a_goal_that_moves_is_waited_for() -> None:
-    leaving = Leaving()
     leaving.come_and_go()
     leaving.busy = lambda: "a goal"
     assert not leaving.due_after(60.0)

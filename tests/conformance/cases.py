@@ -118,8 +118,7 @@ def features_of(case: dict[str, Any]) -> Iterator[str]:
         for key, content in step.items():
             if key in ("client", "pieces", "advance_ms"):
                 continue
-            contents = content if isinstance(content, list) else [content]
-            for each in contents:
+            for each in content if isinstance(content, list) else [content]:
                 operation = each if isinstance(each, dict) else {}
                 yield f"{key} {operation.get('op')}"
                 yield from (f"{field} in {key}" for field in operation)

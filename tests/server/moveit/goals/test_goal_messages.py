@@ -7,25 +7,19 @@ import pytest
 from planners.goals import PoseGoal
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
-from protocol.messages import Stamp, complete
 from robot.description import model
 from server.execution.motions import PlannedMotion
 from server.moveit.goals.goal_messages import GoalTranslator, suggestion
 from tests.helpers.fake_arm import HOME, FakeArm
-from tests.helpers.moveit import FORWARD, REGISTRY, ROBOT, TIP, TRANSLATOR, assert_refused, rejection, translator
+from tests.helpers.moveit import FORWARD, ROBOT, TIP, TRANSLATOR, assert_refused, message, rejection, translator
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF
 
 INVALID = MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
 
 
-def joint_state(**fields: Any) -> dict[str, Any]:
-    return complete(REGISTRY, "sensor_msgs/JointState", fields, Stamp(0, 0))
-
-
 def pose_stamped(frame: str, orientation: dict[str, float] | None = None, **position: float) -> dict[str, Any]:
     pose = {"position": position, "orientation": orientation or {}}
-    message = {"header": {"frame_id": frame}, "pose": pose}
-    return complete(REGISTRY, "geometry_msgs/PoseStamped", message, Stamp(0, 0))
+    return message("geometry_msgs/PoseStamped", header={"frame_id": frame}, pose=pose)
 
 
 def goal(motion: PlannedMotion, start_rad: Mapping[str, float] = HOME) -> Any:
@@ -57,7 +51,8 @@ BAD_JOINTS = [
 
 @pytest.mark.parametrize(("name", "position", "words"), BAD_JOINTS)
 def test_an_invalid_joint_goal_is_rejected_with_the_reason(name: list[str], position: list[float], words: str) -> None:
-    assert_refused(rejection(TRANSLATOR.joints, joint_state(name=name, position=position)), INVALID, words)
+    state = message("sensor_msgs/JointState", name=name, position=position)
+    assert_refused(rejection(TRANSLATOR.joints, state), INVALID, words)
 
 
 def test_a_frame_is_resolved_when_the_goals_turn_comes() -> None:
@@ -122,7 +117,7 @@ def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator) -> None:
         # No group has them all.
         (["a1", "left_finger_joint"], "arm"),
     ):
-        motion = lifted.joints(joint_state(name=names, position=[0.01] * len(names)))
+        motion = lifted.joints(message("sensor_msgs/JointState", name=names, position=[0.01] * len(names)))
         assert motion.steps[0].problem(LIFTED_HOME).group == group, names
 
 

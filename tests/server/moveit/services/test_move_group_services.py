@@ -111,6 +111,7 @@ UNPLANNABLE = [
     (REACHABLE | {"orientation_constraints": [turned(0.1)]}, {}, -31, "not in the orientation asked for"),
     (ELBOW, {"start_state": start_state({"elbow_flex": -2.0})}, -26, "'elbow_flex'"),
     (ELBOW, {"start_state": start_state(FOLDED)}, -10, "shoulder_link and gripper_link"),
+    ({"joint_constraints": [joint(*each) for each in FOLDED.items()]}, {}, -12, "the nearest configuration that was"),
     (ELBOW, {"path_constraints": {"position_constraints": [ball(0.2, 0.2, 0.2)]}}, -11, TIP),
     (REACHABLE, {"allowed_planning_time": 1e-6}, -6, "allowed"),
 ]

@@ -81,9 +81,7 @@ def hardware_of(**settings: Any) -> HardwareConfig:
     return arm_config(made, Description.read(made.arm)).hardware
 
 
-def test_a_port_means_servos_there_and_none_emulated_servos_with_the_faults_that_are_set(
-    tmp_path: Path, calibration: Path
-) -> None:
+def test_a_port_means_servos_there_and_none_emulated_ones_with_faults(tmp_path: Path, calibration: Path) -> None:
     nominal, files = nominal_calibration(), described(tmp_path, so101().urdf, so101().srdf)
     assert hardware_of(arm=ArmSettings(serial="/dev/arm")) == SerialConfig(nominal, "/dev/arm")
     assert hardware_of(arm=ArmSettings(serial="auto", **files)) == SerialConfig(nominal, "auto")
@@ -177,9 +175,7 @@ def test_every_population_can_be_set() -> None:
 
 
 @pytest.mark.parametrize("enabled", [True, False])
-def test_simulated_joints_start_with_torque_on_where_the_arm_is_to_hold(
-    ideal: dict[str, Path], *, enabled: bool
-) -> None:
+def test_simulated_joints_start_with_torque_if_the_arm_is_to_hold(ideal: dict[str, Path], *, enabled: bool) -> None:
     for files in ({}, ideal):
         hardware = hardware_of(arm=ArmSettings(start_enabled=enabled, **files))
         assert isinstance(hardware, EmulatedConfig | IdealConfig)
@@ -203,9 +199,7 @@ def test_an_unusable_place_is_named_with_its_setting(tmp_path: Path, name: str, 
         hardware_of(emulator=EmulatorSettings(**{name: tmp_path / place}))
 
 
-def test_a_socket_that_an_ended_server_has_left_is_no_hindrance(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_socket_that_a_server_has_left_is_no_hindrance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with socket.socket(socket.AF_UNIX) as left:
         left.bind("left.socket")

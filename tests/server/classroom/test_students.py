@@ -19,9 +19,7 @@ def test_ports_follow_the_first_and_end_where_ports_end(tmp_path: Path) -> None:
         places(10, 65_530, tmp_path, HOST)
 
 
-def test_the_list_has_name_address_and_token_of_each_and_tokens_stay_while_new_students_get_new_ones(
-    tmp_path: Path,
-) -> None:
+def test_the_list_has_name_address_and_token_of_each_and_tokens_stay_for_the_next_time(tmp_path: Path) -> None:
     file, students = tmp_path / LIST_FILE, places(2, 9100, tmp_path, HOST)
     write_list(file, students, TOKEN, HOST, tls=True)
     # Lines as awk and cut take them, too.

@@ -71,9 +71,7 @@ def calibrated(armbridge, deeds, file, *options):
     return answer, Calibration.load(file, SO101_SERVOS).joints
 
 
-def test_a_sweep_by_hand_becomes_a_file_leaves_the_servos_alone_and_finds_a_mirrored_gripper(
-    armbridge, person, bus, tmp_path
-):
+def test_a_sweep_by_hand_becomes_a_file_and_a_mirrored_gripper_is_found(armbridge, person, bus, tmp_path):
     before = held(bus, ELBOW)
     # The gripper's servo falls when it opens.
     shown = ["skip", "skip", "skip", "skip", "skip", {GRIPPER: MIDDLE - 400}, "", ""]

@@ -10,9 +10,7 @@ from tests.helpers.stl_arm import write_package
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 
-def test_built_in_arms_are_listed_and_a_sound_folder_is_shown_with_its_joints_and_servos(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_built_in_arms_are_listed_and_shown_with_joints_and_servos(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["robot", "list"]) == ExitCode.DONE
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[1:]] == built_in_names()
     assert cli.main(["robot", "check", "so101"]) == ExitCode.DONE
@@ -57,8 +55,6 @@ def test_an_import_says_what_it_made_and_how_to_serve_it_also_of_packages_elsewh
     assert robot_folder.load(out).model.default_group == "arm"
 
 
-def test_an_import_that_cannot_be_done_says_so_in_one_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_import_that_cannot_be_done_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["robot", "import", str(tmp_path / "no.urdf")]) == ExitCode.FAILED
     assert capsys.readouterr().err.startswith(f"armbridge: {tmp_path / 'no.urdf'} cannot be read: ")

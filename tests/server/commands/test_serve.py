@@ -50,9 +50,7 @@ NO_ARM = {
 
 
 @pytest.mark.parametrize(("urdf", "sentence"), NO_ARM.values(), ids=NO_ARM.keys())
-def test_a_description_of_no_arm_is_one_line_that_names_joint_and_element_and_exit_2(
-    urdf, sentence, tmp_path, capsys, monkeypatch
-):
+def test_a_description_of_no_arm_is_one_line_with_joint_and_element(urdf, sentence, tmp_path, capsys, monkeypatch):
     async def run(_app):
         raise AssertionError("it is served")
 

@@ -236,9 +236,7 @@ def test_a_new_servo_that_is_connected_at_the_start_is_not_taken_for_the_last_on
     assert asked == JOINTS[::-1]
 
 
-def test_a_servo_unplugged_while_it_is_written_is_asked_for_again_and_finished(
-    run_setup, kit, plug, asked, monkeypatch
-):
+def test_a_servo_unplugged_while_it_is_written_is_asked_for_again(run_setup, kit, plug, asked, monkeypatch):
     port = kit.emulator.port
     write_port, once = type(port).writePort, iter([True])
 
@@ -316,9 +314,7 @@ def test_a_servo_whose_registers_cannot_be_saved_is_not_written(run_setup, kit, 
     assert (tmp_path / "mine.json").read_text() == "mine"
 
 
-def test_a_servo_of_an_unknown_model_is_refused_until_it_is_said_to_be_fine(
-    run_setup, kit, plug, plug_once, monkeypatch
-):
+def test_a_servo_of_an_unknown_model_needs_a_word_that_it_is_fine(run_setup, kit, plug, plug_once, monkeypatch):
     monkeypatch.setattr("robot.commissioning.setup.MODELS", {"sts3250": 2825})
     code, person = run_setup("--joint", "gripper", "--yes", plug=plug_once)
     assert (code, ids(kit)) == (ExitCode.FAILED, [1] * 6)

@@ -161,9 +161,7 @@ def test_the_video_shows_at_each_frame_what_the_camera_saw_then(dataset: Path) -
     assert reds == pytest.approx(REDS, abs=4)
 
 
-def test_a_recording_without_marks_is_one_episode_with_the_task_and_topic_of_the_options(
-    recorded: Record, tmp_path: Path
-) -> None:
+def test_a_recording_without_marks_is_one_episode_as_the_options_say(recorded: Record, tmp_path: Path) -> None:
     data, right = tmp_path / "data", "/right/joint_states"
     recording = recorded([*states(2.0, topic=right), *states(1.0, topic="/left/joint_states")])
     done = exported(data, recording, task="wave", state_topic=right)

@@ -158,9 +158,7 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
         ([(1.0, "start"), (2.0, "discard")], []),
     ],
 )
-def test_marks_make_episodes_and_a_recording_without_marks_is_one(
-    marks: list[tuple[float, str]], episodes: list[Episode]
-) -> None:
+def test_marks_make_episodes(marks: list[tuple[float, str]], episodes: list[Episode]) -> None:
     assert episodes_of(marks, 0.0, 9.0) == (episodes, [])
 
 

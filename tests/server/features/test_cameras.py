@@ -187,9 +187,7 @@ async def test_the_process_ends_a_while_after_the_last_subscriber_and_comes_back
     assert await stage.watch(2.0) is stage.children[1]
 
 
-async def test_a_server_that_records_has_the_process_ready_for_the_first_episode(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_server_that_records_has_the_process_ready_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     stage = Stage(monkeypatch, Path("run.mcap"))
     stage.state(0.0)
     await asyncio.sleep(0)
@@ -233,9 +231,7 @@ async def test_a_service_adds_replaces_and_removes_cameras(stage: Stage) -> None
         ({"field_of_view_deg": -1.0}, "field_of_view_deg: must be greater than or equal to 5, not -1.0"),
     ],
 )
-async def test_a_camera_that_cannot_be_is_refused_in_one_sentence(
-    stage: Stage, request_: dict[str, Any], sentence: str
-) -> None:
+async def test_a_camera_that_cannot_be_is_refused(stage: Stage, request_: dict[str, Any], sentence: str) -> None:
     done, message = stage.call("set_camera", **{"name": "top", "view": VIEW, **request_})
     assert (done, message[: len(sentence)]) == (False, sentence)
     assert stage.graph.topic_type("/top/image/compressed") is None

@@ -23,10 +23,9 @@ from tests.helpers.robots import so101
 
 CANCELED, SUCCEEDED = 5, 4
 MOVE, MOVE_TYPE = "/move_action", "moveit_msgs/action/MoveGroup"
-
-
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
 RESULT, STATUS = "/moveit_goal_result", "/moveit_goal_status"
+
 # Backlash, droop and one tick of rounding.
 ARRIVED_RAD = 0.06
 

@@ -27,7 +27,7 @@ from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.queue import GoalQueue
+from server.execution.queue import GoalListener, GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.features.parking import CHECK_S, ArmParking, LastClient, Parkings, rest_pose
 from server.graph.local_graph import LocalGraph
@@ -102,7 +102,8 @@ class World:
             scene_state=self,
             current=CurrentState(whole, self.robot),
         )
-        self.goals = SimpleNamespace(queue=self, listeners=[])
+        self.listeners: list[GoalListener] = []
+        self.goals = SimpleNamespace(queue=self)
         self.access = SimpleNamespace(drivers=set())
         graph = Graph(REGISTRY)
         self.whole = SimpleNamespace(served=SimpleNamespace(arm=whole), graph=LocalGraph(graph))
@@ -208,9 +209,7 @@ async def test_no_way_is_planned_unless_the_arm_is_parked_at_its_end_and_holds(p
     assert world.asked == []
 
 
-async def test_a_way_that_cannot_be_found_takes_the_one_before_back_and_is_told_of_once(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_without_a_way_the_one_before_is_taken_back(world: World, caplog: pytest.LogCaptureFixture) -> None:
     await world.run()
     world.failure = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "a box is in the way")
     world.arm.put(shoulder_pan=0.5)
@@ -258,7 +257,7 @@ def left_is_elsewhere(two_arms: World) -> None:
 
 
 def a_goal_begins(two_arms: World) -> None:
-    (listener,) = two_arms.goals.listeners
+    (listener,) = two_arms.goals.queue.listeners
     listener.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
 
 
@@ -324,19 +323,15 @@ class Leaving:
         assert not self.last.due()
 
 
-def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_unless_one_comes_within_it() -> None:
+def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_and_after_goals_that_move() -> None:
     leaving = Leaving()
     leaving.come_and_go()
     leaving.drivers.add(1)
-    assert not leaving.due_after(6.0)
+    assert not leaving.due_after(6.0), "a client has come within it"
     leaving.come_and_go()
     assert not leaving.due_after(4.9)
     assert leaving.due_after(0.2)
     assert not leaving.due_after(100.0)
-
-
-def test_a_goal_that_moves_is_waited_for() -> None:
-    leaving = Leaving()
     leaving.come_and_go()
     leaving.busy = lambda: "a goal"
     assert not leaving.due_after(60.0)

@@ -192,9 +192,7 @@ def grip(stage: Stage) -> None:
     assert "cube" in stage.scene.contents.attached
 
 
-async def test_an_object_is_attached_while_the_fingers_hold_it_and_detached_where_it_is_dropped(
-    stage: Stage, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_object_is_attached_until_it_is_dropped(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
     grip(stage)
     assert stage.arm.bodies["cube"].movable
     for _ in range(20):
@@ -290,7 +288,7 @@ MASS = "mass must be 0 to 100 kg, 0 for a mass by its volume, not"
 
 
 @pytest.mark.parametrize(
-    ("service", "request_", "sentence"),
+    ("service", "asked", "said"),
     [
         ("set_pose", {"id": "ball", "pose": pose()}, "the physics has no object 'ball'"),
         ("set_pose", {"id": "wall", "pose": pose()}, FIXED),
@@ -303,21 +301,17 @@ MASS = "mass must be 0 to 100 kg, 0 for a mass by its volume, not"
         ("set_body", {"id": "floor"}, "'floor' has a plane, and cannot be movable"),
     ],
 )
-async def test_what_no_body_can_have_is_refused(
-    stage: Stage, service: str, request_: dict[str, Any], sentence: str
-) -> None:
+async def test_what_no_body_can_have_is_refused(stage: Stage, service: str, asked: dict[str, Any], said: str) -> None:
     stage.apply({"id": "floor", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]})
     assert stage.arm.bodies["floor"].shapes[0].position_m == (0.0, 0.0, -0.05)
     stage.call("/simulation/set_body", id="cube", movable=True)
     sent = len(stage.arm.sent)
     movable = {"movable": True} if service == "set_body" else {}
-    assert stage.call(f"/simulation/{service}", **request_, **movable) == (False, sentence)
+    assert stage.call(f"/simulation/{service}", **asked, **movable) == (False, said)
     assert len(stage.arm.sent) == sent
 
 
-async def test_more_objects_than_physics_has_are_left_out_with_a_sentence(
-    stage: Stage, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_more_objects_than_physics_has_are_left_out(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         stage.apply(*(box(f"box {at}") for at in range(MAX_BODIES)))
     assert caplog.messages == ["physics has 100 objects at most: the last 2 of the scene are left out"]
@@ -357,9 +351,7 @@ LEFT, PLANE = box("left", at=pose(0.3, 0.3, 0.05)), {"coef": [0.0, 0.0, 1.0, 0.0
     ],
     ids=["overlap", "not finite", "too many", "plane"],
 )
-async def test_a_world_that_cannot_be_simulated_is_refused(
-    objects: list[dict[str, Any]], sentence: str, tmp_path: Path
-) -> None:
+async def test_a_world_that_cannot_be_is_refused(objects: list[dict[str, Any]], sentence: str, tmp_path: Path) -> None:
     path = tmp_path / "world.json"
     bodies = [{"id": each["id"], "movable": True} for each in objects]
     path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))

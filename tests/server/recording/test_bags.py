@@ -22,9 +22,7 @@ BAGS = [
 
 
 @pytest.mark.parametrize(("files", "sentence"), BAGS)
-def test_a_bag_that_cannot_be_read_is_refused_with_a_sentence(
-    files: dict[str, str], sentence: str, tmp_path: Path
-) -> None:
+def test_a_bag_that_cannot_be_read_is_refused(files: dict[str, str], sentence: str, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     for name, text in files.items():
         (tmp_path / "run" / name).write_text(text)

@@ -121,17 +121,13 @@ def test_a_file_that_exists_is_left_alone_and_one_that_has_its_size_is_followed_
 @pytest.mark.parametrize(
     ("limit", "keep", "files"), [(20_000, 2, ["run_2.mcap", "run_3.mcap"]), (None, 0, ["run.mcap"])]
 )
-def test_only_so_many_files_are_kept_and_there_is_one_without_a_limit(
-    tmp_path: Path, limit: int | None, keep: int, files: list[str]
-) -> None:
+def test_so_many_files_are_kept(tmp_path: Path, limit: int | None, keep: int, files: list[str]) -> None:
     (tmp_path / "other.mcap").touch()
     fill(series(tmp_path / "run.mcap", limit, keep), 7)
     assert names(tmp_path) == ["other.mcap", *files]
 
 
-def test_latched_messages_stand_at_the_beginning_of_every_file_up_to_a_limit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_latched_messages_begin_every_file_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "MAX_LATCHED_BYTES", 15)
     written = series(tmp_path / "run.mcap")
     for topic in ("/small", "/one_too_many"):
@@ -185,9 +181,7 @@ def test_a_path_that_is_no_regular_file_is_refused(kind: str, make: Callable[[Pa
     assert str(refused.value) == f"recording.file: {path} must be a regular file or not exist; it is {kind}"
 
 
-def test_a_path_of_a_file_of_a_link_to_one_or_of_nothing_is_taken_and_one_in_no_folder_is_refused(
-    tmp_path: Path,
-) -> None:
+def test_a_path_of_a_file_a_link_to_one_or_of_nothing_is_taken_and_one_in_no_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file.mcap").touch()
     (tmp_path / "link.mcap").symlink_to(tmp_path / "file.mcap")
     for name in ("file.mcap", "link.mcap", "nothing.mcap"):

@@ -55,9 +55,7 @@ async def test_all_of_every_topic_is_recorded_with_nobody_listening_and_unknown_
     assert told == ["recording: /own is left out, the type my_msgs/msg/Thing is unknown"]
 
 
-async def test_times_are_of_the_epoch_and_do_not_jump_with_the_wall_clock(
-    graph: Graph, run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_times_do_not_jump_with_the_wall_clock(graph: Graph, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
     clocks = {"clock_ns": iter([5, 7, 9]).__next__, "wall_clock_ns": lambda: 1_000_005}
     recorder = Recorder(graph, run, RecordingSettings(), **clocks)
@@ -116,9 +114,7 @@ def queued(number: int) -> QueuedMessage:
     return QueuedMessage(published, False, 20, 1000 + number)
 
 
-def test_queued_messages_are_in_the_file_in_order_and_recent_ones_while_the_recording_goes_on(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_queued_messages_are_in_the_file_in_order_and_soon(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
     writer = writing(RecordingSeries(run, REGISTRY, {}, None, 0), 100)
     wait_until(lambda: len(recorded_messages(run)) == 100)

@@ -197,9 +197,7 @@ async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, cap
     assert "replay ended" in caplog.text
 
 
-async def test_it_ends_with_the_recording_also_with_an_unended_one(
-    options: ReplayOptions, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     async with asyncio.timeout(TIMEOUT_S):
         await ReplayServer(options).run()

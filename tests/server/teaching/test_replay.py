@@ -80,9 +80,7 @@ def test_joints_that_make_no_group_without_others_are_refused() -> None:
         ({"name": "dance"}, "saved are: wave"),
     ],
 )
-async def test_a_wrong_field_is_refused_with_what_is_possible(
-    desk: ActionDesk, fields: dict[str, Any], says: str
-) -> None:
+async def test_a_wrong_field_is_refused(desk: ActionDesk, fields: dict[str, Any], says: str) -> None:
     await desk.send(NAME, **({"name": "wave"} | fields))
     await until(lambda: desk.results)
     assert (desk.results[0].status, desk.asked) == (GoalStatus.ABORTED, [])
@@ -110,9 +108,7 @@ def test_a_refusal_says_where_without_the_number_of_the_step() -> None:
     assert result(Answer.of(failure))["message"] == "at 1.20 s of the motion would touch: crate"
 
 
-async def test_a_slower_replay_names_the_place_in_result_and_log(
-    desk: ActionDesk, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_slower_replay_names_the_place(desk: ActionDesk, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     await replay(desk)
     slow = Trajectory(JOINTS, 2.0 * WAVE.time_s, POINTS, np.zeros_like(POINTS), np.zeros_like(POINTS))

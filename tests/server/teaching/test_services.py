@@ -93,14 +93,10 @@ async def test_a_taught_motion_is_saved_with_its_gripper_and_found_by_its_name(l
     assert got["points"][-1]["positions"][0] == pytest.approx(0.7, abs=0.02)
 
 
-async def test_a_check_tells_how_long_a_replay_would_take_at_a_speed(lesson: Lesson) -> None:
+async def test_a_check_tells_how_long_a_replay_would_take_at_a_speed_or_what_it_would_touch(lesson: Lesson) -> None:
     await lesson.teach("wave")
     whole, half = [await lesson.done("check", name="wave", speed=speed) for speed in (0.0, 0.5)]
     assert half["duration_s"] == pytest.approx(2.0 * whole["duration_s"], rel=0.05)
-
-
-async def test_a_check_refuses_a_motion_that_would_touch_something_and_a_speed_out_of_range(lesson: Lesson) -> None:
-    await lesson.teach("wave")
     assert "speed: must be above 0 and at most 2, not 3" in await lesson.refused("check", name="wave", speed=3.0)
     await lesson.put_crate_at_the_end("wave")
     said = await lesson.refused("check", name="wave")

@@ -36,7 +36,7 @@ def context_of(arm: FakeArm, pool: Any, clock: Callable[[], float], **planning: 
         return goal
 
     # The queue is never started: no ramp is played.
-    queue: GoalQueue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+    queue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
     return FollowingContext(planning_of(arm, pool=pool, **planning), queue, go_to, clock)
 
 
@@ -101,9 +101,7 @@ async def begin(rig: Rig) -> None:
     await rig.until(lambda: len(rig.arm.setpoints) == 1)
 
 
-async def test_a_sample_is_followed_when_it_comes_and_the_latency_counts_from_its_reading_to_the_planners_answer(
-    rig: Rig,
-) -> None:
+async def test_a_sample_is_followed_when_it_comes_and_the_latency_counts_from_its_reading(rig: Rig) -> None:
     await begin(rig)
     rig.clock.advance(0.01)
     rig.read(0.2, late_s=0.004)

@@ -1,10 +1,9 @@
 """clients/unreal: its engine-free part moves the arm, and all of it compiles beside stand-ins for Unreal."""
 
-import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from harness.server import ROOT, RunningServer
 from harness.waiting import TIMEOUT_S
-from tests.clients.test_unity import floats, goes_round, stl
-from tests.test_docs import rotation
-from tests.test_readme import blocks
+from tests.clients.engines import Answers, connects_as_documented, goes_round, refuses_a_cut_stl, turns_coordinates
 
 PLUGIN = ROOT / "clients" / "unreal" / "Armbridge"
 MODULE = PLUGIN / "Source" / "Armbridge"
@@ -91,14 +88,8 @@ def test_the_arm_is_moved_by_name_by_joint_by_tip_and_stopped(arm: Game) -> None
     goes_round(arm, tip="25 10 20", far="900 900 900", gripped="1 the gripper is there")
 
 
-def test_a_named_goal_that_another_one_replaces_is_not_taken_for_the_end_of_the_latest(arm: Game) -> None:
-    arm.give("named ready")
-    arm.give("named rest")
-    assert arm.until("goal") == "1 the arm is there"
-
-
 @pytest.fixture
-def answers(driver: Path) -> Callable[..., list[str]]:
+def answers(driver: Path) -> Answers:
     def of(*lines: str) -> list[str]:
         text = "\n".join(lines) + "\n"
         done = subprocess.run([str(driver)], input=text, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
@@ -107,7 +98,7 @@ def answers(driver: Path) -> Callable[..., list[str]]:
     return of
 
 
-def test_a_lost_connection_ends_what_was_asked_once(answers: Callable[..., list[str]]) -> None:
+def test_a_lost_connection_ends_what_was_asked_once(answers: Answers) -> None:
     lost = "-25 the connection was lost before the goal's end came; the arm may still be moving"
     assert answers("named ready", "gripper 1", "lose", "lose")[2:] == [
         f"goal {lost}",
@@ -115,7 +106,7 @@ def test_a_lost_connection_ends_what_was_asked_once(answers: Callable[..., list[
     ]
 
 
-def test_frames_that_are_no_json_or_of_another_shape_have_no_events(answers: Callable[..., list[str]]) -> None:
+def test_frames_that_are_no_json_or_of_another_shape_have_no_events(answers: Answers) -> None:
     frames = [
         "{",
         "[1]",
@@ -129,7 +120,7 @@ def test_frames_that_are_no_json_or_of_another_shape_have_no_events(answers: Cal
     assert answers(*(f"frame {frame}" for frame in frames)) == []
 
 
-def test_a_goal_that_is_no_number_is_not_made(answers: Callable[..., list[str]]) -> None:
+def test_a_goal_that_is_no_number_is_not_made(answers: Answers) -> None:
     assert answers("joint shoulder_pan nan", "tip nan 0 0", "gripper nan", "lose") == [
         "error the position of shoulder_pan is no number",
         "error the pose of the tip holds what is no number",
@@ -137,43 +128,20 @@ def test_a_goal_that_is_no_number_is_not_made(answers: Callable[..., list[str]])
     ]
 
 
-def test_a_connection_begins_with_messages_of_the_page(answers: Callable[..., list[str]]) -> None:
-    page = [json.loads(line) for block in blocks(ROOT / "docs" / "engines.md", "json") for line in block.splitlines()]
-    frames = [json.loads(line.removeprefix("send ")) for line in answers("setup")]
-    assert len(frames) > 5
-    assert [frame for frame in frames if frame not in page] == []
+def test_a_connection_begins_with_messages_of_the_page_and_is_tried_again(answers: Answers) -> None:
+    connects_as_documented(answers)
 
 
-def test_a_token_is_the_first_frame(answers: Callable[..., list[str]]) -> None:
+def test_a_token_is_the_first_frame(answers: Answers) -> None:
     assert answers('setup "secret')[0] == 'send {"op":"auth","token":"\\"secret"}'
 
 
-def test_coordinates_are_the_mirrored_axes(answers: Callable[..., list[str]]) -> None:
-    random = np.random.default_rng(0)
-    position, quaternion = random.normal(size=3), random.normal(size=4)
-    quaternion /= np.linalg.norm(quaternion)
-    p, q = (" ".join(map(str, each)) for each in (position, quaternion))
-    ros_p, unreal_p, mirrored = map(floats, answers(f"position {p}", f"position_back {p}", f"rotation {q}"))
-    assert ros_p == pytest.approx(AXES @ position / 100)
-    assert unreal_p == pytest.approx(AXES @ position * 100)
-    turned = np.asarray(rotation(list(quaternion)))
-    assert np.asarray(rotation(list(mirrored))) == pytest.approx(AXES @ turned @ AXES, abs=1e-9)
+def test_coordinates_are_the_mirrored_axes(answers: Answers) -> None:
+    turns_coordinates(answers, AXES, 100.0)
 
 
-def test_delays_between_connections_double_up_to_ten_seconds(answers: Callable[..., list[str]]) -> None:
-    assert [line.split()[1] for line in answers("delays")] == ["0.5", "1", "2", "4", "8", "10", "10"]
-
-
-def test_an_stl_that_is_cut_off_is_refused_with_its_sizes(tmp_path: Path, answers: Callable[..., list[str]]) -> None:
-    whole, cut, none = (tmp_path / name for name in ("whole.stl", "cut.stl", "none.stl"))
-    whole.write_bytes(stl(2))
-    cut.write_bytes(stl(2)[:-1])
-    none.write_bytes(b"")
-    assert answers(*(f"stl {path}" for path in (whole, cut, none))) == [
-        "corners 18",
-        "error no binary STL: 2 triangles need 184 bytes, the file has 183",
-        "error an STL file of 0 bytes; the head alone has 84",
-    ]
+def test_an_stl_that_is_cut_off_is_refused_with_its_sizes(tmp_path: Path, answers: Answers) -> None:
+    refuses_a_cut_stl(answers, tmp_path, b"", "error an STL file of 0 bytes; the head alone has 84")
 
 
 def test_all_of_the_plugin_compiles_beside_stand_ins_for_unreal(tmp_path: Path) -> None:

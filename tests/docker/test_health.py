@@ -39,16 +39,13 @@ def running(monkeypatch: pytest.MonkeyPatch, context: ssl.SSLContext | None = No
         join(thread)
 
 
-def test_a_server_that_lives_is_healthy(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_server_that_lives_is_healthy_and_one_that_is_not_ready_says_why(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     with running(monkeypatch):
         assert health.main([]) == 0
-    assert capsys.readouterr().out == "asked for /livez"
-
-
-def test_what_is_not_ready_says_why(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    with running(monkeypatch):
         assert health.main(["readyz"]) == 1
-    assert capsys.readouterr().out == "asked for /readyz"
+    assert capsys.readouterr().out == "asked for /livezasked for /readyz"
 
 
 def test_a_server_with_a_certificate_of_its_own_is_asked_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

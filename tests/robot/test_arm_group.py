@@ -1,5 +1,3 @@
-"""Several arms as one: their states, and motions, stops and orders that reach each of them."""
-
 import asyncio
 from dataclasses import replace
 from typing import cast
@@ -41,9 +39,7 @@ class OneArm(FakeArm):
         values = np.array([positions_rad.get(name, 0.0) for name in self.names])
         self.state = replace(self.state, goal_rad=values, position_rad=values)
 
-    def order(
-        self, order: Order, _calibration: object = None, _epoch: int | None = None
-    ) -> asyncio.Future[CommandDone]:
+    def order(self, order: Order, *_arguments: object) -> asyncio.Future[CommandDone]:
         self.orders.append(order)
         answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
         answered.set_result(CommandDone(1, done=True, message="done"))
@@ -52,19 +48,9 @@ class OneArm(FakeArm):
 
 def reading(names: tuple[str, ...], value: float, mode: Mode = Mode.HOLDING) -> ArmState:
     values = np.full(len(names), value)
-    return ArmState(
-        stamp_s=10.0 + value,
-        mode=mode,
-        joint_names=names,
-        position_rad=values,
-        velocity_rad_s=values,
-        age_s=np.zeros(len(names)),
-        load=values,
-        current_a=values,
-        goal_rad=None if mode is Mode.RELAXED else values + 0.5,
-        clock_s=value,
-        torque_enabled=mode is not Mode.RELAXED,
-    )
+    measured = dict.fromkeys(("position_rad", "velocity_rad_s", "load", "current_a"), values)
+    torque = {"goal_rad": None if mode is Mode.RELAXED else values + 0.5, "torque_enabled": mode is not Mode.RELAXED}
+    return ArmState(10.0 + value, mode, names, age_s=np.zeros(len(names)), clock_s=value, **measured, **torque)
 
 
 LOST = ArmState(20.0, Mode.DISCONNECTED, LEFT, reason="no such port", clock_s=3.0)
@@ -90,9 +76,6 @@ async def pair() -> Pair:
     return Pair()
 
 
-# States and health.
-
-
 def test_a_state_of_all_has_the_joints_of_all_and_the_slowest_clock() -> None:
     state = joined_state({"left": reading(LEFT, 1.0), "right": reading(RIGHT, 2.0)})
     assert state.joint_names == (*LEFT, *RIGHT)
@@ -110,20 +93,18 @@ def test_the_stamp_of_all_is_that_of_the_latest_reading_though_the_machines_cloc
         assert joined_state({"left": left, "right": after}).stamp_s == 12.0 + jump_s
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "both"),
-    [
-        (Mode.HOLDING, Mode.MOVING, Mode.MOVING),
-        (Mode.MOVING, Mode.RELAXED, Mode.MOVING),
-        (Mode.HOLDING, Mode.RELAXED, Mode.RELAXED),
-        (Mode.FAULT, Mode.DISCONNECTED, Mode.FAULT),
-        (Mode.DISCONNECTED, Mode.MOVING, Mode.DISCONNECTED),
-    ],
-)
-def test_the_mode_of_all_is_what_most_keeps_them_from_moving(first: Mode, second: Mode, both: Mode) -> None:
-    for modes in ((first, second), (second, first)):
-        states = {str(number): reading(LEFT, 1.0, mode) for number, mode in enumerate(modes)}
-        assert joined_state(states).mode is both
+def test_the_mode_of_all_is_what_most_keeps_them_from_moving() -> None:
+    # The second of each pair gives way.
+    for both, other in (
+        (Mode.MOVING, Mode.HOLDING),
+        (Mode.MOVING, Mode.RELAXED),
+        (Mode.RELAXED, Mode.HOLDING),
+        (Mode.FAULT, Mode.DISCONNECTED),
+        (Mode.DISCONNECTED, Mode.MOVING),
+    ):
+        for modes in ((both, other), (other, both)):
+            states = {str(number): reading(LEFT, 1.0, mode) for number, mode in enumerate(modes)}
+            assert joined_state(states).mode is both, modes
 
 
 def test_a_relaxed_leader_keeps_nobody_from_moving_and_one_with_a_fault_does() -> None:
@@ -140,12 +121,20 @@ def test_goals_of_an_arm_without_torque_are_where_it_is() -> None:
     assert not state.torque_enabled
 
 
-def test_what_is_read_leaves_out_an_arm_that_is_not_connected() -> None:
+async def test_an_arm_that_is_lost_is_left_out_of_what_is_read_and_stays_where_it_was_read_last(pair: Pair) -> None:
     state = joined_state({"left": LOST, "right": reading(RIGHT, 2.0)})
     assert state.joint_names == RIGHT
-    assert state.position_rad is not None
-    assert len(state.position_rad) == 2
+    assert state.position_rad.tolist() == [2.0, 2.0]
     assert state.reason == "left: no such port"
+    assert pair.both.state.position_rad is not None
+    pair.left.state = LOST
+    state = pair.both.state
+    assert state.mode is Mode.DISCONNECTED
+    assert state.position_rad.tolist() == [1.0] * 4
+    # Before every arm was read nobody knows where all joints are.
+    never = Pair()
+    never.left.state = LOST
+    assert never.both.state.position_rad is None
 
 
 async def test_a_fault_says_which_arm_has_it(pair: Pair) -> None:
@@ -154,43 +143,21 @@ async def test_a_fault_says_which_arm_has_it(pair: Pair) -> None:
     assert pair.both.state.fault.message == "left: joint left_a is stalled"
 
 
-async def test_an_arm_that_is_lost_stays_where_it_was_read_last(pair: Pair) -> None:
-    assert pair.both.state.position_rad is not None
-    pair.left.state = LOST
-    state = pair.both.state
-    assert state.mode is Mode.DISCONNECTED
-    assert state.position_rad.tolist() == [1.0] * 4
-
-
-async def test_before_every_arm_was_read_nobody_knows_where_all_joints_are(pair: Pair) -> None:
-    pair.left.state = LOST
-    assert pair.both.state.position_rad is None
-
-
 def test_health_of_all_is_that_of_the_worst() -> None:
-    one = ArmHealth(
-        5.0, Mode.HOLDING, "/dev/a", (), BusCounters(10, 9, 1, 2, 3), (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), True
-    )
-    other = replace(
-        one, port="/dev/b", lateness_s=(0.0, 5.0, 1.0), real_time=False, real_time_factor=0.5, monotonic_s=4.0
-    )
-    both = joined_health({"a": one, "b": other})
+    counters, thirds = BusCounters(10, 9, 1, 2, 3), (1.0, 2.0, 3.0)
+    one = ArmHealth(5.0, Mode.HOLDING, "/dev/a", (), counters, thirds, (1.0, 1.0, 1.0), True)
+    slow = {"lateness_s": (0.0, 5.0, 1.0), "real_time": False, "real_time_factor": 0.5, "monotonic_s": 4.0}
+    both = joined_health({"a": one, "b": replace(one, port="/dev/b", **slow)})
     assert both.port == "/dev/a, /dev/b"
     assert both.bus == BusCounters(20, 18, 2, 4, 6)
     assert (both.lateness_s, both.real_time, both.real_time_factor) == ((1.0, 5.0, 3.0), False, 0.5)
     assert both.monotonic_s == 4.0
 
 
-# Motions.
-
-
-async def test_the_part_of_some_joints_is_the_arm_that_has_them(pair: Pair) -> None:
+async def test_the_part_of_some_joints_is_the_arm_or_arms_that_have_them_the_same_each_time(pair: Pair) -> None:
     assert pair.both.part(("left_b",)) is pair.left
     assert pair.both.part(RIGHT) is pair.right
     assert pair.both.part((*LEFT, *RIGHT)) is pair.both
-
-
-async def test_two_of_three_arms_are_the_same_part_each_time() -> None:
     arms = {name: OneArm((f"{name}_a",)) for name in ("x", "y", "z")}
     all_of = ArmGroup({name: (cast("Arm", arm), arm.names) for name, arm in arms.items()})
     two = all_of.part(("x_a", "z_a"))
@@ -227,17 +194,14 @@ async def test_what_ends_the_motion_of_one_arm_early_stops_the_other_and_is_the_
     assert len(pair.right.stops) == 1
 
 
-async def test_a_motion_of_both_is_stopped_in_both(pair: Pair) -> None:
+async def test_a_motion_of_both_is_stopped_in_both_and_a_stop_of_everything_reaches_every_arm(pair: Pair) -> None:
     ended = pair.both.execute(motion(*LEFT, *RIGHT))
     pair.both.stop(ended)
     assert (await ended).outcome is Outcome.STOPPED
     assert len(pair.left.stops) == len(pair.right.stops) == 1
     assert None not in (*pair.left.stops, *pair.right.stops)
-
-
-async def test_a_stop_of_everything_reaches_every_arm(pair: Pair) -> None:
     pair.both.stop()
-    assert pair.left.stops == pair.right.stops == [None]
+    assert pair.left.stops[1:] == pair.right.stops[1:] == [None]
 
 
 async def test_the_progress_of_a_motion_of_both_is_that_of_the_last(pair: Pair) -> None:

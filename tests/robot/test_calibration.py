@@ -22,7 +22,7 @@ from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration
 
 TICKS = st.integers(0, 4095)
 FOLDERS = SO101.hardware.calibrations
-GRIPPER_LOWER, GRIPPER_UPPER = -0.174533, 1.74533
+ELBOW = SO101_SERVOS[2]
 
 
 @st.composite
@@ -58,19 +58,17 @@ def test_ticks_survive_the_way_to_radians_and_back(joint, ticks):
 
 
 def test_an_arm_joint_is_at_zero_in_the_middle_of_its_range_unless_an_offset_shifts_it():
-    elbow = JointCalibration(SO101_SERVOS[2], 3, 0, 0, 793, 2995)
-    assert elbow.rad_from_ticks(1894) == 0.0
-    assert elbow.rad_from_ticks(1894 + 1024) == pytest.approx(math.pi / 2)
-    shifted = JointCalibration(SO101_SERVOS[2], 3, 0, 0, 793, 2995, zero_offset_rad=0.13)
-    assert shifted.rad_from_ticks(1894) == pytest.approx(0.13)
+    elbow = JointCalibration(ELBOW, 3, 0, 0, 793, 2995)
+    assert (elbow.rad_from_ticks(1894), elbow.rad_from_ticks(1894 + 1024)) == (0.0, pytest.approx(math.pi / 2))
+    assert JointCalibration(ELBOW, 3, 0, 0, 793, 2995, zero_offset_rad=0.13).rad_from_ticks(1894) == pytest.approx(0.13)
 
 
 def test_drive_mode_mirrors_the_gripper_and_no_arm_joint():
     arm = [JointCalibration(SO101_SERVOS[3], 4, mode, 0, 900, 3100) for mode in (0, 1)]
     assert arm[0].rad_from_ticks(1000) == arm[1].rad_from_ticks(1000)
     plain, mirrored = (JointCalibration(SO101_SERVOS[5], 6, mode, 0, 2030, 3454) for mode in (0, 1))
-    assert plain.rad_from_ticks(2030) == mirrored.rad_from_ticks(3454) == pytest.approx(GRIPPER_LOWER)
-    assert plain.rad_from_ticks(3454) == mirrored.rad_from_ticks(2030) == pytest.approx(GRIPPER_UPPER)
+    assert plain.rad_from_ticks(2030) == mirrored.rad_from_ticks(3454) == pytest.approx(-0.174533)
+    assert plain.rad_from_ticks(3454) == mirrored.rad_from_ticks(2030) == pytest.approx(1.74533)
     assert mirrored.rad_s_from_ticks_s(100.0) < 0.0
 
 
@@ -86,7 +84,7 @@ def test_the_nominal_arm_reaches_the_limits_of_the_urdf_and_is_centred():
 def test_a_file_of_lerobot_is_read_in_the_order_of_the_arm(tmp_path):
     calibration = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=866), SO101_SERVOS)
     assert [joint.joint for joint in calibration.joints] == [spec.joint for spec in SO101_SERVOS]
-    assert calibration.joints[2] == JointCalibration(SO101_SERVOS[2], 3, 0, 7, 866, 3100)
+    assert calibration.joints[2] == JointCalibration(ELBOW, 3, 0, 7, 866, 3100)
 
 
 @pytest.mark.parametrize(
@@ -130,20 +128,16 @@ def test_a_file_of_an_old_schema_of_no_object_or_that_is_not_there_is_refused(tm
 
 def test_the_elbow_of_every_measured_arm_spans_the_urdf_within_a_degree():
     facts = json.loads((shared_data() / "so101_facts.json").read_text())
-    elbow = SO101_SERVOS[2]
     for name, ranges in facts["calibration_samples"]["rows"].items():
-        joint = JointCalibration(SO101_SERVOS[2], 3, 0, 0, *ranges["elbow_flex"])
-        assert joint.upper_rad == pytest.approx(elbow.upper_rad, abs=math.radians(1.0)), name
-        assert joint.lower_rad == pytest.approx(elbow.lower_rad, abs=math.radians(1.0)), name
+        joint = JointCalibration(ELBOW, 3, 0, 0, *ranges["elbow_flex"])
+        expected = pytest.approx((ELBOW.lower_rad, ELBOW.upper_rad), abs=math.radians(1.0))
+        assert (joint.lower_rad, joint.upper_rad) == expected, name
 
 
 def test_a_zero_trim_moves_the_joints_it_names_and_no_other():
     plain = nominal_calibration()
-    trimmed = plain.with_zero_offsets({"elbow_flex": 0.13})
-    moved = [
-        new.rad_from_ticks(2000) - old.rad_from_ticks(2000)
-        for new, old in zip(trimmed.joints, plain.joints, strict=True)
-    ]
+    joints = zip(plain.with_zero_offsets({"elbow_flex": 0.13}).joints, plain.joints, strict=True)
+    moved = [new.rad_from_ticks(2000) - old.rad_from_ticks(2000) for new, old in joints]
     assert moved == pytest.approx([0.0, 0.0, 0.13, 0.0, 0.0, 0.0])
 
 
@@ -173,15 +167,12 @@ def home(tmp_path):
 
 
 @pytest.mark.parametrize("robot", ["so_follower", "so101_follower"])
-def test_an_id_is_found_under_both_names_that_lerobot_gave_the_robot(home, tmp_path, robot):
+def test_an_id_is_found_under_both_names_that_lerobot_gave_the_robot_else_refused(home, tmp_path, robot):
+    with pytest.raises(CalibrationError, match=r"so_follower/left\.json or .*so101_follower/left\.json"):
+        find_calibration("left", FOLDERS, home)
     path = tmp_path / "robots" / robot / "left.json"
     save(nominal_calibration(), path)
     assert find_calibration("left", FOLDERS, home) == path
-
-
-def test_an_id_unknown_to_lerobot_is_refused_with_the_paths_tried(home, tmp_path):
-    with pytest.raises(CalibrationError, match=r"so_follower/left\.json or .*so101_follower/left\.json"):
-        find_calibration("left", FOLDERS, home)
 
 
 def test_two_calibrations_of_one_id_are_refused_only_if_they_differ(home):
@@ -194,30 +185,23 @@ def test_two_calibrations_of_one_id_are_refused_only_if_they_differ(home):
         find_calibration("left", FOLDERS, home)
 
 
-@pytest.mark.parametrize(
-    ("environment", "start"),
-    [
+def test_the_directory_follows_lerobots_environment_variables():
+    for environment, start in (
         ({"HF_LEROBOT_CALIBRATION": "/a"}, "/a/robots/"),
         ({"HF_LEROBOT_HOME": "/b"}, "/b/calibration/robots/"),
         ({"HF_HOME": "/c"}, "/c/lerobot/calibration/robots/"),
         ({"HF_LEROBOT_CALIBRATION": "/a", "HF_LEROBOT_HOME": "/b"}, "/a/robots/"),
-    ],
-)
-def test_the_directory_follows_lerobots_environment_variables(environment, start):
-    assert all(str(directory).startswith(start) for directory in lerobot_directories(FOLDERS, environment))
+    ):
+        directories = lerobot_directories(FOLDERS, environment)
+        assert all(str(directory).startswith(start) for directory in directories), environment
 
 
 def test_what_is_saved_loads_as_the_same_calibration(tmp_path):
     path = tmp_path / "new" / "arm.json"
     save(nominal_calibration(), path)
     assert Calibration.load(path, SO101_SERVOS) == nominal_calibration()
-    assert list(json.loads(path.read_text())["gripper"]) == [
-        "id",
-        "drive_mode",
-        "homing_offset",
-        "range_min",
-        "range_max",
-    ]
+    fields = ["id", "drive_mode", "homing_offset", "range_min", "range_max"]
+    assert list(json.loads(path.read_text())["gripper"]) == fields
     assert [entry.name for entry in path.parent.iterdir()] == ["arm.json"]
 
 

@@ -39,18 +39,13 @@ def test_a_lock_that_another_process_has_is_refused_with_its_number_and_free_aft
         FileLock(path).acquire()
 
 
-def test_a_lock_is_waited_for_no_longer_than_its_time(path: Path) -> None:
+def test_a_lock_is_waited_for_no_longer_than_its_time_and_taken_when_it_is_given_back(path: Path) -> None:
     held = FileLock(path)
     held.acquire()
     times = iter((0.0, 1.0, 1.9, 2.0))
     with pytest.raises(FileLockedError):
         FileLock(path).acquire(2.0, lambda: next(times))
     assert list(times) == []
-
-
-def test_a_lock_that_is_given_back_meanwhile_is_taken(path: Path) -> None:
-    held = FileLock(path)
-    held.acquire()
     threading.Timer(0.05, held.release).start()
     with locked(path):
         pass
@@ -70,20 +65,14 @@ def test_all_names_of_a_file_have_one_lock(tmp_path: Path) -> None:
     assert lock_path(link) == lock_path(tmp_path / "sub" / ".." / "states.json") == tmp_path / ".states.json.lock"
 
 
-def test_a_file_is_replaced_as_a_whole_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
-    path = tmp_path / "states.json"
-    replace(path, b"old")
-    replace(path, b"new")
-    assert path.read_bytes() == b"new"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_symbolic_link_stays_one(tmp_path: Path) -> None:
+def test_a_file_is_replaced_as_a_whole_nothing_is_left_beside_it_and_a_symbolic_link_stays_one(tmp_path: Path) -> None:
     path, link = tmp_path / "states.json", tmp_path / "link.json"
+    for content in (b"old", b"new"):
+        replace(path, content)
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"new", [path])
     link.symlink_to(path)
-    replace(link, b"new")
-    assert link.is_symlink()
-    assert path.read_bytes() == b"new"
+    replace(link, b"newer")
+    assert (link.is_symlink(), path.read_bytes()) == (True, b"newer")
 
 
 def test_what_cannot_be_written_leaves_the_old_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,6 @@ from robot.processes import RestartDelay
         ([3600.0, 5.0, 1.0], [0.0, 0.0, 0.0]),
         ([0.9, 0.9, 0.0, 1.0, 0.0, 0.9], [0.2, 0.4, 0.8, 0.0, 0.2, 0.4]),
     ],
-    ids=["grows to its bound", "none for one that has run for a while", "begins anew behind such a one"],
 )
 def test_the_delay_before_a_start_follows_how_long_the_processes_ran(ran_s: list[float], delays_s: list[float]) -> None:
     delay = RestartDelay(0.2, 10.0)

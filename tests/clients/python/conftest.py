@@ -9,11 +9,20 @@ from armbridge_client import Arm, connect
 from harness.server import FAST, RunningServer
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+@pytest.fixture(scope="package")
+def package_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
     states: Path = tmp_path_factory.mktemp("data") / "states.json"
     with RunningServer(settings={**FAST, "ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(states)}) as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def server(package_server: RunningServer) -> RunningServer:
+    """The server with an empty scene and the gripper closed, whatever the module before has left."""
+    with connect(package_server.url) as arm:
+        arm.scene.clear()
+        arm.gripper.close()
+    return package_server
 
 
 @pytest.fixture

@@ -6,7 +6,8 @@ import json
 import socket
 import ssl
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from armbridge_client import (
 from armbridge_client.connection import Address, Connection
 from armbridge_client.messages import TYPES, String, TriggerRequest
 from harness.server import FAST, RunningServer, free_port
-from harness.waiting import TIMEOUT_S
+from harness.waiting import until
 from server.access.certificates import CertificateFiles, ensure_certificate
 
 TOKENS = {
@@ -51,6 +52,7 @@ class ScriptedServer:
 
     def __init__(self, answer: Callable[[dict[str, Any]], dict[str, Any] | None]) -> None:
         self._answer = answer
+        self.url = ""
         self.operations: list[dict[str, Any]] = []
         self.clients: list[ServerConnection] = []
 
@@ -62,6 +64,26 @@ class ScriptedServer:
             answer = self._answer(operation)
             if answer is not None:
                 await client.send(json.dumps({"op": "service_response", "id": operation.get("id"), **answer}))
+
+
+@asynccontextmanager
+async def scripted(
+    answer: Callable[[dict[str, Any]], dict[str, Any] | None], context: ssl.SSLContext | None = None
+) -> AsyncIterator[ScriptedServer]:
+    made = ScriptedServer(answer)
+    async with serve(made.handle, "127.0.0.1", 0, process_request=document, ssl=context) as server:
+        made.url = f"{'wss' if context else 'ws'}://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}"
+        yield made
+
+
+@asynccontextmanager
+async def connected(answer: Callable[..., dict[str, Any] | None]) -> AsyncIterator[tuple[ScriptedServer, Connection]]:
+    """A connection to a scripted server."""
+    async with scripted(answer) as server:
+        connection = Connection(Address(server.url))
+        await connection.open()
+        yield server, connection
+        await connection.close()
 
 
 def document(connection: ServerConnection, request: Request) -> Response | None:
@@ -78,11 +100,9 @@ def identity(version: str) -> dict[str, Any]:
 
 async def refused(answer: dict[str, Any]) -> ConnectError:
     """The error of a connection to a server that answers the first call so."""
-    scripted = ScriptedServer(lambda _operation: answer)
-    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
-        port = next(iter(server.sockets)).getsockname()[1]
+    async with scripted(lambda _: answer) as server:
         with pytest.raises(ConnectError) as caught:
-            await connect_async(f"ws://127.0.0.1:{port}")
+            await connect_async(server.url)
     return caught.value
 
 
@@ -119,20 +139,14 @@ async def test_another_rosbridge_server_is_not_armbridge(values: object) -> None
     assert isinstance(error, NotArmbridge)
 
 
-async def test_another_version_names_the_client_to_install() -> None:
+async def test_another_version_or_description_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     error = await refused(identity("9.7.1"))
     assert isinstance(error, WrongVersion)
     assert "pip install 'armbridge-client==9.7.*'" in str(error)
-
-
-async def test_another_message_type_names_the_type(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("armbridge_client.interface.TYPES", {**TYPES, "std_msgs/msg/String": "RIHS01_0"})
     error = await refused(identity("0.2.0"))
     assert isinstance(error, WrongVersion)
     assert "std_msgs/msg/String" in str(error)
-
-
-async def test_a_server_without_a_description_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("armbridge_client.interface.PATH", "nothing.json")
     assert "nothing.json" in str(await refused(identity("0.2.0")))
 
@@ -167,63 +181,51 @@ async def test_requests_fail_and_streams_go_on_when_the_connection_breaks() -> N
     def answer(operation: dict[str, Any]) -> dict[str, Any] | None:
         return identity("0.2.0") if operation.get("service") == "/arm/who_am_i" else None
 
-    scripted = ScriptedServer(answer)
-    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
-        port = next(iter(server.sockets)).getsockname()[1]
-        connection = Connection(Address(f"ws://127.0.0.1:{port}"))
-        await connection.open()
-        async with connection.subscribe("/chat", TriggerRequest, timeout_s=20.0) as stream:
-            waiting = asyncio.create_task(connection.call("/slow", TriggerRequest()))
-            async with asyncio.timeout(TIMEOUT_S):
-                while not any(operation.get("service") == "/slow" for operation in scripted.operations):
-                    await asyncio.sleep(0)
-            await scripted.clients[0].close(1011)
-            with pytest.raises(ConnectionLost, match="stops this client's motions"):
-                await waiting
-            with pytest.raises(ConnectionLost, match="not connected"):
-                await connection.call("/slow", TriggerRequest())
-            await connection.wait_connected()
-            assert [each["topic"] for each in scripted.operations if each["op"] == "subscribe"] == ["/chat", "/chat"]
-            await scripted.clients[1].send(json.dumps({"op": "publish", "topic": "/chat", "msg": {}}))
-            assert await stream.__anext__() == TriggerRequest()
-        await connection.close()
+    async with (
+        connected(answer) as (server, connection),
+        connection.subscribe("/chat", TriggerRequest, timeout_s=20.0) as stream,
+    ):
+        waiting = asyncio.create_task(connection.call("/slow", TriggerRequest()))
+        await until(lambda: any(operation.get("service") == "/slow" for operation in server.operations))
+        await server.clients[0].close(1011)
+        with pytest.raises(ConnectionLost, match="stops this client's motions"):
+            await waiting
+        with pytest.raises(ConnectionLost, match="not connected"):
+            await connection.call("/slow", TriggerRequest())
+        await connection.wait_connected()
+        assert [each["topic"] for each in server.operations if each["op"] == "subscribe"] == ["/chat", "/chat"]
+        await server.clients[1].send(json.dumps({"op": "publish", "topic": "/chat", "msg": {}}))
+        assert await stream.__anext__() == TriggerRequest()
 
 
 async def test_a_server_that_closes_while_the_client_returns_is_tried_again() -> None:
+    clients: list[ServerConnection] = []
+
     def answer(operation: dict[str, Any]) -> dict[str, Any]:
         # As a server that is shutting down: it takes the second connection, and closes it before it answers.
-        if len(scripted.clients) == 2:
-            scripted.clients[1].transport.abort()
+        if len(clients) == 2:
+            clients[1].transport.abort()
         return identity("0.2.0")
 
-    scripted = ScriptedServer(answer)
-    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
-        port = next(iter(server.sockets)).getsockname()[1]
-        connection = Connection(Address(f"ws://127.0.0.1:{port}"))
-        await connection.open()
-        await scripted.clients[0].close(1001)
-        async with asyncio.timeout(TIMEOUT_S):
-            while len(scripted.clients) < 3:
-                await asyncio.sleep(0.01)
+    async with connected(answer) as (server, connection):
+        clients = server.clients
+        await clients[0].close(1001)
+        await until(lambda: len(clients) >= 3)
         await connection.wait_connected(20.0)
         assert (await connection.call("/arm/who_am_i", TriggerRequest())).success
-        await connection.close()
 
 
 async def test_a_slow_reader_of_a_stream_loses_the_oldest_messages() -> None:
-    scripted = ScriptedServer(lambda _operation: identity("0.2.0"))
-    async with serve(scripted.handle, "127.0.0.1", 0, process_request=document) as server:
-        port = next(iter(server.sockets)).getsockname()[1]
-        connection = Connection(Address(f"ws://127.0.0.1:{port}"))
-        await connection.open()
-        async with connection.subscribe("/chat", String, length=3) as stream:
-            for number in range(1000):
-                message = {"op": "publish", "topic": "/chat", "msg": {"data": str(number)}}
-                await scripted.clients[0].send(json.dumps(message))
-            # The answer comes behind the messages.
-            await connection.call("/arm/who_am_i", TriggerRequest())
-            assert [(await stream.__anext__()).data for _ in range(3)] == ["997", "998", "999"]
-        await connection.close()
+    async with (
+        connected(lambda _: identity("0.2.0")) as (server, connection),
+        connection.subscribe("/chat", String, length=3) as stream,
+    ):
+        for number in range(1000):
+            message = {"op": "publish", "topic": "/chat", "msg": {"data": str(number)}}
+            await server.clients[0].send(json.dumps(message))
+        # The answer comes behind the messages.
+        await connection.call("/arm/who_am_i", TriggerRequest())
+        assert [(await stream.__anext__()).data for _ in range(3)] == ["997", "998", "999"]
 
 
 def test_a_server_that_dies_during_a_motion_is_a_lost_connection() -> None:
@@ -247,11 +249,9 @@ async def test_tls_sends_nothing_to_a_server_whose_certificate_is_unknown(tmp_pa
     ensure_certificate(files, ["127.0.0.1"])
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(files.certificate, files.key)
-    scripted = ScriptedServer(lambda _operation: identity("0.2.0"))
-    async with serve(scripted.handle, "127.0.0.1", 0, ssl=context, process_request=document) as server:
-        url = f"wss://127.0.0.1:{next(iter(server.sockets)).getsockname()[1]}"
+    async with scripted(lambda _: identity("0.2.0"), context) as server:
         with pytest.raises(ConnectError, match=r"TLS: .*pass tls= for a certificate of your own"):
-            await connect_async(url, token="o" * 24)
-        assert scripted.clients == []
-        async with await connect_async(url, tls=ssl.create_default_context(cafile=files.authority)) as arm:
+            await connect_async(server.url, token="o" * 24)
+        assert server.clients == []
+        async with await connect_async(server.url, tls=ssl.create_default_context(cafile=files.authority)) as arm:
             assert arm.server.role == "admin"

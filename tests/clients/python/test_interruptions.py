@@ -5,7 +5,7 @@ import contextlib
 import os
 import signal
 import threading
-from types import FrameType
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -13,7 +13,7 @@ from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, GoalRefused,
 from armbridge_client.blocking import LoopThread
 from armbridge_client.messages import MoveitGoalFeedback
 from harness.server import RunningServer
-from harness.waiting import TIMEOUT_S, wait_until
+from harness.waiting import TIMEOUT_S, join, wait_until
 
 PREEMPTED = -7
 
@@ -21,34 +21,31 @@ PREEMPTED = -7
 def once_moving(arm: Arm, then: threading.Thread) -> None:
     """Move slowly, and begin a thread once the arm moves."""
 
-    def on_progress(progress: object) -> None:
-        if getattr(progress, "state", "") == "executing" and then.ident is None:
+    def on_progress(progress: MoveitGoalFeedback) -> None:
+        if progress.state == "executing" and then.ident is None:
             then.start()
 
     arm.move_named("home")
     arm.move("rest", speed=0.05, on_progress=on_progress)
 
 
-def test_another_thread_stops_the_arm_while_this_one_waits(arm: Arm) -> None:
-    sentences: list[str] = []
-    stopper = threading.Thread(target=lambda: sentences.append(arm.stop()))
-    with pytest.raises(GoalRefused) as caught:
-        once_moving(arm, stopper)
-    stopper.join(TIMEOUT_S)
-    assert caught.value.code == PREEMPTED
-    assert sentences
+def signalling(number: signal.Signals) -> threading.Thread:
+    return threading.Thread(target=os.kill, args=(os.getpid(), number))
 
 
-def test_a_signal_handler_stops_the_arm_while_the_program_waits(arm: Arm) -> None:
+@pytest.mark.parametrize("by", ["thread", "signal"])
+def test_another_thread_or_a_signal_handler_stops_the_arm_while_the_program_waits(arm: Arm, by: str) -> None:
     sentences: list[str] = []
 
-    def stop(_number: int, _frame: FrameType | None) -> None:
+    def stop(*_: object) -> None:
         sentences.append(arm.stop())
 
     before = signal.signal(signal.SIGUSR1, stop)
+    stopper = threading.Thread(target=stop) if by == "thread" else signalling(signal.SIGUSR1)
     try:
         with pytest.raises(GoalRefused) as caught:
-            once_moving(arm, threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGUSR1)))
+            once_moving(arm, stopper)
+        join(stopper)
     finally:
         signal.signal(signal.SIGUSR1, before)
     assert caught.value.code == PREEMPTED
@@ -66,7 +63,7 @@ def test_an_error_of_the_function_that_takes_the_progress_costs_neither_motion_n
 
 def test_ctrl_c_cancels_the_motion(arm: Arm) -> None:
     with pytest.raises(KeyboardInterrupt):
-        once_moving(arm, threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGINT)))
+        once_moving(arm, signalling(signal.SIGINT))
     # Answered when the arm stands; nothing of the motion is left.
     arm.stop()
     wait_until(lambda: arm.state().mode == "holding")
@@ -85,10 +82,8 @@ def test_a_motion_stops_when_its_program_leaves(server: RunningServer, arm: Arm)
     leaver = threading.Thread(target=left.close)
     with pytest.raises((ConnectionLost, GoalRefused)):
         once_moving(left, leaver)
-    leaver.join(TIMEOUT_S)
-    for state in arm.states():
-        if state.mode == "holding":
-            break
+    join(leaver)
+    next(state for state in arm.states() if state.mode == "holding")
     assert arm.state().position_rad["shoulder_lift"] > -1.4
 
 
@@ -108,35 +103,25 @@ async def test_a_signal_handler_of_the_event_loop_stops_the_arm(server: RunningS
         loop.add_signal_handler(signal.SIGUSR1, arm.stop_soon)
         try:
             with pytest.raises(GoalRefused) as caught:
-                await arm.move("rest", speed=0.05, on_progress=lambda progress: signal_once(progress.state))
+                await arm.move("rest", speed=0.05, on_progress=signal_while_moving)
         finally:
             loop.remove_signal_handler(signal.SIGUSR1)
         assert caught.value.code == PREEMPTED
 
 
-def signal_once(state: str) -> None:
-    if state == "executing":
+def signal_while_moving(progress: MoveitGoalFeedback) -> None:
+    if progress.state == "executing":
         os.kill(os.getpid(), signal.SIGUSR1)
 
 
 def test_a_stop_ends_the_gripper_and_the_program_knows(arm: Arm) -> None:
     arm.gripper.close()
-    ends: list[Exception] = []
-
-    def open_gripper() -> None:
-        try:
-            arm.gripper.open()
-        except GoalRefused as refused:
-            ends.append(refused)
-
-    opening = threading.Thread(target=open_gripper)
-    opening.start()
-    for state in arm.states(rate_hz=50):
-        if state.position_rad["gripper"] > 0.1:
-            break
-    arm.stop()
-    opening.join(TIMEOUT_S)
-    assert "PREEMPTED (-7): the gripper was stopped" in str(ends[0])
+    with ThreadPoolExecutor() as threads:
+        opening = threads.submit(arm.gripper.open)
+        next(state for state in arm.states(rate_hz=50) if state.position_rad["gripper"] > 0.1)
+        arm.stop()
+        with pytest.raises(GoalRefused, match=r"PREEMPTED \(-7\): the gripper was stopped"):
+            opening.result(TIMEOUT_S)
 
 
 def test_a_motion_goes_on_without_its_client_where_the_client_chose_so() -> None:
@@ -157,7 +142,7 @@ def test_a_motion_goes_on_without_its_client_where_the_client_chose_so() -> None
         thread.start()
         assert begun.wait(TIMEOUT_S)
         leaving.close()
-        thread.join(TIMEOUT_S)
+        join(thread)
         wait_until(lambda: watcher.state().position_rad["shoulder_pan"] == pytest.approx(0.8, abs=0.02))
 
 

@@ -10,19 +10,19 @@ import pytest
 from armbridge_client import Arm, ControlledByOther, GoalRefused, RequestRefused, WaitingGoal, connect, pose
 from armbridge_client.messages import CompressedImage, JointState, MoveitGoalFeedback, TriggerRequest
 from harness.server import FAST, RunningServer
-from harness.waiting import TIMEOUT_S, wait_until
+from harness.waiting import join, wait_until
 
 TABLE = pose(0.3, 0.0, 0.05)
 
 
 @pytest.fixture
-def empty_scene(arm: Arm) -> Iterator[Arm]:
+def in_empty_scene(arm: Arm) -> Iterator[Arm]:
     yield arm
     arm.scene.clear()
 
 
-def test_an_object_in_the_way_refuses_a_goal_until_it_is_removed(empty_scene: Arm) -> None:
-    arm = empty_scene
+def test_an_object_in_the_way_refuses_a_goal_until_it_is_removed(in_empty_scene: Arm) -> None:
+    arm = in_empty_scene
     arm.move_named("ready")
     arm.scene.add_box("crate", (0.1, 0.1, 0.1), pose(0.25, 0.0, 0.1))
     arm.scene.add_sphere("ball", 0.02, pose(0.0, 0.4, 0.1))
@@ -42,8 +42,8 @@ def test_an_object_in_the_way_refuses_a_goal_until_it_is_removed(empty_scene: Ar
     arm.move_to(0.25, 0.0, 0.12)
 
 
-def test_an_object_that_is_held_moves_with_the_tip(empty_scene: Arm) -> None:
-    arm = empty_scene
+def test_an_object_that_is_held_moves_with_the_tip(in_empty_scene: Arm) -> None:
+    arm = in_empty_scene
     arm.move_to(0.25, 0.0, 0.15)
     arm.scene.add_sphere("ball", 0.01, pose(0.25, 0.0, 0.15))
     arm.scene.allow_contact("ball", "gripper_link", "moving_jaw_so101_v1_link")
@@ -59,8 +59,8 @@ def test_a_change_that_is_refused_has_the_servers_sentence(arm: Arm) -> None:
         arm.scene.add_box("crate", (-0.1, 0.1, 0.1), TABLE)
 
 
-def test_scenes_are_saved_and_loaded_by_name(empty_scene: Arm) -> None:
-    scene = empty_scene.scene
+def test_scenes_are_saved_and_loaded_by_name(in_empty_scene: Arm) -> None:
+    scene = in_empty_scene.scene
     scene.add_box("crate", (0.1, 0.1, 0.1), pose(0.0, 0.4, 0.1))
     scene.save("lab")
     scene.clear()
@@ -156,28 +156,28 @@ def test_a_goal_waits_for_its_confirmation(server: RunningServer, arm: Arm, exec
     arm.move_named("home")
     arm.set_confirm_mode(on=True)
     with connect(server.url) as person:
-        answers: list[threading.Thread] = []
+        answering = threading.Thread(target=person.confirm, kwargs={"execute": execute})
 
         def on_progress(progress: MoveitGoalFeedback) -> None:
-            if progress.state == "planned" and not answers:
-                answers.append(threading.Thread(target=person.confirm, kwargs={"execute": execute}))
-                answers[0].start()
+            if progress.state == "planned" and answering.ident is None:
+                answering.start()
 
         with contextlib.nullcontext() if execute else pytest.raises(GoalRefused, match="PREEMPTED"):
             arm.move("ready", on_progress=on_progress)
-        answers[0].join(TIMEOUT_S)
+        join(answering)
     arm.set_confirm_mode(on=False)
 
 
+@pytest.fixture(scope="module")
+def guarded() -> Iterator[RunningServer]:
+    tokens = {"ARMBRIDGE_ACCESS__PROPOSE_TOKENS__MODEL": "p" * 24, "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": "o" * 24}
+    with RunningServer(settings={**FAST, **tokens}) as running:
+        yield running
+
+
 @pytest.mark.parametrize("approves", [True, False])
-def test_a_proposed_goal_waits_for_the_answer_of_another_client(approves: bool) -> None:
-    tokens = {"PROPOSE_TOKENS__MODEL": "p" * 24, "OPERATE_TOKENS__ADA": "o" * 24}
-    settings = {**FAST, **{f"ARMBRIDGE_ACCESS__{name}": token for name, token in tokens.items()}}
-    with (
-        RunningServer(settings=settings) as server,
-        connect(server.url, token=tokens["OPERATE_TOKENS__ADA"]) as person,
-        connect(server.url, token=tokens["PROPOSE_TOKENS__MODEL"]) as model,
-    ):
+def test_a_proposed_goal_waits_for_the_answer_of_another_client(guarded: RunningServer, approves: bool) -> None:
+    with connect(guarded.url, token="o" * 24) as person, connect(guarded.url, token="p" * 24) as model:
         assert person.waiting_goal() is None
         seen: list[WaitingGoal] = []
 
@@ -190,12 +190,12 @@ def test_a_proposed_goal_waits_for_the_answer_of_another_client(approves: bool) 
         answering = threading.Thread(target=answer)
 
         def on_progress(progress: MoveitGoalFeedback) -> None:
-            if progress.state == "planned" and not seen and not answering.is_alive():
+            if progress.state == "planned" and answering.ident is None:
                 answering.start()
 
         with contextlib.nullcontext() if approves else pytest.raises(GoalRefused, match="PREEMPTED"):
             model.move("ready", on_progress=on_progress)
-        answering.join(TIMEOUT_S)
+        join(answering)
         assert seen[0].proposed
         assert "MODEL" in seen[0].client.upper()
 
@@ -212,13 +212,10 @@ def test_speed_limit_pause_and_parking(arm: Arm) -> None:
     arm.enable()
 
 
-def test_any_topic_and_any_service_can_be_used(arm: Arm) -> None:
+def test_any_topic_and_any_service_can_be_used_and_images_come_as_bytes(arm: Arm) -> None:
     names = [message.name for message in itertools.islice(arm.messages("/joint_states", JointState), 2)]
     assert names[0] == names[1]
     assert arm.call("/arm/who_am_i", TriggerRequest()).success
-
-
-def test_images_come_as_bytes(arm: Arm) -> None:
     image = CompressedImage(format="jpeg", data=bytes(range(256)))
     arm.publish("/camera/image/compressed", image)
     assert next(arm.messages("/camera/image/compressed", CompressedImage)).data == image.data

@@ -23,6 +23,8 @@ SOUND = {
     Register.STATUS: 0,
     Register.LOCK: 1,
 }
+SETUP, WRITE_BACK = "armbridge setup --registers", "armbridge calibrate NAME --write-back"
+DOCS = "".join((ROOT / f"docs/{page}.md").read_text() for page in ("troubleshooting", "arm"))
 TIMES = CycleTimes(300, 0.002, 0.0021, 0.0003, 0, 1800)
 
 
@@ -43,28 +45,30 @@ def findings(changes=()):
 
 
 @pytest.mark.parametrize(
-    ("changes", "check", "verdict", "words"),
+    ("changes", "check", "verdict", "words", "command"),
     [
-        ({Register.MODEL_NUMBER: 1284}, "model and mode", Verdict.PROBLEM, "servo 3 is model 1284"),
-        ({Register.OPERATING_MODE: 3}, "model and mode", Verdict.PROBLEM, "in mode 3"),
-        ({Register.FIRMWARE_MINOR: 9}, "firmware", Verdict.NOTE, "3: 3.9"),
-        ({Register.PRESENT_VOLTAGE: 42}, "voltage", Verdict.PROBLEM, "4.2 to 5.0 V"),
-        ({Register.PRESENT_VOLTAGE: 121}, "voltage", Verdict.PROBLEM, "too much for servos 3"),
-        ({Register.PRESENT_VOLTAGE: 45}, "voltage", Verdict.NOTE, "along the chain"),
-        ({Register.PRESENT_TEMPERATURE: 56}, "temperature", Verdict.NOTE, "servo 3 with 56"),
-        ({Register.PRESENT_TEMPERATURE: 66}, "temperature", Verdict.PROBLEM, "servo 3 with 66"),
-        ({Register.STATUS: 33}, "error bits", Verdict.PROBLEM, "3: voltage, overload"),
-        ({Register.PHASE: 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count"),
-        ({Register.RETURN_DELAY: 250}, "return delay", Verdict.NOTE, "servo 3: 500 us"),
-        ({Register.LOCK: 0}, "EPROM lock", Verdict.NOTE, "servos 3 are unlocked"),
-        ({Register.HOMING_OFFSET: 5}, "calibration", Verdict.PROBLEM, "elbow_flex HOMING_OFFSET 5 instead of 0"),
+        ({Register.MODEL_NUMBER: 1284}, "model and mode", Verdict.PROBLEM, "servo 3 is model 1284", ""),
+        ({Register.OPERATING_MODE: 3}, "model and mode", Verdict.PROBLEM, "in mode 3", SETUP),
+        ({Register.FIRMWARE_MINOR: 9}, "firmware", Verdict.NOTE, "3: 3.9", ""),
+        ({Register.PRESENT_VOLTAGE: 42}, "voltage", Verdict.PROBLEM, "4.2 to 5.0 V", ""),
+        ({Register.PRESENT_VOLTAGE: 121}, "voltage", Verdict.PROBLEM, "too much for servos 3", ""),
+        ({Register.PRESENT_VOLTAGE: 45}, "voltage", Verdict.NOTE, "along the chain", ""),
+        ({Register.PRESENT_TEMPERATURE: 56}, "temperature", Verdict.NOTE, "servo 3 with 56", ""),
+        ({Register.PRESENT_TEMPERATURE: 66}, "temperature", Verdict.PROBLEM, "servo 3 with 66", ""),
+        ({Register.STATUS: 33}, "error bits", Verdict.PROBLEM, "3: voltage, overload", ""),
+        ({Register.PHASE: 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count", SETUP),
+        ({Register.RETURN_DELAY: 250}, "return delay", Verdict.NOTE, "servo 3: 500 us", SETUP),
+        ({Register.LOCK: 0}, "EPROM lock", Verdict.NOTE, "servos 3 are unlocked", SETUP),
+        ({Register.HOMING_OFFSET: 5}, "calibration", Verdict.PROBLEM, "HOMING_OFFSET 5 instead of 0", WRITE_BACK),
     ],
 )
-def test_what_is_wrong_is_found_named_and_given_a_remedy(changes, check, verdict, words):
+def test_what_is_wrong_is_found_named_and_given_the_remedy_of_the_docs(changes, check, verdict, words, command):
     found = findings(changes)
     assert found[check].verdict is verdict
     assert words in found[check].says
     assert found[check].remedy
+    assert command in found[check].remedy
+    assert command in DOCS
     assert {finding.verdict for name, finding in found.items() if name != check} == {Verdict.GOOD}
 
 
@@ -85,13 +89,10 @@ def test_bad_times_are_found(changes, check, verdict):
     assert {finding.verdict for name, finding in found.items() if name != check} == {Verdict.GOOD}
 
 
-def test_a_missing_servo_is_a_problem_and_an_empty_bus_is_only_that():
+def test_a_missing_servo_is_a_problem_and_an_empty_bus_is_only_that_and_without_a_calibration_its_check_stays_open():
     (found,) = judge_scan(ScanResult(()), SO101_SERVOS, None)
     assert found.verdict is Verdict.PROBLEM
     assert "power supply" in found.says
-
-
-def test_without_a_calibration_its_check_stays_open():
     servos = tuple(report(spec) for spec in SO101_SERVOS)
     assert judge_scan(ScanResult(servos), SO101_SERVOS, None)[-1].verdict is Verdict.OPEN
 
@@ -101,18 +102,3 @@ def test_servos_that_do_not_answer_long_reads_are_named():
     bad = judge_long_reads(56, 31, [2, 5])
     assert bad.verdict is Verdict.PROBLEM
     assert "servos 2, 5 do not answer a read of registers 56 to 86" in bad.says
-
-
-@pytest.mark.parametrize(
-    ("changes", "check", "command"),
-    [
-        ({Register.HOMING_OFFSET: 5}, "calibration", "armbridge calibrate NAME --write-back"),
-        ({Register.PHASE: 28}, "phase bit 4", "armbridge setup --registers"),
-        ({Register.RETURN_DELAY: 250}, "return delay", "armbridge setup --registers"),
-        ({Register.OPERATING_MODE: 3}, "model and mode", "armbridge setup --registers"),
-        ({Register.LOCK: 0}, "EPROM lock", "armbridge setup --registers"),
-    ],
-)
-def test_a_remedy_is_the_command_that_the_documentation_names(changes, check, command):
-    assert command in findings(changes)[check].remedy
-    assert command in (ROOT / "docs/troubleshooting.md").read_text() + (ROOT / "docs/arm.md").read_text()

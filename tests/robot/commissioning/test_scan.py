@@ -40,9 +40,6 @@ def test_the_cause_is_looked_for_where_the_silence_begins():
     assert "cable that leads to it" in explained(1, 2, 3)
     assert "from wrist_flex on" in explained(1, 2, 3)
     assert "its id or baud rate" in explained(1, 2, 3, 4, 6)
-
-
-def test_garbled_replies_are_explained_by_a_common_id():
     said = explain_missing(found(1, 2, 4, 5, 6, garbled_bytes=6), SO101_SERVOS)
     assert any("same id" in sentence for sentence in said)
 

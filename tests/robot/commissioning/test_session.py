@@ -81,9 +81,12 @@ def to_directions(session, hand):
     session.answer(DONE)
 
 
-def to_direction_of(session, joint):
+def at_direction_of(joint):
+    session, hand = begun()
+    to_directions(session, hand)
     while session.step.name != f"direction of {joint}":
         session.answer(SKIP)
+    return session, hand
 
 
 def test_nothing_but_relaxing_is_asked_before_the_arm_is_relaxed():
@@ -111,9 +114,12 @@ def test_a_whole_session_gives_the_true_stops_wherever_the_encoders_stand(shift,
     assert session.progress == 1.0
 
 
-def test_a_joint_that_met_one_stop_only_is_named_and_taken_on_the_persons_word():
+def test_a_joint_that_met_one_stop_only_is_named_and_taken_on_the_persons_word_and_none_that_was_not_touched():
     session, hand = begun(motions={})
     hand.sweep((1, 2, 4, 6))
+    for answer, words in ((DONE, "elbow_flex"), (AS_IT_IS, "elbow_flex: was moved by 0 ticks")):
+        with pytest.raises(CalibrationError, match=words):
+            session.answer(answer)
     hand.move(3, STOPS[3][0])
     with pytest.raises(CalibrationError, match=r"elbow_flex has \d+% of the expected range"):
         session.answer(DONE)
@@ -126,27 +132,16 @@ def test_a_joint_that_met_one_stop_only_is_named_and_taken_on_the_persons_word()
 SHORT_OF_STOP = STOPS[3][1] - round(0.19 * (STOPS[3][1] - STOPS[3][0]))
 
 
-def swept_but_short():
+@pytest.mark.parametrize(
+    ("second", "accepted"),
+    [((SHORT_OF_STOP,), True), ((SHORT_OF_STOP - 60,), False), ((SHORT_OF_STOP, MIDDLE, SHORT_OF_STOP + 60), False)],
+)
+def test_a_short_range_is_taken_where_both_of_its_ends_were_met_twice_and_nothing_lies_behind(second, accepted):
     session, hand = begun(motions={})
     hand.sweep((1, 2, 4, 6))
-    for ticks in (STOPS[3][0], SHORT_OF_STOP, MIDDLE):
-        hand.move(3, ticks)
-    return session, hand
-
-
-@pytest.mark.parametrize(("upper", "accepted"), [(SHORT_OF_STOP, True), (SHORT_OF_STOP - 60, False)])
-def test_a_short_range_is_taken_where_both_of_its_ends_were_met_twice(upper, accepted):
-    session, hand = swept_but_short()
-    for ticks in (STOPS[3][0], upper, MIDDLE):
+    for ticks in (STOPS[3][0], SHORT_OF_STOP, MIDDLE, STOPS[3][0], *second, MIDDLE):
         hand.move(3, ticks)
     assert {each.joint: each.done for each in session.ranges()}["elbow_flex"] is accepted
-
-
-def test_a_stop_behind_an_end_that_was_met_twice_counts_from_the_first_visit_on():
-    session, hand = swept_but_short()
-    for ticks in (STOPS[3][0], SHORT_OF_STOP, MIDDLE, SHORT_OF_STOP + 60, MIDDLE):
-        hand.move(3, ticks)
-    assert not {each.joint: each.done for each in session.ranges()}["elbow_flex"]
 
 
 def test_a_free_joint_that_met_its_stops_is_calibrated_by_them_and_its_middle_is_not_asked_for():
@@ -159,20 +154,9 @@ def test_a_free_joint_that_met_its_stops_is_calibrated_by_them_and_its_middle_is
     assert (roll.homing_offset, roll.range_min, roll.range_max) == (0, 113, 3981)
 
 
-def test_a_joint_that_was_not_touched_is_refused_all_the_same():
-    session, hand = begun()
-    hand.sweep((1, 2, 4, 6))
-    with pytest.raises(CalibrationError, match="elbow_flex"):
-        session.answer(DONE)
-    with pytest.raises(CalibrationError, match="elbow_flex: was moved by 0 ticks"):
-        session.answer(AS_IT_IS)
-
-
 @pytest.mark.parametrize(("by_ticks", "mirrored"), [(-300, True), (300, False)])
 def test_a_gripper_is_mirrored_if_it_opens_towards_lower_ticks(by_ticks, mirrored):
-    session, hand = begun()
-    to_directions(session, hand)
-    to_direction_of(session, "gripper")
+    session, hand = at_direction_of("gripper")
     hand.move(GRIPPER, MIDDLE + by_ticks)
     session.answer(DONE)
     assert session.calibration.joints[-1].drive_mode == int(mirrored)
@@ -180,9 +164,11 @@ def test_a_gripper_is_mirrored_if_it_opens_towards_lower_ticks(by_ticks, mirrore
 
 
 def test_a_mirrored_joint_of_the_arm_is_named_with_its_sign_and_nothing_is_written():
-    session, hand = begun()
-    to_directions(session, hand)
-    to_direction_of(session, "elbow_flex")
+    session, hand = at_direction_of("elbow_flex")
+    # A direction counts from the question on.
+    with pytest.raises(CalibrationError, match="elbow_flex: was moved by 0 ticks"):
+        session.answer(DONE)
+    assert session.step.name == "direction of elbow_flex"
     # The model's elbow falls when the forearm goes up.
     hand.move(3, MIDDLE + 300)
     session.answer(DONE)
@@ -193,32 +179,18 @@ def test_a_mirrored_joint_of_the_arm_is_named_with_its_sign_and_nothing_is_writt
     assert {joint.drive_mode for joint in session.calibration.joints} == {0}
 
 
-def test_a_direction_counts_from_the_question_on():
-    session, hand = begun()
-    to_directions(session, hand)
-    to_direction_of(session, "elbow_flex")
-    with pytest.raises(CalibrationError, match="elbow_flex: was moved by 0 ticks"):
-        session.answer(DONE)
-    assert session.step.name == "direction of elbow_flex"
-
-
-def test_a_sweep_can_be_done_again_and_forgets_the_first():
+def test_the_result_of_a_sweep_changes_no_more_until_it_is_done_again_and_forgets_the_first():
     session, hand = begun(motions={})
     hand.move(1, STOPS[1][1] - 600)
-    to_directions(session, hand)
-    assert session.answer(AGAIN) is None
-    assert session.step.name == "sweep"
-    assert session.calibration is None
-    assert all(each.lowest == each.highest for each in session.ranges())
-
-
-def test_what_the_servos_tell_after_the_sweep_changes_the_result_no_more():
-    session, hand = begun(motions={})
     to_directions(session, hand)
     before = session.calibration
     hand.move(1, STOPS[1][1])
     assert session.calibration == before
     assert session.ranges()[0].present == MIDDLE
+    assert session.answer(AGAIN) is None
+    assert session.step.name == "sweep"
+    assert session.calibration is None
+    assert all(each.lowest == each.highest for each in session.ranges())
 
 
 def test_progress_never_falls_on_the_way():
@@ -295,17 +267,11 @@ def test_wherever_a_free_joint_shows_its_middle_the_offset_puts_it_in_the_middle
     assert (placed.range_min, placed.range_max) == (0, MAX_TICK)
 
 
-def test_without_a_new_offset_the_range_is_what_the_servo_reports():
+def test_without_a_new_offset_the_range_is_what_the_servo_reports_and_must_be_one_of_the_format():
     placed = place(ELBOW, swept((937, 3137), offset=37), 37, recentre=False)
     assert (placed.homing_offset, placed.range_min, placed.range_max) == (37, 900, 3100)
-
-
-def test_a_range_across_the_seam_is_refused_and_a_new_offset_is_named_as_the_remedy():
     with pytest.raises(CalibrationError, match=r"crosses the seam .*--write-servos"):
         place(ELBOW, swept((-700, 1300), offset=0), 0, recentre=False)
-
-
-def test_a_free_joint_off_the_formats_middle_needs_a_new_offset():
     assert place_free(SWEPT_ROLL, 2100, 5, recentre=False).homing_offset == 5
     with pytest.raises(CalibrationError, match="its middle is tick 2500"):
         place_free(SWEPT_ROLL, 2500, 0, recentre=False)
@@ -321,10 +287,11 @@ def test_a_joint_met_both_stops_when_it_covered_most_of_what_the_model_has_unles
     assert met_both_stops(replace(SWEPT_ROLL, turns_freely=False), MAX_TICK)
 
 
-NONE: frozenset[str] = frozenset()
+NONE, A, G = (frozenset(joints) for joints in ("", "a", "g"))
+BUILT_IN = pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1", "fetch"])
 
 
-@pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1", "fetch"])
+@BUILT_IN
 def test_every_candidate_keeps_away_from_the_limits_of_every_built_in_arm(name):
     robot = robot_folder.resolve(name).model
     for pose in poses(robot):
@@ -347,21 +314,15 @@ def test_the_poses_beside_zero_show_the_direction_of_every_joint():
 @pytest.mark.parametrize(
     ("droop", "words"),
     [
-        (Droop("elbow_flex", 0.03, load=0.2, p_gain=32), None),
+        (Droop("elbow_flex", 0.03, load=0.2, p_gain=32), ""),
         (Droop("elbow_flex", 0.09, load=0.4, p_gain=16), "its position gain of 16 lets it"),
         (Droop("elbow_flex", -0.12, load=0.05, p_gain=32), f"stands {math.degrees(0.12):.1f} deg from its goal"),
         (Droop("elbow_flex", -0.12, load=0.05, p_gain=32), "supply is weak"),
     ],
-    ids=["as its gain lets it", "a low gain", "blocked", "a weak supply"],
 )
 def test_a_droop_is_explained_by_gain_and_load_or_is_a_finding(droop, words):
-    if words is None:
-        assert droop.finding() == ""
-    else:
-        assert words in droop.finding()
-
-
-A, G = frozenset({"a"}), frozenset({"g"})
+    assert words in droop.finding()
+    assert bool(words) is bool(droop.finding())
 
 
 @pytest.mark.parametrize(
@@ -371,39 +332,29 @@ A, G = frozenset({"a"}), frozenset({"g"})
         ([("zero", NONE), ("first", A), ("second", A)], "turns the other way"),
         ([("zero", NONE), ("open gripper", G)], "drive_mode"),
     ],
-    ids=["off at zero too", "off beside zero only", "a gripper"],
 )
 def test_a_joint_that_looks_otherwise_than_the_model_is_a_finding_with_its_cause(seen, words):
     (found,) = seen_findings(seen, G)
     assert words in found
 
 
-STEP_RAD = 0.01
-
-
 def moved(robot, joint, link, rises):
     """Motion of a link when a joint moves a little from the model's zero, shape (3,) [m]."""
     forward, zero = ForwardPlacements(robot), {each.name: 0.0 for each in robot.movable_joints}
-    step = STEP_RAD if rises else -STEP_RAD
-    places = [forward.transforms({**zero, joint: at})[link][:3, 3] for at in (0.0, step)]
+    places = [forward.transforms({**zero, joint: at})[link][:3, 3] for at in (0.0, 0.01 if rises else -0.01)]
     return places[1] - places[0]
 
 
-def test_the_forearm_goes_where_the_request_says():
-    motion = asked_motions(so101())["elbow_flex"]
-    assert motion.request == "move elbow flex so that the far end of lower arm goes up"
-    way = moved(so101(), "elbow_flex", "wrist_link" if "wrist_link" in so101().links else "wrist", motion.rises)
+def test_the_links_go_where_the_requests_say():
+    motions = asked_motions(so101())
+    assert motions["elbow_flex"].request == "move elbow flex so that the far end of lower arm goes up"
+    way = moved(so101(), "elbow_flex", "wrist_link", motions["elbow_flex"].rises)
     assert way[2] > 0.9 * np.linalg.norm(way)
-
-
-def test_a_joint_with_an_upright_axis_turns_the_arm_to_the_left_of_who_stands_behind_it():
-    motion = asked_motions(so101())["shoulder_pan"]
-    assert "to the left" in motion.request
-    assert moved(so101(), "shoulder_pan", so101().tip_link, motion.rises)[1] > 0.0
-
-
-def test_a_joint_along_its_link_is_turned_and_not_moved():
-    assert "clockwise, as seen along the arm" in asked_motions(so101())["wrist_roll"].request
+    # An upright axis turns the arm to the left of who stands behind it.
+    assert "to the left" in motions["shoulder_pan"].request
+    assert moved(so101(), "shoulder_pan", so101().tip_link, motions["shoulder_pan"].rises)[1] > 0.0
+    # A joint along its link is turned and not moved.
+    assert "clockwise, as seen along the arm" in motions["wrist_roll"].request
 
 
 @pytest.mark.parametrize(("opened", "rises"), [(1.0, True), (-1.0, False)])
@@ -413,27 +364,15 @@ def test_the_gripper_is_to_be_opened_whichever_way_its_joint_turns(opened, rises
     assert asked_motions(turning)["gripper"] == AskedMotion("open the gripper", rises=rises)
 
 
-@pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1", "fetch"])
+@BUILT_IN
 def test_there_is_a_motion_for_every_joint_of_every_built_in_arm(name):
     robot = robot_folder.resolve(name).model
     assert set(asked_motions(robot)) == {joint.name for joint in robot.movable_joints}
 
 
-@pytest.mark.parametrize(
-    ("sign", "rises", "ticks", "other"),
-    [
-        (1, True, 300, False),
-        (1, False, 300, True),
-        (-1, True, 300, True),
-        (-1, False, 300, False),
-        (1, True, -300, True),
-    ],
-)
-def test_the_sign_of_the_folder_is_compared_with_what_the_hand_did(sign, rises, ticks, other):
-    servo = replace(ELBOW, sign=sign)
-    assert turned_the_other_way(servo, AskedMotion("bend it", rises=rises), ticks) is other
-
-
-def test_a_twitch_shows_no_direction():
+def test_the_sign_of_the_folder_is_compared_with_what_the_hand_did_and_a_twitch_shows_no_direction():
+    for sign, rises, ticks in ((1, True, 300), (1, False, 300), (-1, True, 300), (-1, False, 300), (1, True, -300)):
+        other = turned_the_other_way(replace(ELBOW, sign=sign), AskedMotion("bend it", rises=rises), ticks)
+        assert other is ((sign * ticks > 0) is not rises), (sign, rises, ticks)
     with pytest.raises(CalibrationError, match=r"elbow_flex: was moved by 99 ticks only.*bend it, further"):
         turned_the_other_way(ELBOW, AskedMotion("bend it", rises=True), 1 - LEAST_MOTION_TICKS)

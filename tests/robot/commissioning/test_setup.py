@@ -5,19 +5,7 @@ from datetime import UTC, datetime
 import pytest
 
 from harness.server import read_write_log
-from robot.commissioning.setup import (
-    BackupFile,
-    SavedServo,
-    changes_back,
-    changes_for,
-    check_model,
-    match_saved,
-    needs_writing,
-    read_backup,
-    search,
-    supply_complaint,
-    write,
-)
+from robot.commissioning import setup
 from robot.errors import BackupError, PortLost, StartupError
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT
 from robot.hardware.feetech.registers import Register
@@ -33,15 +21,15 @@ def kit(start_emulator):
 
 
 def find(kit, joint):
-    return search(kit.line(), joint, SO101_SERVOS, lambda _text: None)
+    return setup.search(kit.line(), joint, SO101_SERVOS, lambda _text: None)
 
 
 def set_up(kit, joint, profile=LEROBOT):
     """What the command does with the servo that is plugged in."""
     line = kit.line()
-    servo = search(line, joint, SO101_SERVOS, lambda _text: None)
-    changes = changes_for(servo, joint, profile)
-    return write(line, servo, changes) if needs_writing(servo, changes) else servo
+    servo = setup.search(line, joint, SO101_SERVOS, lambda _text: None)
+    changes = setup.changes_for(servo, joint, profile)
+    return setup.write(line, servo, changes) if setup.needs_writing(servo, changes) else servo
 
 
 def finished(kit, place, joint):
@@ -49,27 +37,19 @@ def finished(kit, place, joint):
     kit.servos[place].power_up()
     kit.plug(place)
     servo = find(kit, joint)
-    return servo.servo_id == joint.servo_id and not needs_writing(servo, changes_for(servo, joint, LEROBOT))
+    return servo.servo_id == joint.servo_id and not setup.needs_writing(servo, setup.changes_for(servo, joint, LEROBOT))
 
 
-def test_only_what_differs_is_written_and_the_eprom_is_locked(start_emulator, write_log):
-    kit = Kit(start_emulator(*KIT, "--write-log", str(write_log)))
-    kit.plug(4)
-    before = len(read_write_log(write_log))
-    set_up(kit, ROLL, FACTORY)
-    written = {entry["address"] for entry in read_write_log(write_log)[before:] if entry["data"]}
-    assert written == {Register.TORQUE_ENABLE, Register.LOCK, Register.RETURN_DELAY, Register.ID}
-    assert kit.servos[4].value(Register.LOCK) == 1
-
-
-def test_a_servo_is_relaxed_before_anything_else_is_written(start_emulator, write_log):
+def test_a_servo_is_relaxed_first_only_what_differs_is_written_and_the_eprom_is_locked(start_emulator, write_log):
     kit = Kit(start_emulator(*KIT, "--write-log", str(write_log)))
     kit.plug(4)
     kit.servos[4].hold()
     before = len(read_write_log(write_log))
-    set_up(kit, ROLL)
-    assert read_write_log(write_log)[before]["address"] == Register.TORQUE_ENABLE
-    assert kit.servos[4].value(Register.TORQUE_ENABLE) == 0
+    set_up(kit, ROLL, FACTORY)
+    written = [entry["address"] for entry in read_write_log(write_log)[before:] if entry["data"]]
+    assert written[0] == Register.TORQUE_ENABLE
+    assert set(written) == {Register.TORQUE_ENABLE, Register.LOCK, Register.RETURN_DELAY, Register.ID}
+    assert (kit.servos[4].value(Register.TORQUE_ENABLE), kit.servos[4].value(Register.LOCK)) == (0, 1)
 
 
 @pytest.mark.parametrize(("code", "servo_id"), [(0, 1), (0, 77), (1, 1), (4, 253), (7, 6)])
@@ -97,7 +77,6 @@ def test_a_servo_of_several_turns_in_another_mode_counts_one_turn_and_holds_posi
         ({Register.ID: 77}, {Register.ID: 77}, "unplug all"),
         ({}, {Register.ID: 77}, "servos 1, 77 answer"),
     ],
-    ids=["one id", "replies that do not collide", "an id that nobody expects", "either might be meant"],
 )
 def test_of_two_servos_none_is_taken_and_how_to_part_them_is_told(kit, fourth, fifth, words):
     set_registers(kit.servos[4], fourth)
@@ -107,23 +86,16 @@ def test_of_two_servos_none_is_taken_and_how_to_part_them_is_told(kit, fourth, f
         find(kit, GRIPPER)
 
 
-def test_replies_that_nobody_can_read_are_refused(kit):
+def test_silence_and_replies_that_nobody_can_read_are_explained_and_a_disturbed_servo_is_not_taken_for_two(kit):
+    with pytest.raises(StartupError, match="supply"):
+        find(kit, GRIPPER)
     set_registers(kit.servos[5], {Register.ID: 77})
     kit.plug(5)
     kit.emulator.command(corrupt=1.0)
     with pytest.raises(StartupError, match=r"garbled: several servos with the same id.*unplug all servos but one"):
         find(kit, GRIPPER)
-
-
-def test_one_servo_is_not_taken_for_two_though_some_replies_are_disturbed(kit):
-    kit.plug(5)
     kit.emulator.command(corrupt=0.1)
-    assert [find(kit, GRIPPER).servo_id for _ in range(10)] == [1] * 10
-
-
-def test_silence_is_explained(kit):
-    with pytest.raises(StartupError, match="supply"):
-        find(kit, GRIPPER)
+    assert [find(kit, GRIPPER).servo_id for _ in range(10)] == [77] * 10
 
 
 def test_a_calibrated_joint_is_never_offered_for_another(kit):
@@ -136,36 +108,27 @@ def test_a_calibrated_joint_is_never_offered_for_another(kit):
     assert {register: kit.servos[0].value(register) for register in calibration} == calibration
 
 
-def test_a_servo_without_limits_gets_them_though_its_id_is_right(kit):
+def test_limits_that_are_missing_and_an_open_lock_are_mended_though_nothing_else_differs(kit):
     set_registers(kit.servos[0], {Register.MIN_ANGLE_LIMIT: 0, Register.MAX_ANGLE_LIMIT: 0})
     kit.plug(0)
     assert set_up(kit, PAN).angle_limits_ticks == (0, 4095)
+    set_registers(kit.servos[0], {Register.LOCK: 0})
+    set_up(kit, PAN)
+    assert kit.servos[0].value(Register.LOCK) == 1
 
 
-def test_an_unlocked_eprom_is_locked_though_nothing_differs(kit):
-    kit.plug(5)
-    set_up(kit, GRIPPER)
-    set_registers(kit.servos[5], {Register.LOCK: 0})
-    set_up(kit, GRIPPER)
-    assert kit.servos[5].value(Register.LOCK) == 1
-
-
-def test_an_unknown_model_is_refused_with_the_way_round(kit):
+def test_an_unknown_model_is_refused_with_the_way_round_and_a_supply_that_the_servo_is_not_made_for_is_said(kit):
     kit.plug(5)
     servo = find(kit, GRIPPER)
-    check_model(servo, GRIPPER)
+    setup.check_model(servo, GRIPPER)
     unknown = replace(servo, registers={**servo.registers, Register.MODEL_NUMBER: 1234})
     with pytest.raises(StartupError, match=r"model 1234.*--any-model"):
-        check_model(unknown, GRIPPER)
-
-
-@pytest.mark.parametrize(("supply_v", "said"), [(5.0, ""), (12.1, "burn out"), (3.5, "too weak")])
-def test_a_supply_that_the_servo_is_not_made_for_is_said(kit, supply_v, said):
-    kit.plug(5)
-    kit.emulator.command(supply=supply_v)
-    complaint = supply_complaint(find(kit, GRIPPER))
-    assert said in complaint
-    assert bool(said) == bool(complaint)
+        setup.check_model(unknown, GRIPPER)
+    for supply_v, words in ((5.0, ""), (12.1, "burn out"), (3.5, "too weak")):
+        kit.emulator.command(supply=supply_v)
+        complaint = setup.supply_complaint(find(kit, GRIPPER))
+        assert words in complaint
+        assert bool(words) == bool(complaint)
 
 
 class Broken(BaseException):
@@ -189,7 +152,6 @@ def break_off(kit, packets, error):
 @pytest.mark.parametrize(
     ("error", "powered_down"),
     [(Broken(), False), (PortLost("/dev/stepped", "unplugged"), False), (PortLost("/dev/stepped", "unplugged"), True)],
-    ids=["interrupted", "unplugged", "unplugged and without power"],
 )
 def test_a_setup_broken_off_after_any_packet_is_finished_by_the_next(kit, error, powered_down):
     servo = kit.servos[5]
@@ -232,7 +194,7 @@ def test_a_servo_that_forgets_a_value_when_its_eprom_is_locked_is_not_taken_for_
 def test_an_interrupted_write_leaves_the_eprom_locked(kit):
     kit.plug(5)
     line = kit.line()
-    servo = search(line, GRIPPER, SO101_SERVOS, lambda _text: None)
+    servo = setup.search(line, GRIPPER, SO101_SERVOS, lambda _text: None)
     read = type(kit.emulator.port).receive
     unlocked = iter([False])
 
@@ -244,40 +206,35 @@ def test_an_interrupted_write_leaves_the_eprom_locked(kit):
 
     kit.emulator.port.receive = interrupt
     with contextlib.suppress(Broken):
-        write(line, servo, changes_for(servo, GRIPPER, LEROBOT))
+        setup.write(line, servo, setup.changes_for(servo, GRIPPER, LEROBOT))
     assert next(unlocked, "used") == "used"
     assert kit.servos[5].value(Register.LOCK) == 1
 
 
-def saved(kit, place, joint):
-    kit.plug(place)
-    servo = find(kit, joint)
-    return SavedServo(
-        joint=joint.joint,
-        servo_id=servo.servo_id,
-        new_id=joint.servo_id,
-        baudrate=servo.baudrate,
-        registers=dict(servo.registers),
-    )
+def saved(kit):
+    kit.plug(5)
+    found = find(kit, GRIPPER)
+    ids = {"servo_id": found.servo_id, "new_id": GRIPPER.servo_id}
+    return setup.SavedServo(joint="gripper", **ids, baudrate=found.baudrate, registers=dict(found.registers))
 
 
 def test_a_servo_alone_gets_back_all_that_it_had(kit):
     set_registers(kit.servos[5], {Register.BAUD_RATE: 1, Register.HOMING_OFFSET: 77})
     before = kit.held(5)
-    entry = saved(kit, 5, GRIPPER)
+    entry = saved(kit)
     after = set_up(kit, GRIPPER)
-    write(kit.line(), after, changes_back(after, entry, alone=True))
+    setup.write(kit.line(), after, setup.changes_back(after, entry, alone=True))
     assert kit.held(5) == before
 
 
 def test_neither_the_id_among_others_nor_a_baud_rate_that_makes_a_servo_unreachable_is_restored(kit):
-    entry = saved(kit, 5, GRIPPER)
+    entry = saved(kit)
     after = set_up(kit, GRIPPER)
-    changed = [change.register for change in changes_back(after, entry, alone=False)]
+    changed = [change.register for change in setup.changes_back(after, entry, alone=False)]
     assert Register.RETURN_DELAY in changed
     assert Register.ID not in changed
     odd = entry.model_copy(update={"registers": {**entry.registers, Register.BAUD_RATE: 5}})
-    assert Register.BAUD_RATE not in [change.register for change in changes_back(after, odd, alone=True)]
+    assert Register.BAUD_RATE not in [change.register for change in setup.changes_back(after, odd, alone=True)]
 
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
@@ -285,25 +242,27 @@ NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 def servo(servo_id=1, new_id=6, **values):
     registers = {Register.ID: servo_id, **{Register[name]: value for name, value in values.items()}}
-    return SavedServo(joint="gripper", servo_id=servo_id, new_id=new_id, baudrate=1_000_000, registers=registers)
+    return setup.SavedServo(joint="gripper", servo_id=servo_id, new_id=new_id, baudrate=1_000_000, registers=registers)
 
 
 def test_what_is_saved_reads_back_and_grows_servo_by_servo(tmp_path):
-    backup = BackupFile(tmp_path / "new" / "kit.json", "so101")
+    backup = setup.BackupFile(tmp_path / "new" / "kit.json", "so101")
     assert backup.empty
     first, second = servo(HOMING_OFFSET=-40), servo(new_id=5)
     backup.save(first, NOW)
-    assert read_backup(backup.path) == (first,)
+    assert setup.read_backup(backup.path) == (first,)
     backup.save(second, NOW)
-    assert read_backup(backup.path) == (first, second)
+    assert setup.read_backup(backup.path) == (first, second)
 
 
-def test_a_file_that_is_there_is_never_overwritten(tmp_path):
+def test_a_backup_that_is_not_there_is_refused_and_one_that_is_never_overwritten(tmp_path):
     file = tmp_path / "kit.json"
-    early = BackupFile(file, "so101")
+    early = setup.BackupFile(file, "so101")
+    with pytest.raises(BackupError, match="cannot be read"):
+        setup.read_backup(file)
     file.write_text("mine")
     with pytest.raises(BackupError, match="never overwritten"):
-        BackupFile(file, "so101")
+        setup.BackupFile(file, "so101")
     with pytest.raises(BackupError, match="cannot be written"):
         early.save(servo(), NOW)
     assert file.read_text() == "mine"
@@ -320,16 +279,11 @@ def test_a_file_that_is_there_is_never_overwritten(tmp_path):
     ],
 )
 def test_a_file_with_a_mistake_is_refused_with_its_place(tmp_path, old, new, said):
-    backup = BackupFile(tmp_path / "kit.json", "so101")
+    backup = setup.BackupFile(tmp_path / "kit.json", "so101")
     backup.save(servo(P_GAIN=32), NOW)
     backup.path.write_text(backup.path.read_text().replace(old, new))
     with pytest.raises(BackupError, match=said):
-        read_backup(backup.path)
-
-
-def test_a_backup_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(BackupError, match="cannot be read"):
-        read_backup(tmp_path / "none.json")
+        setup.read_backup(backup.path)
 
 
 BECAME_6, BECAME_5, KEPT_1 = (servo(1, new_id) for new_id in (6, 5, 1))
@@ -344,7 +298,6 @@ BECAME_6, BECAME_5, KEPT_1 = (servo(1, new_id) for new_id in (6, 5, 1))
         ([BECAME_6, BECAME_5], [1], {}),
         ([BECAME_6, servo(6, 6, P_GAIN=16)], [6], {6: BECAME_6}),
     ],
-    ids=["by new ids", "by the old id after a setup broken off", "not by it else", "none of two alike", "first visit"],
 )
 def test_servos_are_recognised_by_the_ids_that_they_got(saved, found_ids, matched):
-    assert match_saved(saved, found_ids) == matched
+    assert setup.match_saved(saved, found_ids) == matched

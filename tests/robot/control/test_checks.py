@@ -78,7 +78,6 @@ AT_REST = "s with 0.50 rad/s; it must be at rest there (tolerance 0.10 rad/s)"
         (1.0, [0.0, 0.5, 1.0], [0.5, 0.5, 0.0], f"begin at 0.000 {AT_REST}"),
         (1.0, [0.0, 0.5, 1.0], [0.0, 0.5, 0.5], f"end at 2.000 {AT_REST}"),
     ],
-    ids=["swings beyond its points", "a zigzag", "begins in motion", "ends in motion"],
 )
 def test_a_refusal_has_the_joint_the_limit_and_the_time(
     step_s: float, positions: list[float], velocities: list[float], reason: str

@@ -3,7 +3,6 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-import pytest
 
 from robot.control.controller import ArmController
 from robot.control.cycle import SAME_ERROR_S, ControlCycle, ErrorCounts
@@ -12,11 +11,12 @@ from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
-from robot.hardware.interface import Measured, StatusFlag
+from robot.hardware.interface import StatusFlag
 from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig, guards, reading
 from tests.helpers.emulator import SteppedClock
 
 CALLS = ["read", "write_goals", "write_torque_shares", "check"]
+ELBOW = NAMES.index("elbow_flex")
 
 
 class Rig:
@@ -64,57 +64,43 @@ def test_what_the_check_finds_of_a_relaxed_arm_is_no_fault() -> None:
     assert rig.cycle.controller.fault is None
 
 
-# Counts of errors.
-
-
-HERE = np.zeros(6)
-REBOOTED = Fault(FaultCode.SERVO_REBOOTED, "the servo of joint elbow_flex has started anew", "elbow_flex")
-RELAXED = Fault(FaultCode.TORQUE_LOST, "the servo of joint elbow_flex was found relaxed", "elbow_flex")
-ELBOW = NAMES.index("elbow_flex")
-
-
-def flagged(status: int) -> Measured:
-    return reading(HERE, status=[0, 0, status, 0, 0, 0])
-
-
-@pytest.fixture
-def counts() -> ErrorCounts:
-    return ErrorCounts(NAMES)
-
-
-def test_a_flag_counts_each_time_it_comes_up_and_not_while_it_stays(counts: ErrorCounts) -> None:
+def test_a_flag_counts_each_time_it_comes_up_and_not_while_it_stays() -> None:
+    counts = ErrorCounts(NAMES)
     for status in (0, StatusFlag.OVERLOAD, StatusFlag.OVERLOAD, 0, StatusFlag.OVERLOAD):
-        counts.observe(flagged(status))
-    assert counts.of(ELBOW) == {"overload": 2}
-    assert counts.of(0) == {}
+        counts.observe(reading(np.zeros(6), status=[0, 0, status, 0, 0, 0]))
+    assert (counts.of(ELBOW), counts.of(0)) == ({"overload": 2}, {})
 
 
-def test_a_finding_that_repeats_is_one_error_until_it_has_gone(counts: ErrorCounts) -> None:
+def test_a_finding_that_repeats_is_one_error_until_it_has_gone_and_a_reboot_is_no_lost_torque_as_well() -> None:
+    rebooted, relaxed = (Fault(code, "", "elbow_flex") for code in (FaultCode.SERVO_REBOOTED, FaultCode.TORQUE_LOST))
+    counts = ErrorCounts(NAMES)
     for now_s in (1.0, 2.0, 3.0, 3.0 + 2 * SAME_ERROR_S):
-        counts.add_finding(RELAXED, now_s)
+        counts.add_finding(relaxed, now_s)
     assert counts.of(ELBOW) == {"torque_lost": 2}
-
-
-def test_a_servo_that_rebooted_is_not_counted_as_relaxed_as_well(counts: ErrorCounts) -> None:
-    counts.add_finding(REBOOTED, 1.0)
-    counts.add_finding(RELAXED, 2.0)
+    counts = ErrorCounts(NAMES)
+    for now_s, fault in ((1.0, rebooted), (2.0, relaxed)):
+        counts.add_finding(fault, now_s)
     assert counts.of(ELBOW) == {"servo_rebooted": 1}
+
+
+def errors(rig: ArmRig) -> list[dict[str, int]]:
+    """Errors in the next report."""
+    rig.run(1.5)
+    return [dict(joint.errors) for joint in rig.health.joints if joint.errors]
 
 
 def test_the_arm_s_report_has_the_errors_of_each_joint_until_the_hardware_is_opened_again() -> None:
     rig = ArmRig()
     rig.run(1.5)
     rig.emulator.command(status={"3": int(StatusFlag.OVERLOAD)})
-    rig.run(1.5)
-    assert [dict(joint.errors) for joint in rig.health.joints if joint.errors] == [{"overload": 1}]
+    assert errors(rig) == [{"overload": 1}]
     rig.emulator.command(status={"3": 0})
     rig.connect()
-    rig.run(1.5)
-    assert not any(joint.errors for joint in rig.health.joints)
+    assert errors(rig) == []
 
 
 def test_torque_that_something_else_switched_off_is_in_the_report_once() -> None:
     rig = ArmRig().started()
     rig.bus.write(3, Register.TORQUE_ENABLE, 0)
-    rig.run(4.0)
-    assert [dict(joint.errors) for joint in rig.health.joints if joint.errors] == [{"torque_lost": 1}]
+    rig.run(2.5)
+    assert errors(rig) == [{"torque_lost": 1}]

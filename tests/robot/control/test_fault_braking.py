@@ -1,5 +1,3 @@
-"""Faults in the midst of a motion, on the emulated bus."""
-
 from typing import Any
 
 import numpy as np
@@ -33,12 +31,7 @@ class Moving:
 
     @property
     def controller(self) -> ArmController:
-        assert self.rig.supervisor.arm.controller is not None
         return self.rig.supervisor.arm.controller
-
-    @property
-    def measured_rad(self) -> np.ndarray:
-        return self.rig.supervisor.arm.measured.position_rad
 
     def run(self, seconds: float) -> None:
         """Tick for some time; servos that are being relaxed keep their last goals."""
@@ -54,25 +47,31 @@ class Moving:
                 break
         assert self.rig.fault_code == code.value
 
+    def block(self, joint: int, at_rad: float) -> None:
+        """Put an obstacle in a joint's way."""
+        self.rig.emulator.command(obstacle={str(joint + 1): CALIBRATION.joints[joint].ticks_from_rad(at_rad)})
+
     def accelerations(self) -> np.ndarray:
         """Accelerations of the goals as shares of the limits, shape (ticks, joints)."""
         return np.abs(np.diff(np.array(self.goals), n=2, axis=0)) / PERIOD_S**2 / BOUNDS.max_acceleration
 
 
-def moving_into_fault(code: FaultCode, command: dict[str, object]) -> Moving:
+def moving_into_fault(code: FaultCode, command: dict[str, object], **settings: Any) -> Moving:
     """Let a fault come while both joints are fast."""
-    moving = Moving()
+    moving = Moving(**settings)
     moving.run(FASTEST_S)
     moving.rig.emulator.command(**command)
     moving.until_fault(code)
     return moving
 
 
+LOW_SUPPLY: dict[str, object] = {"voltage": {"3": 4.0}}
+
+
 @pytest.mark.parametrize(
     ("code", "command"),
     [
-        (FaultCode.VOLTAGE_LOW, {"voltage": {"3": 4.0}}),
-        (FaultCode.OVERHEATED, {"temperature": {"3": 67}}),
+        (FaultCode.VOLTAGE_LOW, LOW_SUPPLY),
         (FaultCode.SERVO_SILENT, {"offline": [3]}),
         (FaultCode.TORQUE_LOST, {"torque_off": [3]}),
     ],
@@ -83,12 +82,21 @@ def test_a_fault_with_known_positions_brakes_within_the_limits(code: FaultCode, 
     assert moving.accelerations().max() <= TOLERANCE
 
 
+def test_a_hot_arm_is_relaxed_after_it_has_braked() -> None:
+    moving = moving_into_fault(FaultCode.OVERHEATED, {"temperature": {"3": 67}})
+    moving.run(0.05)
+    assert moving.rig.torque() == [1] * 6
+    moving.run(0.95)
+    assert moving.accelerations().max() <= TOLERANCE
+    moving.run(2.05)
+    assert moving.rig.torque() == [0] * 6
+
+
 def test_a_fault_is_latched_and_reported_at_once_while_the_joints_brake() -> None:
-    moving = moving_into_fault(FaultCode.VOLTAGE_LOW, {"voltage": {"3": 4.0}})
-    assert [end.outcome for end in moving.rig.ended] == [Outcome.FAULT]
+    moving = moving_into_fault(FaultCode.VOLTAGE_LOW, LOW_SUPPLY)
     at_fault_rad = moving.controller.goal_rad[PAN]
     moving.rig.execute(smooth_move({"gripper": (0.0, 0.5)}, 1.0), motion_id=2)
-    assert moving.rig.ended[-1].outcome is Outcome.REFUSED
+    assert moving.rig.outcomes == [Outcome.FAULT, Outcome.REFUSED]
     assert "has a fault" in moving.rig.ended[-1].message
     assert moving.controller.moving
     moving.run(0.05)
@@ -97,69 +105,47 @@ def test_a_fault_is_latched_and_reported_at_once_while_the_joints_brake() -> Non
     assert moving.rig.state.motions == ()
 
 
-def test_a_stalled_joint_yields_while_the_others_brake() -> None:
+def test_a_stalled_joint_yields_while_the_others_brake_and_moves_again_after_the_reset() -> None:
     moving = Moving()
-    moving.rig.emulator.command(obstacle={"1": CALIBRATION.joints[PAN].ticks_from_rad(OBSTACLE_RAD)})
+    moving.block(PAN, OBSTACLE_RAD)
     moving.until_fault(FaultCode.STALLED)
     moving.run(1.0)
     assert moving.accelerations()[:, WRIST].max() <= TOLERANCE
-    assert moving.controller.goal_rad[PAN] == pytest.approx(OBSTACLE_RAD, abs=0.02)
-    assert moving.measured_rad[PAN] == pytest.approx(OBSTACLE_RAD, abs=0.02)
+    for at_rad in (moving.controller.goal_rad, moving.rig.supervisor.arm.measured.position_rad):
+        assert at_rad[PAN] == pytest.approx(OBSTACLE_RAD, abs=0.02)
     assert not moving.controller.moving
+    moving.rig.emulator.command(obstacle={"1": None})
+    assert moving.rig.order(Order.RESET_FAULT).done
+    held = float(moving.controller.goal_rad[PAN])
+    moving.rig.execute(smooth_move({"shoulder_pan": (held, 0.6)}, 1.0), motion_id=2)
+    moving.rig.until(lambda: len(moving.rig.ended) == 2)
+    assert moving.rig.outcomes[-1] is Outcome.REACHED
+    assert moving.controller.goal_rad[PAN] == pytest.approx(0.6)
 
 
 def test_a_second_joint_that_stalls_in_the_braking_yields_as_well() -> None:
     moving = Moving()
     for joint, at_rad in ((PAN, OBSTACLE_RAD), (WRIST, -0.2)):
-        ticks = CALIBRATION.joints[joint].ticks_from_rad(at_rad)
-        moving.rig.emulator.command(obstacle={str(joint + 1): ticks})
+        moving.block(joint, at_rad)
     moving.until_fault(FaultCode.STALLED)
     moving.run(1.5)
     assert moving.controller.goal_rad[[PAN, WRIST]] == pytest.approx([OBSTACLE_RAD, -0.2], abs=0.02)
 
 
 def test_a_joint_that_jumped_freezes_the_goals_as_its_position_is_unknown() -> None:
-    moving = Moving()
-    moving.run(FASTEST_S)
-    moving.rig.emulator.command(jump={"3": 900})
-    moving.until_fault(FaultCode.POSITION_JUMP)
+    moving = moving_into_fault(FaultCode.POSITION_JUMP, {"jump": {"3": 900}})
     at_fault_rad = moving.controller.goal_rad[[PAN, WRIST]]
     moving.run(0.5)
     assert moving.controller.goal_rad[[PAN, WRIST]] == pytest.approx(at_fault_rad)
 
 
 def test_an_emergency_stop_that_holds_stops_the_goals_within_one_tick_also_in_the_braking_of_a_fault() -> None:
-    moving = Moving(on_emergency_stop=EmergencyPolicy.HOLD)
-    moving.run(FASTEST_S)
-    moving.rig.emulator.command(voltage={"3": 4.0})
-    moving.until_fault(FaultCode.VOLTAGE_LOW)
+    moving = moving_into_fault(FaultCode.VOLTAGE_LOW, LOW_SUPPLY, on_emergency_stop=EmergencyPolicy.HOLD)
     at_stop_rad = moving.controller.goal_rad
     moving.rig.begin(Order.EMERGENCY_STOP)
     moving.run(0.5)
     assert moving.controller.goal_rad == pytest.approx(at_stop_rad)
     assert moving.rig.torque() == [1] * 6
-
-
-def test_a_hot_arm_is_relaxed_after_it_has_braked() -> None:
-    moving = moving_into_fault(FaultCode.OVERHEATED, {"temperature": {"3": 67}})
-    moving.run(0.05)
-    assert moving.rig.torque() == [1] * 6
-    moving.run(3.0)
-    assert moving.rig.torque() == [0] * 6
-
-
-def test_joints_move_again_after_the_reset_of_a_fault_in_which_they_yielded() -> None:
-    moving = Moving()
-    moving.rig.emulator.command(obstacle={"1": CALIBRATION.joints[PAN].ticks_from_rad(OBSTACLE_RAD)})
-    moving.until_fault(FaultCode.STALLED)
-    moving.run(1.0)
-    moving.rig.emulator.command(obstacle={"1": None})
-    assert moving.rig.order(Order.RESET_FAULT).done
-    held = float(moving.controller.goal_rad[PAN])
-    moving.rig.execute(smooth_move({"shoulder_pan": (held, 0.6)}, 1.0), motion_id=2)
-    moving.rig.until(lambda: len(moving.rig.ended) == 2)
-    assert moving.rig.ended[-1].outcome is Outcome.REACHED
-    assert moving.controller.goal_rad[PAN] == pytest.approx(0.6)
 
 
 def test_a_reset_in_the_braking_of_a_fault_waits_for_its_end() -> None:

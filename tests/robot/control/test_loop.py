@@ -16,33 +16,21 @@ from tests.helpers.emulator import SteppedClock
 from tests.helpers.programs import run_python
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)),
-        ArmConfig(ROBOT, IdealConfig()),
-        ArmConfig(dynamixel.ROBOT, EmulatedConfig(dynamixel.CALIBRATION, kind="dynamixel")),
-    ],
-)
-def test_simulated_hardware_opens_and_can_be_read_at_once(config: ArmConfig) -> None:
-    opened = hardware_opener(config, SteppedClock())()
-    assert opened.joint_names == NAMES
-    measured = opened.read()
-    assert measured.position_rad == pytest.approx([0.0] * 6, abs=0.002)
+def test_simulated_hardware_opens_and_can_be_read_at_once() -> None:
+    koch = ArmConfig(dynamixel.ROBOT, EmulatedConfig(dynamixel.CALIBRATION, kind="dynamixel"))
+    for config in (ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), ArmConfig(ROBOT, IdealConfig()), koch):
+        opened = hardware_opener(config, SteppedClock())()
+        assert opened.joint_names == NAMES
+        assert opened.read().position_rad == pytest.approx([0.0] * 6, abs=0.002), config
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        ArmConfig(ROBOT, SerialConfig(CALIBRATION, "/dev/none")),
-        ArmConfig(dynamixel.ROBOT, SerialConfig(dynamixel.CALIBRATION, "/dev/none", "dynamixel")),
-        ArmConfig(ROBOT, SerialConfig(CALIBRATION, "usb:0000:0001")),
-    ],
-)
-def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened(config: ArmConfig) -> None:
-    open_hardware = hardware_opener(config, SteppedClock())
-    with pytest.raises(PortError, match=r"/dev/none|0000:0001"):
-        open_hardware()
+def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened() -> None:
+    koch = ArmConfig(dynamixel.ROBOT, SerialConfig(dynamixel.CALIBRATION, "/dev/none", "dynamixel"))
+    so101s = (ArmConfig(ROBOT, SerialConfig(CALIBRATION, port)) for port in ("/dev/none", "usb:0000:0001"))
+    for config in (koch, *so101s):
+        open_hardware = hardware_opener(config, SteppedClock())
+        with pytest.raises(PortError, match=r"/dev/none|0000:0001"):
+            open_hardware()
 
 
 def test_sequences_go_on_when_every_tick_is_late() -> None:

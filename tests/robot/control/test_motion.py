@@ -163,9 +163,6 @@ def test_how_near_and_how_soon_can_be_set() -> None:
     assert "3 s after the end of the motion (tolerance 0.2 rad)" in end.message
 
 
-# A motion in the place of another.
-
-
 PATH = smooth_move({"shoulder_pan": (0.0, 1.0), "elbow_flex": (0.0, -0.5)}, 2.0)
 
 
@@ -204,11 +201,8 @@ def test_a_motion_that_would_jump_is_refused(trajectory: Trajectory, number: int
     assert words in asked(in_progress(), trajectory, number, from_s)
 
 
-def test_nothing_takes_the_place_of_a_grip() -> None:
+def test_nothing_takes_the_place_of_a_grip_or_of_a_motion_that_brakes() -> None:
     assert "a grip" in asked(in_progress(gripping=True), since(0.9))
-
-
-def test_nothing_takes_the_place_of_a_motion_that_brakes() -> None:
     motions = in_progress()
     motions[0].stop()
     assert asked(motions, since(0.9)) != ""

@@ -11,21 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.pacing import (
-    MAX_TICK_S,
-    MCL_CURRENT,
-    MCL_FUTURE,
-    MCL_ONFAULT,
-    PERIOD_S,
-    TICKS_KEPT,
-    LoopClock,
-    Pacer,
-    Scheduling,
-    SimulationClock,
-    enter_realtime,
-    lock_memory,
-    percentiles,
-)
+from robot.control import pacing
+from robot.control.pacing import MAX_TICK_S, PERIOD_S, Pacer, SimulationClock
 from robot.hardware.config import ClockReading
 
 
@@ -47,34 +34,26 @@ def test_missed_ticks_are_skipped_never_made_up_for(late_s: list[float]) -> None
         started_s = now_s
 
 
-def test_a_tick_that_is_skipped_puts_off_the_next_and_none_is_late() -> None:
+def test_a_skipped_tick_puts_off_the_next_and_one_that_is_needed_meanwhile_is_due_at_once_and_not_late() -> None:
     pacer = Pacer(0.0)
     pacer.skip(1)
     assert pacer.deadline_s == pytest.approx(2 * PERIOD_S)
     pacer.start_tick(pacer.deadline_s)
     assert pacer.latest(1) == pytest.approx((0.0,))
     assert pacer.deadline_s == pytest.approx(3 * PERIOD_S)
-
-
-def test_a_tick_that_is_needed_before_its_time_is_due_as_if_none_had_been_skipped() -> None:
-    pacer = Pacer(0.0)
-    pacer.skip(2)
-    pacer.cancel_skip(2, 0.004)
-    assert pacer.deadline_s == pytest.approx(PERIOD_S)
-
-
-def test_a_tick_that_is_needed_when_its_time_is_over_is_due_now_and_not_late() -> None:
-    pacer = Pacer(0.0)
-    pacer.skip(1)
-    pacer.cancel_skip(1, 0.013)
-    assert pacer.deadline_s == pytest.approx(0.013)
+    # Before the time of a skipped tick, and behind it.
+    for skipped, now_s, due_s in ((2, 0.004, PERIOD_S), (1, 0.013, 0.013)):
+        pacer = Pacer(0.0)
+        pacer.skip(skipped)
+        pacer.cancel_skip(skipped, now_s)
+        assert pacer.deadline_s == pytest.approx(due_s)
     pacer.start_tick(0.013)
     assert pacer.latest(1) == pytest.approx((0.0,))
 
 
 def test_percentiles_of_nothing_are_zero() -> None:
-    assert percentiles([]) == (0.0, 0.0, 0.0)
-    assert percentiles([1.0, 2.0, 3.0])[::2] == (2.0, 3.0)
+    assert pacing.percentiles([]) == (0.0, 0.0, 0.0)
+    assert pacing.percentiles([1.0, 2.0, 3.0])[::2] == (2.0, 3.0)
 
 
 def test_a_process_that_may_not_be_punctual_goes_on_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,7 +63,7 @@ def test_a_process_that_may_not_be_punctual_goes_on_all_the_same(monkeypatch: py
     monkeypatch.setattr("os.sched_setscheduler", refuse)
     monkeypatch.setattr("os.nice", refuse)
     try:
-        assert enter_realtime() == Scheduling(real_time=False, memory_locked=False)
+        assert pacing.enter_realtime() == pacing.Scheduling(real_time=False, memory_locked=False)
         assert not gc.isenabled()
     finally:
         gc.enable()
@@ -92,13 +71,9 @@ def test_a_process_that_may_not_be_punctual_goes_on_all_the_same(monkeypatch: py
 
 
 class MemoryLocks:
-    """C library that notes calls of mlockall(2), and refuses them with an error number if there is one.
+    """C library that keeps the flags of mlockall(2), and refuses the call with an error number that is not 0."""
 
-    Args:
-        error: error number; 0 to take the call.
-    """
-
-    def __init__(self, error: int = 0) -> None:
+    def __init__(self, error: int) -> None:
         self._error = error
         self.flags: list[int] = []
 
@@ -111,36 +86,25 @@ class MemoryLocks:
         return -1 if self._error else 0
 
 
-@pytest.mark.parametrize("limit_bytes", [resource.RLIM_INFINITY, 1 << 30])
-def test_memory_is_locked_as_it_is_used(monkeypatch: pytest.MonkeyPatch, limit_bytes: int) -> None:
-    locks = MemoryLocks()
-    monkeypatch.setattr("ctypes.CDLL", locks)
-    monkeypatch.setattr("resource.getrlimit", lambda _: (limit_bytes, limit_bytes))
-    assert lock_memory()
-    assert locks.flags == [MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT]
-
-
 @pytest.mark.parametrize(
     ("limit_bytes", "error", "words"),
     [
+        (resource.RLIM_INFINITY, 0, ""),
+        (1 << 30, 0, ""),
         (8 << 20, 0, "RLIMIT_MEMLOCK is 8388608 bytes"),
         (resource.RLIM_INFINITY, errno.ENOMEM, "memory is not locked: mlockall: Cannot allocate memory"),
     ],
-    ids=["a low limit", "refused by the system"],
 )
-def test_memory_that_cannot_be_locked_is_logged_with_the_cause(
+def test_memory_is_locked_as_it_is_used_or_the_cause_is_logged(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, limit_bytes: int, error: int, words: str
 ) -> None:
     locks = MemoryLocks(error)
     monkeypatch.setattr("ctypes.CDLL", locks)
     monkeypatch.setattr("resource.getrlimit", lambda _: (limit_bytes, limit_bytes))
     with caplog.at_level(logging.INFO):
-        assert not lock_memory()
-    assert bool(locks.flags) is bool(error)
+        assert pacing.lock_memory() is (words == "")
+    assert locks.flags == ([] if "RLIMIT" in words else [pacing.MCL_CURRENT | pacing.MCL_FUTURE | pacing.MCL_ONFAULT])
     assert words in caplog.text
-
-
-# Clocks.
 
 
 def ticked(*gaps_s: float, rate: float = 1.0) -> SimulationClock:
@@ -154,7 +118,7 @@ def ticked(*gaps_s: float, rate: float = 1.0) -> SimulationClock:
 
 
 def test_the_machines_time_is_monotonic_and_passes_by_itself() -> None:
-    clock = LoopClock()
+    clock = pacing.LoopClock()
     before_s = time.monotonic()
     clock.start_tick(0.0)
     assert before_s <= clock() <= time.monotonic()
@@ -163,13 +127,7 @@ def test_the_machines_time_is_monotonic_and_passes_by_itself() -> None:
 
 @pytest.mark.parametrize(
     ("gaps_s", "passed_s"),
-    [
-        ([], 0.0),
-        ([PERIOD_S] * 100, 100 * PERIOD_S),
-        ([2 * PERIOD_S], 2 * PERIOD_S),
-        ([3.0, PERIOD_S], MAX_TICK_S + PERIOD_S),
-    ],
-    ids=["before the first tick", "punctual", "one period late", "starved"],
+    [([], 0.0), ([PERIOD_S] * 100, 1.0), ([2 * PERIOD_S], 2 * PERIOD_S), ([3.0, PERIOD_S], MAX_TICK_S + PERIOD_S)],
 )
 def test_simulated_time_passes_as_the_machines_up_to_the_bound_of_a_tick(gaps_s: list[float], passed_s: float) -> None:
     clock = ticked(*gaps_s)
@@ -182,10 +140,11 @@ def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
     assert clock() == pytest.approx(50.0 + PERIOD_S)
 
 
+NO_LONGER_STARVED = [5.0, *[PERIOD_S] * 2 * pacing.TICKS_KEPT]
+
+
 @pytest.mark.parametrize(
-    ("gaps_s", "factor"),
-    [([], 1.0), ([PERIOD_S] * 30, 1.0), ([4 * MAX_TICK_S] * 10, 0.25), ([5.0] + [PERIOD_S] * 2 * TICKS_KEPT, 1.0)],
-    ids=["before the first tick", "punctual", "starved", "no longer starved"],
+    ("gaps_s", "factor"), [([], 1.0), ([PERIOD_S] * 30, 1.0), ([4 * MAX_TICK_S] * 10, 0.25), (NO_LONGER_STARVED, 1.0)]
 )
 def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed(gaps_s: list[float], factor: float) -> None:
     assert ticked(*gaps_s).real_time_factor == pytest.approx(factor)
@@ -205,9 +164,7 @@ def test_a_faster_clock_has_ticks_of_the_same_length_in_less_time() -> None:
     pacer = Pacer(0.0)
     pacer.start_tick(PERIOD_S, clock.rate)
     assert pacer.deadline_s == pytest.approx(1.1 * PERIOD_S)
-
-
-def test_a_faster_clock_on_a_busy_machine_is_slower() -> None:
+    # A busy machine makes it slower.
     clock = ticked(*[0.5 * PERIOD_S] * 10, rate=10.0)
     assert clock() == pytest.approx(50.0 + 10 * MAX_TICK_S)
     assert clock.real_time_factor == pytest.approx(4.0)

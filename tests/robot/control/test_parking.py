@@ -1,8 +1,3 @@
-"""The end of an arm that is parked, on emulated servos, ticked in their own time."""
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -31,8 +26,6 @@ REST = built_in("so101").model.named_states["arm"]["rest"]
 # A relaxed elbow sinks until its stop holds it.
 SINK_RAD = 0.1
 
-Start = Callable[..., ArmRig]
-
 
 def way_to_rest(duration_s: float = 3.0) -> ParkingPlan:
     """Way from where every joint is at 0."""
@@ -45,18 +38,10 @@ def pan(duration_s: float = 2.0) -> Trajectory:
 
 
 @pytest.fixture
-def start_parked() -> Start:
-    def start(plan: ParkingPlan | None = None, **settings: Any) -> ArmRig:
-        rig = ArmRig(on_server_lost=EndState.PARK, on_exit=EndState.PARK, **settings).started()
-        rig.supervisor.handle(KeepParking(plan or way_to_rest()))
-        return rig
-
-    return start
-
-
-@pytest.fixture
-def rig(start_parked: Start) -> ArmRig:
-    return start_parked()
+def rig() -> ArmRig:
+    rig = ArmRig(on_server_lost=EndState.PARK, on_exit=EndState.PARK).started()
+    rig.supervisor.handle(KeepParking(way_to_rest()))
+    return rig
 
 
 def lose_server(rig: ArmRig) -> None:
@@ -123,7 +108,6 @@ def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.L
         (KeepParking(way_to_rest(PARKING_TIMEOUT_S + 1.0)), "above the limit"),
         (ChangePace(speed_factor=0.05), f"not at its rest pose after {PARKING_TIMEOUT_S:g} s"),
     ],
-    ids=["no way", "a stream", "too long a way", "slowed down"],
 )
 def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
     rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str
@@ -138,7 +122,6 @@ def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
 @pytest.mark.parametrize(
     ("message", "words"),
     [(KeepParking(None), "the scene has changed"), (Shutdown(hurry=True), "must not wait"), (Stop(), "")],
-    ids=["another scene", "a hurry", "a stop"],
 )
 def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str) -> None:
     rig.supervisor.handle(Shutdown())

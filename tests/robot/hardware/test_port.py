@@ -187,9 +187,7 @@ def link(name: Path, path: Path) -> None:
     name.symlink_to(path)
 
 
-def test_one_known_board_is_found_among_other_devices_and_a_board_of_servo_arms_before_other_chips(
-    plugged_in: list[ListPortInfo],
-) -> None:
+def test_a_known_board_is_found_among_others_and_one_of_servo_arms_first(plugged_in: list[ListPortInfo]) -> None:
     others = device("/dev/ttyUSB0", MODEM), device("/dev/ttyACM0", ARDUINO), device("/dev/ttyS0", None)
     for usb_id in CERTAIN + LESS_CERTAIN:
         plugged_in[:] = [*others, device("/dev/ttyACM1", usb_id)]
@@ -232,9 +230,7 @@ def test_a_board_has_the_name_that_stays(plugged_in: list[ListPortInfo], tmp_pat
     assert resolve_port("auto") == str(names / "usb-arm")
 
 
-def test_any_board_is_found_by_its_usb_id_and_one_that_is_not_plugged_in_is_named(
-    plugged_in: list[ListPortInfo],
-) -> None:
+def test_any_board_is_found_by_its_usb_id_and_one_that_is_not_there_is_named(plugged_in: list[ListPortInfo]) -> None:
     plugged_in += [device("/dev/ttyACM1", CERTAIN[0], product="USB Single Serial")]
     assert "port 0403:6001 is the USB id of no serial device here: " in refusal("usb:0403:6001")
     assert "ttyACM1 (1a86:55d3" in refusal("usb:0403:6001")
@@ -254,9 +250,7 @@ def test_without_a_known_board_the_others_are_named_and_how_to_take_one(plugged_
 
 
 @pytest.mark.usefixtures("plugged_in")
-def test_with_nothing_plugged_in_the_advice_is_that_of_the_machine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_nothing_plugged_in_the_advice_is_the_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for file, content, advice in (
         ("KERNEL_RELEASE", "6.6.87.2-microsoft-standard-WSL2", "usbipd attach --wsl --busid"),
         ("KERNEL_RELEASE", "6.12.0-amd64", "a cable that carries data"),
@@ -273,8 +267,7 @@ def test_the_page_about_hardware_lists_the_known_boards_and_a_udev_rule_for_each
     page = (ROOT / "docs" / "hardware.md").read_text()
     rules = re.findall(r'ATTRS\{idVendor\}=="(\w{4})", ATTRS\{idProduct\}=="(\w{4})"', page)
     rows = re.findall(r"^\| `(\w{4}):(\w{4})` \|", page, re.MULTILINE)
-    known = [tuple(usb_id_text(usb_id).split(":")) for usb_id in CERTAIN + LESS_CERTAIN]
-    assert rules == rows == known
+    assert rules == rows == [tuple(usb_id_text(usb_id).split(":")) for usb_id in CERTAIN + LESS_CERTAIN]
 
 
 CALIBRATION = nominal_calibration()

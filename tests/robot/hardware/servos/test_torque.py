@@ -126,9 +126,7 @@ def test_an_arm_far_outside_its_limits_is_not_switched_on(family: Family, emulat
     assert torques(family, emulator) == [0] * 6
 
 
-def test_a_servo_that_jumps_when_torque_comes_on_is_relaxed_again(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_a_servo_that_jumps_as_torque_comes_on_is_relaxed(family: Family, emulator: Any, torque: ServoTorque) -> None:
     def knock(wait_s: float) -> None:
         emulator.run(wait_s + 0.001)
         if family.value(emulator, 4, "TORQUE_ENABLE"):

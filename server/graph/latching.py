@@ -100,8 +100,10 @@ class LatchedMessages:
             share.ending.move_to_end(topic)
 
     def keep(self, published: PublishedMessage, now: float, lifespan_s: float) -> None:
-        """Keep a message for a while [s], the same for all."""
+        """Keep a message for a while [s], the same for all; one larger than the bound is not kept."""
         topic, size_bytes = published.topic, published.size_bytes
+        if size_bytes > MAX_RECENT_BYTES:
+            return
         recent = self._recent.get(topic)
         if recent is None:
             recent = self._recent[topic] = deque()

@@ -30,11 +30,11 @@ def test_latching_anew_takes_the_end_away(kept: LatchedMessages) -> None:
 
 def test_recent_messages_are_bounded_the_oldest_goes(kept: LatchedMessages, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latching, "MAX_RECENT_BYTES", 1000)
-    # One that is larger than the bound is not kept.
-    kept.keep(published("x" * 2000), 0.0, 1.0)
-    assert data_of(kept, 0.5) == []
     for number in range(20):
         kept.keep(published(f"{number:0200}", f"/t{number}"), 0.0, 1.0)
+    # One that is larger than the bound is not kept, and takes no other's place.
+    kept.keep(published("x" * 2000), 0.0, 1.0)
+    assert data_of(kept, 0.5) == []
     assert [number for number in range(20) if kept.of(f"/t{number}", 0.5)] == [16, 17, 18, 19]
 
 

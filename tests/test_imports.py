@@ -1,7 +1,5 @@
 """The arrows between the rooms: server -> planners -> robot, server -> protocol, and no other."""
 
-import subprocess
-import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from graphlib import TopologicalSorter
@@ -9,7 +7,7 @@ from graphlib import TopologicalSorter
 import pytest
 
 from harness.server import ROOT
-from harness.waiting import TIMEOUT_S
+from tests.helpers.programs import run_python
 from tests.helpers.source import ROOMS, imports, name_of, paths
 
 # What each room may import of ours; a name with a dot is one module of a room. ARCHITECTURE.md shows it.
@@ -63,10 +61,6 @@ ASYNCIO_OUTSIDE_SERVER = {
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 
 
-def allowed(name: str, room: str) -> bool:
-    return any(name == prefix or name.startswith(f"{prefix}.") for prefix in ALLOWED[room])
-
-
 def importing(rooms: Iterable[str], is_wrong: Callable[[str, str], bool]) -> list[str]:
     """Which modules of some rooms import a name that is wrong in that room."""
     return [
@@ -79,7 +73,11 @@ def importing(rooms: Iterable[str], is_wrong: Callable[[str, str], bool]) -> lis
 
 
 def test_a_room_imports_only_the_rooms_below_it() -> None:
-    found = importing(ROOMS, lambda name, room: name.split(".")[0] in ROOMS and not allowed(name, room))
+    def is_wrong(name: str, room: str) -> bool:
+        allowed = any(name == prefix or name.startswith(f"{prefix}.") for prefix in ALLOWED[room])
+        return name.split(".")[0] in ROOMS and not allowed
+
+    found = importing(ROOMS, is_wrong)
     assert found == [], "move the code to a folder that may import this; the folders are in ALLOWED of this file"
 
 
@@ -123,35 +121,26 @@ print(*sys.modules)
 
 def test_a_server_starts_without_planning_libraries_and_without_what_only_few_need() -> None:
     """The metrics' library is loaded: it counts from the start, and takes 20 to 30 ms of the 1.3 s of imports."""
-    command = [sys.executable, "-c", PROGRAM]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
-    loaded = set(done.stdout.split())
+    loaded = set(run_python(PROGRAM).stdout.split())
     assert loaded & PLANNING_LIBRARIES == set(), "import them in the functions that need them, not in the module"
     assert {"server.monitoring.monitor", "server.zenoh.bridge", "prometheus_client"} <= loaded
     assert not {"zenoh", "mcap", "distributed"} & loaded
 
 
 def test_the_command_line_loads_nothing_of_the_server_before_a_command_needs_it() -> None:
-    command = [sys.executable, "-c", "import sys, server.cli; print(*sys.modules)"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
-    loaded = set(done.stdout.split())
+    loaded = set(run_python("import sys, server.cli; print(*sys.modules)").stdout.split())
     assert "server.commands.arm" in loaded
     assert not {"websockets", "uvloop", "server.app", *PLANNING_LIBRARIES} & loaded
 
 
-def import_table() -> str:
-    """Return the rooms and what they import, as a table of ARCHITECTURE.md."""
+def test_the_architecture_page_shows_these_imports() -> None:
     lines = ["| room | imports of ours | purpose |", "|---|---|---|"]
     for room, names in ALLOWED.items():
         others = [f"`{name}`" for name in names if name != room]
         lines.append(f"| `{room}/` | {', '.join(others) or 'nothing'} | {PURPOSES[room]} |")
-    return "\n".join(lines)
-
-
-def test_the_architecture_page_shows_these_imports() -> None:
-    page = (ROOT / "ARCHITECTURE.md").read_text()
+    table, page = "\n".join(lines), (ROOT / "ARCHITECTURE.md").read_text()
     shown = page.split("<!-- imports -->")[1].split("<!-- /imports -->")[0].strip()
-    assert shown == import_table(), f"put this table between the marks of ARCHITECTURE.md:\n{import_table()}"
+    assert shown == table, f"put this table between the marks of ARCHITECTURE.md:\n{table}"
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:

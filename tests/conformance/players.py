@@ -32,11 +32,20 @@ def serving(graph: Graph, access: Access | None = None, **chosen: Any) -> Abstra
 
 
 class SocketPlayer:
-    """Real clients of a listener, for the steps of a case."""
+    """Real clients of a listener, for the steps of a case; each is connected with its first step."""
 
     def __init__(self, listener: Listener, case: dict[str, Any]) -> None:
         self._listener = listener
         self._bson = {step["client"] for step in case["steps"] if "send_bson" in step}
+        self._clients: dict[str, Any] = {}
+
+    async def client(self, name: str) -> Any:
+        if name not in self._clients:
+            self._clients[name] = await self._connect(name)
+        return self._clients[name]
+
+    async def _connect(self, name: str) -> Any:
+        raise NotImplementedError
 
     async def send(self, client: str, frame: str | bytes) -> None:
         raise NotImplementedError
@@ -52,29 +61,24 @@ class SocketPlayer:
 
     async def close(self, client: str) -> None:
         clients = self._listener.traffic.clients
-        await self._close(client)
+        await self._clients.pop(client).close()
         # The server's side of the close is not ordered with what other clients send next.
         await until(lambda: self._listener.traffic.clients < clients)
-
-    async def _close(self, client: str) -> None:
-        raise NotImplementedError
 
     async def advance(self, seconds: float) -> None:
         raise AssertionError("a case that lets time pass is not played on sockets")
 
+    async def end(self) -> None:
+        for client in self._clients.values():
+            await client.close()
+
 
 class OverWebSockets(SocketPlayer):
-    def __init__(self, listener: Listener, case: dict[str, Any]) -> None:
-        super().__init__(listener, case)
-        self._clients: dict[str, ClientConnection] = {}
-
-    async def connect(self, client: str) -> ClientConnection:
-        if client not in self._clients:
-            self._clients[client] = await connect(f"ws://127.0.0.1:{self._listener.port}/any/path?x=1")
-        return self._clients[client]
+    async def _connect(self, name: str) -> ClientConnection:
+        return await connect(f"ws://127.0.0.1:{self._listener.port}/any/path?x=1")
 
     async def send(self, client: str, frame: str | bytes) -> None:
-        websocket = await self.connect(client)
+        websocket = await self.client(client)
         await websocket.send(frame)
         # Once the pong is there, the server has the frame in its queue; it serves it in the next turns of its loop.
         await asyncio.wait_for(await websocket.ping(), TIMEOUT_S)
@@ -82,43 +86,24 @@ class OverWebSockets(SocketPlayer):
             await asyncio.sleep(0)
 
     async def next_frame(self, client: str) -> str | bytes | None:
-        return await asyncio.wait_for((await self.connect(client)).recv(), TIMEOUT_S)
-
-    async def _close(self, client: str) -> None:
-        await self._clients.pop(client).close()
-
-    async def end(self) -> None:
-        for websocket in self._clients.values():
-            await websocket.close()
+        return await asyncio.wait_for((await self.client(client)).recv(), TIMEOUT_S)
 
 
 class OverTcp(SocketPlayer):
-    def __init__(self, listener: Listener, case: dict[str, Any]) -> None:
-        super().__init__(listener, case)
-        self._clients: dict[str, RawClient] = {}
-
-    async def connect(self, name: str) -> RawClient:
-        if name not in self._clients:
-            port = self._listener.tcp_port
-            assert port is not None
-            self._clients[name] = await RawClient.connect(port, speaks_bson=name in self._bson)
-            await until_read(self._listener, self._clients[name])
-        return self._clients[name]
+    async def _connect(self, name: str) -> RawClient:
+        port = self._listener.tcp_port
+        assert port is not None
+        client = await RawClient.connect(port, speaks_bson=name in self._bson)
+        await until_read(self._listener, client)
+        return client
 
     async def send(self, client: str, frame: str | bytes) -> None:
-        stream = await self.connect(client)
+        stream = await self.client(client)
         stream.write(frame.encode() if isinstance(frame, str) else frame)
         await until_read(self._listener, stream)
 
     async def next_frame(self, client: str) -> str | bytes | None:
-        return await (await self.connect(client)).next_frame()
-
-    async def _close(self, client: str) -> None:
-        await self._clients.pop(client).close()
-
-    async def end(self) -> None:
-        for client in self._clients.values():
-            await client.close()
+        return await (await self.client(client)).next_frame()
 
 
 def streams_of(listener: Listener) -> set[TcpStream]:
@@ -128,22 +113,17 @@ def streams_of(listener: Listener) -> set[TcpStream]:
 
 async def until_read(listener: Listener, client: RawClient) -> None:
     """Wait until the server has read all that a client has sent, and has carried it out."""
-    await until(
-        lambda: any(
-            each.peer == client.address and each.received_bytes == client.sent_bytes for each in streams_of(listener)
-        )
-    )
+    sent = client.address, client.sent_bytes
+    await until(lambda: sent in {(each.peer, each.received_bytes) for each in streams_of(listener)})
     for _ in range(TURNS):
         await asyncio.sleep(0)
 
 
 async def play_on(player: type[OverWebSockets | OverTcp], case: dict[str, Any]) -> None:
     """Play a case on a server of its own."""
-    graph = Graph(
-        USER_REGISTRY if case.get("interfaces") else REGISTRY,
-        relay_unknown_types=case.get("relay_unknown_types", False),
-    )
-    if case.get("rosapi", False):
+    registry = USER_REGISTRY if case.get("interfaces") else REGISTRY
+    graph = Graph(registry, relay_unknown_types=case.get("relay_unknown_types", False))
+    if case.get("rosapi"):
         RosApi(graph)
     async with serving(graph, tcp_ros_version=2) as listener:
         playing = player(listener, case)

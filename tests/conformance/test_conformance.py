@@ -11,12 +11,8 @@ from tests.helpers.gateway import InProcess
 
 def by_one_encoding(case: dict[str, Any]) -> bool:
     """Return true for a case whose clients each send JSON objects alone, or BSON documents alone."""
-    sent: dict[str, set[str]] = {}
-    for step in case["steps"]:
-        kinds = {key for key in step if key.startswith("send")}
-        if kinds:
-            sent.setdefault(step["client"], set()).update(kinds)
-    return all(kinds in ({"send"}, {"send_bson"}) for kinds in sent.values())
+    sent = {(step["client"], key) for step in case["steps"] for key in step if key.startswith("send")}
+    return {kind for _, kind in sent} <= {"send", "send_bson"} and len(sent) == len({client for client, _ in sent})
 
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case["name"])

@@ -14,10 +14,9 @@ from bson import decode as decode_bson
 from protocol.codecs.bson import is_document
 from protocol.errors import FrameError
 from protocol.framing import StreamSplitter
-from protocol.interface_files import Generation, read_file
+from protocol.interface_files import read_file
 from protocol.limits import Limits
 from protocol.publication import Frame
-from protocol.registry import Kind
 from protocol.session import Session
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
@@ -82,15 +81,9 @@ class World:
         self.graph = Graph(REGISTRY, self.clock, self.clock, self.clock.call_later)
         RosApi(self.graph)
         self.topics = self.graph.topic_names.types()
-        admin, operator, viewer = TOKENS
-        settings = AccessSettings.model_validate(
-            {
-                "control": "shared",
-                "admin_tokens": {"admin": admin},
-                "operate_tokens": {"operator": operator},
-                "view_tokens": {"viewer": viewer},
-            }
-        )
+        roles = ("admin", "operate", "view")
+        tokens = {f"{role}_tokens": {role: token} for role, token in zip(roles, TOKENS, strict=True)}
+        settings = AccessSettings.model_validate({"control": "shared", **tokens})
         self.access = Access(settings, self.clock, self.clock, lambda: None)
         scheduling = ClientScheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
         self.gateway = Gateway(self.graph, self.access, AuthThrottle(self.clock), scheduling)
@@ -99,10 +92,9 @@ class World:
 
     def _enter(self, number: int) -> Client:
         name, identity = CLIENTS[number]
-        node = Node(name, remote=True, identity=identity)
         session = Session(LIMITS, "ros1" if name == ROS1 else "ros2")
         socket = self.sockets[number] = UnreadSocket(name)
-        return Client(ClientContext(node, session, self.gateway, socket, socket))
+        return Client(ClientContext(Node(name, remote=True, identity=identity), session, self.gateway, socket, socket))
 
     def receive(self, control: int, frame: bytes) -> None:
         """Give one client one frame, and what follows from it."""
@@ -113,19 +105,16 @@ class World:
             for encoded in client.session.send_queue.take_unready():
                 encode_or_log(encoded)
         if control & FLUSH:
-            self._flush(number, len(frame))
+            self._flush(self.clients[number])
         for left, client in enumerate(self.clients):
             if self.sockets[left].closed is not None or client.session.send_queue.overflowed:
                 client.leave()
                 self.clients[left] = self._enter(left)
 
-    def _flush(self, number: int, received_bytes: int) -> None:
+    def _flush(self, client: Client) -> None:
         """Have one client read what is due."""
-        client = self.clients[number]
-        queued = 0
         while messages := client.session.data_to_send(self.clock()):
             for frame in (frame for encoded in messages for frame in encoded.frames):
-                queued += len(frame.data)
                 check_sent(frame)
         client.inbox.resume()
 
@@ -154,22 +143,11 @@ def check_sent(frame: Frame) -> None:
         raise FindError(f"a frame to a client is no operation: {frame.data[:200]!r}")
 
 
-class _Errors(logging.Handler):
-    """Errors of the program itself, which it logs with a traceback where it carries on."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.ERROR)
-        self.found: list[logging.LogRecord] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.exc_info:
-            self.found.append(record)
-
-
 @contextmanager
 def logged_errors_raised() -> Iterator[None]:
-    """Raise what is logged with a traceback."""
-    handler, log = _Errors(), logging.getLogger("armbridge")
+    """Raise what the program logs with a traceback, where it carries on."""
+    handler, log, found = logging.Handler(logging.ERROR), logging.getLogger("armbridge"), list[logging.LogRecord]()
+    handler.emit = found.append
     level, log.level, propagate, log.propagate = log.level, logging.ERROR, log.propagate, False
     log.addHandler(handler)
     try:
@@ -178,8 +156,8 @@ def logged_errors_raised() -> Iterator[None]:
         log.removeHandler(handler)
         log.setLevel(level)
         log.propagate = propagate
-    for record in handler.found:
-        raise FindError(record.getMessage()) from (record.exc_info[1] if record.exc_info else None)
+    for record in (record for record in found if record.exc_info):
+        raise FindError(record.getMessage()) from record.exc_info[1]
 
 
 def run_world(data: bytes) -> None:
@@ -224,9 +202,7 @@ def _frames_of_stream(pieces: Iterable[bytes]) -> list[bytes | None]:
 def run_interface_file(data: bytes) -> None:
     """Read bytes as an interface file of each kind; whatever is wrong in it is told, and nothing is raised."""
     text = data.decode("utf-8", errors="surrogateescape")
-    kinds: tuple[Kind, ...] = ("msg", "srv", "action")
-    generations: tuple[Generation, ...] = ("ros1", "ros2")
-    for kind, generation in itertools.product(kinds, generations):
+    for kind, generation in itertools.product(("msg", "srv", "action"), ("ros1", "ros2")):
         read_file(Path(f"Made.{kind}"), text, "made_msgs", kind, generation)
 
 

@@ -14,23 +14,9 @@ from harness.server import ROOT
 from protocol.framing import StreamSplitter
 from protocol.publication import Frame
 from server.gateway.client_topics import ClientTopics
+from tests.fuzz import target
 from tests.fuzz.sessions import SessionMaker
-from tests.fuzz.target import (
-    CORPUS,
-    REGISTRY,
-    SEPARATOR,
-    FindError,
-    Run,
-    check_sent,
-    cut_down,
-    escape,
-    frame_of,
-    parts_of,
-    problem_of,
-    run_interface_file,
-    run_stream,
-    run_world,
-)
+from tests.fuzz.target import CORPUS, REGISTRY, parts_of, problem_of, run_interface_file, run_stream, run_world
 
 
 def sessions(seed: int, number: int) -> list[bytes]:
@@ -44,7 +30,7 @@ def test_a_seed_makes_the_same_sessions_again() -> None:
 
 
 @pytest.mark.parametrize("run", [run_world, run_stream, run_interface_file])
-def test_no_input_of_the_corpus_is_a_find(run: Run) -> None:
+def test_no_input_of_the_corpus_is_a_find(run: target.Run) -> None:
     inputs = {path.name: path.read_bytes() for path in CORPUS.iterdir()}
     assert len(inputs) > 10
     assert {name: problem for name, data in inputs.items() if (problem := problem_of(data, run))} == {}
@@ -53,14 +39,11 @@ def test_no_input_of_the_corpus_is_a_find(run: Run) -> None:
 @pytest.mark.parametrize("number", range(int(os.environ.get("FUZZ_BATCHES", "1"))))
 def test_nothing_is_found_in_a_batch(number: int) -> None:
     maker = SessionMaker(Random(number), REGISTRY, [path.read_bytes() for path in sorted(CORPUS.iterdir())])
-    makers = [(maker.session, run_world)] * 46 + [
-        (maker.stream, run_stream),
-        (maker.interface_file, run_interface_file),
-    ] * 2
-    for make, run in makers:
+    others = [(maker.stream, run_stream), (maker.interface_file, run_interface_file)]
+    for make, run in [(maker.session, run_world)] * 46 + others * 2:
         data = make()
         if problem := problem_of(data, run):
-            find = cut_down(data, run)
+            find = target.cut_down(data, run)
             path = ROOT / "build" / "fuzz" / f"find_{hashlib.sha256(find).hexdigest()[:12]}"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(find)
@@ -74,20 +57,20 @@ def test_an_error_that_the_server_logs_is_a_find_and_cut_down_to_its_frames(monk
     monkeypatch.setattr(ClientTopics, "publish", fail)
     found = next(data for data in sessions(4, 40) if len(list(parts_of(data))) > 10 and problem_of(data))
     assert "KeyError" in (problem_of(found) or "")
-    assert len(list(parts_of(cut_down(found)))) == 1
+    assert len(list(parts_of(target.cut_down(found)))) == 1
 
 
 @pytest.mark.parametrize("data", [b'{"op":"publish","msg":{"data":NaN}}', b'{"op":"a"', b"[]", '{"op":"ä"}'.encode()])
 def test_a_frame_to_a_client_that_browsers_cannot_read_is_a_find(data: bytes) -> None:
-    with pytest.raises(FindError):
-        check_sent(Frame(data, text=True))
+    with pytest.raises(target.FindError):
+        target.check_sent(Frame(data, text=True))
 
 
 def test_a_binary_frame_may_have_every_byte() -> None:
     frame = bytes(range(256)) + b"\xfe\x00\xfe\x01\xfe\xfe\xff\xff"
-    ((control, played),) = parts_of(escape(frame) + b"\x02" + SEPARATOR)
+    ((control, played),) = parts_of(target.escape(frame) + b"\x02" + target.SEPARATOR)
     assert control == 2
-    assert frame_of(played, binary=True) == frame
+    assert target.frame_of(played, binary=True) == frame
 
 
 def test_a_stream_cut_into_other_frames_when_it_comes_in_pieces_is_a_find(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ Emergency stops hold, and torque is taken off only where nothing falls; at the e
 import asyncio
 import contextlib
 import os
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,10 +21,9 @@ from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
 from robot.calibration import Calibration, find_calibration
 from robot.description.limits import within_calibration
-from robot.description.model import RobotModel
 from robot.emulator.populations import POPULATIONS
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
-from robot.messages import ArmConfig, ArmState, EmergencyPolicy, Mode, MotionEnded, Order, Outcome
+from robot.messages import ArmConfig, ArmState, CommandDone, EmergencyPolicy, Mode, MotionEnded, Order, Outcome
 from robot.trajectory import Trajectory
 from tests.helpers import dynamixel
 from tests.helpers.motions import smooth_move
@@ -48,11 +47,14 @@ class Watched(Arm):
     def __init__(self, config: ArmConfig) -> None:
         self.states: list[ArmState] = []
         self.ended: list[MotionEnded] = []
+        self.done: list[CommandDone] = []
         super().__init__(config, self.states.append)
 
     def _received(self, message: Any) -> None:
         if isinstance(message, MotionEnded):
             self.ended.append(message)
+        elif isinstance(message, CommandDone):
+            self.done.append(message)
         super()._received(message)
 
 
@@ -72,10 +74,11 @@ class Place:
     async def start(self) -> None:
         self.arm = Watched(self.config)
         await self.arm.start(TIMEOUT_S)
-        await self.until(lambda: self.arm.state.mode is Mode.HOLDING)
+        await until(lambda: self.arm.state.mode is Mode.HOLDING)
 
-    async def until(self, condition: Callable[[], bool]) -> None:
-        await until(condition)
+    async def outcome(self, trajectory: Trajectory) -> Outcome:
+        """Execute a trajectory; return how it ended."""
+        return (await self.answer(self.arm.execute(trajectory))).outcome
 
     async def answer(self, motion: asyncio.Future[MotionEnded]) -> MotionEnded:
         return await asyncio.wait_for(motion, TIMEOUT_S)
@@ -99,51 +102,33 @@ NOMINAL = nominal_calibration()
 START_RAD = (0.1, -0.5, 0.4, 0.2, 0.1, 0.3)
 START = dict(zip((joint.joint for joint in NOMINAL.joints), START_RAD, strict=True))
 
-# Servos that get no torque before the arm was calibrated, or their ids were set.
-UNFIT = ("ros2_driver", "kit")
-
-# Kinds of arms: those whose servos are within the arm process, and those at the other end of a line.
-IN_PROCESS = ("ideal", "emulated Dynamixel servos", *(f"emulated, {name}" for name in POPULATIONS if name not in UNFIT))
-ON_LINES = (*(f"pseudo terminal, {name}" for name in POPULATIONS if name != "kit"), "real arm")
-
 # Slow enough for a busy machine to notice that the arm is on its way before it is there.
 SLOW_S = 6.0
-
-
-def place_with(
-    hardware: HardwareConfig,
-    calibration: Calibration = NOMINAL,
-    *,
-    may_fall: bool = True,
-    model: RobotModel | None = None,
-) -> Place:
-    robot = within_calibration(model or so101(), calibration)
-    config = ArmConfig(robot, hardware, on_emergency_stop=EmergencyPolicy.HOLD)
-    return Place(config, may_fall)
 
 
 @contextlib.asynccontextmanager
 async def place_of(kind: str, real_arm: str | None = None) -> AsyncIterator[Place]:
     """Start an arm of a kind, the real one by its port and calibration, and close it at the end."""
-    bus: RunningEmulator | None = None
     kind, _, population = kind.partition(", ")
+    hardware: HardwareConfig = IdealConfig(start_rad=START)
+    robot, calibration, bus = so101(), NOMINAL, None
     if kind == "emulated":
-        made = place_with(EmulatedConfig(NOMINAL, start_rad=START, population=population))
+        hardware = EmulatedConfig(NOMINAL, start_rad=START, population=population)
     elif kind == "emulated Dynamixel servos":
-        config = EmulatedConfig(dynamixel.CALIBRATION, kind="dynamixel", start_rad=START)
-        made = place_with(config, dynamixel.CALIBRATION, model=dynamixel.KOCH.model)
-    elif kind == "ideal":
-        made = place_with(IdealConfig(start_rad=START))
+        robot, calibration = dynamixel.KOCH.model, dynamixel.CALIBRATION
+        hardware = EmulatedConfig(calibration, kind="dynamixel", start_rad=START)
     elif kind == "pseudo terminal":
         bus = RunningEmulator(f"--start={','.join(map(str, START_RAD))}", "--population", population)
         calibration = recalibrated(NOMINAL, POPULATIONS[population])
-        made = place_with(SerialConfig(calibration, bus.port), calibration)
-    elif real_arm:
+        hardware = SerialConfig(calibration, bus.port)
+    elif kind == "real arm" and real_arm:
         port, _, file = real_arm.partition(",")
         calibration = Calibration.load(find_calibration(file, SO101.hardware.calibrations, os.environ), SO101_SERVOS)
-        made = place_with(SerialConfig(calibration, port), calibration, may_fall=False)
-    else:
+        hardware = SerialConfig(calibration, port)
+    elif kind != "ideal":
         pytest.skip("no real arm is named by --arm PORT,CALIBRATION")
+    config = ArmConfig(within_calibration(robot, calibration), hardware, on_emergency_stop=EmergencyPolicy.HOLD)
+    made = Place(config, may_fall=kind != "real arm")
     try:
         await made.start()
         yield made
@@ -162,81 +147,61 @@ class ArmContract:
         assert state.position_rad is not None
         assert abs(state.goal_rad - state.position_rad).max() < STILL_RAD
 
-    async def test_a_motion_arrives_and_its_end_is_reported_once(self, place: Place) -> None:
-        start = place.held()
-        before = len(place.arm.ended)
-        there = await place.answer(place.arm.execute(place.move(REACH_RAD)))
-        assert there.outcome is Outcome.REACHED
-        await place.until(lambda: abs(place.at() - start - REACH_RAD) < WITHIN_RAD)
-        back = await place.answer(place.arm.execute(smooth_move({JOINT: (start + REACH_RAD, start)}, DURATION_S)))
-        assert back.outcome is Outcome.REACHED
-        numbers = [ended.motion_id for ended in place.arm.ended[before:]]
-        assert len(numbers) == len(set(numbers)) == 2
-
-    async def test_the_state_at_the_end_of_a_motion_holds(self, place: Place) -> None:
+    async def test_a_motion_arrives_and_its_end_is_reported_once_by_states_that_hold(self, place: Place) -> None:
+        start, before, seen = place.held(), len(place.arm.ended), len(place.arm.states)
         for way_rad in (REACH_RAD, -REACH_RAD, REACH_RAD, -REACH_RAD):
-            await place.answer(place.arm.execute(place.move(way_rad)))
+            assert await place.outcome(place.move(way_rad)) is Outcome.REACHED
             assert place.arm.state.mode is Mode.HOLDING
-
-    async def test_states_follow_each_other_and_report_the_motion(self, place: Place) -> None:
-        before = len(place.arm.states)
-        await place.answer(place.arm.execute(place.move(REACH_RAD)))
-        await place.answer(place.arm.execute(place.move(-REACH_RAD)))
-        states = place.arm.states[before:]
-        moving = [state for state in states if state.mode is Mode.MOVING]
-        assert moving
-        for motion in {state.motion_id for state in moving}:
-            fractions = [state.fraction for state in moving if state.motion_id == motion]
-            assert motion is not None
-            assert fractions == sorted(fractions)
-        stamps = [state.stamp_s for state in states]
-        assert stamps == sorted(stamps)
+            await until(lambda: abs(place.at() - place.held()) < WITHIN_RAD)
+        assert abs(place.at() - start) < WITHIN_RAD
+        numbers = [ended.motion_id for ended in place.arm.ended[before:]]
+        assert len(numbers) == len(set(numbers)) == 4
+        states = place.arm.states[seen:]
+        for motion in numbers:
+            fractions = [each.fraction for each in states if each.mode is Mode.MOVING and each.motion_id == motion]
+            assert fractions == sorted(fractions) != []
+        assert [state.stamp_s for state in states] == sorted(state.stamp_s for state in states)
 
     async def test_a_stop_ends_the_motion_on_the_way(self, place: Place) -> None:
         start = place.held()
         motion = place.arm.execute(place.move(REACH_RAD, duration_s=SLOW_S))
-        await place.until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
+        await until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
         place.arm.stop()
         assert (await place.answer(motion)).outcome is Outcome.STOPPED
         assert place.arm.state.mode is Mode.HOLDING
         assert 0.2 * REACH_RAD < place.held() - start < 0.9 * REACH_RAD
-        await place.answer(place.arm.execute(place.move(start - place.held())))
+        await place.outcome(place.move(start - place.held()))
 
-    async def test_a_motion_from_elsewhere_is_refused(self, place: Place) -> None:
+    async def test_a_motion_from_elsewhere_or_beyond_the_limits_is_refused(self, place: Place) -> None:
         held = place.held()
-        refused = await place.answer(place.arm.execute(smooth_move({JOINT: (held + 0.3, held + 0.4)}, 1.0)))
-        assert refused.outcome is Outcome.REFUSED
-        assert JOINT in refused.message
-
-    async def test_a_motion_beyond_the_limits_is_refused_before_it_begins(self, place: Place) -> None:
-        held = place.held()
-        refused = await place.answer(place.arm.execute(smooth_move({JOINT: (held, 3.0)}, 10.0)))
-        assert refused.outcome is Outcome.REFUSED
-        assert "limits" in refused.message
+        for (start, end, duration_s), word in {
+            (held + 0.3, held + 0.4, 1.0): JOINT,
+            (held, 3.0, 10.0): "limits",
+        }.items():
+            refused = await place.answer(place.arm.execute(smooth_move({JOINT: (start, end)}, duration_s)))
+            assert (refused.outcome, word in refused.message) == (Outcome.REFUSED, True), refused
         assert place.held() == held
 
     async def test_a_joint_has_one_motion_at_a_time_and_the_gripper_its_own(self, place: Place) -> None:
         gripper = place.arm.execute(place.move(REACH_RAD, "gripper"))
         first = place.arm.execute(place.move(REACH_RAD))
-        second = await place.answer(place.arm.execute(place.move(REACH_RAD)))
-        assert second.outcome is Outcome.REFUSED
+        assert await place.outcome(place.move(REACH_RAD)) is Outcome.REFUSED
         assert (await place.answer(first)).outcome is Outcome.REACHED
         assert (await place.answer(gripper)).outcome is Outcome.REACHED
-        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
-        await place.answer(place.arm.execute(place.move(-REACH_RAD)))
-        await place.answer(place.arm.execute(place.move(-REACH_RAD, "gripper")))
+        await until(lambda: place.arm.state.mode is Mode.HOLDING)
+        await place.outcome(place.move(-REACH_RAD))
+        await place.outcome(place.move(-REACH_RAD, "gripper"))
 
     async def test_an_emergency_stop_ends_the_motion_and_stays_until_it_is_reset(self, place: Place) -> None:
         start = place.held()
         motion = place.arm.execute(place.move(REACH_RAD, duration_s=SLOW_S))
-        await place.until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
+        await until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
         assert (await place.arm.order(Order.EMERGENCY_STOP)).done
         assert (await place.answer(motion)).outcome is Outcome.FAULT
-        refused = await place.answer(place.arm.execute(place.move(0.05)))
-        assert refused.outcome is Outcome.REFUSED
+        assert await place.outcome(place.move(0.05)) is Outcome.REFUSED
         assert (await place.arm.order(Order.RESET_FAULT)).done
-        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
-        assert (await place.answer(place.arm.execute(place.move(start - place.held())))).outcome is Outcome.REACHED
+        await until(lambda: place.arm.state.mode is Mode.HOLDING)
+        assert await place.outcome(place.move(start - place.held())) is Outcome.REACHED
 
     async def test_a_relaxed_arm_refuses_motions_and_is_enabled_where_it_is(self, place: Place) -> None:
         if not place.may_fall:
@@ -246,5 +211,5 @@ class ArmContract:
         assert refused.outcome is Outcome.REFUSED
         assert "enable" in refused.message
         assert (await place.arm.order(Order.ENABLE)).done
-        await place.until(lambda: place.arm.state.mode is Mode.HOLDING)
-        await place.until(lambda: abs(place.held() - place.at()) < STILL_RAD)
+        await until(lambda: place.arm.state.mode is Mode.HOLDING)
+        await until(lambda: abs(place.held() - place.at()) < STILL_RAD)

@@ -20,10 +20,14 @@ class ArmOnServos:
     """An arm process with its servos, their log and their control socket."""
 
     def __init__(
-        self, folder: Path, restart_delay: RestartDelay | None = None, on_exit: EndState = EndState.HOLD
+        self,
+        folder: Path,
+        restart_delay: RestartDelay | None = None,
+        on_exit: EndState = EndState.HOLD,
+        rate: float = 1.0,
     ) -> None:
         self.log = folder / "writes.jsonl"
-        servos = EmulatedConfig(CALIBRATION, write_log=self.log, control=folder / "control")
+        servos = EmulatedConfig(CALIBRATION, write_log=self.log, control=folder / "control", rate=rate)
         self.emulator = EmulatorControl(folder / "control")
         self.states: list[ArmState] = []
         self.health: list[ArmHealth] = []

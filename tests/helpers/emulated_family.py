@@ -56,9 +56,11 @@ class Family:
         value: int = register.decode(servo.read(register, register.size))
         return value
 
-    def write(self, servo: Any, name: str, value: int) -> None:
+    def write(self, servo: Any, name: str, value: int) -> int:
+        """Write a register as a host does; returns the error, 0 for none."""
         register = self.registers.Register[name]
-        servo.write(register, register.encode(value))
+        error: int = servo.write(register, register.encode(value))
+        return error
 
     def word(self, value: int) -> bytes:
         """An address or a length among the parameters."""

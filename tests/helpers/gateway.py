@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
+from websockets.asyncio.client import ClientConnection
 
 from harness.waiting import TIMEOUT_S, until
 from protocol.interface_packages import read_packages
@@ -237,6 +238,16 @@ async def exchange(port: int, sent: bytes) -> str:
             return (head + body).decode()
         except (asyncio.IncompleteReadError, ConnectionError):
             return ""
+
+
+async def say(client: ClientConnection, op: str, **fields: Any) -> None:
+    """Send an operation over a WebSocket."""
+    await client.send(json.dumps({"op": op, **fields}))
+
+
+async def receive(client: ClientConnection) -> Any:
+    """The next operation that comes over a WebSocket."""
+    return json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))
 
 
 def status(answer: str) -> int:

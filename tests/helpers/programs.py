@@ -16,10 +16,15 @@ from harness.waiting import TIMEOUT_S
 UV = Path(sys.executable).with_name("uv")
 
 
+def run(*command: str | Path, timeout_s: float = TIMEOUT_S, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, in this checkout if nothing else is said, and keep what it prints."""
+    options = {"cwd": ROOT, **options}
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False, **options)
+
+
 def run_python(program: str) -> subprocess.CompletedProcess[str]:
     """Run a program that uses this checkout."""
-    command = [sys.executable, "-c", program]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    return run(sys.executable, "-c", program)
 
 
 def environment_with(python: str, folder: Path, package: str | Path) -> Path:
@@ -34,22 +39,15 @@ def install_with_npm(folder: Path) -> None:
     """Install what the package.json of a folder names; skips the test where that cannot be had."""
     if shutil.which("npm") is None or shutil.which("node") is None:
         pytest.skip("node and npm are not installed")
-    command = ["npm", "install", "--no-audit", "--no-fund"]
-    installed = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    installed = run("npm", "install", "--no-audit", "--no-fund", cwd=folder)
     if installed.returncode != 0:
         pytest.skip(f"npm cannot be reached: {installed.stderr.strip().splitlines()[-1]}")
 
 
 def heard_by(python: str | Path, scenario: Path, *arguments: str, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
     """Return the messages that a scenario heard, step by step; this checkout is not on its interpreter's path."""
-    done = subprocess.run(
-        [str(python), str(scenario), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        check=False,
-        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
-    )
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = run(python, scenario, *arguments, timeout_s=timeout_s, env=environment, cwd=None)
     assert done.returncode == 0, done.stderr + done.stdout
     heard: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return heard

@@ -79,10 +79,8 @@ def joint_space(collision, arm):
 @pytest.fixture(scope="session")
 def rate_limits(robot, arm):
     joints = [robot.joints[name] for name in arm.joints]
-    return RateLimits(
-        np.array([joint.max_velocity for joint in joints]),
-        np.array([joint.max_acceleration for joint in joints]),
-    )
+    rates = ([getattr(joint, rate) for joint in joints] for rate in ("max_velocity", "max_acceleration"))
+    return RateLimits(*map(np.array, rates))
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,7 @@ import numpy as np
 
 from planners.geometry.kinematics import ForwardKinematics
 from planners.problem import Plan, PlanningProblem, RateLimits
-from tests.planners.invariants import (
-    assert_from_rest_to_rest,
-    assert_keeps_positions,
-    assert_keeps_rates,
-    assert_touches_nothing,
-    assert_well_formed,
-)
+from tests.planners import invariants
 
 TIP = "gripper_frame_link"
 
@@ -40,11 +34,11 @@ class Setting:
         start = [problem.start_rad[name] for name in self.joints]
         limits = [self.robot.joints[name] for name in self.joints]
         assert motion.joint_names == self.joints
-        assert_well_formed(motion)
-        assert_from_rest_to_rest(motion, start, motion.positions_rad[-1])
-        assert_keeps_positions(motion, [joint.lower for joint in limits], [joint.upper for joint in limits])
-        assert_keeps_rates(motion, self.scaled_limits(problem))
-        assert_touches_nothing(motion, self.collision, problem.start_rad)
+        invariants.assert_well_formed(motion)
+        invariants.assert_from_rest_to_rest(motion, start, motion.positions_rad[-1])
+        invariants.assert_keeps_positions(motion, [each.lower for each in limits], [each.upper for each in limits])
+        invariants.assert_keeps_rates(motion, self.scaled_limits(problem))
+        invariants.assert_touches_nothing(motion, self.collision, problem.start_rad)
         return plan
 
     def scaled_limits(self, problem):

@@ -25,15 +25,19 @@ HARD = (("gap", "gap-p07", {"position": [0.115, -0.035, 0.072]}), ("shelf", "she
 LISTS = ("joint_problems", "position_problems", "infeasible")
 
 
-def fields_of(name: str):
-    path = resources.shared_data() / "planning_problems" / f"{name}.json"
-    return path, json.loads(path.read_text())
-
-
 @cache
 def judged(name: str):
-    _, fields = fields_of(name)
-    return fields, Judge(resources.REFERENCE, fields)
+    path = resources.shared_data() / "planning_problems" / f"{name}.json"
+    fields = json.loads(path.read_text())
+    return path, fields, Judge(resources.REFERENCE, fields)
+
+
+def planned(path: Path, ids: tuple[str, ...] = ()):
+    """Plan problems of a file, which are answered as it expects; return each answer as the command writes it."""
+    file = problem_file.read(path, so101())
+    outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=ids))))
+    assert {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected} == {}
+    return [plan_command.as_json(outcome, file.joint_names) for outcome in outcomes]
 
 
 def straight(start, goal, duration_s: float):
@@ -56,47 +60,31 @@ def test_hard_problems_of_the_benchmark_are_solved_and_valid(
     (entry,) = (entry | change for entry in fields["position_problems"] if entry["id"] == problem)
     path = tmp_path / "hard.json"
     path.write_text(json.dumps({**fields, "joint_problems": [], "infeasible": [], "position_problems": [entry]}))
-    file = problem_file.read(path, so101())
-    (outcome,) = plan_command.plan_all(file, plan_command.chosen(file, Options([path])))
-    answer = plan_command.as_json(outcome, file.joint_names)
-    assert outcome.expected
+    (answer,) = planned(path)
     assert not Judge(resources.shared_data(), fields).faults(entry, answer)
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_share_of_the_shared_problems_is_planned_and_valid(name: str) -> None:
-    path, fields = fields_of(name)
+    path, fields, judge = judged(name)
     entries = {entry["id"]: entry for key in LISTS for entry in fields[key][::SHARE]}
-    file = problem_file.read(path, so101())
-    outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=tuple(entries)))))
-    wrong = {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected}
-    assert not wrong
-    answers = [plan_command.as_json(outcome, file.joint_names) for outcome in outcomes]
-    judge = judged(name)[1]
-    faults = {one["problem"]: judge.faults(entries[one["problem"]], one) for one in answers if "positions" in one}
+    answers = [answer for answer in planned(path, tuple(entries)) if "positions" in answer]
+    faults = {answer["problem"]: judge.faults(entries[answer["problem"]], answer) for answer in answers}
     assert not {name: found for name, found in faults.items() if found}
 
 
-FAULTS = {
-    "nothing": ({}, 3.0, ""),
-    "too fast": ({}, 0.8, "acceleration limit"),
-    "another goal": ({"goal": [0.0] * 5}, 3.0, "does not end in the goal"),
-    "another start": ({"start": [0.0] * 5}, 3.0, "does not start at the start"),
-}
-
-
-@pytest.mark.parametrize(("change", "duration_s", "words"), FAULTS.values(), ids=FAULTS)
-def test_the_judge_finds_what_is_wrong_with_a_free_line(change, duration_s: float, words: str) -> None:
-    fields, judge = judged("empty")
+def test_the_judge_finds_what_is_wrong_with_a_line() -> None:
+    _, fields, judge = judged("empty")
     asked = fields["joint_problems"][0]
-    faults = judge.faults({**asked, **change}, straight(asked["start"], asked["goal"], duration_s))
-    assert any(words in fault for fault in faults) == bool(words)
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_the_judge_finds_lines_that_are_not_free(name: str) -> None:
-    fields, judge = judged(name)
-    blocked = [entry for entry in fields["joint_problems"] if not entry["direct_valid"]]
-    for asked in blocked:
-        faults = judge.faults(asked, straight(asked["start"], asked["goal"], 3.0))
-        assert any(fault.startswith("touches") for fault in faults)
+    for change, duration_s, words in (
+        ({}, 3.0, ""),
+        ({}, 0.8, "acceleration limit"),
+        ({"goal": [0.0] * 5}, 3.0, "does not end in the goal"),
+        ({"start": [0.0] * 5}, 3.0, "does not start at the start"),
+    ):
+        faults = judge.faults({**asked, **change}, straight(asked["start"], asked["goal"], duration_s))
+        assert any(words in fault for fault in faults) == bool(words), words
+    for _, fields, judge in map(judged, SCENES):
+        for asked in (entry for entry in fields["joint_problems"] if not entry["direct_valid"]):
+            faults = judge.faults(asked, straight(asked["start"], asked["goal"], 3.0))
+            assert any(fault.startswith("touches") for fault in faults)

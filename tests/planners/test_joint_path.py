@@ -1,6 +1,6 @@
 """Paths of the joints that are given: their timing, their limits, and what is in their way."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,13 +26,6 @@ def problem(at_home, lasts_s=4.0, reach_rad=0.5, seed=0, speed=1.0):
     return JointPathProblem(at_home, JOINTS, time_s, 0.5 + points * [1.0, 0.5, 0.5], speed)
 
 
-def limits(robot):
-    joints = [robot.joints[name] for name in JOINTS]
-    return RateLimits(
-        np.array([joint.max_velocity for joint in joints]), np.array([joint.max_acceleration for joint in joints])
-    )
-
-
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("speed", [0.3, 1.0, 2.0])
 def test_a_path_is_followed_from_rest_to_rest_within_the_limits(planner, robot, at_home, seed, speed):
@@ -41,7 +34,9 @@ def test_a_path_is_followed_from_rest_to_rest_within_the_limits(planner, robot, 
     assert isinstance(answer, Plan), answer
     assert_well_formed(answer.trajectory)
     assert_from_rest_to_rest(answer.trajectory, asked.positions_rad[0], asked.positions_rad[-1])
-    assert_keeps_rates(answer.trajectory, limits(robot))
+    joints = [robot.joints[name] for name in JOINTS]
+    rates = ([getattr(joint, rate) for joint in joints] for rate in ("max_velocity", "max_acceleration"))
+    assert_keeps_rates(answer.trajectory, RateLimits(*map(np.array, rates)))
     assert answer.trajectory.joint_names == JOINTS
 
 
@@ -65,11 +60,10 @@ def test_a_slow_path_keeps_its_timing_at_every_speed(planner, at_home, speed, la
 
 def test_a_path_through_something_is_refused_with_when_and_what(planner, collision, at_home, put):
     asked = problem(at_home)
-    place_q = np.zeros(len(collision.joint_names))
-    for name, value in zip(JOINTS, asked.positions_rad[len(asked.positions_rad) // 2], strict=True):
-        place_q[collision.joint_names.index(name)] = value
-    x, y, z = collision.tip_positions([place_q], "gripper_frame_link")[0]
-    put(planner, thing(Box((0.03, 0.03, 0.03)), float(x), float(y), float(z), name="crate"))
+    place = dict(zip(JOINTS, asked.positions_rad[len(asked.positions_rad) // 2], strict=True))
+    place_q = np.array([place.get(name, 0.0) for name in collision.joint_names])
+    place_m = collision.tip_positions([place_q], "gripper_frame_link")[0].tolist()
+    put(planner, thing(Box((0.03, 0.03, 0.03)), *place_m, name="crate"))
     refused = planner.answer(asked)
     assert isinstance(refused, PlanningFailure)
     assert refused.code is MoveItErrorCode.INVALID_MOTION_PLAN
@@ -77,22 +71,17 @@ def test_a_path_through_something_is_refused_with_when_and_what(planner, collisi
     assert 0.0 < refused.details["contact_s"] < asked.time_s[-1]
 
 
-def test_a_path_that_begins_in_contact_is_refused(planner, at_home):
+def test_a_path_that_begins_in_contact_or_goes_beyond_a_limit_is_refused_with_the_joint(planner, robot, at_home):
     folded = at_home | {"shoulder_lift": -1.7, "wrist_flex": 1.2}
     asked = JointPathProblem(folded, ("elbow_flex",), np.array([0.0, 1.0]), np.array([[1.69], [0.5]]))
     assert planner.answer(asked).details["contact_s"] == 0.0
-
-
-def test_a_path_beyond_a_limit_is_refused_with_the_joint(planner, robot, at_home):
-    upper = robot.joints["elbow_flex"].upper
-    points = np.array([[0.0], [upper + 2.0 * LIMIT_TOLERANCE_RAD], [0.0]])
+    points = np.array([[0.0], [robot.joints["elbow_flex"].upper + 2.0 * LIMIT_TOLERANCE_RAD], [0.0]])
     refused = planner.answer(JointPathProblem(at_home, ("elbow_flex",), np.array([0.0, 2.0, 4.0]), points))
     assert "joint 'elbow_flex' would be at" in refused.message
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
+def test_a_path_that_is_none_is_refused(planner, at_home):
+    for change, says in (
         ({"joint_names": ("knee", "elbow_flex", "gripper")}, "knee"),
         ({"joint_names": ("gripper", "elbow_flex", "gripper")}, "each once"),
         ({"speed": 0.0}, "speed must be above 0, not 0"),
@@ -102,18 +91,14 @@ def test_a_path_beyond_a_limit_is_refused_with_the_joint(planner, robot, at_home
         ({"positions_rad": np.full((41, 3), np.nan)}, "finite"),
         ({"positions_rad": np.full((41, 3), 0.1)}, "stands still"),
         ({"start_rad": {}}, ""),
-    ],
-)
-def test_a_path_that_is_none_is_refused(planner, at_home, change, says):
-    refused = planner.answer(dataclasses.replace(problem(at_home), **change))
-    assert isinstance(refused, PlanningFailure)
-    assert says in refused.message
+    ):
+        refused = planner.answer(replace(problem(at_home), **change))
+        assert isinstance(refused, PlanningFailure), says
+        assert says in refused.message
 
 
 def test_the_rest_of_a_motion_of_joints_of_two_groups_is_checked_again(planner, at_home):
-    found = planner.answer(problem(at_home))
-    assert isinstance(found, Plan), found
-    motion = found.trajectory
+    motion = planner.answer(problem(at_home)).trajectory
     others = {name: value for name, value in at_home.items() if name not in motion.joint_names}
     assert planner.answer(RecheckQuestion("", motion, others, 0.0)).contact is None
     still = np.zeros((1, 1))

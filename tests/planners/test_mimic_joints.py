@@ -16,86 +16,68 @@ from robot.description.forward_kinematics import ForwardPlacements
 from tests.planners.scenes import thing
 from tests.planners.small_arms import PALLETIZER_SRDF, PALLETIZER_URDF
 
+PALLETIZER = model.parse(PALLETIZER_URDF, PALLETIZER_SRDF)
 NAMES = ("turn", "boom", "grip")
-
-
-@pytest.fixture(scope="module")
-def palletizer():
-    return model.parse(PALLETIZER_URDF, PALLETIZER_SRDF)
+FORWARD = ForwardKinematics(PALLETIZER, NAMES)
+STATES = np.random.default_rng(1).uniform(-1.0, 1.0, (20, len(NAMES)))
 
 
 @pytest.fixture
-def collision(palletizer):
-    return CollisionModel(palletizer)
+def collision():
+    return CollisionModel(PALLETIZER)
 
 
 @pytest.fixture(scope="module")
-def planner(palletizer):
-    return Planner(palletizer, time.process_time)
+def planner():
+    return Planner(PALLETIZER, time.process_time)
 
 
-def states(count):
-    return np.random.default_rng(1).uniform(-1.0, 1.0, (count, len(NAMES)))
+def place_m(q, link):
+    FORWARD.place(q)
+    return FORWARD.placement(link).translation.copy()
 
 
-def test_both_kinematics_place_the_links_alike(palletizer):
-    forward, placements = ForwardKinematics(palletizer, NAMES), ForwardPlacements(palletizer)
-    for q in states(10):
-        forward.place(q)
+def test_both_kinematics_place_the_links_alike_and_the_jacobian_counts_what_follows():
+    placements, step_rad = ForwardPlacements(PALLETIZER), 1e-6
+    for q in STATES[:10]:
+        FORWARD.place(q)
         transforms = placements.transforms(dict(zip(NAMES, q.tolist(), strict=True)))
-        for link in palletizer.links:
-            np.testing.assert_allclose(forward.placement(link).homogeneous, transforms[link], atol=1e-12)
-
-
-def test_the_jacobian_counts_what_follows(palletizer):
-    forward, step_rad = ForwardKinematics(palletizer, NAMES), 1e-6
-    for q in states(5):
+        for link in PALLETIZER.links:
+            np.testing.assert_allclose(FORWARD.placement(link).homogeneous, transforms[link], atol=1e-12)
+    for q in STATES[:5]:
         for link in ("wrist", "right"):
-            jacobian = forward.jacobian(q, link)
-            for column in range(len(NAMES)):
-                ends = []
-                for sign in (-1.0, 1.0):
-                    forward.place(q + sign * step_rad * np.eye(len(NAMES))[column])
-                    ends.append(forward.placement(link).translation.copy())
-                np.testing.assert_allclose(jacobian[:3, column], (ends[1] - ends[0]) / (2.0 * step_rad), atol=1e-8)
+            moved_m = [place_m(q + step, link) - place_m(q - step, link) for step in step_rad * np.eye(len(NAMES))]
+            slopes = np.array(moved_m).T / (2.0 * step_rad)
+            np.testing.assert_allclose(FORWARD.jacobian(q, link)[:3], slopes, atol=1e-8)
 
 
 def test_no_point_travels_further_than_is_said(collision):
     step_rad = 1e-4
-    for q in states(20):
-        for column in range(len(NAMES)):
-            moved = q + step_rad * np.eye(len(NAMES))[column]
+    for q in STATES:
+        for column, step in enumerate(step_rad * np.eye(len(NAMES))):
             for link in ("wrist", "left", "right"):
-                ends = collision.tip_positions([q, moved], link)
-                travel_m = float(np.linalg.norm(ends[1] - ends[0]))
-                assert travel_m <= collision.travel_m_per_rad[column] * step_rad * (1.0 + 1e-6)
+                start_m, end_m = collision.tip_positions([q, q + step], link)
+                most_m = collision.travel_m_per_rad[column] * step_rad * (1.0 + 1e-6)
+                assert np.linalg.norm(end_m - start_m) <= most_m
 
 
 def test_fingers_that_close_on_each_other_touch_and_are_said_to_come_nearer(collision):
-    apart, closed = np.zeros(3), np.zeros(3)
-    column = collision.joint_names.index("grip")
-    closed[column] = -0.6
-    assert frozenset(("left", "right")) in {pair.links for pair in collision.colliding_pairs(closed)}
+    apart, way = np.zeros(3), 0.6 * (np.array(collision.joint_names) == "grip")
+    assert frozenset(("left", "right")) in {pair.links for pair in collision.colliding_pairs(apart - way)}
     assert not collision.in_collision(apart)
-    travel = np.zeros((1, 3))
-    travel[0, column] = 0.6
-    assert collision.candidate_pairs(apart, collision.margins_m(travel)[0])
+    assert collision.candidate_pairs(apart, collision.margins_m(way[np.newaxis])[0])
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_position_goals_of_a_wrist_that_follows_are_reached(planner, palletizer, seed):
-    forward = ForwardKinematics(palletizer, NAMES)
+def test_position_goals_of_a_wrist_that_follows_are_reached(planner, seed):
     rng = np.random.default_rng(seed)
-    q = np.array([rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 0.1), 0.0])
-    forward.place(q)
-    goal = PositionGoal("wrist", tuple(forward.placement("wrist").translation.tolist()), 0.001)
+    wanted_m = place_m(np.array([rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 0.1), 0.0]), "wrist")
+    goal = PositionGoal("wrist", tuple(wanted_m.tolist()), 0.001)
     plan = planner.plan(PlanningProblem("arm", dict.fromkeys(NAMES, 0.0), goal))
     assert isinstance(plan, Plan), plan
-    reached = dict.fromkeys(NAMES, 0.0) | dict(
-        zip(plan.trajectory.joint_names, plan.trajectory.positions_rad[-1].tolist(), strict=True)
-    )
-    forward.place(np.array([reached[name] for name in NAMES]))
-    assert np.linalg.norm(forward.placement("wrist").translation - goal.position_m) <= 0.001
+    ends = dict(zip(plan.trajectory.joint_names, plan.trajectory.positions_rad[-1].tolist(), strict=True))
+    reached_m = place_m(np.array([ends.get(name, 0.0) for name in NAMES]), "wrist")
+    assert np.linalg.norm(reached_m - wanted_m) <= 0.001
 
 
 def test_a_finger_that_follows_touches_what_is_in_its_way(planner, put):

@@ -11,14 +11,14 @@ from planners.scene import Box, Pose, SceneObject
 from tests.planners.scenes import thing
 
 TIP = "gripper_frame_link"
-
-# Beside the arm: half a turn of the pan brings it in there.
-WALL = thing(Box((0.6, 0.1, 0.6)), 0.3, 0.25, 0.3)
+NAN = float("nan")
+IN_CONTACT, TIMED_OUT = MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED_OUT
 
 
 @pytest.fixture
 def beside_a_wall(setting, put):
-    put(setting.planner, WALL)
+    """Beside a wall at which half a turn of the pan brings the arm in contact."""
+    put(setting.planner, thing(Box((0.6, 0.1, 0.6)), 0.3, 0.25, 0.3))
     return setting
 
 
@@ -26,41 +26,43 @@ def beside_a_wall(setting, put):
 def beside_a_plate(setting, put):
     """Beside a plate from the base outwards, behind which the arm may stand, but cannot come."""
     half_rad = 0.5 * np.radians(30.0)
-    out = np.array([np.cos(2.0 * half_rad), np.sin(2.0 * half_rad)])
-    x, y = (0.38 * out).tolist()
+    x, y = (0.38 * np.array([np.cos(2.0 * half_rad), np.sin(2.0 * half_rad)])).tolist()
     pose = Pose((x, y, 0.5), (0.0, 0.0, float(np.sin(half_rad)), float(np.cos(half_rad))))
     put(setting.planner, SceneObject("plate", ((Box((0.6, 0.01, 1.0)), Pose()),), pose))
     return setting
 
 
-def nearest(setting, problem, allowed_time_s=5.0):
-    """Return the nearest goal for a problem that has no plan, and how it failed."""
+def nearest(setting, problem, code=None, allowed_time_s=5.0):
+    """Return the nearest goal for a problem that has no plan, for the reason that is given."""
     failure = setting.planner.answer(problem)
     assert isinstance(failure, PlanningFailure), failure
+    assert code in (None, failure.code)
     answer = setting.planner.answer(NearestGoalQuestion(problem, allowed_time_s, failure.code))
     assert isinstance(answer, NearestGoalAnswer)
     return answer.goal, failure
 
 
-def test_the_way_back_to_the_start_is_not_gone_where_another_way_out_of_the_contact_is_shorter(beside_a_wall):
-    start = {"shoulder_pan": 0.8, "shoulder_lift": -1.2, "elbow_flex": 1.2, "wrist_flex": 0.9, "wrist_roll": 1.5}
-    asked = dict.fromkeys(beside_a_wall.joints, 0.0) | {"shoulder_pan": -0.8}
-    start_rad = beside_a_wall.home(**start)
-    goal, _ = nearest(beside_a_wall, beside_a_wall.problem(JointGoal(asked), start_rad))
-    travel = dict(zip(beside_a_wall.collision.joint_names, beside_a_wall.collision.travel_m_per_rad, strict=True))
+def assert_planned(setting, problem, goal):
+    assert isinstance(setting.planner.answer(replace(problem, goal=goal)), Plan), goal
 
-    def travel_m(positions_rad):
-        return sum(travel[name] * abs(at - asked[name]) for name, at in positions_rad.items())
+
+def test_the_way_back_to_the_start_is_not_gone_where_another_way_out_of_the_contact_is_shorter(beside_a_wall):
+    setting = beside_a_wall
+    start = {"shoulder_pan": 0.8, "shoulder_lift": -1.2, "elbow_flex": 1.2, "wrist_flex": 0.9, "wrist_roll": 1.5}
+    asked = dict.fromkeys(setting.joints, 0.0) | {"shoulder_pan": -0.8}
+    problem = setting.problem(JointGoal(asked), setting.home(**start))
+    goal, _ = nearest(setting, problem)
+    travel = dict(zip(setting.collision.joint_names, setting.collision.travel_m_per_rad, strict=True))
+
+    def travel_m(goal):
+        return sum(travel[name] * abs(at - asked[name]) for name, at in goal.positions_rad.items())
 
     way_back = (
-        {name: at + share * (start[name] - at) for name, at in asked.items()} for share in np.arange(0, 1, 0.02)
+        JointGoal({name: at + share * (start[name] - at) for name, at in asked.items()})
+        for share in np.arange(0, 1, 0.02)
     )
-    free = next(
-        positions_rad
-        for positions_rad in way_back
-        if isinstance(beside_a_wall.planner.answer(beside_a_wall.problem(JointGoal(positions_rad), start_rad)), Plan)
-    )
-    assert travel_m(goal.positions_rad) < 0.8 * travel_m(free)
+    free = next(each for each in way_back if isinstance(setting.planner.answer(replace(problem, goal=each)), Plan))
+    assert travel_m(goal) < 0.8 * travel_m(free)
 
 
 @pytest.mark.parametrize(
@@ -72,32 +74,31 @@ def test_the_way_back_to_the_start_is_not_gone_where_another_way_out_of_the_cont
     ],
 )
 def test_a_goal_in_contact_becomes_one_of_its_kind_that_can_be_planned(beside_a_wall, asked):
-    goal, failure = nearest(beside_a_wall, beside_a_wall.problem(asked))
-    assert failure.code is MoveItErrorCode.GOAL_IN_COLLISION
+    problem = beside_a_wall.problem(asked)
+    goal, _ = nearest(beside_a_wall, problem, IN_CONTACT)
     assert type(goal) is type(asked)
-    assert isinstance(beside_a_wall.planner.answer(beside_a_wall.problem(goal)), Plan)
+    assert_planned(beside_a_wall, problem, goal)
 
 
 def test_a_place_out_of_reach_becomes_the_nearest_that_a_motion_reaches(setting):
     asked = PositionGoal(TIP, (0.6, 0.0, 0.2), 0.01)
-    goal, failure = nearest(setting, setting.problem(asked))
-    assert failure.code is MoveItErrorCode.NO_IK_SOLUTION
+    goal, failure = nearest(setting, setting.problem(asked), MoveItErrorCode.NO_IK_SOLUTION)
     away_m = np.linalg.norm(np.array(goal.position_m) - asked.position_m)
     assert away_m == pytest.approx(failure.details["distance_m"], abs=0.02)
-    assert isinstance(setting.planner.answer(setting.problem(goal)), Plan)
+    assert_planned(setting, setting.problem(asked), goal)
 
 
-BEHIND_THE_PLATE = -1.85
+BEHIND_THE_PLATE = {"shoulder_pan": -1.85}
 
 
 @pytest.mark.parametrize(
     ("changed", "whole", "code"),
     [
-        ({"shoulder_pan": BEHIND_THE_PLATE}, False, MoveItErrorCode.TIMED_OUT),
-        ({"shoulder_pan": BEHIND_THE_PLATE, "elbow_flex": 0.0}, False, MoveItErrorCode.TIMED_OUT),
-        ({"shoulder_pan": BEHIND_THE_PLATE}, True, MoveItErrorCode.TIMED_OUT),
+        (BEHIND_THE_PLATE, False, TIMED_OUT),
+        (BEHIND_THE_PLATE | {"elbow_flex": 0.0}, False, TIMED_OUT),
+        (BEHIND_THE_PLATE, True, TIMED_OUT),
         # Everything around this contact is behind the plate.
-        ({"shoulder_pan": -1.4}, False, MoveItErrorCode.GOAL_IN_COLLISION),
+        ({"shoulder_pan": -1.4}, False, IN_CONTACT),
     ],
 )
 def test_a_joint_goal_to_which_no_motion_leads_becomes_the_nearest_that_one_reaches(
@@ -105,30 +106,20 @@ def test_a_joint_goal_to_which_no_motion_leads_becomes_the_nearest_that_one_reac
 ):
     asked = JointGoal((dict.fromkeys(beside_a_plate.joints, 0.0) if whole else {}) | changed)
     problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.2)
-    goal, failure = nearest(beside_a_plate, problem)
-    assert failure.code is code
+    goal, _ = nearest(beside_a_plate, problem, code)
     assert goal.positions_rad.keys() == asked.positions_rad.keys()
-    assert isinstance(beside_a_plate.planner.answer(replace(problem, goal=goal)), Plan)
+    assert_planned(beside_a_plate, problem, goal)
     # It is most of the way to the plate.
     assert goal.positions_rad["shoulder_pan"] < 0.3
 
 
-def test_no_goal_is_suggested_that_takes_longer_to_plan_than_the_problem_allows(setting):
-    problem = setting.problem(JointGoal({"shoulder_pan": 0.5}), allowed_time_s=1e-9)
-    goal, failure = nearest(setting, problem)
-    assert failure.code is MoveItErrorCode.TIMED_OUT
-    assert goal is None
-
-
 def test_a_goal_of_the_tip_to_which_no_motion_leads_becomes_one_nearer_than_the_start(beside_a_plate):
     start_rad = beside_a_plate.home(shoulder_pan=0.8)
-    asked_m = beside_a_plate.tip_m(beside_a_plate.home(shoulder_pan=BEHIND_THE_PLATE))
-    asked = PoseGoal(TIP, Pose(asked_m), 0.01, (0.1, 0.1, 0.1))
-    problem = beside_a_plate.problem(asked, start_rad, allowed_time_s=0.2)
-    goal, failure = nearest(beside_a_plate, problem)
-    assert failure.code is MoveItErrorCode.TIMED_OUT
+    asked_m = beside_a_plate.tip_m(beside_a_plate.home(**BEHIND_THE_PLATE))
+    problem = beside_a_plate.problem(PoseGoal(TIP, Pose(asked_m), 0.01, (0.1, 0.1, 0.1)), start_rad, allowed_time_s=0.2)
+    goal, _ = nearest(beside_a_plate, problem, TIMED_OUT)
     assert isinstance(goal, PoseGoal)
-    assert isinstance(beside_a_plate.planner.answer(replace(problem, goal=goal)), Plan)
+    assert_planned(beside_a_plate, problem, goal)
     away_m = np.linalg.norm(np.array(goal.pose.position_m) - asked_m)
     assert away_m < 0.8 * np.linalg.norm(np.array(beside_a_plate.tip_m(start_rad)) - asked_m)
 
@@ -138,8 +129,7 @@ def test_a_joint_goal_that_violates_the_constraints_becomes_the_nearest_that_kee
     asked = JointGoal(dict.fromkeys(setting.joints, 0.0) | {"shoulder_pan": 0.8, "wrist_flex": 0.9})
     level = Constraints(joints=(JointConstraint("wrist_flex", 0.0, tolerance_rad, tolerance_rad),))
     problem = setting.problem(asked, path_constraints=level)
-    goal, failure = nearest(setting, problem)
-    assert failure.code is MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS
+    goal, _ = nearest(setting, problem, MoveItErrorCode.GOAL_VIOLATES_PATH_CONSTRAINTS)
     plan = setting.solve(replace(problem, goal=goal))
     wrist = plan.trajectory.positions_rad[:, setting.joints.index("wrist_flex")]
     assert np.all(np.abs(wrist) <= tolerance_rad + 1e-6)
@@ -149,36 +139,31 @@ def test_a_joint_goal_that_violates_the_constraints_becomes_the_nearest_that_kee
 
 def test_a_joint_goal_beyond_the_limits_becomes_one_within_them(setting):
     upper_rad = setting.robot.joints["shoulder_pan"].upper
-    asked = JointGoal({"shoulder_pan": upper_rad + 0.4, "elbow_flex": 0.3})
-    goal, failure = nearest(setting, setting.problem(asked))
-    assert failure.code is MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    problem = setting.problem(JointGoal({"shoulder_pan": upper_rad + 0.4, "elbow_flex": 0.3}))
+    goal, _ = nearest(setting, problem, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)
     assert goal.positions_rad == {"shoulder_pan": upper_rad, "elbow_flex": 0.3}
-    assert isinstance(setting.planner.answer(setting.problem(goal)), Plan)
+    assert_planned(setting, problem, goal)
 
 
-@pytest.mark.parametrize(
-    "asked",
-    [
-        JointGoal({"shoulder_pan": float("nan")}),
-        JointGoal({"shoulder_pan": 9.0, "elbow_flex": float("nan")}),
+def test_for_a_goal_that_cannot_be_read_or_is_of_another_kind_and_without_time_there_is_none(beside_a_wall):
+    setting, in_contact = beside_a_wall, JointGoal({"shoulder_pan": -1.2})
+    for asked in (
+        JointGoal({"shoulder_pan": NAN}),
+        JointGoal({"shoulder_pan": 9.0, "elbow_flex": NAN}),
         JointGoal({"shoulder_pan": 9.0, "tail": 0.0}),
         PositionGoal("tail", (0.3, 0.0, 0.2), 0.01),
-        PositionGoal(TIP, (float("nan"), 0.0, 0.2), 0.01),
-    ],
-)
-def test_for_a_goal_that_cannot_be_read_there_is_none(setting, asked):
-    assert nearest(setting, setting.problem(asked))[0] is None
-
-
-def test_without_time_or_for_a_goal_of_another_kind_there_is_none(beside_a_wall):
-    assert nearest(beside_a_wall, beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2})), 1e-9)[0] is None
-    axis = AxisGoal(TIP, (0.25, 0.25, 0.2), 0.01, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.05)
-    assert nearest(beside_a_wall, beside_a_wall.problem(axis))[0] is None
+        PositionGoal(TIP, (NAN, 0.0, 0.2), 0.01),
+        AxisGoal(TIP, (0.25, 0.25, 0.2), 0.01, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.05),
+    ):
+        assert nearest(setting, setting.problem(asked))[0] is None, asked
+    assert nearest(setting, setting.problem(in_contact), allowed_time_s=1e-9)[0] is None
+    # None that takes longer to plan than the problem allows.
+    short = setting.problem(JointGoal({"shoulder_pan": 0.5}), allowed_time_s=1e-9)
+    assert nearest(setting, short, TIMED_OUT)[0] is None
 
 
 def test_a_question_that_is_cancelled_ends(beside_a_wall):
     problem = beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2}))
-    for code in (MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED_OUT):
-        question = NearestGoalQuestion(problem, 5.0, code)
-        answer = beside_a_wall.planner.answer(question, lambda: True)
+    for code in (IN_CONTACT, TIMED_OUT):
+        answer = beside_a_wall.planner.answer(NearestGoalQuestion(problem, 5.0, code), lambda: True)
         assert answer == NearestGoalAnswer(None) or answer.code is MoveItErrorCode.PREEMPTED

@@ -15,7 +15,8 @@ from planners import pool as pool_module
 from planners.interface import LOAD_TIMEOUT_S, MAX_WAITING
 from planners.messages import OBJECT_BYTES
 from planners.pool import BRIEF_SCENE_BYTES, MAX_ALLOWED_TIME_S, MAX_FAILED_STARTS, PlannerPool, allowed_time_s
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckQuestion, Request
+from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, RecheckQuestion, Request
+from planners.race import Race, another
 from planners.scene import Scene
 from planners.servo.question import JointVelocities, ServoQuestion
 from tests.helpers.fake_workers import CRASHES, DEAF, HARD, IN_VAIN, PLAN, SEARCH_S, SOUND, TIMED_OUT, Farm
@@ -89,17 +90,21 @@ async def test_the_spare_starts_once_the_first_worker_has_loaded(loading: Planne
     assert len(farm.workers) == 2
 
 
-async def test_questions_do_not_wait_for_a_motion_in_planning(pool: PlannerPool) -> None:
-    planning = await under_way(pool, LONG)
-    assert await pool.ask(STATE) is SOUND
-    await given_up(planning)
+async def test_questions_do_not_wait_for_a_motion_and_cancelling_ends_a_long_search_and_keeps_its_worker(
+    pool: PlannerPool, farm: Farm
+) -> None:
+    for _ in range(3):
+        planning = await under_way(pool, LONG)
+        assert await pool.ask(STATE) is SOUND
+        await given_up(planning)
+        await idle(pool, 2)
+    assert len(farm.workers) == 2
 
 
 async def test_more_requests_than_may_wait_are_refused(pool: PlannerPool) -> None:
     asking = [asyncio.create_task(pool.ask(LONG)) for _ in range(MAX_WAITING + 1)]
     await asyncio.sleep(0.001)
     answer = await pool.ask(EASY)
-    assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.FAILURE
     assert f"limit {MAX_WAITING}" in answer.message
     await given_up(*asking)
@@ -112,22 +117,12 @@ async def test_a_worker_that_has_the_scene_is_taken_before_one_that_has_not(pool
     assert not farm.workers[1].asked
 
 
-async def test_cancelling_ends_a_long_search_and_keeps_its_worker(pool: PlannerPool, farm: Farm) -> None:
-    for _ in range(3):
-        await given_up(await under_way(pool, LONG))
-        await idle(pool, 2)
-    assert len(farm.workers) == 2
-
-
 async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
     pool: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def in_a_minute() -> None:
-        await asyncio.sleep(60.0)
-
     planning = await under_way(pool, searched(DEAF))
     (busy,) = (worker for worker in farm.workers if worker.asked)
-    monkeypatch.setattr(busy, "cancel", in_a_minute)
+    monkeypatch.setattr(busy, "cancel", lambda: asyncio.sleep(60.0))
     await given_up(planning)
     async with asyncio.timeout(1.0):
         assert await pool.ask(EASY) is PLAN
@@ -144,9 +139,8 @@ LATE = searched(IN_VAIN, allowed_time_s=1.0)
 @pytest.fixture
 def late(pool: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch) -> Farm:
     """Workers that answer motions and questions half a second too late."""
-    monkeypatch.setattr(pool_module, "OVERTIME_S", -0.5)
-    monkeypatch.setattr(pool_module, "STATE_TIME_S", 1.0)
-    monkeypatch.setattr(pool_module, "CHECK_TIME_S", 1.0)
+    for name, time_s in (("OVERTIME_S", -0.5), ("STATE_TIME_S", 1.0), ("CHECK_TIME_S", 1.0)):
+        monkeypatch.setattr(pool_module, name, time_s)
     farm.question_s = 1.0
     return farm
 
@@ -156,10 +150,8 @@ async def test_a_worker_that_is_late_is_given_up_and_kept_once_it_listens(
     pool: PlannerPool, late: Farm, request_: Request
 ) -> None:
     began_s = asyncio.get_running_loop().time()
-    answer = await pool.ask(request_)
-    assert answer == PlanningFailure(
-        MoveItErrorCode.TIMED_OUT, "the planner did not answer within 1 s and was given up"
-    )
+    words = "the planner did not answer within 1 s and was given up"
+    assert await pool.ask(request_) == PlanningFailure(MoveItErrorCode.TIMED_OUT, words)
     assert asyncio.get_running_loop().time() - began_s == pytest.approx(0.5)
     await idle(pool, 2)
     assert not any(worker.killed for worker in late.workers)
@@ -175,19 +167,15 @@ async def test_a_state_is_answered_though_the_machine_is_so_busy_that_no_arm_cou
 
 async def test_a_worker_that_never_listens_is_replaced(pool: PlannerPool, late: Farm) -> None:
     answer = await pool.ask(searched(DEAF, allowed_time_s=1.0))
-    assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.TIMED_OUT
     await asyncio.sleep(0.01)
     assert [worker.killed > 0 for worker in late.workers[:2]] == [True, False]
     await idle(pool, 2)
 
 
-async def test_a_time_out_of_reason_does_not_hold_a_worker_for_ever() -> None:
+async def test_every_kind_of_request_has_an_allowed_time_that_does_not_hold_a_worker_for_ever() -> None:
     for allowed_s in (math.nan, math.inf, -1.0, 1e9):
         assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=allowed_s)) == MAX_ALLOWED_TIME_S
-
-
-async def test_every_kind_of_request_has_an_allowed_time() -> None:
     assert allowed_time_s(dataclasses.replace(EASY, allowed_time_s=0.7)) == 0.7
     assert all(0.0 < allowed_time_s(request) <= 10.0 for request, _ in REQUESTS)
 
@@ -211,23 +199,16 @@ async def test_a_racer_that_crashes_leaves_the_race_to_the_other(pool: PlannerPo
 LARGE = Scene(1, boxes(BRIEF_SCENE_BYTES // OBJECT_BYTES + 1))
 
 
-async def not_raced(pool: PlannerPool, farm: Farm, scene: Scene) -> bool:
-    """Tell whether a hard problem is left to one worker, though another is idle and would find a plan."""
-    problem = searched(IN_VAIN, HARD, allowed_time_s=10.0 * SEARCH_S)
-    answer = await pool.ask(problem, scene)
-    return answer is TIMED_OUT and sorted(len(worker.asked) for worker in farm.workers) == [0, 1]
-
-
 @pytest.mark.parametrize(
-    ("number_of_cores", "scene"),
-    [(1, Scene(1)), (2, LARGE)],
-    ids=["on one core", "in a large scene that no idle worker has"],
+    ("number_of_cores", "scene"), [(1, Scene(1)), (2, LARGE)], ids=["one core", "a large scene that no idle worker has"]
 )
-async def test_nothing_is_raced(
+async def test_a_hard_problem_is_left_to_one_worker_where_a_race_helps_nobody(
     pool: PlannerPool, farm: Farm, cores: Callable[[int], None], number_of_cores: int, scene: Scene
 ) -> None:
     cores(number_of_cores)
-    assert await not_raced(pool, farm, scene)
+    # Though another is idle and would find a plan.
+    assert await pool.ask(searched(IN_VAIN, HARD, allowed_time_s=10.0 * SEARCH_S), scene) is TIMED_OUT
+    assert sorted(len(worker.asked) for worker in farm.workers) == [0, 1]
 
 
 async def test_a_worker_that_has_a_large_scene_joins_a_race_in_it(pool: PlannerPool, farm: Farm) -> None:
@@ -271,18 +252,15 @@ async def test_a_robot_that_no_worker_can_load_is_told(loading: PlannerPool, far
     assert len(farm.workers) == 1
 
 
-async def test_a_request_for_which_no_worker_is_ready_is_refused_in_the_end(loading: PlannerPool, farm: Farm) -> None:
+async def test_where_no_worker_gets_ready_a_request_is_refused_in_the_end_and_a_wait_ends_with_the_pool(
+    loading: PlannerPool, farm: Farm
+) -> None:
     farm.loads = False
     farm.workers[0].end()
-    answer = await loading.ask(EASY)
-    assert isinstance(answer, PlanningFailure)
-    assert answer.message == "planning is not available: no planner process was ready within 30 s"
-
-
-async def test_the_wait_for_a_worker_ends_where_the_pool_is_closed(loading: PlannerPool, farm: Farm) -> None:
-    farm.loads = False
     waiting = asyncio.create_task(loading.wait_until_loaded())
-    await asyncio.sleep(0)
+    answer = await loading.ask(EASY)
+    assert answer.message == "planning is not available: no planner process was ready within 30 s"
+    assert not waiting.done()
     await loading.close()
     assert await waiting is None
 
@@ -300,13 +278,10 @@ async def test_after_failed_starts_requests_wait_for_the_next_worker_that_loads(
 
 
 @pytest.mark.parametrize("never", ["ends_at_start", "starts_fail"])
-async def test_workers_that_never_start_are_told_and_tried_again(
-    loading: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch, never: str
-) -> None:
+async def test_workers_that_never_start_are_told_and_tried_again(loading: PlannerPool, farm: Farm, never: str) -> None:
     setattr(farm, never, True)
     farm.workers[0].end()
     answer = await loading.ask(EASY)
-    assert isinstance(answer, PlanningFailure)
     assert answer.message.startswith("planning is not available: planner processes ")
     assert f"{MAX_FAILED_STARTS} times in a row" in answer.message
     assert loading.pids == ()
@@ -336,3 +311,63 @@ async def test_a_moving_arm_asks_the_worker_of_normal_priority_also_after_it_was
         assert farm.workers[number].asked == [SERVO]
         assert EASY in farm.workers[0].asked
         farm.workers[number].end()
+
+
+# Rules of a race for one plan.
+
+# Time between the start of a race and the second racer [s].
+JOINED_S = 0.5
+
+FIRST, OTHER = Plan(STILL, "first", 1.0), Plan(STILL, "other", 1.0)
+OTHER_WINS = dataclasses.replace(OTHER, planning_time_s=1.0 + JOINED_S)
+NO_MOTION = PlanningFailure(MoveItErrorCode.TIMED_OUT, "no motion was found")
+CRASH = PlanningFailure(MoveItErrorCode.CRASH, "the planner process ended")
+REFUSAL = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "these touch")
+
+
+async def answered(after_s: float, answer: Answer | Exception) -> Answer:
+    """Answer as a racer does that searches for a while."""
+    await asyncio.sleep(after_s)
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+async def race_of(first: tuple[float, Answer], other: tuple[float, Answer | Exception]) -> Answer:
+    """Run a race of two, each with its time [s] and its answer."""
+    race = Race(EASY)
+    asyncio.get_running_loop().call_later(0.0, lambda: race.join(lambda _: answered(*other), JOINED_S))
+    return await race.run(answered(*first))
+
+
+async def test_the_first_conclusive_answer_wins_else_the_first_racers_and_an_error_reaches_the_caller() -> None:
+    for first, other, answer in (
+        ((1.0, FIRST), (2.0, OTHER), FIRST),
+        ((1.0, REFUSAL), (2.0, OTHER), REFUSAL),
+        ((2.0, FIRST), (1.0, OTHER), OTHER_WINS),
+        ((1.0, NO_MOTION), (2.0, OTHER), OTHER_WINS),
+        ((1.0, NO_MOTION), (2.0, CRASH), NO_MOTION),
+        ((2.0, NO_MOTION), (1.0, CRASH), NO_MOTION),
+    ):
+        assert await race_of(first, other) == answer, (first, other)
+    with pytest.raises(OSError, match="a bug"):
+        await race_of((2.0, FIRST), (1.0, OSError("a bug")))
+
+
+async def test_nobody_joins_a_race_that_is_over_or_out_of_time() -> None:
+    race, late = Race(EASY), list[PlanningProblem]()
+    assert await race.run(answered(1.0, FIRST)) is FIRST
+    race.join(late.append, 0.5)
+    Race(EASY).join(late.append, EASY.allowed_time_s)
+    await asyncio.sleep(1.0)
+    assert late == []
+
+
+async def test_each_racer_has_its_seed_the_time_that_is_left_and_the_same_planner() -> None:
+    problem = dataclasses.replace(EASY, planner_id="BITstar", seed=(1 << 31) - 1)
+    racers = [another(problem, number, 0.1) for number in (1, 2)]
+    assert len({problem.seed, *(racer.seed for racer in racers)}) == 3
+    for racer in racers:
+        assert (racer.allowed_time_s, racer.planner_id) == (problem.allowed_time_s - 0.1, "BITstar")
+        # OMPL takes seeds of 32 bits.
+        assert racer.seed < 1 << 31

@@ -11,37 +11,19 @@ import pytest
 from planners import worker
 from planners.budget import never
 from planners.errors import ShapeError
-from planners.messages import (
-    Answered,
-    Ask,
-    Cancel,
-    Loaded,
-    LoadFailed,
-    LoadRobot,
-    MoreObjects,
-    NewScene,
-)
+from planners.messages import Answered, Ask, Cancel, Loaded, LoadFailed, LoadRobot, MoreObjects, NewScene
 from planners.pipeline import Planner
-from planners.problem import (
-    Answer,
-    CartesianPlan,
-    CartesianProblem,
-    MoveItErrorCode,
-    Plan,
-    PlanningFailure,
-    PlanningProblem,
-    Request,
-    StateAnswer,
-)
+from planners.problem import Answer, CartesianPlan, CartesianProblem, Plan, PlanningFailure, PlanningProblem, Request
+from planners.problem import MoveItErrorCode as Code
 from planners.scene import Box, Pose, Scene, SceneObject
 from robot.channel import Channel
 from robot.description import model
 from robot.description.model import RobotModel
 from tests.helpers import robots
 from tests.helpers.clock import FakeClock
+from tests.helpers.fake_workers import SOUND
 from tests.helpers.motions import EASY, STATE
 from tests.helpers.programs import run_python
-from tests.helpers.robots import so101
 from tests.planners.small_arms import PALLETIZER_SRDF, PALLETIZER_URDF
 
 # What a plain goal does not need and takes long to load, by the names in sys.modules.
@@ -70,13 +52,10 @@ except MemoryError:
     assert run_python(program).stdout == "caught\n"
 
 
-AT_ONCE = dataclasses.replace(EASY, optimization_time_s=0.0)
-
-
 class Planning:
     """A planner that does what a test sets."""
 
-    def __init__(self, _robot: RobotModel) -> None:
+    def __init__(self) -> None:
         self.works: Callable[[Request, Callable[[], bool]], Answer] = lambda _request, _stop: SOUND
         self.scenes: list[Scene] = []
         self.refusal: PlanningFailure | None = None
@@ -91,9 +70,8 @@ class Planning:
         return self.works(request, should_stop)
 
 
-SOUND = StateAnswer(valid=True, problems=())
 # So small that a socket takes it at once.
-LOAD = LoadRobot(dataclasses.replace(so101(), hulls={}, parts={}, surfaces={}), 1 << 30)
+LOAD = LoadRobot(dataclasses.replace(robots.so101(), hulls={}, parts={}, surfaces={}), 1 << 30)
 BOX = SceneObject("box", ((Box((0.1, 0.1, 0.1)), Pose()),))
 
 
@@ -116,7 +94,7 @@ class Server:
 
 @pytest.fixture
 def planning() -> Planning:
-    return Planning(so101())
+    return Planning()
 
 
 @pytest.fixture
@@ -164,24 +142,22 @@ def test_a_scene_that_comes_in_parts_is_set_up_once_with_the_next_request(server
 
 
 def test_a_scene_that_is_refused_is_the_answer_to_every_request_in_it(server: Server, planning: Planning) -> None:
-    planning.refusal = PlanningFailure(MoveItErrorCode.INVALID_OBJECT_NAME, "twice")
+    planning.refusal = PlanningFailure(Code.INVALID_OBJECT_NAME, "twice")
     answers = server.sends(NewScene(Scene(3)), Ask(1, STATE), Ask(2, STATE))
     assert answers == [Answered(1, planning.refusal), Answered(2, planning.refusal)]
     planning.refusal = None
     assert server.sends(NewScene(Scene(4)), Ask(3, STATE)) == [Answered(3, SOUND)]
-
-
-def test_a_scene_that_cannot_be_set_up_is_tried_again(server: Server, planning: Planning) -> None:
+    # One that cannot be set up is tried again.
     planning.set_scene = lambda _scene: 1 / 0
-    for number in (1, 2):
-        (answered,) = server.sends(*([NewScene(Scene(3))] if number == 1 else []), Ask(number, STATE))
+    for number, scenes in ((4, [NewScene(Scene(5))]), (5, [])):
+        (answered,) = server.sends(*scenes, Ask(number, STATE))
         assert "ZeroDivisionError" in answered.answer.message
 
 
 def test_a_bug_in_one_request_is_a_crash_and_the_next_is_answered(server: Server, planning: Planning) -> None:
     planning.works = lambda request, _stop: SOUND if request == STATE else 1 / 0
     (failed,) = server.sends(Ask(1, EASY))
-    assert failed.answer.code is MoveItErrorCode.CRASH
+    assert failed.answer.code is Code.CRASH
     assert failed.answer.message == "the planner failed: ZeroDivisionError: division by zero"
     assert not failed.ending
     assert server.sends(Ask(2, STATE)) == [Answered(2, SOUND)]
@@ -196,7 +172,7 @@ def test_a_worker_that_runs_out_of_memory_says_so_and_ends(server: Server, plann
     server.worker.run()
     (answered,) = server.channel.receive(timeout_s=0.0)
     assert answered.ending
-    assert answered.answer.code is MoveItErrorCode.CRASH
+    assert answered.answer.code is Code.CRASH
     assert answered.answer.details == {"memory_limit_mb": pytest.approx((1 << 30) / 1e6)}
 
 
@@ -218,34 +194,31 @@ def test_a_request_is_cancelled_by_its_number_or_by_the_server_s_end(server: Ser
     assert told == [False, False, True, True]
 
 
-@pytest.mark.parametrize(
-    ("request_", "checked_s", "reported_s"),
-    [
-        (AT_ONCE, (0.0, 0.9 * worker.HARD_AFTER_S), []),
-        (AT_ONCE, (1.0, 1.9, 2.5, 4.9, 5.1), [1.0, 2.5, 5.1]),
-        (dataclasses.replace(EASY, optimization_time_s=2.0), (1.9, 2.1), [2.1]),
-        (STATE, (1.0, 2.0), []),
-    ],
-    ids=["as fast as most", "hard", "asks to be shortened", "a question"],
-)
 def test_a_problem_that_takes_longer_than_most_is_reported_each_time_that_its_time_has_doubled(
-    server: Server, planning: Planning, monkeypatch: pytest.MonkeyPatch, request_, checked_s, reported_s
+    server: Server, planning: Planning, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = FakeClock()
     monkeypatch.setattr(worker.time, "monotonic", clock)
     monkeypatch.setattr(worker.time, "process_time", clock)
+    at_once, shortened = (dataclasses.replace(EASY, optimization_time_s=time_s) for time_s in (0.0, 2.0))
+    for request, checked_s, reported_s in (
+        (at_once, (0.0, 0.9 * worker.HARD_AFTER_S), []),
+        (at_once, (1.0, 1.9, 2.5, 4.9, 5.1), [1.0, 2.5, 5.1]),
+        (shortened, (1.9, 2.1), [2.1]),
+        (STATE, (1.0, 2.0), []),
+    ):
 
-    def take_long(_request: Request, should_stop: Callable[[], bool]) -> Answer:
-        began_s = clock.now_s
-        for at_s in checked_s:
-            clock.now_s = began_s + at_s
-            should_stop()
-        return SOUND
+        def take_long(_request: Request, should_stop: Callable[[], bool], checked_s=checked_s) -> Answer:
+            began_s = clock.now_s
+            for at_s in checked_s:
+                clock.now_s = began_s + at_s
+                should_stop()
+            return SOUND
 
-    planning.works = take_long
-    *reports, answered = server.sends(Ask(1, request_))
-    assert [report.spent_s for report in reports] == pytest.approx(reported_s)
-    assert answered == Answered(1, SOUND)
+        planning.works = take_long
+        *reports, answered = server.sends(Ask(1, request))
+        assert [report.spent_s for report in reports] == pytest.approx(reported_s), request
+        assert answered == Answered(1, SOUND)
 
 
 class Listening(Planner):
@@ -261,34 +234,21 @@ class Listening(Planner):
         return answer
 
 
-ARMS = {
-    "seven joints": (robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF),
-    "mimics": (PALLETIZER_URDF, PALLETIZER_SRDF),
-}
+PALLETIZER = model.parse(PALLETIZER_URDF, PALLETIZER_SRDF)
+SEVEN = model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
+TIPLESS = dataclasses.replace(PALLETIZER, tip_link="")
 
 
-@pytest.mark.parametrize("texts", ARMS.values(), ids=ARMS)
-def test_goals_and_a_path_are_planned_once(texts):
-    planner = Listening(model.parse(*texts))
-    planner.warm_up()
-    kinds = [type(request) for request, _ in planner.asked]
-    assert kinds == [PlanningProblem, PlanningProblem, CartesianProblem]
-    assert isinstance(planner.asked[0][1], Plan)
-    assert isinstance(planner.asked[2][1], CartesianPlan)
-
-
-def test_a_group_without_a_tip_is_warmed_up_by_a_joint_goal_alone():
-    robot = dataclasses.replace(model.parse(*ARMS["mimics"]), tip_link="")
+@pytest.mark.parametrize("robot", [SEVEN, PALLETIZER, TIPLESS], ids=["seven joints", "mimics", "no tip"])
+def test_goals_and_a_path_are_planned_once_and_without_a_tip_a_joint_goal_alone(robot):
     planner = Listening(robot)
     planner.warm_up()
-    assert [type(request) for request, _ in planner.asked] == [PlanningProblem]
+    kinds = [PlanningProblem, PlanningProblem, CartesianProblem]
+    assert [type(request) for request, _ in planner.asked] == (kinds if robot.tip_link else kinds[:1])
+    assert isinstance(planner.asked[0][1], Plan)
+    assert not robot.tip_link or isinstance(planner.asked[2][1], CartesianPlan)
 
 
 def test_a_bug_in_the_first_plans_leaves_the_planner_as_it_is(monkeypatch):
-    robot = model.parse(*ARMS["mimics"])
-
-    def fail(*_):
-        raise ValueError("broken")
-
-    monkeypatch.setattr(Planner, "answer", fail)
-    assert isinstance(worker.warm_planner(robot), Planner)
+    monkeypatch.setattr(Planner, "answer", lambda *_: 1 / 0)
+    assert isinstance(worker.warm_planner(PALLETIZER), Planner)

@@ -3,12 +3,10 @@
 import asyncio
 import json
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cbor2
-import pytest
 from mcap.reader import make_reader
 from websockets.asyncio.client import ClientConnection, connect
 
@@ -33,15 +31,8 @@ SAMPLE = {
 }
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[RunningServer]:
-    folders = f"--interfaces {INTERFACES / 'lab_msgs'} --interfaces {INTERFACES / 'robots'}"
-    with RunningServer(f"--port 0 {folders}") as running:
-        yield running
-
-
-async def say(websocket: ClientConnection, **operation: Any) -> None:
-    await websocket.send(json.dumps(operation))
+async def say(websocket: ClientConnection, op: str, **fields: Any) -> None:
+    await websocket.send(json.dumps({"op": op, "topic": "/sample", **fields}))
 
 
 async def hear(websocket: ClientConnection, op: str) -> dict[str, Any]:
@@ -53,31 +44,19 @@ async def hear(websocket: ClientConnection, op: str) -> dict[str, Any]:
             return operation
 
 
-async def offer(websocket: ClientConnection, **operation: Any) -> None:
-    """Send an operation that others depend on, and wait until it has been carried out."""
-    await say(websocket, op="set_level", level="info")
-    await say(websocket, **operation)
-    await hear(websocket, "status")
-
-
-async def test_a_message_of_the_users_type_is_relayed_as_json_and_as_cdr(server: RunningServer) -> None:
-    async with connect(server.url) as talker, connect(server.url) as listener, connect(server.url) as reader:
-        await offer(talker, op="advertise", topic="/sample", type="lab_msgs/Sample", latch=True)
-        await say(talker, op="publish", topic="/sample", msg=SAMPLE)
-        await say(listener, op="subscribe", topic="/sample", type="lab_msgs/msg/Sample")
-        await say(reader, op="subscribe", topic="/sample", compression="cbor-raw")
-        assert (await hear(listener, "publish"))["msg"] == SAMPLE
-        octets = (await hear(reader, "publish"))["msg"]["bytes"]
-        assert cdr.deserialize(REGISTRY, "lab_msgs/Sample", octets) == SAMPLE
-
-
-async def test_a_recording_has_the_definitions_of_the_users_types(tmp_path: Path) -> None:
-    with RunningServer(f"--port 0 --interfaces {INTERFACES} --record {tmp_path / 'run.mcap'}") as server:
-        async with connect(server.url) as talker, connect(server.url) as listener:
-            await say(listener, op="subscribe", topic="/sample", type="lab_msgs/msg/Sample")
-            await say(talker, op="advertise", topic="/sample", type="lab_msgs/Sample")
-            await say(talker, op="publish", topic="/sample", msg=SAMPLE)
-            await hear(listener, "publish")
+async def test_a_message_of_the_users_type_is_relayed_as_json_and_as_cdr_and_recorded(tmp_path: Path) -> None:
+    folders = f"--interfaces {INTERFACES / 'lab_msgs'} --interfaces {INTERFACES / 'robots'}"
+    with RunningServer(f"--port 0 {folders} --record {tmp_path / 'run.mcap'}") as server:
+        async with connect(server.url) as talker, connect(server.url) as listener, connect(server.url) as reader:
+            await say(talker, "set_level", level="info")
+            await say(talker, "advertise", type="lab_msgs/Sample", latch=True)
+            await hear(talker, "status")
+            await say(talker, "publish", msg=SAMPLE)
+            await say(listener, "subscribe", type="lab_msgs/msg/Sample")
+            await say(reader, "subscribe", compression="cbor-raw")
+            assert (await hear(listener, "publish"))["msg"] == SAMPLE
+            octets = (await hear(reader, "publish"))["msg"]["bytes"]
+            assert cdr.deserialize(REGISTRY, "lab_msgs/Sample", octets) == SAMPLE
         server.end(signal.SIGTERM)
     with (tmp_path / "run.mcap").open("rb") as stream:
         ((schema, _, message),) = make_reader(stream).iter_messages("/sample")

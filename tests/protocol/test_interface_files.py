@@ -2,7 +2,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,25 +24,18 @@ def problem(text: str, generation: Generation = "ros2", kind: Kind = "msg") -> s
     return str(only)
 
 
-def declared(text: str) -> Any:
+def declared(text: str, generation: Generation = "ros2") -> Any:
     """The one message, as the registry reads its rows."""
-    return Registry({"my_msgs/msg/Thing": read(text).definition}).message("my_msgs/Thing")
+    return Registry({"my_msgs/msg/Thing": read(text, generation=generation).definition}).message("my_msgs/Thing")
 
 
-@pytest.mark.parametrize(
-    "spelled", ["float64", "float64[]", "float64[9]", "float64[<=9]", "string<=20", "wstring<=2[]"]
-)
-def test_types_of_primitives_are_read_with_arrays_and_bounds(spelled: str) -> None:
-    assert rows(f"{spelled} data") == ([["data", spelled]], [])
-
-
-def test_a_type_without_a_package_is_one_of_the_same_package() -> None:
+def test_types_are_read_with_arrays_and_bounds_and_without_a_package_are_of_the_same_one() -> None:
+    for spelled in ("float64", "float64[]", "float64[9]", "float64[<=9]", "string<=20", "wstring<=2[]"):
+        assert rows(f"{spelled} data") == ([["data", spelled]], [])
     file = read("Point[<=3] corners\ngeometry_msgs/Pose pose")
     assert file.definition["fields"] == [["corners", "my_msgs/Point[<=3]"], ["pose", "geometry_msgs/Pose"]]
-    assert [(each.type_name, each.line) for each in file.references] == [
-        ("my_msgs/Point", 1),
-        ("geometry_msgs/Pose", 2),
-    ]
+    references = [(each.type_name, each.line) for each in file.references]
+    assert references == [("my_msgs/Point", 1), ("geometry_msgs/Pose", 2)]
 
 
 def test_comments_blank_lines_and_their_encoding_do_not_count() -> None:
@@ -55,86 +47,68 @@ def test_comments_blank_lines_and_their_encoding_do_not_count() -> None:
     assert problem(text).endswith("wanted text in UTF-8")
 
 
-@pytest.mark.parametrize(
-    ("line", "base", "value"),
-    [
-        ("uint8 X=5", "uint8", 5),
-        ("uint8 X = 0x1F # hex", "uint8", 31),
-        ("int64 X=-9223372036854775808", "int64", -(2**63)),
-        ("bool X=True", "bool", True),
-        ("bool X=0", "bool", False),
-        ("float32 X=-1.5e3", "float32", -1500.0),
-        ("float64 X=2", "float64", 2.0),
-        ('string X="a # b" # c', "string", "a # b"),
-        ("string X='it\\'s'", "string", "it's"),
-        ('string X="a\\"b"', "string", 'a"b'),
-        ("string X=without quotes # c", "string", "without quotes"),
-        ("string X=", "string", ""),
-        ('string X="a = b"', "string", "a = b"),
-        ('wstring X="ü"', "wstring", "ü"),
-        ("string X=C:\\\\dir", "string", "C:\\\\dir"),
-    ],
+def test_constants_and_defaults_have_the_values_of_their_types() -> None:
+    for line, value in {
+        "uint8 X=5": 5,
+        "uint8 X = 0x1F # hex": 31,
+        "int64 X=-9223372036854775808": -(2**63),
+        "bool X=True": True,
+        "bool X=0": False,
+        "float32 X=-1.5e3": -1500.0,
+        "float64 X=2": 2.0,
+        'string X="a # b" # c': "a # b",
+        "string X='it\\'s'": "it's",
+        'string X="a\\"b"': 'a"b',
+        "string X=": "",
+        "string X=without quotes # c": "without quotes",
+        'string X="a = b"': "a = b",
+        'wstring X="ü"': "ü",
+        "string X=C:\\\\dir": "C:\\\\dir",
+    }.items():
+        (constant,) = declared(line).constants
+        assert (constant.base, constant.name, repr(constant.value)) == (line.split()[0], "X", repr(value))
+    for line, value in {
+        "int32 a 5": 5,
+        "float64 a -1": -1.0,
+        "bool a true  # c": True,
+        'string a "x"': "x",
+        'string a ""': "",
+        "string a hello world # c": "hello world",
+        'string<=3 a "abc"': "abc",
+        "string<=2[<=2] a ['ab']": ("ab",),
+        "int32[] a [1, 2,3 ] # c": (1, 2, 3),
+        "int32[] a []": (),
+        "float64[2] a [1, 0.5]": (1.0, 0.5),
+        "bool[<=3] a [true, False, 1]": (True, False, True),
+        "string[] a [\"a, # b\", 'c]', d]": ("a, # b", "c]", "d"),
+    }.items():
+        (field,) = declared(line).fields
+        assert repr(field.default) == repr(value), line
+
+
+@given(
+    st.lists(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=9), min_size=1, max_size=4),
+    st.lists(st.floats(width=32, allow_nan=False), max_size=4),
+    st.sampled_from("'\""),
 )
-def test_constants_have_the_values_of_their_types(line: str, base: str, value: Any) -> None:
-    (constant,) = declared(line).constants
-    assert (constant.base, constant.name, constant.value) == (base, "X", value)
-    assert type(constant.value) is type(value)
-
-
-@pytest.mark.parametrize(
-    ("line", "value"),
-    [
-        ("int32 a 5", 5),
-        ("float64 a -1", -1.0),
-        ("bool a true  # c", True),
-        ('string a "x"', "x"),
-        ("string a hello world # c", "hello world"),
-        ('string<=3 a "abc"', "abc"),
-        ('string a ""', ""),
-        ("int32[] a [1, 2,3 ] # c", (1, 2, 3)),
-        ("int32[] a []", ()),
-        ("float64[2] a [1, 0.5]", (1.0, 0.5)),
-        ("bool[<=3] a [true, False, 1]", (True, False, True)),
-        ("string[] a [\"a, # b\", 'c]', d]", ("a, # b", "c]", "d")),
-        ("string<=2[<=2] a ['ab']", ("ab",)),
-    ],
-)
-def test_defaults_have_the_values_of_their_types(line: str, value: Any) -> None:
-    (field,) = declared(line).fields
-    assert field.default == value
-    assert type(field.default) is type(value)
-
-
-@given(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=12))
-def test_any_quoted_text_comes_back_as_it_was(text: str) -> None:
-    quoted = '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    (field,) = declared(f"string a {quoted}  # {text}").fields
-    assert field.default == text
-
-
-@given(st.lists(st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=5), max_size=4))
-def test_any_list_of_quoted_texts_comes_back_as_it_was(texts: list[str]) -> None:
-    quoted = ["'" + text.replace("\\", "\\\\").replace("'", "\\'") + "'" for text in texts]
-    (field,) = declared(f"string[] a [{', '.join(quoted)}] # c").fields
-    assert field.default == tuple(texts)
-
-
-@given(st.lists(st.floats(width=32, allow_nan=False), max_size=4))
-def test_any_list_of_floats_comes_back_as_it_was(numbers: list[float]) -> None:
-    (field,) = declared(f"float32[] a {json.dumps(numbers).replace('Infinity', 'inf')}").fields
-    assert field.default == tuple(numbers)
+def test_any_quoted_texts_and_lists_of_floats_come_back_as_they_were(
+    texts: list[str], numbers: list[float], quote: str
+) -> None:
+    quoted = [quote + text.replace("\\", "\\\\").replace(quote, f"\\{quote}") + quote for text in texts]
+    floats = json.dumps(numbers).replace("Infinity", "inf")
+    text = f"string a {quoted[0]}  # {texts[0]}\nstring[] b [{', '.join(quoted)}] # c\nfloat32[] d {floats}"
+    assert [field.default for field in declared(text).fields] == [texts[0], tuple(texts), tuple(numbers)]
 
 
 @given(st.text(max_size=60), st.sampled_from(["msg", "srv", "action"]), st.sampled_from(["ros1", "ros2"]))
 def test_any_text_is_read_or_refused_in_sentences(text: str, kind: Kind, generation: Generation) -> None:
-    for each in read(text, kind, generation).problems:
-        assert "\n" not in str(each)
-        assert str(each).startswith(f"/ws/my_msgs/{kind}/Thing.{kind}")
+    for each in map(str, read(text, kind, generation).problems):
+        assert "\n" not in each
+        assert each.startswith(f"/ws/my_msgs/{kind}/Thing.{kind}")
 
 
-@pytest.mark.parametrize(
-    ("line", "sentence"),
-    [
+def test_a_line_that_cannot_be_read_is_told_with_file_line_text_and_remedy() -> None:
+    for line, sentence in (
         ("int32", "wanted a type, blanks and a name"),
         ("int32 # a", "wanted a type, blanks and a name"),
         ("int32 = 5", "wanted a type, blanks and a name"),
@@ -167,12 +141,10 @@ def test_any_text_is_read_or_refused_in_sentences(text: str, kind: Kind, generat
         ("time a", "time is a type of ROS 1, and this is a package of ROS 2; wanted builtin_interfaces/Time"),
         ("duration[] a", "wanted builtin_interfaces/Duration"),
         ("---", "a message is not divided; only services and actions have parts"),
-    ],
-)
-def test_a_line_that_cannot_be_read_is_told_with_file_line_text_and_remedy(line: str, sentence: str) -> None:
-    told = problem(f"int32 first\n\n  {line}\nint32 last")
-    assert told.startswith(f"/ws/my_msgs/msg/Thing.msg:3: {line!r}: ")
-    assert sentence in told
+    ):
+        told = problem(f"int32 first\n\n  {line}\nint32 last")
+        assert told.startswith(f"/ws/my_msgs/msg/Thing.msg:3: {line!r}: ")
+        assert sentence in told
 
 
 def test_all_problems_of_a_file_are_told_and_names_that_do_not_fit() -> None:
@@ -182,71 +154,50 @@ def test_all_problems_of_a_file_are_told_and_names_that_do_not_fit() -> None:
     assert "the file's name is the type's: wanted a name such as JointNames" in str(only)
 
 
-def test_a_service_has_two_parts_with_names_of_their_own() -> None:
-    definition = read("int32 a\n  ---  # here\nint32 a\nint32 B=1", "srv").definition
-    assert definition == {
+def test_services_and_actions_have_parts_with_names_of_their_own_perhaps_without_fields() -> None:
+    assert read("int32 a\n  ---  # here\nint32 a\nint32 B=1", "srv").definition == {
         "kind": "srv",
         "request": {"fields": [["a", "int32"]], "consts": []},
         "response": {"fields": [["a", "int32"]], "consts": [["int32", "B", "1"]]},
     }
-
-
-def test_an_action_may_have_parts_without_fields() -> None:
     definition = read("---\n---\n", "action").definition
     assert list(definition) == ["kind", "goal", "result", "feedback"]
     assert definition["feedback"] == {"fields": [], "consts": []}
 
 
-@pytest.mark.parametrize(
-    ("kind", "text", "count"), [("srv", "int32 a", 0), ("srv", "---\n---", 2), ("action", "---", 1)]
-)
-def test_a_service_or_action_with_another_number_of_parts_is_refused(kind: Kind, text: str, count: int) -> None:
-    wanted = {"srv": "1 of the lines --- between request, response", "action": "2 of the lines --- between goal"}
-    told = problem(text, kind=kind)
-    assert wanted[kind] in told
-    assert told.endswith(f"got {count}")
+def test_a_service_or_action_with_another_number_of_parts_is_refused() -> None:
+    for text, got in (("int32 a", "got 0"), ("---\n---", "got 2")):
+        told = problem(text, kind="srv")
+        assert "1 of the lines --- between request, response" in told
+        assert told.endswith(got)
+    told = problem("---", kind="action")
+    assert "2 of the lines --- between goal" in told
+    assert told.endswith("got 1")
 
 
-def test_ros1_has_times_headers_and_names_of_its_own() -> None:
+def test_ros1_has_times_headers_and_names_of_its_own_and_a_text_constant_is_all_behind_the_sign() -> None:
     fields, constants = rows("Header header\nroslib/Header other\ntime[] T\nduration d\nint32 low=1", "ros1")
     assert fields == [["header", "std_msgs/Header"], ["other", "std_msgs/Header"], ["T", "time[]"], ["d", "duration"]]
     assert constants == [["int32", "low", "1"]]
-
-
-def test_a_text_constant_of_ros1_is_all_that_follows_the_sign() -> None:
-    file = read('string A=  "it\'s" # all of it  ', generation="ros1")
-    (constant,) = Registry({"my_msgs/msg/Thing": file.definition}).message("my_msgs/Thing").constants
+    (constant,) = declared('string A=  "it\'s" # all of it  ', "ros1").constants
     assert constant.value == '"it\'s" # all of it'
 
 
-@pytest.mark.parametrize(
-    ("line", "sentence"),
-    [
+def test_what_only_ros2_has_is_refused_in_a_package_of_ros1() -> None:
+    for line, sentence in (
         ("int32 a 5", "ROS 1 has no defaults, and this is a package of ROS 1; there must not be 5"),
         ("int32[<=3] a", "ROS 1 has no bounds of texts and arrays"),
         ("string<=3 a", "ROS 1 has no bounds of texts and arrays"),
         ("wstring a", "ROS 1 has no wstring, and this is a package of ROS 1; wanted string"),
         ("int32 a-b", "wanted a name of letters, digits and underscores, got a-b"),
-    ],
-)
-def test_what_only_ros2_has_is_refused_in_a_package_of_ros1(line: str, sentence: str) -> None:
-    assert sentence in problem(line, "ros1")
+    ):
+        assert sentence in problem(line, "ros1")
 
 
-@pytest.mark.parametrize(
-    ("text", "ros1"),
-    [
-        ("int32 a\n  time t", True),
-        ("duration[2] t # c", True),
-        ("Header header", True),
-        ("std_msgs/Header header", False),
-        ("# time t\nint32 time", False),
-        ("builtin_interfaces/Time t", False),
-    ],
-)
-def test_a_file_that_only_ros1_reads_is_known_by_its_types(text: str, *, ros1: bool) -> None:
-    assert is_spelled_as_ros1(text, has_header=False) is ros1
-
-
-def test_a_package_with_a_header_of_its_own_may_be_of_either_generation() -> None:
+def test_a_file_that_only_ros1_reads_is_known_by_its_types() -> None:
+    for text in ("int32 a\n  time t", "duration[2] t # c", "Header header"):
+        assert is_spelled_as_ros1(text, has_header=False), text
+    for text in ("std_msgs/Header header", "# time t\nint32 time", "builtin_interfaces/Time t"):
+        assert not is_spelled_as_ros1(text, has_header=False), text
+    # A package with a header of its own may be of either generation.
     assert not is_spelled_as_ros1("Header header", has_header=True)

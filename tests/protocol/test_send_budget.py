@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from protocol import send_queue
 from protocol.limits import MAX_SERVER_QUEUED_BYTES, Limits
@@ -20,8 +20,10 @@ def later(size_bytes: int, estimate_bytes: int = 1000) -> EncodedMessage:
     return EncodedMessage.later(lambda: encoded(size_bytes), estimate_bytes)
 
 
-def queues(budget: SendBudget, count: int) -> list[SendQueue]:
-    return [SendQueue(Limits(), budget) for _ in range(count)]
+def queues(count: int, limit_bytes: int = MAX_SERVER_QUEUED_BYTES) -> tuple[SendBudget, list[SendQueue]]:
+    """A budget with a number of clients."""
+    budget = SendBudget(limit_bytes)
+    return budget, [SendQueue(Limits(), budget) for _ in range(count)]
 
 
 def put(queue: SendQueue, count: int, size_bytes: int = 1000) -> None:
@@ -29,9 +31,13 @@ def put(queue: SendQueue, count: int, size_bytes: int = 1000) -> None:
         queue.put_topic_data(TOPIC, encoded(size_bytes), 0.0)
 
 
+def reply(queue: SendQueue, count: int, size_bytes: int = 1000) -> None:
+    for _ in range(count):
+        queue.put_reply(encoded(size_bytes))
+
+
 def test_a_client_that_reads_loses_nothing_for_those_that_do_not() -> None:
-    budget = SendBudget(100_000)
-    reading, *deaf = queues(budget, 10)
+    _, (reading, *deaf) = queues(10, 100_000)
     for _ in range(100):
         for queue in deaf:
             put(queue, 2)
@@ -41,93 +47,67 @@ def test_a_client_that_reads_loses_nothing_for_those_that_do_not() -> None:
     assert all(queue.dropped for queue in deaf)
 
 
-def test_the_client_that_has_read_least_recently_gives_up_its_oldest_topic_data() -> None:
-    budget = SendBudget(10_000)
-    first, second = queues(budget, 2)
+def test_the_client_that_has_read_least_recently_gives_up_its_oldest_topic_data_also_for_a_newcomer() -> None:
+    _, (first, second) = queues(2, 10_000)
     put(first, 5)
     put(second, 5)
     first.take_due(0.0, 1)
     put(first, 3)
     assert (first.dropped, second.dropped) == (0, 2)
-
-
-def test_one_that_stands_still_does_not_keep_a_newcomer_from_having_its_message() -> None:
-    budget = SendBudget(10_000)
-    deaf, late = queues(budget, 2)
+    budget, (deaf, late) = queues(2, 10_000)
     put(deaf, 50)
     put(late, 9)
     assert len(late.take_due(0.0, 10**9)) == 9
     assert budget.used_bytes <= 10_000
 
 
-def test_replies_have_topic_data_of_all_clients_dropped_before_anybody_is_closed() -> None:
-    budget = SendBudget(10_000)
-    first, second = queues(budget, 2)
+def test_replies_have_topic_data_of_all_clients_dropped_before_the_client_that_reads_least_is_closed() -> None:
+    _, (first, second) = queues(2, 10_000)
     put(first, 5)
-    for _ in range(10):
-        second.put_reply(encoded())
-    assert first.dropped == 5
-    assert not first.overflowed
-    assert not second.overflowed
+    reply(second, 10)
+    assert (first.dropped, first.overflowed, second.overflowed) == (5, False, False)
     assert len(second.take_due(0.0, 10**9)) == 10
-
-
-def test_where_only_replies_are_left_the_client_that_reads_least_is_closed() -> None:
-    budget = SendBudget(10_000)
-    deaf, reading = queues(budget, 2)
-    for queue in (deaf, reading):
-        for _ in range(5):
-            queue.put_reply(encoded())
+    _, (deaf, reading) = queues(2, 10_000)
+    reply(deaf, 5)
+    reply(reading, 5)
     reading.take_due(0.0, 1)
-    for _ in range(2):
-        reading.put_reply(encoded())
-    assert deaf.overflowed
-    assert not reading.overflowed
+    reply(reading, 2)
+    assert (deaf.overflowed, reading.overflowed) == (True, False)
     assert (deaf.size_bytes, reading.size_bytes) == (0, 6000)
 
 
 def test_a_large_answer_counts_until_the_socket_takes_more() -> None:
-    budget = SendBudget()
-    (queue,) = queues(budget, 1)
-    queue.put_reply(encoded(1_000_000))
-    queue.put_reply(encoded(2_000_000))
-    assert len(queue.take_due(0.0, 1)) == 1
-    assert budget.used_bytes == queue.size_bytes == 3_000_000
-    assert len(queue.take_due(0.0, 1)) == 1
-    assert queue.empty
-    assert budget.used_bytes == queue.size_bytes == 2_000_000
+    budget, (queue,) = queues(1)
+    reply(queue, 1, 1_000_000)
+    reply(queue, 1, 2_000_000)
+    for left_bytes, empty in ((3_000_000, False), (2_000_000, True)):
+        assert len(queue.take_due(0.0, 1)) == 1
+        assert queue.empty == empty
+        assert budget.used_bytes == queue.size_bytes == left_bytes
     assert queue.take_due(0.0, 1) == []
     assert budget.used_bytes == queue.size_bytes == 0
 
 
 def test_clients_with_unread_answers_in_their_sockets_are_closed_before_others_are() -> None:
-    budget = SendBudget(3_000_000)
-    *deaf, reading = queues(budget, 4)
+    budget, (*deaf, reading) = queues(4, 3_000_000)
     for queue in deaf:
-        queue.put_reply(encoded(1_000_000))
+        reply(queue, 1, 1_000_000)
         queue.take_due(0.0, 1)
-    reading.put_reply(encoded(500_000))
-    assert [queue.overflowed for queue in deaf] == [True, False, False]
-    assert not reading.overflowed
+    reply(reading, 1, 500_000)
+    assert [queue.overflowed for queue in (*deaf, reading)] == [True, False, False, False]
     assert budget.used_bytes == 2_500_000
 
 
 def test_a_request_for_which_no_room_is_left_is_refused_and_nobody_is_closed() -> None:
-    budget = SendBudget(10_000)
-    caller, provider = queues(budget, 2)
-    for _ in range(10):
-        caller.put_reply(encoded())
+    budget, (caller, provider) = queues(2, 10_000)
+    reply(caller, 10)
     assert not provider.put_request(encoded())
-    assert provider.empty
-    assert not caller.overflowed
-    assert budget.used_bytes == 10_000
+    assert (provider.empty, caller.overflowed, budget.used_bytes) == (True, False, 10_000)
 
 
 def test_a_message_counts_by_its_real_size_once_it_has_been_encoded() -> None:
-    budget = SendBudget()
-    (queue,) = queues(budget, 1)
-    large = later(50_000)
-    queue.put_topic_data(TOPIC, large, 0.0)
+    budget, (queue,) = queues(1)
+    queue.put_topic_data(TOPIC, later(50_000), 0.0)
     queue.put_reply(later(7000))
     queue.put_request(later(300 + FRAME_OVERHEAD_BYTES))
     assert budget.used_bytes == 3000
@@ -145,8 +125,7 @@ def test_what_turns_out_too_large_when_it_is_encoded_has_older_topic_data_droppe
     (large,) = queue.take_unready()
     large.encode()
     queue.take_unready()
-    assert queue.dropped == 3
-    assert queue.size_bytes == 10_000
+    assert (queue.dropped, queue.size_bytes) == (3, 10_000)
 
 
 LIMITS = Limits.model_construct(
@@ -156,14 +135,12 @@ LIMITS = Limits.model_construct(
     max_queued_reply_bytes=8000,
     max_topic_delay_s=2.0,
 )
-LARGEST_BYTES = 5000
-
 numbers = st.integers(min_value=0, max_value=3)
-sizes = st.integers(min_value=FRAME_OVERHEAD_BYTES, max_value=LARGEST_BYTES)
+sizes = st.integers(min_value=FRAME_OVERHEAD_BYTES, max_value=5000)
 
 
 class Clients(RuleBasedStateMachine):
-    """Clients that come, wait, read and go, in any order."""
+    """Clients that come, wait, read and go, in any order; there is always one."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -172,67 +149,57 @@ class Clients(RuleBasedStateMachine):
         self.patched.setattr(send_queue, "LARGE_ANSWER_BYTES", 2000)
         self.patched.setattr(send_queue, "BULKY_BYTES", 3000)
         self.budget = SendBudget(50_000)
-        self.queues: list[SendQueue] = []
-        self.subscriptions: list[list[Subscription]] = []
+        self.clients: list[tuple[SendQueue, list[Subscription]]] = []
         self.encoding: list[EncodedMessage] = []
         self.now = 0.0
+        self.come()
 
-    def pick(self, number: int) -> SendQueue:
-        return self.queues[number % len(self.queues)]
+    @property
+    def queues(self) -> list[SendQueue]:
+        return [queue for queue, _ in self.clients]
+
+    def pick(self, number: int) -> tuple[SendQueue, list[Subscription]]:
+        return self.clients[number % len(self.clients)]
 
     @rule()
     def come(self) -> None:
-        self.queues.append(SendQueue(LIMITS, self.budget))
         paced = Subscription("/c", throttle_s=0.5, queue_length=5)
-        self.subscriptions.append([Subscription("/a"), Subscription("/b", queue_length=3), paced])
+        subscriptions = [Subscription("/a"), Subscription("/b", queue_length=3), paced]
+        self.clients.append((SendQueue(LIMITS, self.budget), subscriptions))
 
-    @precondition(lambda self: self.queues)
     @rule(number=numbers)
     def go(self, number: int) -> None:
-        queue = self.pick(number)
+        queue, _ = self.clients.pop(number % len(self.clients))
         queue.close()
-        del self.subscriptions[self.queues.index(queue)]
-        self.queues.remove(queue)
+        if not self.clients:
+            self.come()
 
-    @precondition(lambda self: self.queues)
-    @rule(number=numbers, which=numbers, size_bytes=sizes, at_once=st.booleans())
-    def publish(self, number: int, which: int, size_bytes: int, at_once: bool) -> None:
+    @rule(number=numbers, kind=st.sampled_from(["reply", "request", 0, 1, 2]), size_bytes=sizes, at_once=st.booleans())
+    def send(self, number: int, kind: str | int, size_bytes: int, at_once: bool) -> None:
+        queue, subscriptions = self.pick(number)
         message = encoded(size_bytes) if at_once else later(size_bytes)
-        queue = self.pick(number)
-        queue.put_topic_data(self.subscriptions[self.queues.index(queue)][which % 3], message, self.now)
+        if isinstance(kind, int):
+            queue.put_topic_data(subscriptions[kind], message, self.now)
+        else:
+            (queue.put_reply if kind == "reply" else queue.put_request)(message)
 
-    @precondition(lambda self: self.queues)
-    @rule(number=numbers, size_bytes=sizes, at_once=st.booleans())
-    def reply(self, number: int, size_bytes: int, at_once: bool) -> None:
-        self.pick(number).put_reply(encoded(size_bytes) if at_once else later(size_bytes))
-
-    @precondition(lambda self: self.queues)
-    @rule(number=numbers, size_bytes=sizes, at_once=st.booleans())
-    def ask(self, number: int, size_bytes: int, at_once: bool) -> None:
-        self.pick(number).put_request(encoded(size_bytes) if at_once else later(size_bytes))
-
-    @precondition(lambda self: self.queues)
     @rule(number=numbers, size_bytes=sizes)
     def read(self, number: int, size_bytes: int) -> None:
-        self.pick(number).take_due(self.now, size_bytes)
+        self.pick(number)[0].take_due(self.now, size_bytes)
 
-    @precondition(lambda self: self.queues)
-    @rule(number=numbers, which=numbers)
-    def change_rule(self, number: int, which: int) -> None:
-        subscription = self.subscriptions[self.queues.index(self.pick(number))][which % 3]
-        subscription.throttle_s, subscription.queue_length = 0.5 - subscription.throttle_s, 4
+    @rule(number=numbers, which=numbers, end=st.booleans())
+    def change_or_end_a_subscription(self, number: int, which: int, end: bool) -> None:
+        _, subscriptions = self.pick(number)
+        subscription = subscriptions[which % 3]
+        if end:
+            subscription.closed = True
+            subscriptions[which % 3] = Subscription("/d")
+        else:
+            subscription.throttle_s, subscription.queue_length = 0.5 - subscription.throttle_s, 4
 
-    @precondition(lambda self: self.queues)
-    @rule(number=numbers, which=numbers)
-    def unsubscribe(self, number: int, which: int) -> None:
-        subscriptions = self.subscriptions[self.queues.index(self.pick(number))]
-        subscriptions[which % 3].closed = True
-        subscriptions[which % 3] = Subscription("/d")
-
-    @precondition(lambda self: self.queues)
     @rule(number=numbers)
     def stand_still(self, number: int) -> None:
-        self.pick(number).drop_late(self.now)
+        self.pick(number)[0].drop_late(self.now)
 
     @rule()
     def begin_encoding(self) -> None:
@@ -250,18 +217,17 @@ class Clients(RuleBasedStateMachine):
         self.now += 0.4
 
     @invariant()
-    def the_budget_is_the_sum_of_what_waits(self) -> None:
+    def the_budget_is_the_sum_of_what_waits_and_knows_exactly_those_for_whom_something_does(self) -> None:
         assert self.budget.used_bytes == sum(queue.size_bytes for queue in self.queues)
-
-    @invariant()
-    def the_budget_knows_exactly_those_for_whom_something_waits(self) -> None:
         assert set(self.budget._holders) == {queue for queue in self.queues if queue.size_bytes}
 
     @invariant()
-    def no_bound_is_exceeded_by_more_than_one_message(self) -> None:
+    def no_bound_is_exceeded_by_more_than_one_message_and_an_empty_queue_has_no_bytes(self) -> None:
         assert self.budget.used_bytes <= self.budget.limit_bytes
-        assert all(queue._topic_bytes <= LIMITS.max_queued_bytes for queue in self.queues)
-        assert all(queue._request_bytes >= 0 and queue.reply_bytes >= 0 for queue in self.queues)
+        for queue in self.queues:
+            assert queue._topic_bytes <= LIMITS.max_queued_bytes
+            assert min(queue._request_bytes, queue.reply_bytes) >= 0
+            assert not queue.empty or queue.size_bytes == queue._leaving_bytes
 
     @invariant()
     def each_subscription_knows_exactly_what_waits_for_it(self) -> None:
@@ -269,10 +235,6 @@ class Clients(RuleBasedStateMachine):
             known = sorted(sequence for lane in queue._waiting.values() for sequence in lane)
             assert known == sorted((*queue._free, *queue._bulky, *queue._paced))
             assert all(list(lane) == sorted(lane) for lane in queue._waiting.values())
-
-    @invariant()
-    def an_empty_queue_has_no_bytes(self) -> None:
-        assert all(queue.size_bytes == queue._leaving_bytes for queue in self.queues if queue.empty)
 
     def teardown(self) -> None:
         self.patched.undo()
@@ -287,8 +249,7 @@ TestClients = Clients.TestCase
 
 @given(st.lists(sizes, max_size=100))
 def test_all_that_is_put_leaves_or_is_dropped_when_time_is_up(sizes_bytes: list[int]) -> None:
-    budget = SendBudget(30_000)
-    (queue,) = queues(budget, 1)
+    budget, (queue,) = queues(1, 30_000)
     for size_bytes in sizes_bytes:
         put(queue, 1, size_bytes)
     queue.drop_late(Limits().max_topic_delay_s + 0.1)
@@ -297,6 +258,6 @@ def test_all_that_is_put_leaves_or_is_dropped_when_time_is_up(sizes_bytes: list[
 
 
 def test_the_parts_of_the_send_budget_fit_together() -> None:
-    assert Limits().max_queued_bytes <= MAX_SERVER_QUEUED_BYTES / 4
     limits = Limits()
+    assert limits.max_queued_bytes <= MAX_SERVER_QUEUED_BYTES / 4
     assert limits.max_queued_request_bytes + limits.max_queued_reply_bytes < limits.max_queued_bytes

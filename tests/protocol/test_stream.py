@@ -10,6 +10,7 @@ from protocol.framing import StreamSplitter
 from tests.protocol.test_framing import operations, pieces
 
 LIMIT = 10_000
+DOCUMENT = bson.encode({"op": "x"})
 
 
 def frames_of(*data: bytes, limit: int = LIMIT) -> tuple[list[bytes], str | None]:
@@ -26,18 +27,13 @@ def frames_of(*data: bytes, limit: int = LIMIT) -> tuple[list[bytes], str | None
     return frames, None
 
 
-cuts = st.lists(st.integers(1, 400), max_size=8)
+several_operations, cuts = st.lists(operations, min_size=1, max_size=5), st.lists(st.integers(1, 400), max_size=8)
 
 
-@given(st.lists(operations, min_size=1, max_size=5), cuts, st.sampled_from(["", "\n", " \r\n\t", "\0", "\0\0\0"]))
-def test_json_objects_are_found_in_order_however_the_stream_is_cut(several, cuts, between):
+@given(several_operations, cuts, st.sampled_from(["", "\n", " \r\n\t", "\0", "\0\0\0"]))
+def test_json_objects_and_bson_documents_are_found_in_order_however_the_stream_is_cut(several, cuts, between):
     texts = [json.dumps(operation, ensure_ascii=False).encode() for operation in several]
-    stream = between.encode().join(texts) + between.encode()
-    assert frames_of(*pieces(stream, cuts)) == (texts, None)
-
-
-@given(st.lists(operations, min_size=1, max_size=5), cuts)
-def test_bson_documents_are_found_in_order_however_the_stream_is_cut(several, cuts):
+    assert frames_of(*pieces(between.encode().join(texts) + between.encode(), cuts)) == (texts, None)
     documents = [bson.encode(operation) for operation in several]
     assert frames_of(*pieces(b"".join(documents), cuts)) == (documents, None)
 
@@ -64,31 +60,20 @@ def test_an_operation_inside_of_an_object_that_comes_as_a_piece_of_its_own_stays
     assert frames_of(*stream) == ([b"".join(stream)], None)
 
 
-@pytest.mark.parametrize("length", [0, 4, LIMIT + 1, 2**26])
-def test_a_first_length_outside_of_the_limits_is_named(length):
-    assert f"of {length} bytes, the limits are 5 and {LIMIT}" in str(frames_of(length.to_bytes(4, "little"))[1])
-
-
-@pytest.mark.parametrize("length", [-1, -(2**31), 4, LIMIT + 1, 2**31 - 1])
-def test_a_later_length_outside_of_the_limits_is_named_behind_the_frames_before_it(length):
-    document = bson.encode({"op": "x"})
-    frames, end = frames_of(document + length.to_bytes(4, "little", signed=True))
-    assert frames == [document]
-    assert f"of {length} bytes, the limits are 5 and {LIMIT}" in str(end)
-
-
-def test_a_document_without_the_zero_at_its_end_ends_the_stream():
-    assert "does not end with zero" in str(frames_of(bson.encode({"op": "x"})[:-1] + b"\x01")[1])
+def test_a_length_outside_of_the_limits_is_named_behind_the_frames_before_it():
+    for before, lengths in (([], (0, 4, LIMIT + 1, 2**26)), ([DOCUMENT], (-1, -(2**31), 4, LIMIT + 1, 2**31 - 1))):
+        for length in lengths:
+            frames, end = frames_of(b"".join(before) + length.to_bytes(4, "little", signed=True))
+            assert frames == before
+            assert f"of {length} bytes, the limits are 5 and {LIMIT}" in str(end)
 
 
 @pytest.mark.parametrize(("pieces", "size"), [(1, "10001"), (2, "more than 10001")])
 def test_an_object_beyond_the_limit_is_refused_before_it_has_come_to_its_end(pieces, size):
     longest = b'{"op":"%b"}' % (b"x" * (LIMIT - 9))
     assert frames_of(longest) == ([longest], None)
-    longer = longest.replace(b'x"}', b'xx"}')
-    assert f"a JSON object of {size} bytes, the limit is {LIMIT}" in str(
-        frames_of(longer if pieces == 1 else longer.replace(b'"}', b"xx"))[1]
-    )
+    longer = longest.replace(b'x"}', b'xx"}' if pieces == 1 else b"xxxx")
+    assert f"a JSON object of {size} bytes, the limit is {LIMIT}" in str(frames_of(longer)[1])
 
 
 def test_a_lowered_limit_counts_from_the_next_frame_on():
@@ -99,28 +84,22 @@ def test_a_lowered_limit_counts_from_the_next_frame_on():
         splitter.next_frame()
 
 
-@pytest.mark.parametrize(
-    "stream", [b"POST / HTTP/1.1\r\n\r\n", b"[1]  ", b"secret-token-0123456789", b"\x80\x81\x82\x83"]
-)
-def test_a_stream_that_is_neither_is_refused_and_little_of_it_is_shown(stream):
-    frames, end = frames_of(stream + b'{"op":"publish"}')
-    assert frames == []
-    assert "wanted a JSON object, or a BSON document" in str(end)
-    assert "token" not in str(end)
-
-
-def test_text_between_objects_and_braces_without_end_end_the_stream():
-    frames, end = frames_of(b'{"op":"a"}, {"op":"b"}')
-    assert frames == [b'{"op":"a"}']
-    assert "between JSON objects" in str(end)
-    assert "nested deeper" in str(frames_of(b'{"a":' * 1000)[1])
-
-
-def test_a_stream_of_bson_stays_bson():
-    document = bson.encode({"op": "x"})
-    frames, end = frames_of(document + b'{"op":"x"}')
-    assert frames == [document]
-    assert "a BSON document of" in str(end)
+def test_what_belongs_nowhere_ends_the_stream_and_little_of_it_is_shown():
+    for stream in (b"POST / HTTP/1.1\r\n\r\n", b"[1]  ", b"secret-token-0123456789", b"\x80\x81\x82\x83"):
+        frames, end = frames_of(stream + b'{"op":"publish"}')
+        assert frames == []
+        assert "wanted a JSON object, or a BSON document" in str(end)
+        assert "token" not in str(end)
+    for stream, before, words in (
+        (b'{"op":"a"}, {"op":"b"}', [b'{"op":"a"}'], "between JSON objects"),
+        (b'{"a":' * 1000, [], "nested deeper"),
+        # A stream of BSON stays BSON.
+        (DOCUMENT + b'{"op":"x"}', [DOCUMENT], "a BSON document of"),
+        (DOCUMENT[:-1] + b"\x01", [], "does not end with zero"),
+    ):
+        frames, end = frames_of(stream)
+        assert frames == before
+        assert words in str(end)
 
 
 def test_an_object_comes_as_text_and_one_that_is_no_utf8_as_bytes_to_be_refused():

@@ -2,7 +2,6 @@ import base64
 import copy
 import json
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,8 +10,6 @@ from protocol.codecs.json import decode, encode
 from protocol.messages import BUDGET, MAX_VALUES, Stamp
 from protocol.strict_messages import PublicationReader, strict_type
 from tests.helpers.messages import MESSAGE_TYPES, REGISTRY
-
-RECEIVED = Stamp(1700000000, 250)
 
 STAMP = {"sec": 1, "nanosec": 2}
 HEADER = {"stamp": STAMP, "frame_id": "base_link"}
@@ -30,7 +27,16 @@ def strict(type_name, value):
 
 def general(type_name, value):
     BUDGET.renew(type_name, MAX_VALUES, MAX_VALUES)
-    return messages._message_shape(REGISTRY, type_name).complete(value, RECEIVED)
+    return messages._message_shape(REGISTRY, type_name).complete(value, Stamp(1700000000, 250))
+
+
+def frame(message, topic="/t", **more):
+    return json.dumps({"op": "publish", "topic": topic, "msg": message, **more})
+
+
+def read(type_name, text):
+    kind = strict_type(REGISTRY, type_name)
+    return None if kind is None else PublicationReader(kind).read(text, "/t")
 
 
 def sample(type_name):
@@ -65,32 +71,33 @@ def has_no_strict_form(name, in_list=False):
 GENERAL_NAMES = [name for name in MESSAGE_TYPES if has_no_strict_form(name)]
 
 
-def test_a_complete_message_goes_the_strict_way_unless_its_type_has_no_strict_form():
+def test_a_complete_message_is_completed_and_read_the_strict_way_unless_its_type_has_no_strict_form():
     assert (len(MESSAGE_TYPES), len(GENERAL_NAMES)) == (340, 24)
-    samples = {name: sample(name) for name in MESSAGE_TYPES}
-    taken = {name: strict(name, message) for name, message in samples.items()}
-    assert [name for name, message in taken.items() if message is None] == GENERAL_NAMES
-    for name in taken.keys() - GENERAL_NAMES:
-        assert repr(taken[name]) == repr(samples[name]), name
-        assert taken[name] is not samples[name], name
-
-
-def changed(name, data):
-    """A complete message of a type with an odd value in one place."""
-    message = copy.deepcopy(sample(name))
-    spots = list(places(message))
-    if spots:
-        container, key = data.draw(st.sampled_from(spots))
-        container[key] = data.draw(odd_values)
-    return message
+    for name in MESSAGE_TYPES:
+        message = sample(name)
+        taken, encoded = strict(name, message), read(name, frame(message))
+        assert (taken is None) == (encoded is None) == (name in GENERAL_NAMES), name
+        if name not in GENERAL_NAMES:
+            assert taken is not message, name
+            assert repr(taken) == repr(message), name
+            assert json.loads(encoded) == json.loads(encode(message)), name
 
 
 @given(st.sampled_from(MESSAGE_TYPES), st.data())
-def test_the_strict_way_and_the_general_way_complete_messages_equally(name, data):
-    message = changed(name, data)
-    taken = strict(name, message)
+def test_the_strict_way_completes_and_reads_messages_as_the_general_way(name, data):
+    # With an odd value in one place.
+    message = copy.deepcopy(sample(name))
+    if spots := list(places(message)):
+        container, key = data.draw(st.sampled_from(spots))
+        container[key] = data.draw(odd_values)
+    taken, encoded = strict(name, message), read(name, frame(message))
     if taken is not None:
         assert repr(taken) == repr(general(name, message))
+    if encoded is not None:
+        wanted = general(name, decode(frame(message))["msg"])
+        assert encoded.isascii()
+        # Also in order, and with floats as floats.
+        assert repr(json.loads(encoded)) == repr(json.loads(encode(wanted)))
 
 
 def test_nothing_of_what_came_is_shared():
@@ -100,54 +107,18 @@ def test_nothing_of_what_came_is_shared():
     assert not mine & theirs
 
 
-def image(data):
-    return general("sensor_msgs/CompressedImage", {"format": "jpeg"}) | {"data": data}
-
-
-@pytest.mark.parametrize("octets", [b"", b"a", b"ab", b"abc", bytes(range(256))])
-def test_octets_as_they_go_out_are_taken_as_they_are(octets):
-    message = image(base64.b64encode(octets).decode())
-    assert strict("sensor_msgs/CompressedImage", message) == message
-
-
-@pytest.mark.parametrize("data", [[1, 2], "YQ", "YQ=", "YR==", "YWJ=", "YQ==\n", "Y Q==", "YQ==YQ==", "-_==", "é", "="])
-def test_octets_of_any_other_spelling_are_left_to_the_general_way(data):
-    assert strict("sensor_msgs/CompressedImage", image(data)) is None
-
-
-# Reading JSON.
-
-
-def frame(message, topic="/t", **more):
-    return json.dumps({"op": "publish", "topic": topic, "msg": message, **more})
-
-
-def read(type_name, text, topic="/t"):
-    kind = strict_type(REGISTRY, type_name)
-    return None if kind is None else PublicationReader(kind).read(text, topic)
-
-
-def test_a_complete_message_is_read_the_strict_way_unless_its_type_has_no_strict_form():
-    encoded = {name: read(name, frame(sample(name))) for name in MESSAGE_TYPES}
-    assert [name for name, octets in encoded.items() if octets is None] == GENERAL_NAMES
-    for name in encoded.keys() - GENERAL_NAMES:
-        assert json.loads(encoded[name]) == json.loads(encode(sample(name))), name
-
-
-@given(st.sampled_from(MESSAGE_TYPES), st.data())
-def test_what_is_read_from_json_is_what_the_general_way_makes_of_it(name, data):
-    text = frame(changed(name, data))
-    encoded = read(name, text)
-    if encoded is not None:
-        wanted = general(name, decode(text)["msg"])
-        assert encoded.isascii()
-        # Also in order, and with floats as floats.
-        assert repr(json.loads(encoded)) == repr(json.loads(encode(wanted)))
+def test_octets_as_they_go_out_are_taken_as_they_are_and_any_other_spelling_is_left_to_the_general_way():
+    image = general("sensor_msgs/CompressedImage", {"format": "jpeg"})
+    for octets in (b"", b"a", b"ab", b"abc", bytes(range(256))):
+        message = {**image, "data": base64.b64encode(octets).decode()}
+        assert strict("sensor_msgs/CompressedImage", message) == message
+    for data in ([1, 2], "YQ", "YQ=", "YR==", "YWJ=", "YQ==\n", "Y Q==", "YQ==YQ==", "-_==", "é", "="):
+        assert strict("sensor_msgs/CompressedImage", {**image, "data": data}) is None, data
 
 
 @given(st.text())
 def test_any_text_is_read_as_the_general_way_reads_it_or_left_to_it(text):
-    encoded = read("std_msgs/String", json.dumps({"op": "publish", "topic": "/t", "msg": {"data": text}}))
+    encoded = read("std_msgs/String", frame({"data": text}))
     if encoded is not None:
         assert json.loads(encoded) == {"data": text}
         assert encoded.isascii()
@@ -160,42 +131,17 @@ def test_fields_may_come_in_any_order_and_go_out_as_declared():
 EMPTY = {"data": ""}
 
 
-@pytest.mark.parametrize("more", [{}, {"id": "a"}, {"id": 7}, {"id": None}, {"latch": False, "queue_size": 100}])
-def test_what_clients_send_along_is_taken(more):
-    assert read("std_msgs/String", frame(EMPTY, **more)) == b'{"data":""}'
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        {"latch": True},
-        {"latch": 0},
-        {"queue_size": -1},
-        {"id": "x" * 513},
-        {"id": 1.5},
-        {"type": ""},
-        {"fragment_size": 10},
-        {"anything": 1},
-    ],
-)
-def test_an_operation_with_anything_else_is_left_to_the_general_way(more):
-    assert read("std_msgs/String", frame(EMPTY, **more)) is None
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "{}",
-        "[]",
-        frame(EMPTY)[:-1],
-        frame(EMPTY) + frame(EMPTY),
-        frame(EMPTY, topic="/other"),
-        frame(EMPTY).replace("publish", "subscribe"),
-        frame({"data": "\ud800"}),
-        '{"op":"publish","topic":"/t","msg":{"data":"\ud800"}}',
-        frame({"data": "\xe9"}),
-    ],
-)
-def test_a_frame_that_is_no_such_operation_is_left_to_the_general_way(text):
-    assert read("std_msgs/String", text) is None
+def test_what_clients_send_along_is_taken_and_an_operation_with_anything_else_is_left_to_the_general_way():
+    for more in ({}, {"id": "a"}, {"id": 7}, {"id": None}, {"latch": False, "queue_size": 100}):
+        assert read("std_msgs/String", frame(EMPTY, **more)) == b'{"data":""}'
+    for field, value in (
+        *(("latch", True), ("latch", 0), ("queue_size", -1), ("id", "x" * 513), ("id", 1.5)),
+        *(("type", ""), ("fragment_size", 10), ("anything", 1)),
+    ):
+        assert read("std_msgs/String", frame(EMPTY, **{field: value})) is None, field
+    raw = '{"op":"publish","topic":"/t","msg":{"data":"\ud800"}}'
+    for text in (
+        *("", "{}", "[]", frame(EMPTY)[:-1], frame(EMPTY) + frame(EMPTY), frame(EMPTY, topic="/other")),
+        *(frame(EMPTY).replace("publish", "subscribe"), frame({"data": "\ud800"}), raw, frame({"data": "\xe9"})),
+    ):
+        assert read("std_msgs/String", text) is None

@@ -32,39 +32,24 @@ def test_the_limit_counts_what_is_there(steps):
         assert set(table) == {topic for topic, _ in model}
 
 
-def subscriptions(*operations, limit=100):
-    table = Subscriptions(limit)
-    for operation in operations:
-        table.add(operation)
+def merged(*asked):
+    """The table with a subscription for each of some wishes, under ids from 1 on."""
+    table = Subscriptions(100)
+    for number, fields in enumerate(asked, 1):
+        table.add(Subscribe(topic="/a", id=number, **fields))
     return table
 
 
-def subscribe(topic="/a", **fields):
-    return Subscribe(topic=topic, **fields)
-
-
-def merged(*operations):
-    subscription = subscriptions(*operations).get("/a")
-    return subscription.throttle_s, subscription.queue_length
-
-
-# The table
-
-
-def test_throttle_and_queue_of_several_ids_are_the_least_of_each():
-    both = (subscribe(id=1, throttle_rate=200, queue_length=5), subscribe(id=2, throttle_rate=100, queue_length=9))
-    assert merged(*both) == merged(*reversed(both)) == (0.1, 5)
-
-
-def test_the_least_fragment_size_that_is_given_serves_all():
-    table = subscriptions(subscribe(id=1), subscribe(id=2, fragment_size=500), subscribe(id=3, fragment_size=200))
+def test_the_least_throttle_queue_and_fragment_size_of_several_ids_serve_all():
+    both = {"throttle_rate": 200, "queue_length": 5}, {"throttle_rate": 100, "queue_length": 9}
+    for asked in (both, both[::-1]):
+        subscription = merged(*asked).get("/a")
+        assert (subscription.throttle_s, subscription.queue_length) == (0.1, 5)
+    table = merged({}, {"fragment_size": 500}, {"fragment_size": 200})
     assert table.get("/a").fragment_size == 200
     table.remove("/a", 3)
     table.remove("/a", 2)
     assert table.get("/a").fragment_size is None
-
-
-# The rules
 
 
 def test_messages_queued_for_a_closed_subscription_are_due_at_once():
@@ -75,9 +60,5 @@ def test_messages_queued_for_a_closed_subscription_are_due_at_once():
 @given(st.floats(min_value=0.001, max_value=10.0), st.lists(st.floats(min_value=0.0, max_value=1.0), max_size=50))
 def test_admitted_messages_are_never_closer_than_the_throttle(throttle_s, gaps_s):
     subscription = Subscription("/a", throttle_s=throttle_s)
-    now, admitted = 100.0, []
-    for gap_s in gaps_s:
-        now += gap_s
-        if subscription.admit(now):
-            admitted.append(now)
+    admitted = [now for now in itertools.accumulate(gaps_s, initial=100.0) if subscription.admit(now)]
     assert all(later >= earlier + throttle_s for earlier, later in itertools.pairwise(admitted))

@@ -15,29 +15,24 @@ def dependencies(registry, name):
 
 
 def test_a_text_is_the_definition_and_those_of_what_it_refers_to():
-    assert full_text(REGISTRY, "std_msgs/Header").split("\n") == [
-        "builtin_interfaces/Time stamp",
-        "string frame_id",
-        "",
-        SEPARATOR,
-        "MSG: builtin_interfaces/Time",
-        "int32 sec",
-        "uint32 nanosec",
-        "",
-    ]
+    header = f"builtin_interfaces/Time stamp\nstring frame_id\n\n{SEPARATOR}\nMSG: builtin_interfaces/Time\n"
+    assert full_text(REGISTRY, "std_msgs/Header") == f"{header}int32 sec\nuint32 nanosec\n"
+    # ROS 1 has no sections for its times.
+    assert full_text(REGISTRY, "std_msgs/Header", "ros1") == "uint32 seq\ntime stamp\nstring frame_id\n"
+    assert full_text(REGISTRY, "rcl_interfaces/Log", "ros1").count("time stamp\n") == 1
 
 
 def test_constants_defaults_and_bounds_are_written_as_definitions_write_them():
-    assert "uint8 BOX=1\n" in full_text(REGISTRY, "shape_msgs/SolidPrimitive")
-    assert "float64[<=3] dimensions\n" in full_text(REGISTRY, "shape_msgs/SolidPrimitive")
-    assert "float64 w 1.0\n" in full_text(REGISTRY, "geometry_msgs/Quaternion")
-    assert "bool read_only false\n" in full_text(REGISTRY, "rcl_interfaces/ParameterDescriptor")
-    assert 'string NONE="none"\n' in full_text(REGISTRY, "control_msgs/VDA5050SafetyState")
-
-
-def test_ros1_has_its_own_text_without_sections_for_its_times():
-    text = full_text(REGISTRY, "std_msgs/Header", "ros1")
-    assert text == "uint32 seq\ntime stamp\nstring frame_id\n"
+    for name, line, in_ros1 in (
+        ("shape_msgs/SolidPrimitive", "uint8 BOX=1", "uint8 BOX=1"),
+        ("shape_msgs/SolidPrimitive", "float64[<=3] dimensions", "float64[] dimensions"),
+        ("geometry_msgs/Quaternion", "float64 w 1.0", "float64 w"),
+        ("rcl_interfaces/ParameterDescriptor", "bool read_only false", "bool read_only"),
+        ("rcl_interfaces/ParameterDescriptor", "Range[<=1] floating_point_range", "Range[] floating_point_range"),
+        ("control_msgs/VDA5050SafetyState", 'string NONE="none"', "string NONE=none"),
+    ):
+        assert f"{line}\n" in full_text(REGISTRY, name), line
+        assert f"{in_ros1}\n" in full_text(REGISTRY, name, "ros1"), line
 
 
 def test_a_parser_finds_every_type_and_every_field_in_the_text():
@@ -51,17 +46,12 @@ def test_a_parser_finds_every_type_and_every_field_in_the_text():
 
 def test_typedefs_begin_with_the_type_and_go_depth_first():
     names = [each["type"] for each in typedefs(REGISTRY, "geometry_msgs/PoseStamped")]
-    assert names == [
-        "geometry_msgs/PoseStamped",
-        "std_msgs/Header",
-        "builtin_interfaces/Time",
-        "geometry_msgs/Pose",
-        "geometry_msgs/Point",
-        "geometry_msgs/Quaternion",
-    ]
+    inner = ["std_msgs/Header", "builtin_interfaces/Time", "geometry_msgs/Pose", "geometry_msgs/Point"]
+    assert names == ["geometry_msgs/PoseStamped", *inner, "geometry_msgs/Quaternion"]
+    assert typedefs(REGISTRY, "std_msgs/Header", "ros1")[1]["fieldnames"] == ["secs", "nsecs"]
 
 
-def test_a_typedef_tells_the_fields_by_name_type_length_and_example():
+def test_a_typedef_tells_the_fields_by_name_type_length_and_example_and_constants_as_text():
     definition = typedefs(REGISTRY, "sensor_msgs/CameraInfo")[0]
     columns = (definition[name] for name in ("fieldnames", "fieldtypes", "fieldarraylen", "examples"))
     assert list(zip(*columns, strict=True))[:6] == [
@@ -72,41 +62,20 @@ def test_a_typedef_tells_the_fields_by_name_type_length_and_example():
         ("d", "double", 0, "[]"),
         ("k", "double", 9, "[]"),
     ]
-
-
-def test_a_typedef_tells_a_bounded_array_as_one_of_any_length_and_constants_as_text():
     definition = typedefs(REGISTRY, "shape_msgs/SolidPrimitive")[0]
+    # A bounded array is told as one of any length.
     assert definition["fieldarraylen"][1] == 0
     assert (definition["constnames"][0], definition["constvalues"][0]) == ("BOX", "1")
 
 
-def test_a_time_of_ros1_is_a_typedef_of_its_own():
-    assert typedefs(REGISTRY, "std_msgs/Header", "ros1")[1]["fieldnames"] == ["secs", "nsecs"]
-
-
-@pytest.mark.parametrize("tell", [full_text, typedefs])
-def test_an_unknown_type_is_refused(tell):
-    with pytest.raises(InterfaceError):
-        tell(REGISTRY, "std_msgs/Nothing")
-
-
-@pytest.mark.parametrize("dialect", ["ros2", "ros1"])
-def test_every_field_type_with_a_slash_has_one_typedef_and_is_spelled_in_the_clients_dialect(dialect):
-    for name in MESSAGE_TYPES:
+def test_every_field_type_with_a_slash_has_one_typedef_and_is_spelled_in_the_clients_dialect():
+    for dialect, name in ((dialect, name) for dialect in ("ros2", "ros1") for name in MESSAGE_TYPES):
         definitions = typedefs(REGISTRY, name, dialect)
         known = {each["type"] for each in definitions}
         kinds = {kind for each in definitions for kind in each["fieldtypes"]}
         assert len(known) == len(definitions), name
         assert {kind for kind in kinds if "/" in kind} <= known, name
         assert dialect == "ros2" or not any(kind.startswith("builtin_interfaces/") for kind in kinds), name
-
-
-def test_a_type_of_ros2_is_told_to_ros1_as_if_it_had_it():
-    text = full_text(REGISTRY, "control_msgs/VDA5050SafetyState", "ros1")
-    assert "string NONE=none\n" in text
-    assert "bool read_only\n" in full_text(REGISTRY, "rcl_interfaces/ParameterDescriptor", "ros1")
-    assert "[<=" not in full_text(REGISTRY, "rcl_interfaces/ParameterDescriptor", "ros1")
-    assert full_text(REGISTRY, "rcl_interfaces/Log", "ros1").count("time stamp\n") == 1
 
 
 # As ROS 2 Jazzy has them (share/<package>/<msg or srv>/<name>.json), and its documentation prints some.
@@ -124,13 +93,6 @@ PUBLISHED_SERVICES = {
     "action_msgs/CancelGoal": "573d8b0a534451d7bc2ac8c5ffde8ac14b8593b7001175d0cd6516dcbeb8689a",
     "example_interfaces/AddTwoInts": "e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a",
 }
-
-
-def test_messages_and_services_have_the_hashes_that_ros_publishes() -> None:
-    for hash_of, published in ((message_hash, PUBLISHED), (service_hash, PUBLISHED_SERVICES)):
-        assert {name: hash_of(REGISTRY, name).removeprefix("RIHS01_") for name in published} == published
-
-
 # test_msgs/Fibonacci of ROS 2 Kilted as rosidl hashed it (share/test_msgs/action/Fibonacci.json), and its definition.
 FIBONACCI = {
     "SendGoal": "d807633803e38e164276573cd97e9fbd71e109c290bbf4cc312a0a1c9da7bbd9",
@@ -141,12 +103,13 @@ SEQUENCE = {"fields": [["sequence", "int32[]"]], "consts": []}
 ORDER = {"fields": [["order", "int32"]], "consts": []}
 
 
-def test_what_goes_with_an_action_has_the_hashes_that_rosidl_writes() -> None:
+def test_messages_services_and_what_goes_with_an_action_have_the_hashes_that_ros_publishes() -> None:
     action = {"kind": "action", "goal": ORDER, "result": SEQUENCE, "feedback": SEQUENCE}
     registry = Registry({**read_ros2(), "test_msgs/action/Fibonacci": action})
-    for part, digest in FIBONACCI.items():
-        hash_of = message_hash if part == "FeedbackMessage" else service_hash
-        assert hash_of(registry, f"test_msgs/action/Fibonacci_{part}") == f"RIHS01_{digest}"
+    parts = {f"test_msgs/action/Fibonacci_{part}": digest for part, digest in FIBONACCI.items()}
+    for name, digest in (PUBLISHED | PUBLISHED_SERVICES | parts).items():
+        hash_of = message_hash if name in PUBLISHED or name.endswith("FeedbackMessage") else service_hash
+        assert hash_of(registry, name) == f"RIHS01_{digest}", name
 
 
 def test_every_message_that_rosbags_knows_too_has_the_same_hash_there() -> None:
@@ -158,8 +121,9 @@ def test_every_message_that_rosbags_knows_too_has_the_same_hash_there() -> None:
     assert [name for name in shared if message_hash(REGISTRY, name) != store.hash_rihs01(name)] == []
 
 
-def test_an_unknown_type_has_no_hash() -> None:
-    with pytest.raises(InterfaceError):
-        message_hash(REGISTRY, "nobodys_msgs/Thing")
+def test_an_unknown_type_has_no_text_typedefs_and_hash() -> None:
+    for tell in (full_text, typedefs, message_hash, service_hash):
+        with pytest.raises(InterfaceError):
+            tell(REGISTRY, "std_msgs/Nothing")
     with pytest.raises(InterfaceError):
         service_hash(REGISTRY, "std_msgs/String")

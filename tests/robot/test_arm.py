@@ -32,7 +32,6 @@ async def rig(running: ArmOnServos) -> ArmOnServos:
         assert (await running.arm.order(Order.RESET_FAULT)).done
     if running.arm.state.mode is not Mode.HOLDING:
         assert (await running.arm.order(Order.ENABLE)).done
-    assert running.arm.state.goal_rad is not None
     home = smooth_move(
         {"shoulder_pan": (running.arm.state.goal_rad[0], 0.0), "wrist_roll": (running.arm.state.goal_rad[4], 0.0)}, 1.0
     )

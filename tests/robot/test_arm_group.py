@@ -147,8 +147,7 @@ def test_health_of_all_is_that_of_the_worst() -> None:
     counters, thirds = BusCounters(10, 9, 1, 2, 3), (1.0, 2.0, 3.0)
     one = ArmHealth(5.0, Mode.HOLDING, "/dev/a", (), counters, thirds, (1.0, 1.0, 1.0), True)
     slow = {"lateness_s": (0.0, 5.0, 1.0), "real_time": False, "real_time_factor": 0.5, "monotonic_s": 4.0}
-    other = replace(one, port="/dev/b", **slow)
-    both = joined_health({"a": one, "b": other})
+    both = joined_health({"a": one, "b": replace(one, port="/dev/b", **slow)})
     assert both.port == "/dev/a, /dev/b"
     assert both.bus == BusCounters(20, 18, 2, 4, 6)
     assert (both.lateness_s, both.real_time, both.real_time_factor) == ((1.0, 5.0, 3.0), False, 0.5)

@@ -18,8 +18,7 @@ def test_every_fault_has_a_remedy_of_whole_sentences() -> None:
 
 def test_the_remedy_for_a_simulated_arm_asks_for_nothing_that_only_metal_has() -> None:
     for code in FaultCode:
-        remedy = Fault(code, "", simulated=True).remedy.lower()
-        assert not OF_METAL.findall(remedy), code
+        assert not OF_METAL.findall(Fault(code, "", simulated=True).remedy.lower()), code
     for code, simulated_remedy in SIMULATED_REMEDIES.items():
         assert Fault(code, "").remedy == REMEDIES[code] != simulated_remedy
 

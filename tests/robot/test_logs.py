@@ -166,8 +166,7 @@ def test_the_next_line_has_the_number_of_suppressed_ones() -> None:
     now_s[0] = 1.0 / logs.LINES_PER_S
     after = record("hot")
     assert flood.filter(after)
-    line = logs.PlainFormatter().format(after)
-    assert line.endswith("hot (3 more lines like this were left out before)")
+    assert logs.PlainFormatter().format(after).endswith("hot (3 more lines like this were left out before)")
     assert logs.PlainFormatter().format(record("hot")).endswith("hot")
 
 

@@ -45,11 +45,9 @@ class Stage:
 
     def results(self) -> list[tuple[str, int, str, int]]:
         """Id, status, text and error code of every result."""
-        return [
-            (one["status"]["goal_id"]["id"], one["status"]["status"], one["status"]["text"], code["val"])
-            for one in self.heard[f"{MOVE}/result"]
-            for code in [one["result"]["error_code"]]
-        ]
+        heard = self.heard[f"{MOVE}/result"]
+        ended = [(one["status"], one["result"]["error_code"]["val"]) for one in heard]
+        return [(status["goal_id"]["id"], status["status"], status["text"], code) for status, code in ended]
 
 
 @pytest.fixture
@@ -104,19 +102,16 @@ def test_a_cancelled_goal_is_preempting_until_it_ends(stage: Stage) -> None:
     assert stage.statuses() == [("one", ActionlibStatus.ACTIVE), ("two", ActionlibStatus.PREEMPTED)]
 
 
-def test_a_goal_that_fails_without_a_result_is_answered_with_the_sentence(stage: Stage) -> None:
+def test_a_goal_that_fails_or_whose_action_is_withdrawn_is_answered_with_the_sentence(stage: Stage) -> None:
     stage.send()
     stage.goals[0].fail("broken")
     assert stage.results() == [("one", ActionlibStatus.ABORTED, "broken", 0)]
-
-
-def test_a_goal_of_a_withdrawn_action_is_rejected(stage: Stage) -> None:
     server = stage.graph.actions.provider(MOVE)
     assert server is not None
     stage.graph.actions.withdraw(server, MOVE)
-    stage.send()
-    assert stage.results()[0][:2] == ("one", ActionlibStatus.REJECTED)
-    assert "does not exist" in stage.results()[0][2]
+    stage.send("two")
+    name, status, text, _ = stage.results()[1]
+    assert (name, status, "does not exist" in text) == ("two", ActionlibStatus.REJECTED, True)
 
 
 def test_more_goals_than_anyone_can_wait_for_are_rejected(stage: Stage) -> None:
@@ -136,15 +131,15 @@ def test_a_goal_that_is_sent_twice_runs_once(stage: Stage, caplog: pytest.LogCap
 @pytest.mark.parametrize(
     ("cancel", "canceled"),
     [
-        pytest.param({}, [True, True, True], id="all"),
-        pytest.param({"stamp": {"sec": 11}}, [True, True, False], id="no younger than a stamp"),
-        pytest.param({"id": "c", "stamp": {"sec": 10}}, [True, False, True], id="a stamp and an id"),
+        ({}, [True, True, True]),
+        ({"stamp": {"sec": 11}}, [True, True, False]),
+        ({"id": "c", "stamp": {"sec": 10}}, [True, False, True]),
     ],
+    ids=["all", "no younger than a stamp", "a stamp and an id"],
 )
 def test_a_cancel_names_goals_by_id_and_stamp(stage: Stage, cancel: dict[str, Any], canceled: list[bool]) -> None:
     for sec, name in enumerate("abc", 10):
-        goal = {"goal_id": {"id": name, "stamp": {"sec": sec}}, "goal": {}}
-        stage.graph.publish(stage.client, f"{MOVE}/goal", goal)
+        stage.graph.publish(stage.client, f"{MOVE}/goal", {"goal_id": {"id": name, "stamp": {"sec": sec}}, "goal": {}})
     stage.cancel(**cancel)
     assert [goal.cancel_requested for goal in stage.goals] == canceled
 
@@ -199,12 +194,11 @@ def test_a_goal_of_a_client_that_may_not_send_one_is_rejected_to_it_alone(stage:
     assert stage.heard[f"{MOVE}/status"] == stage.heard[f"{MOVE}/result"] == []
 
 
-def test_a_rejected_goal_takes_no_id_from_others(stage: Stage) -> None:
+def test_a_goal_that_is_rejected_takes_no_id_from_others_and_one_that_cannot_be_read_is_told_to_nobody(
+    stage: Stage,
+) -> None:
+    stage.graph.reject_unauthorized(stage.client, f"{MOVE}/goal", {"goal_id": 5}, "another drives")
+    assert stage.heard[f"{MOVE}/result"] == []
     stage.graph.reject_unauthorized(stage.client, f"{MOVE}/goal", {"goal_id": {"id": "one"}}, "another drives")
     stage.send("one")
     assert len(stage.goals) == 1
-
-
-def test_one_that_cannot_be_read_is_rejected_to_nobody(stage: Stage) -> None:
-    stage.graph.reject_unauthorized(stage.client, f"{MOVE}/goal", {"goal_id": 5}, "another drives")
-    assert stage.heard[f"{MOVE}/result"] == []

@@ -23,12 +23,11 @@ def test_a_recording_begins_with_a_file_that_can_be_written(tmp_path: Path) -> N
 
 
 async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
-    limits = Limits(max_message_bytes=70_000)
-    app = App(
-        Settings(server=ServerSettings(unregister_timeout_s=3.0, limits=limits), zenoh=ZenohSettings(mode="peer"))
-    )
+    server = ServerSettings(unregister_timeout_s=3.0, limits=Limits(max_message_bytes=70_000))
+    app = App(Settings(server=server, zenoh=ZenohSettings(mode="peer")))
     assert app.graph._unregister_timeout_s == 3.0
     assert app.bridge is not None
+    assert App(Settings()).bridge is None
     assert app.bridge._max_message_bytes == 70_000
 
 
@@ -68,16 +67,14 @@ async def test_settings_that_are_refused_leave_no_recording_behind(tmp_path: Pat
 
 
 async def test_a_start_that_is_refused_leaves_no_recording_behind(tmp_path: Path) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         server = ServerSettings(host="127.0.0.1", port=port)
         app = App(Settings(server=server, recording=RecordingSettings(file=tmp_path / "run.mcap")))
         assert app.features[-1].name == "the recording's file"
         with pytest.raises(StartError) as refused:
             await app.run()
-    assert str(refused.value) == (f"port in use: 127.0.0.1:{port} is taken by another program; choose one with --port")
+    assert str(refused.value) == f"port in use: 127.0.0.1:{port} is taken by another program; choose one with --port"
     assert not (tmp_path / "run.mcap").exists()
 
 

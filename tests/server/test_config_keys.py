@@ -38,9 +38,8 @@ MEANT = {
 }
 
 
-@pytest.mark.parametrize(("written", "meant"), MEANT.items(), ids=[key[:40] for key in MEANT])
-def test_the_nearest_key_is_the_one_that_was_meant(written: str, meant: str) -> None:
-    assert nearest(written, known_keys()) == meant
+def test_the_nearest_key_is_the_one_that_was_meant() -> None:
+    assert {written: nearest(written, known_keys()) for written in MEANT} == MEANT
 
 
 TEXT = template(Settings)
@@ -67,12 +66,9 @@ def test_a_setting_without_default_is_commented_out_with_its_meaning() -> None:
     assert "\n# limit_mb = ...\n" in TEXT
 
 
-VALUES = {"text": 'a "b"', "number": 0.5, "switch": True, "list": [1, 2], "table": {"a b": 0.5}, "empty": {}}
-
-
-@pytest.mark.parametrize("value", VALUES.values(), ids=VALUES.keys())
-def test_a_value_is_written_as_toml_reads_it(value) -> None:
-    assert tomllib.loads(f"value = {toml_value(value)}")["value"] == value
+def test_a_value_is_written_as_toml_reads_it() -> None:
+    for value in ('a "b"', 0.5, True, [1, 2], {"a b": 0.5}, {}):
+        assert tomllib.loads(f"value = {toml_value(value)}")["value"] == value
 
 
 @pytest.fixture
@@ -94,27 +90,27 @@ def test_the_environment_overrides_the_file_and_the_command_line_both(
 
 
 REFUSED = {
-    "unknown key": ("[server]\nprt = 1", r"server\.prt: unknown; did you mean port\?"),
-    "unknown section": ("[serve]\nport = 1", r"serve: unknown; did you mean server\?"),
-    "out of range": ("[moveit]\nmax_velocity_scaling = 3.0", "moveit.max_velocity_scaling: .*1 .*3.0"),
-    "unknown search": ('[moveit]\nplanner_id = "AORRTC"', "moveit.planner_id: .*RRTConnect.*'AORRTC'"),
-    "too little memory": ("[planning]\nmemory_limit_mb = 100", "planning.memory_limit_mb: .*256.*100"),
-    "wrong type": ('[server]\nport = "many"', "server.port.*'many'"),
-    "urdf alone": ('[arm]\nurdf = "a.urdf"', "urdf and srdf must be given together"),
-    "watchdog": ("[arm]\nwatchdog_s = 0.1", "arm.watchdog_s: .*0.3.*0.1"),
-    "temperatures": ("[arm]\nwarn_temperature_c = 66", "must rise in this order, not .66"),
-    "short token": ('[access]\ntoken = "abc"', r"^access\.token: must have 16 .*, not 3 \(it is not shown"),
-    "end state": ('[arm]\non_exit = "fall"', "arm.on_exit.*'fall'"),
-    "files to keep": ("[recording]\nkeep_files = 3", "recording: .*keep_files needs limit_mb.* not 3"),
-    "no TOML": ("server: port", "not TOML"),
+    "[server]\nprt = 1": r"server\.prt: unknown; did you mean port\?",
+    "[serve]\nport = 1": r"serve: unknown; did you mean server\?",
+    "[moveit]\nmax_velocity_scaling = 3.0": "moveit.max_velocity_scaling: .*1 .*3.0",
+    '[moveit]\nplanner_id = "AORRTC"': "moveit.planner_id: .*RRTConnect.*'AORRTC'",
+    "[planning]\nmemory_limit_mb = 100": "planning.memory_limit_mb: .*256.*100",
+    '[server]\nport = "many"': "server.port.*'many'",
+    '[arm]\nurdf = "a.urdf"': "urdf and srdf must be given together",
+    "[arm]\nwatchdog_s = 0.1": "arm.watchdog_s: .*0.3.*0.1",
+    "[arm]\nwarn_temperature_c = 66": "must rise in this order, not .66",
+    '[access]\ntoken = "abc"': r"^access\.token: must have 16 .*, not 3 \(it is not shown",
+    '[arm]\non_exit = "fall"': "arm.on_exit.*'fall'",
+    "[recording]\nkeep_files = 3": "recording: .*keep_files needs limit_mb.* not 3",
+    "server: port": "not TOML",
 }
 
 
-@pytest.mark.parametrize(("text", "words"), REFUSED.values(), ids=REFUSED.keys())
-def test_a_wrong_setting_is_named_with_its_limit_and_value(file: Path, text: str, words: str) -> None:
-    file.write_text(text)
-    with pytest.raises(ConfigurationError, match=words):
-        load(file, {})
+def test_a_wrong_setting_is_named_with_its_limit_and_value(file: Path) -> None:
+    for text, words in REFUSED.items():
+        file.write_text(text)
+        with pytest.raises(ConfigurationError, match=words):
+            load(file, {})
 
 
 def test_a_file_that_does_not_exist_is_named(file: Path) -> None:
@@ -129,21 +125,19 @@ def test_the_source_of_each_setting_is_known(file: Path, monkeypatch: pytest.Mon
     assert sources == {"server.port": "environment", "arm.zero_offset_rad": "file", "goals.capacity": "command line"}
 
 
+FROM = ", from the file /.*armbridge\\.toml"
 OVERRIDDEN = {
-    "out of range": (
-        "[server]\nport = 70000",
-        r"^server\.port: .*65535 \(it is 70000, from the file /.*armbridge\.toml\)$",
-    ),
-    "wrong type": ('[server]\nport = "many"', r"^server\.port: .*'many', from the file /.*armbridge\.toml"),
-    "no section": ("server = 3", r"^server: .*it is 3, from the file /.*armbridge\.toml"),
+    "[server]\nport = 70000": rf"^server\.port: .*65535 \(it is 70000{FROM}\)$",
+    '[server]\nport = "many"': rf"^server\.port: .*'many'{FROM}",
+    "server = 3": rf"^server: .*it is 3{FROM}",
 }
 
 
-@pytest.mark.parametrize(("text", "words"), OVERRIDDEN.values(), ids=OVERRIDDEN.keys())
-def test_a_wrong_value_in_the_file_is_refused_under_the_command_line_as_well(file: Path, text: str, words: str) -> None:
-    file.write_text(text)
-    with pytest.raises(ConfigurationError, match=words):
-        load(file, {"server": {"port": 1}})
+def test_a_wrong_value_in_the_file_is_refused_under_the_command_line_as_well(file: Path) -> None:
+    for text, words in OVERRIDDEN.items():
+        file.write_text(text)
+        with pytest.raises(ConfigurationError, match=words):
+            load(file, {"server": {"port": 1}})
 
 
 def test_a_wrong_value_is_refused_also_where_the_environment_or_the_command_line_overrides_it(
@@ -158,11 +152,14 @@ def test_a_wrong_value_is_refused_also_where_the_environment_or_the_command_line
         load(None, {"server": {"port": 1}})
 
 
-def test_every_wrong_value_in_the_file_is_told_once(file: Path) -> None:
-    file.write_text("[server]\nport = -1\nmax_clients = 0\n")
+def test_every_wrong_value_in_the_file_is_told_once_and_no_token(file: Path) -> None:
+    file.write_text('[server]\nport = -1\nmax_clients = 0\n[access]\ntoken = "abc"\n')
     with pytest.raises(ConfigurationError) as refused:
-        load(file, {"server": {"port": 1}})
-    assert str(refused.value).count("server.port") == str(refused.value).count("server.max_clients") == 1
+        load(file, {"server": {"port": 1}, "access": {"token": "x" * 32}})
+    told = str(refused.value)
+    assert told.count("server.port") == told.count("server.max_clients") == 1
+    assert "abc" not in told
+    assert "it is not shown, from the file" in told
 
 
 def test_the_command_line_may_put_right_what_the_file_leaves_contradictory(file: Path) -> None:
@@ -172,14 +169,6 @@ def test_the_command_line_may_put_right_what_the_file_leaves_contradictory(file:
     assert load(file, {"arm": {"guards": {"settle_timeout_s": 0.5}}}).moveit.allowed_goal_duration_margin == 1.0
 
 
-def test_an_overridden_token_of_the_file_is_not_shown(file: Path) -> None:
-    file.write_text('[access]\ntoken = "abc"\n')
-    with pytest.raises(ConfigurationError) as refused:
-        load(file, {"access": {"token": "x" * 32}})
-    assert "abc" not in str(refused.value)
-    assert "it is not shown, from the file" in str(refused.value)
-
-
 STRAY = {
     "ARMBRIDGE_SERVR__PORT": "ARMBRIDGE_SERVR__PORT: unknown; did you mean ARMBRIDGE_SERVER__PORT?",
     "ARMBRIDGE_PORT": "ARMBRIDGE_PORT: unknown; did you mean ARMBRIDGE_SERVER__PORT?",
@@ -187,12 +176,13 @@ STRAY = {
 }
 
 
-@pytest.mark.parametrize(("name", "sentence"), STRAY.items(), ids=STRAY.keys())
-def test_a_variable_that_sets_nothing_is_refused(name: str, sentence: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(name, "1")
-    with pytest.raises(ConfigurationError) as refused:
-        load(None, {})
-    assert str(refused.value) == f"environment variable {sentence}"
+def test_a_variable_that_sets_nothing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, sentence in STRAY.items():
+        with monkeypatch.context() as patched:
+            patched.setenv(name, "1")
+            with pytest.raises(ConfigurationError) as refused:
+                load(None, {})
+        assert str(refused.value) == f"environment variable {sentence}"
 
 
 def test_a_variable_names_an_entry_of_a_table_or_holds_json(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,12 +33,9 @@ def directory(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_saved_states_open(directory: Path) -> None:
+async def test_saved_states_and_taught_motions_open(directory: Path) -> None:
     states = NamedStatesFile(directory / "named_states_so101.json").load()
     assert states == {"tray": {"shoulder_pan": 0.25, "elbow_flex": -0.5}}
-
-
-async def test_taught_motions_open(directory: Path) -> None:
     motion = await MotionFiles(directory, ROBOT).load("wave")
     assert motion.joint_names == ("shoulder_pan",)
     assert motion.positions_rad.tolist() == [[0.0], [0.1], [0.2]]

@@ -3,7 +3,7 @@ import logging
 import os
 import pty
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 
 import pytest
 
@@ -11,19 +11,7 @@ from harness.waiting import until
 from robot.logs import OUR_LOGGER
 from server import lifecycle
 from server.errors import StartError
-from server.lifecycle import (
-    HURRIED_S,
-    RESERVED_S,
-    BackgroundTask,
-    Part,
-    allowance_s,
-    on_hangup,
-    start_in_order,
-    stop_in_reverse,
-    stop_signals,
-    toggle_debug,
-    unless_ended,
-)
+from server.lifecycle import RESERVED_S, Part, allowance_s, on_hangup, start_in_order, stop_in_reverse
 
 pytestmark = pytest.mark.stepped_time
 
@@ -60,7 +48,7 @@ async def test_a_background_task_that_fails_is_logged_at_once_and_stops(caplog: 
     async def fail() -> None:
         raise RuntimeError("a bug")
 
-    task = BackgroundTask("zenoh", fail)
+    task = lifecycle.BackgroundTask("zenoh", fail)
     await task.start()
     await asyncio.sleep(0.01)
     assert "zenoh failed" in caplog.text
@@ -111,7 +99,7 @@ async def test_a_hurry_leaves_each_step_little_time() -> None:
     loop.call_later(0.01, hurry.set)
     await stop_in_reverse(steps, 60.0, hurry, loop.time)
     assert taken == ["a", "b"]
-    assert loop.time() == pytest.approx(0.01 + 2 * HURRIED_S)
+    assert loop.time() == pytest.approx(0.01 + 2 * lifecycle.HURRIED_S)
 
 
 async def test_a_step_beyond_the_total_leaves_the_others_their_time(caplog: pytest.LogCaptureFixture) -> None:
@@ -124,20 +112,14 @@ async def test_a_step_beyond_the_total_leaves_the_others_their_time(caplog: pyte
     assert caplog.text == ""
 
 
-@pytest.mark.parametrize(
-    ("deadline_s", "left_s", "after", "allowed_s"),
-    [
-        pytest.param(0.5, 2.0, 3, 0.5, id="its deadline"),
-        pytest.param(1.0, 0.8, 3, 0.5, id="what the later steps leave"),
-        pytest.param(1.0, -0.3, 0, RESERVED_S, id="its reserve when all is used up"),
-    ],
-)
-def test_a_step_gets_what_the_total_allows(deadline_s: float, left_s: float, after: int, allowed_s: float) -> None:
-    assert allowance_s(deadline_s, left_s, after) == pytest.approx(allowed_s)
+def test_a_step_gets_what_the_total_allows() -> None:
+    # Its deadline, what the later steps leave, and its reserve when all is used up.
+    for deadline_s, left_s, after, allowed_s in ((0.5, 2.0, 3, 0.5), (1.0, 0.8, 3, 0.5), (1.0, -0.3, 0, RESERVED_S)):
+        assert allowance_s(deadline_s, left_s, after) == pytest.approx(allowed_s)
 
 
 async def test_the_first_signal_ends_and_the_second_hurries() -> None:
-    ending, hurry = stop_signals()
+    ending, hurry = lifecycle.stop_signals()
     os.kill(os.getpid(), signal.SIGTERM)
     await asyncio.wait_for(ending.wait(), 1.0)
     assert not hurry.is_set()
@@ -147,7 +129,7 @@ async def test_the_first_signal_ends_and_the_second_hurries() -> None:
 
 async def test_a_start_is_given_up_when_the_end_comes_before_it_is_done() -> None:
     ending = asyncio.Event()
-    starting = asyncio.create_task(unless_ended(ending, asyncio.sleep(60.0)))
+    starting = asyncio.create_task(lifecycle.unless_ended(ending, asyncio.sleep(60.0)))
     await asyncio.sleep(0)
     ending.set()
     assert not await asyncio.wait_for(starting, 1.0)
@@ -156,36 +138,25 @@ async def test_a_start_is_given_up_when_the_end_comes_before_it_is_done() -> Non
 class Told:
     """Record of the calls that a hangup leads to."""
 
-    def __init__(self) -> None:
+    def __init__(self, is_terminal: Callable[[int], bool]) -> None:
         self.calls: list[str] = []
-
-    def reload(self) -> None:
-        self.calls.append("reload")
-
-    def end(self) -> None:
-        self.calls.append("end")
+        on_hangup(lambda: self.calls.append("reload"), lambda: self.calls.append("end"), is_terminal)
 
     async def after_hangup(self) -> list[str]:
         signal.raise_signal(signal.SIGHUP)
         await until(lambda: self.calls)
+        asyncio.get_running_loop().remove_signal_handler(signal.SIGHUP)
         return self.calls
 
 
-@pytest.fixture
-async def told() -> AsyncIterator[Told]:
-    yield Told()
-    asyncio.get_running_loop().remove_signal_handler(signal.SIGHUP)
-
-
-async def test_a_service_reads_its_files_again(told: Told) -> None:
-    on_hangup(told.reload, told.end, lambda _descriptor: False)
-    assert await told.after_hangup() == ["reload"]
+async def test_a_service_reads_its_files_again() -> None:
+    assert await Told(lambda _descriptor: False).after_hangup() == ["reload"]
 
 
 @pytest.mark.parametrize(("gone", "call"), [(False, "reload"), (True, "end")])
-async def test_a_program_in_a_terminal_reloads_its_files_and_ends_with_it(told: Told, gone: bool, call: str) -> None:
+async def test_a_program_in_a_terminal_reloads_its_files_and_ends_with_it(gone: bool, call: str) -> None:
     ours, theirs = pty.openpty()
-    on_hangup(told.reload, told.end, lambda _descriptor: os.isatty(theirs))
+    told = Told(lambda _descriptor: os.isatty(theirs))
     if gone:
         os.close(ours)
     assert await told.after_hangup() == [call]
@@ -195,8 +166,8 @@ async def test_a_program_in_a_terminal_reloads_its_files_and_ends_with_it(told: 
 
 @pytest.mark.usefixtures("levels_are_put_back")
 def test_the_signal_begins_and_ends_debugging(caplog: pytest.LogCaptureFixture) -> None:
-    toggle_debug()
+    lifecycle.toggle_debug()
     assert lifecycle.log.isEnabledFor(logging.DEBUG)
-    toggle_debug()
+    lifecycle.toggle_debug()
     assert logging.getLogger(OUR_LOGGER).level == logging.NOTSET
     assert ["debug now" in record.message for record in caplog.records] == [True, False]

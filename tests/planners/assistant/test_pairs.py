@@ -25,10 +25,14 @@ URDF = """
 """
 
 
+def contacts_of(urdf):
+    robot = model.parse(urdf, '<robot name="r"><group name="g"><joint name="up"/><joint name="swing"/></group></robot>')
+    return SelfContacts(robot, {link: shapes_in_link(link, shapes) for link, shapes in link_shapes(robot).items()})
+
+
 @pytest.fixture(scope="module")
 def contacts():
-    robot = model.parse(URDF, '<robot name="r"><group name="g"><joint name="up"/><joint name="swing"/></group></robot>')
-    return SelfContacts(robot, {link: shapes_in_link(link, shapes) for link, shapes in link_shapes(robot).items()})
+    return contacts_of(URDF)
 
 
 @pytest.fixture(scope="module")
@@ -36,25 +40,14 @@ def found(contacts):
     return unchecked_pairs(contacts, 400, 0, lambda _done: None)
 
 
-def test_links_of_one_joint_are_adjacent_over_links_without_shape(found):
-    assert {(pair.first, pair.second) for pair in found if pair.reason == "Adjacent"} == {
-        ("flag", "post"),
-        ("bar", "flag"),
-        ("bar", "far"),
-    }
-
-
-def test_links_that_touch_in_no_state_never_do_and_others_are_checked(found):
+def test_links_are_adjacent_touch_never_or_always_and_those_that_touch_in_some_states_are_checked(found):
+    # Over links without shape, too.
+    adjacent = {(pair.first, pair.second) for pair in found if pair.reason == "Adjacent"}
+    assert adjacent == {("flag", "post"), ("bar", "flag"), ("bar", "far")}
     assert UncheckedPair("post", "far", "Never") in found
-    # Those that touch in some states are checked.
     assert frozenset(("post", "bar")) not in {frozenset((pair.first, pair.second)) for pair in found}
-
-
-def test_links_that_touch_in_every_state_always_do():
-    urdf = URDF.replace('<origin xyz="0 0.1 0"/>', '<origin xyz="0 0 0"/>')
-    robot = model.parse(urdf, '<robot name="r"><group name="g"><joint name="up"/></group></robot>')
-    contacts = SelfContacts(robot, {link: shapes_in_link(link, each) for link, each in link_shapes(robot).items()})
-    assert UncheckedPair("post", "bar", "Always") in unchecked_pairs(contacts, 50, 0, lambda _done: None)
+    inside = contacts_of(URDF.replace('<origin xyz="0 0.1 0"/>', '<origin xyz="0 0 0"/>'))
+    assert UncheckedPair("post", "bar", "Always") in unchecked_pairs(inside, 50, 0, lambda _done: None)
 
 
 def test_a_free_state_is_drawn_where_none_is_given(contacts, found):

@@ -3,12 +3,7 @@ import pytest
 
 from planners.assistant.decomposition import Limits, decompose
 from planners.assistant.link_shapes import link_surfaces
-from planners.assistant.surface import (
-    ConvexPart,
-    Surface,
-    measure,
-    merged,
-)
+from planners.assistant.surface import ConvexPart, Surface, measure, merged
 from robot.description import model
 from tests.helpers import robots
 from tests.helpers.stl_arm import boxes_union, channel
@@ -19,16 +14,12 @@ def surface(triangles) -> Surface:
 
 
 CUBE = surface(boxes_union([((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))]))
-RANDOM = np.random.default_rng(0)
 
 
-def test_a_part_that_is_too_small_leaves_the_surface_uncovered():
+def test_a_part_that_is_too_small_leaves_the_surface_uncovered_and_faces_between_parts_do_not_stand_out():
     deviation = measure(CUBE, [ConvexPart(0.9 * CUBE.vertices_m)], np.random.default_rng(1))
     assert deviation.uncovered_m == pytest.approx(0.01, abs=0.0005)
     assert deviation.outside_m == 0.0
-
-
-def test_faces_between_parts_do_not_stand_out():
     halves = [((-0.1, -0.1, -0.1), (0.0, 0.1, 0.1)), ((0.0, -0.1, -0.1), (0.1, 0.1, 0.1))]
     parts = [ConvexPart(boxes_union([half]).reshape(-1, 3)) for half in halves]
     # Distances are to samples, which are 1.1 mm apart on this surface.
@@ -36,8 +27,7 @@ def test_faces_between_parts_do_not_stand_out():
 
 
 def test_a_part_within_planes_encloses_it():
-    points = RANDOM.normal(size=(400, 3))
-    directions = RANDOM.normal(size=(60, 3))
+    points, directions = (np.random.default_rng(0).normal(size=(count, 3)) for count in (400, 60))
     wider = ConvexPart(points).within(directions / np.linalg.norm(directions, axis=1)[:, np.newaxis])
     assert wider.depth_m(points).max() < 1e-9
 
@@ -47,35 +37,24 @@ def test_surfaces_of_the_builtin_arm_are_the_official_meshes(robot, shared_data)
     expected = link_surfaces(official)
     with np.load(robot.surfaces["base_link"].path) as file:
         assert set(file.files) == expected.keys()
-        for name, array in expected.items():
-            assert np.array_equal(file[name], array)
+        assert all(np.array_equal(file[name], array) for name, array in expected.items())
 
 
-@pytest.fixture(scope="module")
-def of_channel():
-    return decompose(surface(channel()), Limits())
-
-
-def test_parts_cover_a_hollow_link_within_the_tolerance_and_leave_its_hollow_free(of_channel):
-    assert 1 < len(of_channel.parts) <= 12
-    assert of_channel.deviation.greatest_m <= 0.003
+def test_parts_cover_a_hollow_link_within_the_tolerance_leave_its_hollow_free_and_are_the_same_by_the_same_seed():
+    found, again = (decompose(surface(channel()), Limits()) for _ in range(2))
+    assert 1 < len(found.parts) <= 12
+    assert found.deviation.greatest_m <= 0.003
     vertices, hollow = channel().reshape(-1, 3), np.array([[0.01, 0.0, 0.1]])
-    assert np.min([part.depth_m(vertices) for part in of_channel.parts], axis=0).max() < 1e-9
-    assert min(part.depth_m(hollow).item() for part in of_channel.parts) > 0.005
+    assert np.min([part.depth_m(vertices) for part in found.parts], axis=0).max() < 1e-9
+    assert min(part.depth_m(hollow).item() for part in found.parts) > 0.005
+    for first, second in zip(found.parts, again.parts, strict=True):
+        np.testing.assert_array_equal(first.vertices_m, second.vertices_m)
 
 
 def test_a_convex_mesh_is_one_part():
     found = decompose(surface(boxes_union([((0.0, 0.0, 0.0), (0.1, 0.2, 0.3))])), Limits())
     assert len(found.parts) == 1
     assert found.deviation.greatest_m < 0.003
-
-
-def test_the_same_seed_gives_the_same_parts(of_channel):
-    again = decompose(surface(channel()), Limits())
-    assert all(
-        np.array_equal(first.vertices_m, second.vertices_m)
-        for first, second in zip(of_channel.parts, again.parts, strict=True)
-    )
 
 
 def test_bounds_give_the_closest_parts_and_their_deviation():

@@ -8,7 +8,8 @@ from planners.cartesian.planning import CHORD_M, FollowedPath, tip_curve
 from planners.cartesian.tip_path import TipPath, apart_m, arc_flaw
 from planners.geometry.shapes import as_pose
 from planners.goals import Constraints, JointConstraint, OrientationConstraint
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode as Code
+from planners.problem import PlanningFailure
 from planners.scene import Box
 from tests.helpers.resources import examples
 from tests.planners.following import TIP, arc, line, shares
@@ -30,9 +31,17 @@ FOLDED_INTO_ITSELF = np.array([0.0, -1.74, 1.69, 1.2, 0.0])
 BOUND_M = 3e-4
 
 
+def moved(placement, *offset_m):
+    return pin.SE3(placement.rotation, placement.translation + np.array(offset_m))
+
+
 def shifted(follower, *offset_m):
-    placement = follower.pose(START)
-    return line(pin.SE3(placement.rotation, placement.translation + np.array(offset_m)))
+    return line(moved(follower.pose(START), *offset_m))
+
+
+def planned(follower, *offset_m, **asked):
+    """The plan for a line from the start."""
+    return follower.plan(follower.problem(START, shifted(follower, *offset_m), **asked))
 
 
 def tips_m(follower, plan):
@@ -55,7 +64,7 @@ def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower,
     problem = follower.problem(start, line(end))
     plan = follower.plan(problem)
     if isinstance(plan, PlanningFailure):
-        assert plan.code == MoveItErrorCode.START_STATE_IN_COLLISION
+        assert plan.code == Code.START_STATE_IN_COLLISION
         return
     assert_well_formed(plan.trajectory)
     assert (plan.fraction == 1.0) == (plan.stopped_by is None)
@@ -64,8 +73,7 @@ def test_on_any_line_the_tip_is_on_it_and_the_motion_keeps_every_limit(follower,
     assert_keeps_rates(plan.trajectory, rate_limits)
     assert_keeps_positions(plan.trajectory, follower.lower_rad, follower.upper_rad)
     assert_touches_nothing(plan.trajectory, follower.collision, problem.start_rad)
-    start_m = follower.pose(start).translation
-    off_m = distance_to_line_m(tips_m(follower, plan), start_m, end.translation).max()
+    off_m = distance_to_line_m(tips_m(follower, plan), follower.pose(start).translation, end.translation).max()
     assert off_m <= BOUND_M
     assert off_m <= 1.5 * plan.deviation.position_m + 2e-5
 
@@ -94,32 +102,29 @@ def test_on_any_arc_the_tip_stays_on_the_circle(follower, rate_limits, share, ne
 def test_corners_of_waypoints_are_passed_without_a_stop(follower):
     corners = [(0.0, 0.03, 0.0), (0.0, 0.03, -0.03), (0.0, 0.0, -0.03)]
     plan = follower.plan(follower.problem(START, *(shifted(follower, *corner) for corner in corners)))
-    speeds = np.abs(plan.trajectory.velocities_rad_s).max(axis=1)
     assert plan.fraction == 1.0
-    assert speeds[3:-3].min() > 0.02
+    assert np.abs(plan.trajectory.velocities_rad_s).max(axis=1)[3:-3].min() > 0.02
     for corner in corners:
         away_m = np.linalg.norm(tips_m(follower, plan) - follower.pose(START).translation - corner, axis=1)
         assert away_m.min() < 1e-3
 
 
-@pytest.mark.parametrize("length_m", [0.017, 0.037, 0.042])
-def test_a_length_of_whole_steps_leaves_no_rest_by_rounding_that_cannot_be_timed(follower, length_m):
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.0, length_m)))
-    assert plan.fraction == 1.0
-    assert plan.trajectory.duration_s < 1.0
-
-
-@pytest.mark.parametrize("distance_m", [0.0, 1e-6, 1e-4])
-def test_paths_of_hardly_any_length_are_planned(follower, distance_m):
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, distance_m, 0.0)))
-    assert_well_formed(plan.trajectory)
-    assert plan.fraction == 1.0
-    assert plan.trajectory.duration_s < 0.2
+def test_paths_of_whole_steps_and_of_hardly_any_length_are_planned(follower):
+    # A length of whole steps leaves no rest by rounding that cannot be timed.
+    for z_m in (0.017, 0.037, 0.042):
+        plan = planned(follower, 0.0, 0.0, z_m)
+        assert plan.fraction == 1.0
+        assert plan.trajectory.duration_s < 1.0
+    for y_m in (0.0, 1e-6, 1e-4):
+        plan = planned(follower, 0.0, y_m, 0.0)
+        assert_well_formed(plan.trajectory)
+        assert plan.fraction == 1.0
+        assert plan.trajectory.duration_s < 0.2
 
 
 @pytest.mark.parametrize("tip_speed_m_s", [0.01, 0.05, 0.2])
 def test_the_tip_moves_as_fast_as_it_may_and_no_faster(follower, tip_speed_m_s):
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.06, 0.02), tip_speed_m_s=tip_speed_m_s))
+    plan = planned(follower, 0.0, 0.06, 0.02, tip_speed_m_s=tip_speed_m_s)
     positions, velocities, _ = fine_samples(plan.trajectory)
     tracker = follower.tracker(START)
     speeds = [tracker.speed_m(point, velocity) for point, velocity in zip(positions, velocities, strict=True)]
@@ -128,89 +133,74 @@ def test_the_tip_moves_as_fast_as_it_may_and_no_faster(follower, tip_speed_m_s):
 
 
 def test_scaling_slows_the_motion_down(follower):
-    segment = shifted(follower, 0.0, 0.08, 0.0)
     fast, slow = (
-        follower.plan(follower.problem(START, segment, velocity_scaling=share, acceleration_scaling=share))
-        for share in (1.0, 0.1)
+        planned(follower, 0.0, 0.08, 0.0, velocity_scaling=share, acceleration_scaling=share) for share in (1.0, 0.1)
     )
     assert slow.trajectory.duration_s > 3.0 * fast.trajectory.duration_s
 
 
 def test_the_nearest_orientation_is_taken_unless_it_must_be_kept(follower):
-    segment = shifted(follower, 0.0, 0.1, 0.0)
-    loose = follower.plan(follower.problem(START, segment))
-    strict = follower.plan(follower.problem(START, segment, keep_orientation=True, orientation_tolerance_rad=0.1))
+    loose = planned(follower, 0.0, 0.1, 0.0)
+    strict = planned(follower, 0.0, 0.1, 0.0, keep_orientation=True, orientation_tolerance_rad=0.1)
     assert loose.fraction == 1.0
     assert loose.deviation.orientation_rad > 0.1
     assert 0.0 < strict.fraction < 1.0
     assert strict.deviation.orientation_rad <= 0.101
-    assert strict.stopped_by.details["reason"] == "orientation"
-    assert strict.stopped_by.code == MoveItErrorCode.NO_IK_SOLUTION
+    assert (strict.stopped_by.details["reason"], strict.stopped_by.code) == ("orientation", Code.NO_IK_SOLUTION)
+    # Five joints keep it in the plane of the arm.
+    kept = planned(follower, 0.0, 0.0, -0.05, keep_orientation=True)
+    assert kept.fraction == 1.0
+    assert kept.deviation.orientation_rad < 0.02
 
 
-def test_five_joints_keep_the_orientation_in_the_plane_of_the_arm(follower):
-    problem = follower.problem(START, shifted(follower, 0.0, 0.0, -0.05), keep_orientation=True)
-    plan = follower.plan(problem)
-    assert plan.fraction == 1.0
-    assert plan.deviation.orientation_rad < 0.02
+@pytest.fixture
+def put_wall(follower, put):
+    """Put a wall to the left of the tip in START."""
+
+    def put_wall(beside_m):
+        x, y, _ = follower.pose(START).translation.tolist()
+        put(follower.collision, thing(Box((0.4, 0.01, 0.6)), x, y + beside_m, 0.3, name="wall"))
+
+    return put_wall
 
 
-def wall(follower, beside_m):
-    """A wall to the left of the tip in START."""
-    x, y, _ = follower.pose(START).translation.tolist()
-    return thing(Box((0.4, 0.01, 0.6)), x, y + beside_m, 0.3, name="wall")
+def test_a_path_ends_only_at_a_contact_that_counts(follower, put_wall):
+    # Within the last step.
+    put_wall(0.1288)
+    plan = planned(follower, 0.0, 0.12, 0.0)
+    assert 0.9 <= plan.fraction <= 0.99
+    assert plan.stopped_by is not None
+    put_wall(0.11)
+    plan = planned(follower, 0.0, 0.12, 0.0, avoid_collisions=False)
+    assert (plan.fraction, plan.stopped_by) == (1.0, None)
 
 
-def to_the_left(follower, **asked):
-    return follower.problem(START, shifted(follower, 0.0, 0.12, 0.0), **asked)
-
-
-@pytest.mark.parametrize(
-    ("beside_m", "asked", "least", "most"),
-    [
-        (0.1288, {}, 0.9, 0.99),
-        (0.11, {"avoid_collisions": False}, 1.0, 1.0),
-    ],
-    ids=["a contact within the last step", "contacts are not to be avoided"],
-)
-def test_a_path_ends_only_at_a_contact_that_counts(follower, put, beside_m, asked, least, most):
-    put(follower.collision, wall(follower, beside_m))
-    plan = follower.plan(to_the_left(follower, **asked))
-    assert least <= plan.fraction <= most
-    assert (plan.stopped_by is None) == (most == 1.0)
-
-
-def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, collision, put):
-    put(follower.collision, wall(follower, 0.11))
-    problem = to_the_left(follower)
+def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, put_wall):
+    put_wall(0.11)
+    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))
     plan = follower.plan(problem)
     assert 0.1 < plan.fraction < 0.9
-    assert plan.stopped_by.code == MoveItErrorCode.INVALID_MOTION_PLAN
-    assert plan.stopped_by.details["reason"] == "collision"
-    pair = plan.stopped_by.details["pairs"][0]
-    assert "wall" in (pair["first"], pair["second"])
-    assert "wall" in plan.stopped_by.message
-    assert_touches_nothing(plan.trajectory, collision, problem.start_rad)
+    stopped_by = plan.stopped_by
+    assert (stopped_by.code, stopped_by.details["reason"]) == (Code.INVALID_MOTION_PLAN, "collision")
+    assert "wall" in stopped_by.details["pairs"][0].values()
+    assert "wall" in stopped_by.message
+    assert_touches_nothing(plan.trajectory, follower.collision, problem.start_rad)
 
 
-def test_out_of_reach_is_told_with_how_far(follower):
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.5, 0.0, 0.0)))
+def test_out_of_reach_is_told_with_how_far_and_a_jump_with_its_joint(follower):
+    plan = planned(follower, 0.5, 0.0, 0.0)
     assert 0.0 < plan.fraction < 1.0
-    assert plan.stopped_by.code == MoveItErrorCode.NO_IK_SOLUTION
-    assert plan.stopped_by.details["reason"] == "reach"
+    assert (plan.stopped_by.code, plan.stopped_by.details["reason"]) == (Code.NO_IK_SOLUTION, "reach")
     assert plan.stopped_by.details["distance_m"] > 0.1
-
-
-def test_a_jump_is_told_with_its_joint(follower):
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.05, 0.0), max_joint_step_rad=1e-4))
+    plan = planned(follower, 0.0, 0.05, 0.0, max_joint_step_rad=1e-4)
     assert plan.fraction < 0.01
-    assert plan.stopped_by.code == MoveItErrorCode.PLANNING_FAILED
+    assert plan.stopped_by.code == Code.PLANNING_FAILED
     assert plan.stopped_by.details["joint"] in follower.robot.groups["arm"].joints
 
 
 def test_path_constraints_end_the_path_where_they_no_longer_hold(follower):
     constraints = Constraints(joints=(JointConstraint("shoulder_pan", 0.0, 0.1, 0.1),))
-    plan = follower.plan(follower.problem(START, shifted(follower, 0.0, 0.1, 0.0), path_constraints=constraints))
+    plan = planned(follower, 0.0, 0.1, 0.0, path_constraints=constraints)
     assert 0.0 < plan.fraction < 1.0
     assert plan.stopped_by.details["reason"] == "constraint"
     assert "shoulder_pan" in plan.stopped_by.message
@@ -222,26 +212,18 @@ def test_a_start_that_cannot_be_followed_from_is_refused(follower):
     constraints = Constraints(orientations=(OrientationConstraint(TIP, upside_down.orientation, (0.1, 0.1, 0.1)),))
     path = shifted(follower, 0.0, 0.1, 0.0)
     violating = follower.plan(follower.problem(START, path, path_constraints=constraints))
-    assert violating.code == MoveItErrorCode.START_STATE_VIOLATES_PATH_CONSTRAINTS
-    colliding = follower.plan(follower.problem(FOLDED_INTO_ITSELF, path))
-    assert colliding.code == MoveItErrorCode.START_STATE_IN_COLLISION
-    stopped = follower.plan(follower.problem(START, path), should_stop=lambda: True)
-    assert stopped.code == MoveItErrorCode.PREEMPTED
+    assert violating.code == Code.START_STATE_VIOLATES_PATH_CONSTRAINTS
+    assert follower.plan(follower.problem(FOLDED_INTO_ITSELF, path)).code == Code.START_STATE_IN_COLLISION
+    assert follower.plan(follower.problem(START, path), should_stop=lambda: True).code == Code.PREEMPTED
 
 
-@pytest.fixture
-def drawn(follower):
-    """A curve through points far too few for a line of 8 cm, the path, and the tracker."""
-    tracker = follower.tracker(START)
-    placement = tracker.pose(START)
-    path = TipPath(placement, [line(pin.SE3(placement.rotation, placement.translation + np.array([0.0, 0.08, 0.0])))])
+def test_points_are_added_until_the_curve_is_near_the_path(follower):
+    tracker, placement = follower.tracker(START), follower.pose(START)
+    path = TipPath(placement, [line(moved(placement, 0.0, 0.08, 0.0))])
     end = tracker.follow(START, path.at(0.08), 0.0)
+    # Far too few points for a line of 8 cm.
     few = FollowedPath(np.array([0.0, 0.08]), np.array([START, end]), None)
-    return tip_curve(few, path, tracker), path, tracker
-
-
-def test_points_are_added_until_the_curve_is_near_the_path(drawn):
-    (followed, curve, _), path, tracker = drawn
+    followed, curve, _ = tip_curve(few, path, tracker)
     assert len(followed.points) > 3
     along_m = np.linspace(0.0, 0.08, 300)
     off_m = [apart_m(path.at(s), tracker.pose(p)) for s, p in zip(along_m, curve(along_m), strict=True)]
@@ -249,9 +231,8 @@ def test_points_are_added_until_the_curve_is_near_the_path(drawn):
 
 
 def test_the_curve_stays_within_the_limits_where_a_joint_stops_at_one(follower):
-    tracker = follower.tracker(START)
-    placement = tracker.pose(START)
-    path = TipPath(placement, [line(pin.SE3(placement.rotation, placement.translation + np.array([0.0, 0.0, 0.04])))])
+    tracker, placement = follower.tracker(START), follower.pose(START)
+    path = TipPath(placement, [line(moved(placement, 0.0, 0.0, 0.04))])
     along_m = np.linspace(0.0, 0.04, 9)
     points = np.array([tracker.follow(START, path.at(s), 0.0) for s in along_m])
     shift = follower.upper_rad[4] - 1e-3 - points[:, 4].max()
@@ -261,26 +242,18 @@ def test_the_curve_stays_within_the_limits_where_a_joint_stops_at_one(follower):
     assert not tracker.outside(curve(np.linspace(0.0, 0.04, 1000))).any()
 
 
-steps_m = st.tuples(*[st.floats(-0.005, 0.005)] * 3).map(np.array)
-
-
-def moved(placement, step_m):
-    return pin.SE3(placement.rotation, placement.translation + step_m)
-
-
-@given(share=shares, step_m=steps_m)
+@given(share=shares, step_m=st.tuples(*[st.floats(-0.1, 0.1)] * 3))
 @examples(60)
 def test_no_joint_goes_beyond_its_limits(follower, share, step_m):
     start = follower.point(1.1 * share)
     tracker = follower.tracker(start)
-    assert not tracker.outside(tracker.follow(start, moved(tracker.pose(start), 20.0 * step_m), 1.0)).any()
+    assert not tracker.outside(tracker.follow(start, moved(tracker.pose(start), *step_m), 1.0)).any()
 
 
 def test_turning_for_the_orientation_alone_is_limited(follower):
     start = np.array([0.2, -0.4, 0.6, 0.3, 0.1])
-    placement = follower.pose(start)
+    tracker, placement = follower.tracker(start), follower.pose(start)
     target = pin.SE3(placement.rotation @ pin.exp3(np.array([0.0, 0.0, 1.0])), placement.translation)
-    tracker = follower.tracker(start)
     assert np.abs(tracker.follow(start, target, 0.05) - start).max() <= 0.06
     assert np.abs(tracker.follow(start, target, 2.0) - start).max() > 0.5
 

@@ -20,7 +20,6 @@ from tests.helpers.robots import so101
 MOTION = Trajectory(
     ("a", "b"), np.array([0.0, 1.0]), np.array([[0.0, 0.0], [1.0, 2.0]]), np.zeros((2, 2)), np.zeros((2, 2))
 )
-PNG = b"\x89PNG"
 
 
 def test_more_motions_than_fit_are_left_out_and_without_any_there_is_no_picture(tmp_path, monkeypatch) -> None:
@@ -85,26 +84,17 @@ def test_the_allowed_time_is_processor_time(path, monkeypatch) -> None:
     assert [answer["error_code"] for answer in written] == [MoveItErrorCode.TIMED_OUT] * 2
 
 
-def test_a_plan_is_written_in_the_order_of_the_files_joints_and_keeps_its_limits(path) -> None:
-    _, (answer,) = answers(path, ids=("near",))
+def test_answers_are_written_with_a_line_for_each_in_the_order_of_the_files_joints_and_within_its_limits(path) -> None:
+    run, (answer, _, refused) = answers(path, every=True)
     assert set(answer) == {"problem", "time_from_start", "positions", "velocities", "accelerations"}
-    assert answer["positions"][0] == HOME
-    assert answer["positions"][-1] == NEAR
+    assert (answer["positions"][0], answer["positions"][-1]) == (HOME, NEAR)
     shape = (len(answer["time_from_start"]), 5)
     assert all(np.shape(answer[key]) == shape for key in ("positions", "velocities", "accelerations"))
     assert np.max(np.abs(answer["velocities"])) <= LIMITS["velocity"][0] + 1e-9
     assert np.max(np.abs(answer["accelerations"])) <= LIMITS["acceleration"][0] + 1e-9
-
-
-def test_a_refusal_is_written_with_code_and_sentence(path) -> None:
-    _, (answer,) = answers(path, ids=("far",))
-    assert set(answer) == {"problem", "error_code", "message"}
-    assert answer["error_code"] == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
-    assert "1.5 rad" in answer["message"]
-
-
-def test_the_table_has_a_line_for_each_problem(path) -> None:
-    run, _ = answers(path, every=True)
+    assert set(refused) == {"problem", "error_code", "message"}
+    assert refused["error_code"] == MoveItErrorCode.INVALID_GOAL_CONSTRAINTS
+    assert "1.5 rad" in refused["message"]
     assert run.lines[0].split() == ["problem", "code", "CPU", "[ms]", "duration", "[s]", "length", "[rad]"]
     name, code, word, cpu, duration, length = run.lines[1].split()
     assert (name, code, word) == ("near", "1", "SUCCESS")
@@ -114,38 +104,32 @@ def test_the_table_has_a_line_for_each_problem(path) -> None:
     assert run.lines[-1] == "3 of 3 answered as the file expects"
 
 
-def test_an_unexpected_answer_is_exit_1(path) -> None:
-    path.write_text(path.read_text().replace("-16", "-12"))
+def test_an_unexpected_answer_is_exit_1_and_so_is_a_scene_that_cannot_be_used(path) -> None:
+    text = path.read_text()
+    path.write_text(text.replace("-16", "-12"))
     assert Run(Options([path], every=True)).code == EXIT_UNEXPECTED
-
-
-def test_a_saved_failure_that_fails_again_in_the_same_way_is_exit_0(path, tmp_path) -> None:
-    problem = PlanningProblem("arm", dict.fromkeys(ROBOT.joints, 0.0), JointGoal(dict.fromkeys(ARM, 9.0)))
-    failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "beyond the limits")
-    saved = tmp_path / "goal-7.json"
-    saved.write_text(problem_file.text("goal-7", problem, EMPTY_SCENE, ROBOT, failure))
-    run = Run(Options([saved]))
-    assert (run.code, run.lines[-1]) == (EXIT_EXPECTED, "1 of them failed as on the server that saved the problem")
-
-
-def test_a_saved_success_that_succeeds_again_is_called_no_failure(path, tmp_path) -> None:
-    problem = PlanningProblem(
-        "arm", dict.fromkeys(ROBOT.joints, 0.0), JointGoal(dict(zip(REVERSED, NEAR, strict=True)))
-    )
-    saved = tmp_path / "goal-1.json"
-    solved = PlanningFailure(MoveItErrorCode.SUCCESS, "the arm is there")
-    saved.write_text(problem_file.text("goal-1", problem, EMPTY_SCENE, ROBOT, solved))
-    run = Run(Options([saved]))
-    assert (run.code, run.lines[-1]) == (EXIT_EXPECTED, "1 of 1 answered as the file expects")
-
-
-def test_a_scene_that_cannot_be_used_is_the_answer_to_every_problem(path) -> None:
-    fields = json.loads(path.read_text())
-    fields["objects"] = [{"id": "flat", "type": "box", "dimensions": [0.1, 0.1, 0.0]}]
-    path.write_text(json.dumps(fields))
+    flat = {"id": "flat", "type": "box", "dimensions": [0.1, 0.1, 0.0]}
+    path.write_text(json.dumps({**json.loads(text), "objects": [flat]}))
     run, written = answers(path)
     assert run.code == EXIT_UNEXPECTED
     assert all("flat" in answer["message"] for answer in written)
+
+
+def test_a_saved_failure_that_fails_again_in_the_same_way_and_a_saved_success_that_succeeds_are_exit_0(
+    tmp_path,
+) -> None:
+    beyond = JointGoal(dict.fromkeys(ARM, 9.0))
+    failed = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "beyond the limits")
+    solved = PlanningFailure(MoveItErrorCode.SUCCESS, "the arm is there")
+    for goal, outcome, line in (
+        (beyond, failed, "1 of them failed as on the server that saved the problem"),
+        (JointGoal(dict(zip(REVERSED, NEAR, strict=True))), solved, "1 of 1 answered as the file expects"),
+    ):
+        saved = tmp_path / "goal-7.json"
+        problem = PlanningProblem("arm", dict.fromkeys(ROBOT.joints, 0.0), goal)
+        saved.write_text(problem_file.text("goal-7", problem, EMPTY_SCENE, ROBOT, outcome))
+        run = Run(Options([saved]))
+        assert (run.code, run.lines[-1]) == (EXIT_EXPECTED, line)
 
 
 def test_problems_of_several_files_are_told_apart_by_their_paths(path) -> None:
@@ -154,9 +138,8 @@ def test_problems_of_several_files_are_told_apart_by_their_paths(path) -> None:
     run, written = answers(path, more=[other], ids=("near", "far"))
     expected = [(str(file), name) for file in (path, other) for name in ("near", "far")]
     assert [(answer["file"], answer["problem"]) for answer in written] == expected
-    assert [line.split()[0] for line in run.lines[1:] if line[0] == "/"] == [
-        f"{file}:{name}" for file, name in expected
-    ]
+    shown = [line.split()[0] for line in run.lines[1:] if line[0] == "/"]
+    assert shown == [f"{file}:{name}" for file, name in expected]
     assert run.lines[-1] == "4 of 4 answered as their files expect"
 
 
@@ -170,21 +153,18 @@ class TerminalText(io.StringIO):
 def test_on_a_terminal_answers_are_counted_as_they_come_and_a_plot_is_drawn(path) -> None:
     errors, picture = TerminalText(), path.with_name("out.png")
     plan_command.run(Options([path], plot_path=picture), ROBOT, io.StringIO(), errors)
-    assert picture.read_bytes().startswith(PNG)
+    assert picture.read_bytes().startswith(b"\x89PNG")
     assert [text for text in errors.getvalue().split("\r\x1b[K") if text] == ["1/2", "2/2"]
 
 
-UNUSABLE = {
-    "no such file": (lambda path: Options([path.with_name("none.json")]), "cannot be read"),
-    "no such problem": (lambda path: Options([path, path], ids=("near", "lost")), "'lost'"),
-    "no such folder": (lambda path: Options([path], json_path=path.parent / "none" / "out.json"), "none"),
-    "no such kind of picture": (lambda path: Options([path], plot_path=path.with_name("a.teapot")), "teapot"),
-}
-
-
-@pytest.mark.parametrize(("options", "words"), UNUSABLE.values(), ids=UNUSABLE)
-def test_an_impossible_request_is_one_line_and_exit_2(path, options, words) -> None:
-    run = Run(options(path))
-    assert run.code == EXIT_USAGE
-    (line,) = run.errors
-    assert words in line
+def test_an_impossible_request_is_one_line_and_exit_2(path) -> None:
+    for options, words in (
+        (Options([path.with_name("none.json")]), "cannot be read"),
+        (Options([path, path], ids=("near", "lost")), "'lost'"),
+        (Options([path], json_path=path.parent / "none" / "out.json"), "none"),
+        (Options([path], plot_path=path.with_name("a.teapot")), "teapot"),
+    ):
+        run = Run(options)
+        assert run.code == EXIT_USAGE
+        (line,) = run.errors
+        assert words in line

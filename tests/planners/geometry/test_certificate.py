@@ -11,7 +11,7 @@ from planners.geometry.certificate import EARLIEST_STEP_M, FINEST_STEP_M, Cubics
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.pipeline import Planner
-from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure, RecheckAnswer
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure
 from planners.scene import Box
 from robot.description import model
 from robot.trajectory import Trajectory
@@ -21,6 +21,7 @@ from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF
 from tests.planners.scenes import around_the_arm, scene, thing
 
 READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
+POST = thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)
 
 
 @pytest.fixture
@@ -41,49 +42,49 @@ def motion(names, points, period_s=0.1):
     return Trajectory(names, times_s, points, velocities, np.zeros_like(points))
 
 
-def only_hulls_touch(collision, q):
-    return collision.hull_only_pairs(q) and not collision.colliding_pairs(q)
+@pytest.fixture
+def turn(arm):
+    """Make a motion that turns the arm from pan to pan."""
+    return lambda *pans_rad: motion(arm.joints, [READY + np.array([pan, 0.0, 0.0, 0.0, 0.0]) for pan in pans_rad])
 
 
-def turn(arm, *pans_rad):
-    return motion(arm.joints, [READY + np.array([pan, 0.0, 0.0, 0.0, 0.0]) for pan in pans_rad])
+@pytest.fixture
+def tight(changing, space_in):
+    """Points beside the post at which only hulls touch."""
+    space = space_in(scene(POST))
+    points = np.random.default_rng(5).uniform(0.6 * space.lower_rad, 0.6 * space.upper_rad, (1000, 5))
+    states = ((point, np.append(point, 0.0)) for point in points)
+    return [p for p, q in states if changing.hull_only_pairs(q) and not changing.colliding_pairs(q)]
 
 
-def test_a_wall_thinner_than_the_way_between_samples_is_found(space_in, arm):
+def test_a_wall_thinner_than_the_way_between_samples_is_found(space_in, turn):
     # The samples, 40 cm apart at the tip, are free.
-    space = space_in(scene(thing(Box((0.4, 0.001, 0.4)), 0.4, 0.0, 0.2)))
-    trajectory = turn(arm, -1.2, -0.9, 0.9, 1.2)
+    space, trajectory = space_in(scene(thing(Box((0.4, 0.001, 0.4)), 0.4, 0.0, 0.2))), turn(-1.2, -0.9, 0.9, 1.2)
     assert all(space.free(point) for point in trajectory.positions_rad)
     contact = certify(space, trajectory)
     assert "thing" in {name for pair in contact.pairs for name in pair.links}
     assert 0.1 < contact.time_s < 0.2
 
 
-def test_contact_in_the_start_is_told_at_time_zero_and_in_the_end_later(space_in, arm):
+def test_contact_in_the_start_is_told_at_time_zero_and_the_first_of_several_with_its_time(space_in, turn):
     space = space_in(scene(thing(Box((0.1, 0.1, 0.1)), 0.3, 0.0, 0.2)))
-    assert certify(space, turn(arm, 0.0, 1.0)).time_s == 0.0
-    assert certify(space, turn(arm, 0.0)).time_s == 0.0
-    assert certify(space, turn(arm, 1.2, 0.0)).time_s > 0.0
-
-
-def test_the_first_of_several_contacts_is_told(space_in, arm):
+    assert certify(space, turn(0.0, 1.0)).time_s == certify(space, turn(0.0)).time_s == 0.0
+    assert certify(space, turn(1.2, 0.0)).time_s > 0.0
     places = {"right": -0.8, "left": 0.8}
     walls = [thing(Box((0.02, 0.02, 0.4)), 0.3 * np.cos(a), 0.3 * np.sin(a), 0.2, name=n) for n, a in places.items()]
     space = space_in(scene(*walls))
     # The arm turns against its joint's sense.
     for pans, name in (((0.0, 1.7), "right"), ((0.0, -1.7), "left"), ((1.7, -1.7), "right"), ((-1.7, 1.7), "left")):
-        contact = certify(space, turn(arm, *pans))
+        contact = certify(space, turn(*pans))
         assert name in {name for pair in contact.pairs for name in pair.links}
         assert contact.time_s < 0.07
 
 
 @pytest.mark.parametrize("seed", [0, 1, 6])
-def test_certified_motions_are_free_at_a_finer_step(space_in, changing, arm, seed):
-    rng = np.random.default_rng(seed)
-    space = space_in(around_the_arm(seed))
+def test_certified_motions_are_free_at_a_finer_step(space_in, arm, seed):
+    rng, space = np.random.default_rng(seed), space_in(around_the_arm(seed))
     for _ in range(in_proportion(10)):
-        points = rng.uniform(0.4 * space.lower_rad, 0.4 * space.upper_rad, (3, 5))
-        trajectory = motion(arm.joints, points)
+        trajectory = motion(arm.joints, rng.uniform(0.4 * space.lower_rad, 0.4 * space.upper_rad, (3, 5)))
         verdict = certify(space, trajectory)
         touching = [t for t in np.linspace(0.0, 0.2, 800) if not space.free(trajectory.sample(t)[0])]
         if verdict is None:
@@ -93,29 +94,20 @@ def test_certified_motions_are_free_at_a_finer_step(space_in, changing, arm, see
             assert not touching or touching[0] >= verdict.time_s - 0.02
 
 
-def test_if_only_hulls_touch_the_parts_decide(changing, space_in, arm, robot):
-    rng = np.random.default_rng(5)
-    space = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
-    points = rng.uniform(0.6 * space.lower_rad, 0.6 * space.upper_rad, (1000, 5))
-    tight = [point for point in points if only_hulls_touch(changing, np.append(point, 0.0))]
+def test_if_only_hulls_touch_the_parts_decide(space_in, arm, tight):
     assert tight
     for point in tight[:10]:
-        fresh = space_in(scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)))
+        fresh = space_in(scene(POST))
         assert not fresh.free(point)
         assert certify(fresh, motion(arm.joints, [point])) is None
         assert fresh.free(point)
 
 
-def test_a_certificate_is_given_up_when_its_request_is_cancelled(changing, space_in, arm):
-    rng = np.random.default_rng(5)
-    box = scene(thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15))
-    free = space_in(box)
-    points = rng.uniform(0.6 * free.lower_rad, 0.6 * free.upper_rad, (1000, 5))
-    tight = next(point for point in points if only_hulls_touch(changing, np.append(point, 0.0)))
-    asked = itertools.count()
-    space = space_in(box, also_free=[np.append(tight, 0.0)], should_stop=lambda: next(asked) == 2)
+def test_a_certificate_is_given_up_when_its_request_is_cancelled(space_in, arm, tight):
+    point, asked = tight[0], itertools.count()
+    space = space_in(scene(POST), also_free=[np.append(point, 0.0)], should_stop=lambda: next(asked) == 2)
     with pytest.raises(StoppedError):
-        certify(space, motion(arm.joints, [tight, tight + 0.01, tight]))
+        certify(space, motion(arm.joints, [point, point + 0.01, point]))
 
 
 class Discs:
@@ -137,12 +129,9 @@ class Discs:
         return self.distance(point) > 0.0
 
     def candidate_pairs(self, points, joint_travel, among):
+        every = range(len(self.discs))
         return [
-            tuple(
-                number
-                for number in (range(len(self.discs)) if known is None else known)
-                if self.distance(point, number) <= travel.sum()
-            )
+            tuple(each for each in (every if known is None else known) if self.distance(point, each) <= travel.sum())
             for point, travel, known in zip(points, joint_travel, among, strict=True)
         ]
 
@@ -160,14 +149,12 @@ def point_on(curve, at):
     """The point of cubic pieces at a place in pieces from the start."""
     i = min(int(at), len(curve) - 1)
     u = at - i
-    weights = np.array([(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3])
-    return weights @ curve.coefficients[i]
+    return np.array([(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3]) @ curve.coefficients[i]
 
 
 def wavy(seed, pieces=6):
     """Smooth cubic pieces through random points."""
-    rng = np.random.default_rng(seed)
-    points, slopes = rng.uniform(-1.0, 1.0, (pieces + 1, 2)), rng.uniform(-1.0, 1.0, (pieces + 1, 2))
+    points, slopes = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, pieces + 1, 2))
     start, end = points[:-1], points[1:]
     return Cubics(np.stack((start, start + slopes[:-1] / 3.0, end - slopes[1:] / 3.0, end), axis=1))
 
@@ -231,36 +218,23 @@ PAIR = model.parse(PAIR_URDF, PAIR_SRDF)
 ZERO = {joint.name: 0.0 for joint in PAIR.movable_joints}
 
 
-@pytest.fixture(scope="module")
-def pair() -> CollisionModel:
-    return CollisionModel(PAIR)
-
-
 def leaning(side: str, from_rad: float, to_rad: float) -> Trajectory:
     """An upright arm that leans over to the side, its first joint turned so that it leans along y."""
     return smooth_move({f"{side}_a1": (np.pi / 2, np.pi / 2), f"{side}_a2": (from_rad, to_rad)}, 2.0)
 
 
-def test_motions_towards_each_other_touch(pair: CollisionModel) -> None:
+def test_motions_that_use_the_same_place_touch_even_at_different_times_and_others_are_free_in_every_position() -> None:
+    pair = CollisionModel(PAIR)
     found = encounter(pair, leaning("left", 0.0, -1.5), leaning("right", 0.0, 1.5), ZERO)
-    assert found is not None
     sides = {frozenset((pair.first[:4], pair.second[:4])) for pair in found.pairs}
     assert frozenset(("left", "righ")) in sides
-
-
-def test_motions_that_use_the_same_place_at_different_times_touch(pair: CollisionModel) -> None:
-    left, right = leaning("left", 0.0, -1.5), leaning("right", 1.5, 0.0)
-    assert encounter(pair, left, right, ZERO) is not None
-
-
-def test_every_pair_of_positions_of_motions_that_do_not_touch_is_free(pair: CollisionModel) -> None:
+    assert encounter(pair, leaning("left", 0.0, -1.5), leaning("right", 1.5, 0.0), ZERO) is not None
     left, right = leaning("left", 0.0, -0.55), leaning("right", 0.0, 0.55)
     assert encounter(pair, left, right, ZERO) is None
-    for first_s in np.linspace(0.0, 2.0, 9):
-        for second_s in np.linspace(0.0, 2.0, 9):
-            at = dict(zip(left.joint_names, left.sample(first_s)[0], strict=True))
-            at |= dict(zip(right.joint_names, right.sample(second_s)[0], strict=True))
-            assert not pair.collides(np.array([at.get(name, 0.0) for name in pair.joint_names]))
+    for first_s, second_s in itertools.product(np.linspace(0.0, 2.0, 9), repeat=2):
+        at = dict(zip(left.joint_names, left.sample(first_s)[0], strict=True))
+        at |= dict(zip(right.joint_names, right.sample(second_s)[0], strict=True))
+        assert not pair.collides(np.array([at.get(name, 0.0) for name in pair.joint_names]))
 
 
 def test_fingers_move_while_their_own_hand_does() -> None:
@@ -270,20 +244,11 @@ def test_fingers_move_while_their_own_hand_does() -> None:
     assert encounter(CollisionModel(robot), smooth_move({"a2": (0.0, 0.8)}, 1.0), fingers, others) is None
 
 
-@pytest.fixture(scope="module")
-def planner() -> Planner:
-    return Planner(PAIR, time.process_time)
-
-
-def test_the_answer_names_what_touches(planner: Planner) -> None:
+def test_the_answer_names_what_touches_and_motions_of_one_joint_are_no_question() -> None:
+    planner = Planner(PAIR, time.process_time)
     answer = planner.answer(ConcurrencyQuestion(leaning("left", 0.0, -1.5), leaning("right", 0.0, 1.5), ZERO))
-    assert isinstance(answer, RecheckAnswer)
-    assert answer.contact is not None
     assert "left_" in answer.contact.message
     assert "right_" in answer.contact.message
-
-
-def test_motions_of_one_joint_are_no_question(planner: Planner) -> None:
     answer = planner.answer(ConcurrencyQuestion(leaning("left", 0.0, 1.0), leaning("left", 0.0, 1.0), ZERO))
     assert isinstance(answer, PlanningFailure)
     assert answer.code is MoveItErrorCode.INVALID_MOTION_PLAN

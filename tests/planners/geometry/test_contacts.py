@@ -10,14 +10,15 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.parts import PartPair, parts_of
 from planners.geometry.shapes import convex, kinematic_urdf, urdf_shapes
-from planners.scene import Box, Plane, Pose, Scene, SceneObject, Sphere
+from planners.scene import Box, Plane, Sphere
 from robot.description import model
 from tests.helpers import robots
 from tests.helpers.resources import in_proportion
-from tests.planners.scenes import around_the_arm, outside_m, scene, thing
+from tests.planners.scenes import CORNERS_M, FACES, around_the_arm, outside_m, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 STATES = 30
+HOME = np.zeros(6)
 
 
 @pytest.fixture(params=[1, 2])
@@ -33,9 +34,9 @@ def crowded(request, robot):
     return build, np.random.default_rng(3).uniform(*limits, (STATES, len(limits[0])))
 
 
-def distances_m(broadphase, pairs, q):
+def distances_m(broadphase, q):
     broadphase.place(q)
-    return np.array([broadphase.distance_m(pair) for pair in range(pairs)])
+    return np.array([broadphase.distance_m(pair) for pair in range(len(broadphase._pairs))])
 
 
 def test_touching_is_overlapping(crowded):
@@ -57,19 +58,17 @@ def test_few_and_many_shapes_are_searched_alike(crowded, monkeypatch, few):
     monkeypatch.setattr("planners.geometry.broadphase.FEW_SHAPES", few)
     broadphase = build()
     for q in states:
-        assert (
-            broadphase.touching(q) == np.flatnonzero(distances_m(broadphase, len(broadphase._pairs), q) < 0.0).tolist()
-        )
+        assert broadphase.touching(q) == np.flatnonzero(distances_m(broadphase, q) < 0.0).tolist()
 
 
-@pytest.mark.parametrize("margin_m", [0.0, 0.02, (0.0, 0.1)], ids=str)
-def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margin_m):
+@pytest.mark.parametrize("margins_m", [(0.0, 0.0), (0.02, 0.02), (0.0, 0.1)], ids=str)
+def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margins_m):
     build, states = crowded
     broadphase = build()
     count = len(broadphase._pairs)
-    margins_m = np.random.default_rng(4).uniform(*(margin_m if isinstance(margin_m, tuple) else (margin_m,) * 2), count)
+    margins_m = np.random.default_rng(4).uniform(*margins_m, count)
     for q in states:
-        slack_m = distances_m(broadphase, count, q) - margins_m
+        slack_m = distances_m(broadphase, q) - margins_m
         # Distances of touching meshes are those of single triangles.
         if np.abs(slack_m).min() > 1e-5:
             near = np.flatnonzero(slack_m < 0.0).tolist()
@@ -78,9 +77,7 @@ def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margin_m):
 
 
 # Two small tetrahedra at the ends of the boom: between them is only their hull.
-CORNERS_M = 0.02 * np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
-FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
-TRIANGLES_M = [CORNERS_M[list(face)] + (far_m, 0.0, 0.0) for far_m in (0.0, 0.28) for face in FACES]
+TRIANGLES_M = [0.2 * CORNERS_M[face] + (far_m, 0.0, 0.0) for far_m in (0.0, 0.28) for face in FACES]
 BETWEEN = frozenset(("boom", "thing"))
 
 
@@ -104,24 +101,20 @@ def boxes(rng, count):
     ]
 
 
+def distance_m(one, at_one, other, at_other):
+    places = at_one * one.placement, at_other * other.placement
+    first, second = (coal.Transform3s(place.rotation, place.translation) for place in places)
+    asked, found = coal.DistanceRequest(), coal.DistanceResult()
+    return coal.distance(one.geometry, first, other.geometry, second, asked, found)
+
+
 @pytest.mark.parametrize("margin_m", [0.0, 0.01, 0.05])
 def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
     rng, verdicts = np.random.default_rng(1), set()
     for _ in range(60):
         first, second = boxes(rng, 4), boxes(rng, 3)
         at_first, at_second = pose(rng, 0.2), pose(rng, 0.2)
-        nearest_m = min(
-            coal.distance(
-                one.geometry,
-                coal.Transform3s((at_first * one.placement).rotation, (at_first * one.placement).translation),
-                other.geometry,
-                coal.Transform3s((at_second * other.placement).rotation, (at_second * other.placement).translation),
-                coal.DistanceRequest(),
-                coal.DistanceResult(),
-            )
-            for one in first
-            for other in second
-        )
+        nearest_m = min(distance_m(one, at_first, other, at_second) for one in first for other in second)
         pair = PartPair(parts_of(first), at_first, parts_of(second), at_second)
         near = pair.nearer_than(margin_m)
         verdicts.add(near)
@@ -137,20 +130,20 @@ def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
     collision = CollisionModel(robot)
     collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
     monkeypatch.setattr("planners.geometry.parts.convex", None)
-    assert collision.colliding_pairs(np.zeros(6))
+    assert collision.colliding_pairs(HOME)
 
 
 def test_a_motion_out_of_a_gap_is_judged_by_the_mesh(crane):
     collision = CollisionModel(crane)
-    collision.set_scene(scene(thing(Box((0.02, 0.02, 0.02)), 0.15, 0.01, 0.28)))
-    arm, start = crane.groups["arm"], np.zeros(3)
+    collision.set_scene(scene(thing(CUBE, *IN_THE_MIDDLE)))
+    joints, start = crane.groups["arm"].joints, np.zeros(3)
     lifted, extended, elsewhere = np.array([(0.0, -0.3, 0.0), (0.0, 0.0, 0.1), (1.0, 0.0, 0.0)])
-    space = JointSpace(collision, arm.joints, start)
+    space = JointSpace(collision, joints, start)
     assert space.free(start)
     assert space.line_free(start, lifted)
     assert space.line_free(start, extended)
-    assert not JointSpace(collision, arm.joints, elsewhere).free(start)
-    assert JointSpace(collision, arm.joints, elsewhere, also_free=[start]).free(start)
+    assert not JointSpace(collision, joints, elsewhere).free(start)
+    assert JointSpace(collision, joints, elsewhere, also_free=[start]).free(start)
 
 
 def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
@@ -166,21 +159,18 @@ def test_parts_of_the_builtin_arm_cover_the_official_meshes(robot, shared_data):
         assert np.min([outside_m(hull, points) for hull in hulls], axis=0).max() < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("jaw_rad", "joints_rad"),
-    [(0.35, (0.0, -1.745, 1.55, 0.9, 0.0)), (0.0, (0.0, -1.745, 1.55, 0.9, 0.0))],
-)
-def test_the_folded_arm_is_free_by_its_parts(robot, collision, jaw_rad, joints_rad):
-    q = np.array([*joints_rad, jaw_rad])
-    assert not collision.colliding_pairs(q)
-    assert JointSpace(collision, robot.groups["arm"].joints, q).free(q[:5])
-
-
 def _on_surface(mesh, rng, count):
     vertices = np.asarray(mesh.vertices())
     for index in rng.integers(mesh.num_tris, size=count):
         triangle = mesh.tri_indices(int(index))
         yield rng.dirichlet((1.0, 1.0, 1.0)) @ vertices[[triangle[0], triangle[1], triangle[2]]]
+
+
+def test_the_folded_arm_is_free_by_its_parts(robot, collision):
+    for jaw_rad in (0.35, 0.0):
+        q = np.array([0.0, -1.745, 1.55, 0.9, 0.0, jaw_rad])
+        assert not collision.colliding_pairs(q)
+        assert JointSpace(collision, robot.groups["arm"].joints, q).free(q[:5])
 
 
 def with_part(crane):
@@ -229,36 +219,26 @@ def test_padding_counts_between_meshes_too(crane):
 
 
 WITHIN_M = 0.15
-BALLS = Scene(
-    7101,
-    (
-        SceneObject("left", ((Sphere(0.03), Pose((0.25, 0.15, 0.2))),)),
-        SceneObject("above", ((Sphere(0.05), Pose((0.1, 0.0, 0.4))),)),
-        SceneObject("far", ((Box((0.1, 0.1, 0.1)), Pose((1.0, 1.0, 1.0))),)),
-        SceneObject("floor", ((Plane((0.0, 0.0, 1.0), -0.1), Pose()),)),
-    ),
-)
 
 
-@pytest.fixture(scope="module")
-def among_balls(robot):
-    model = CollisionModel(robot)
-    assert model.set_scene(BALLS) is None
-    return model
+@pytest.fixture
+def among_balls(changing):
+    left, above = thing(Sphere(0.03), 0.25, 0.15, 0.2, name="left"), thing(Sphere(0.05), 0.1, 0.0, 0.4, name="above")
+    far = thing(Box((0.1, 0.1, 0.1)), 1.0, 1.0, 1.0, name="far")
+    floor = thing(Plane((0.0, 0.0, 1.0), -0.1), name="floor")
+    assert changing.set_scene(scene(left, above, far, floor)) is None
+    return changing
 
 
 def near(model, q):
     return {(pair.first, pair.second): pair for pair in model.near_pairs(q, WITHIN_M)}
 
 
-def test_near_pairs_are_found_and_far_ones_are_not(among_balls):
-    found = near(among_balls, np.zeros(6))
+def test_near_pairs_are_found_far_ones_are_not_and_links_and_objects_are_told_apart(among_balls):
+    found = near(among_balls, HOME)
     assert all(pair.distance_m < WITHIN_M for pair in found.values())
     assert any("left" in names for names in found)
     assert not any("far" in names for names in found)
-
-
-def test_links_and_objects_are_told_apart(among_balls):
     found = near(among_balls, np.array([0.0, -1.0, 1.5, 0.5, 0.0, 0.0]))
     for (_, second), pair in found.items():
         assert pair.by_object == (second in ("left", "above", "floor"))
@@ -278,7 +258,7 @@ def test_the_slope_of_a_distance_is_how_it_grows(among_balls, seed):
 
 
 def test_two_that_overlap_get_apart_against_the_slope(changing):
-    changing.set_scene(Scene(7102, (SceneObject("floor", ((Plane((0.0, 0.0, 1.0), 0.0), Pose()),)),)))
+    changing.set_scene(scene(thing(Plane((0.0, 0.0, 1.0), 0.0), name="floor")))
     q = np.array([0.0, 1.2, -0.4, 0.6, 0.0, 0.0])
     deep = min(changing.near_pairs(q, WITHIN_M), key=lambda pair: pair.distance_m)
     assert deep.distance_m < 0.0

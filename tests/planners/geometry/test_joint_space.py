@@ -9,21 +9,27 @@ from tests.planners.invariants import BLOCKED_LINES
 from tests.planners.scenes import around_the_arm, scene, thing
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
-HOME = np.zeros(5)
+HOME, TURNED = np.zeros(5), np.array([1.0, 0.0, 0.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("ends", BLOCKED_LINES)
-def test_lines_through_the_arm_are_blocked_from_either_side(joint_space, ends):
-    start, end = map(np.array, ends)
-    assert not joint_space.line_free(start, end)
-    assert not joint_space.line_free(end, start)
+@pytest.fixture
+def space_in(changing, arm):
+    def build(surroundings):
+        changing.set_scene(surroundings)
+        return JointSpace(changing, arm.joints, np.zeros(6))
+
+    return build
+
+
+def test_lines_through_the_arm_are_blocked_from_either_side(joint_space):
+    for start, end in BLOCKED_LINES:
+        assert not joint_space.line_free(np.array(start), np.array(end))
+        assert not joint_space.line_free(np.array(end), np.array(start))
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_nothing_touches_within_a_range_that_is_free(changing, arm, seed):
-    changing.set_scene(around_the_arm(seed))
-    space, rng = JointSpace(changing, arm.joints, np.zeros(6)), np.random.default_rng(seed)
-    free = 0
+def test_nothing_touches_within_a_range_that_is_free(space_in, seed):
+    space, rng, free = space_in(around_the_arm(seed)), np.random.default_rng(seed), 0
     for _ in range(100):
         point, joint_travel = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad), rng.uniform(0.0, 0.1, 5)
         if space.candidate_pairs(point[None], joint_travel[None], [ALL_PAIRS]) == [NO_CANDIDATES]:
@@ -34,43 +40,34 @@ def test_nothing_touches_within_a_range_that_is_free(changing, arm, seed):
     assert free > 5
 
 
-def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(changing, arm):
-    changing.set_scene(around_the_arm(1))
-    space, rng = JointSpace(changing, arm.joints, np.zeros(6)), np.random.default_rng(0)
+def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(space_in):
+    space, rng = space_in(around_the_arm(1)), np.random.default_rng(0)
+    wide, narrow = np.full((1, 5), 0.1), np.full((1, 5), 0.05)
     for _ in range(50):
         point = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad)
-        wide, narrow = np.full((1, 5), 0.1), np.full((1, 5), 0.05)
         within = point + rng.uniform(-0.05, 0.05, 5)
         around = space.candidate_pairs(point[None], wide, [ALL_PAIRS])
-        assert space.candidate_pairs(within[None], narrow, around) == space.candidate_pairs(
-            within[None], narrow, [ALL_PAIRS]
-        )
+        alone = space.candidate_pairs(within[None], narrow, [ALL_PAIRS])
+        assert space.candidate_pairs(within[None], narrow, around) == alone
         assert space.touches_any(within, around[0]) == (not space.free(within))
 
 
-def test_a_condition_is_asked_all_along_a_line(collision, arm):
+def test_a_condition_is_asked_all_along_a_line_which_is_not_free_if_it_leaves_the_condition(collision, arm):
     asked = []
     space = JointSpace(collision, arm.joints, np.zeros(6), holds=lambda q: asked.append(q[0]) is None)
-    assert space.line_free(HOME, HOME + np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
+    assert space.line_free(HOME, TURNED)
     steps_m = np.diff(np.sort(asked)) * collision.travel_m_per_rad[0]
     assert steps_m.max() <= 2.0 * CONDITION_STEP_M
-
-
-def test_a_line_that_leaves_its_condition_on_the_way_is_not_free(collision, arm):
     space = JointSpace(collision, arm.joints, np.zeros(6), holds=lambda q: not 0.4 < q[0] < 0.45)
-    line = HOME, HOME + np.array([1.0, 0.0, 0.0, 0.0, 0.0])
-    assert [space.free(point) for point in line] == [True, True]
-    assert not space.free(0.42 * line[1])
-    assert not space.line_free(*line)
+    assert [space.free(point) for point in (HOME, TURNED, 0.42 * TURNED)] == [True, True, False]
+    assert not space.line_free(HOME, TURNED)
 
 
-def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(changing, arm):
-    changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
-    q = np.zeros(6)
-    contacts = {pair.links: pair.depth_m for pair in changing.colliding_pairs(q)}
+def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(space_in, changing, arm):
+    assert not space_in(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16))).free(HOME)
+    contacts = {pair.links: pair.depth_m for pair in changing.colliding_pairs(np.zeros(6))}
     assert contacts
-    assert not JointSpace(changing, arm.joints, q).free(HOME)
-    space = JointSpace(changing, arm.joints, q, contacts)
+    space = JointSpace(changing, arm.joints, np.zeros(6), contacts)
     assert space.free(HOME)
     up, down = HOME + np.array([0.0, -0.4, 0.0, 0.0, 0.0]), HOME + np.array([0.0, 0.05, 0.0, 0.0, 0.0])
     assert space.line_free(HOME, up)
@@ -80,37 +77,30 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(changing, arm):
 
 def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
     # Two posts of one object: a turn of the base alone brings the arm as deep into the second as it is in the first.
-    turned = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
     axis_m = changing.tip_positions([np.zeros(6)], "shoulder_link")[0][:2]
-    posts = [Pose((*(axis_m + _turned([0.35, 0.0], pan)), 0.16), _about_z(pan)) for pan in (0.0, -turned[0])]
-    changing.set_scene(scene(SceneObject("posts", tuple((Box((0.1, 0.1, 0.1)), pose) for pose in posts), Pose())))
-    q, there = np.zeros(6), np.append(turned, 0.0)
+
+    def post(pan_rad):
+        x, y = axis_m + 0.35 * np.array([np.cos(pan_rad), np.sin(pan_rad)])
+        return Pose((x, y, 0.16), (0.0, 0.0, float(np.sin(pan_rad / 2.0)), float(np.cos(pan_rad / 2.0))))
+
+    posts = tuple((Box((0.1, 0.1, 0.1)), post(pan_rad)) for pan_rad in (0.0, -TURNED[0]))
+    changing.set_scene(scene(SceneObject("posts", posts, Pose())))
+    q, there = np.zeros(6), np.append(TURNED, 0.0)
     overlaps_m = changing.overlaps_m(q)
     assert overlaps_m
     assert overlaps_m == pytest.approx(changing.overlaps_m(there), abs=1e-4)
     assert not changing.in_collision(there, overlaps_m)
     space = JointSpace(changing, arm.joints, q, overlaps_m)
     assert space.free(HOME)
-    assert not space.free(turned)
-    assert space.candidate_pairs(turned[np.newaxis], np.zeros((1, 5)), [ALL_PAIRS]) != [NO_CANDIDATES]
+    assert not space.free(TURNED)
+    assert space.candidate_pairs(TURNED[np.newaxis], np.zeros((1, 5)), [ALL_PAIRS]) != [NO_CANDIDATES]
 
 
 def test_joints_of_a_group_need_not_stand_in_a_row():
-    crane = model.parse(
-        CRANE_URDF,
-        CRANE_SRDF.replace("</robot>", '<group name="ends"><joint name="turn"/><joint name="slide"/></group></robot>'),
-    )
+    ends = '<group name="ends"><joint name="turn"/><joint name="slide"/></group></robot>'
+    crane = model.parse(CRANE_URDF, CRANE_SRDF.replace("</robot>", ends))
     collision = CollisionModel(crane)
     space = JointSpace(collision, crane.groups["ends"].joints, np.array([0.0, 0.3, 0.0]))
     assert collision.joint_names == ("turn", "lift", "slide")
     assert len(space.point(np.zeros(3))) == 2
     assert space.line_free(np.array([0.0, 0.0]), np.array([1.0, 0.1]))
-
-
-def _turned(point, angle_rad):
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s], [s, c]]) @ point
-
-
-def _about_z(angle_rad):
-    return (0.0, 0.0, float(np.sin(angle_rad / 2.0)), float(np.cos(angle_rad / 2.0)))

@@ -23,6 +23,7 @@ from tests.helpers.resources import in_proportion
 from tests.planners.scenes import scene, thing
 
 RADII_M = (0.001, 0.006)
+HOME = np.zeros(6)
 
 # A point counts as in the material beyond this winding number, and as outside below the other: screw holes and the
 # gaps between the triangles of the published meshes are in between.
@@ -49,32 +50,25 @@ def winding_number(links, point_m: np.ndarray) -> float:
     """How often the surface of a link winds around a point of the arm's frame [m], at most."""
     here = [(surface, place.actInv(point_m)) for surface, place in links.values()]
     # Beside its box a surface winds around nothing.
-    return max((abs(surface.winding_number(at)) for surface, at in here if in_box(surface, at)), default=0.0)
-
-
-def in_box(surface: surfaces.TriangleSurface, point_m: np.ndarray) -> bool:
-    """Whether a point is in the box around a surface [m]."""
-    lower_m, upper_m = surface.box_m
-    return bool(np.all((point_m > lower_m) & (point_m < upper_m)))
+    inside = [(surface, at) for surface, at in here if np.all((at > surface.box_m[0]) & (at < surface.box_m[1]))]
+    return max((abs(surface.winding_number(at)) for surface, at in inside), default=0.0)
 
 
 @pytest.mark.parametrize("radius_m", RADII_M)
 def test_a_sphere_in_the_material_of_a_link_is_in_contact_however_small_it_is(changing, links, radius_m) -> None:
-    random = np.random.default_rng(round(1e6 * radius_m))
-    q, found = np.zeros(len(changing.joint_names)), 0
+    random, found = np.random.default_rng(round(1e6 * radius_m)), 0
     while found < in_proportion(40):
         surface, place = list(links.values())[random.integers(len(links))]
         point_m = drawn(surface, random)
         if abs(surface.winding_number(point_m)) > IN_MATERIAL:
             found += 1
             changing.set_scene(scene(thing(Sphere(radius_m), *place.act(point_m).tolist())))
-            assert changing.collides(q), place.act(point_m)
+            assert changing.collides(HOME), place.act(point_m)
 
 
 @pytest.mark.parametrize("radius_m", RADII_M)
 def test_a_sphere_outside_of_every_link_is_free(changing, links, radius_m) -> None:
-    random = np.random.default_rng(round(1e6 * radius_m))
-    q, found = np.zeros(len(changing.joint_names)), 0
+    random, found = np.random.default_rng(round(1e6 * radius_m)), 0
     # Steps that leave no gap between the directions for a link's edge.
     directions = np.vstack([ball(1.0, 12)[0], np.zeros((1, 3))])
     while found < in_proportion(20):
@@ -87,64 +81,57 @@ def test_a_sphere_outside_of_every_link_is_free(changing, links, radius_m) -> No
         if clear_m > radius_m + 0.004 and all(winding_number(links, near_m) < OUTSIDE for near_m in around_m):
             found += 1
             changing.set_scene(scene(thing(Sphere(radius_m), *point_m.tolist())))
-            touched = [pair for pair in changing.colliding_pairs(q) if "base_link" not in (pair.first, pair.second)]
+            touched = [pair for pair in changing.colliding_pairs(HOME) if "base_link" not in (pair.first, pair.second)]
             assert touched == [], point_m
 
 
-def point_in_the_material(surface: surfaces.TriangleSurface, random: np.random.Generator) -> np.ndarray:
-    """A point inside a surface, further from its vertices than a sphere of 2 mm reaches [m]."""
+def place_in_the_material(surface: surfaces.TriangleSurface, place, random: np.random.Generator) -> list[float]:
+    """A place inside a surface, further from its vertices than a sphere of 2 mm reaches [m]."""
     while True:
         point_m = drawn(surface, random)
-        if np.linalg.norm(surface._vertices_m - point_m, axis=1).min() > 0.002 and surface.encloses(
-            point_m[np.newaxis]
-        ):
-            return point_m
+        clear_m = np.linalg.norm(surface._vertices_m - point_m, axis=1).min()
+        if clear_m > 0.002 and surface.encloses(point_m[np.newaxis]):
+            return place.act(point_m).tolist()
 
 
 @pytest.mark.parametrize("shape", [Cylinder(0.001, 0.001), Mesh(*ball(0.001, 8))], ids=["Cylinder", "Mesh"])
 def test_a_small_body_of_any_shape_inside_a_link_is_in_contact_with_it(changing, links, shape) -> None:
-    random, q = np.random.default_rng(2), np.zeros(len(changing.joint_names))
+    random = np.random.default_rng(2)
     for name, (surface, place) in links.items():
-        changing.set_scene(scene(thing(shape, *place.act(point_in_the_material(surface, random)).tolist())))
-        assert {"thing", name} in [pair.links for pair in changing.colliding_pairs(q)]
+        changing.set_scene(scene(thing(shape, *place_in_the_material(surface, place, random))))
+        assert {"thing", name} in [pair.links for pair in changing.colliding_pairs(HOME)]
 
 
-def test_a_small_attached_body_inside_another_link_is_in_contact_with_it(robot, changing, links) -> None:
-    surface, place = links["gripper_link"]
-    point_m = place.act(point_in_the_material(surface, np.random.default_rng(2)))
-    held = AttachedObject(thing(Sphere(0.001), *point_m.tolist()), robot.root_link)
-    changing.set_scene(scene(attached=(held,)))
-    pairs = changing.colliding_pairs(np.zeros(len(changing.joint_names)))
-    assert {"thing", "gripper_link"} in [pair.links for pair in pairs]
+@pytest.fixture
+def in_the_gripper(links):
+    """A small sphere inside of the gripper's link."""
+    return thing(Sphere(0.001), *place_in_the_material(*links["gripper_link"], np.random.default_rng(2)))
 
 
-def test_no_motion_is_certified_along_which_a_small_body_stays_inside_a_link(robot, changing, links) -> None:
-    surface, place = links["gripper_link"]
-    point_m = place.act(point_in_the_material(surface, np.random.default_rng(2)))
-    changing.set_scene(scene(thing(Sphere(0.001), *point_m.tolist())))
+def test_a_small_attached_body_inside_another_link_is_in_contact_with_it(robot, changing, in_the_gripper) -> None:
+    changing.set_scene(scene(attached=(AttachedObject(in_the_gripper, robot.root_link),)))
+    assert {"thing", "gripper_link"} in [pair.links for pair in changing.colliding_pairs(HOME)]
+
+
+def test_no_motion_is_certified_along_which_a_small_body_stays_inside_a_link(arm, changing, in_the_gripper) -> None:
+    changing.set_scene(scene(in_the_gripper))
     # The surface moves by 0.02 mm at most, so it never touches the sphere.
-    start, end = np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 1e-4])
-    space = JointSpace(changing, robot.groups["arm"].joints, np.zeros(len(changing.joint_names)))
-    rest = np.zeros((2, 5))
-    motion = Trajectory(robot.groups["arm"].joints, np.array([0.0, 0.1]), np.array([start, end]), rest, rest)
+    start, end, rest = np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 1e-4]), np.zeros((2, 5))
+    space = JointSpace(changing, arm.joints, HOME)
     assert not space.free(start)
     assert not space.line_free(end, start)
-    contact = certify(space, motion)
+    contact = certify(space, Trajectory(arm.joints, np.array([0.0, 0.1]), np.array([start, end]), rest, rest))
     assert contact is not None
     assert contact.time_s == 0.0
 
 
-def closed_ball() -> surfaces.TriangleSurface:
-    """A ball about the origin whose triangles all face outwards."""
+def test_a_winding_number_is_one_inside_of_a_ball_and_none_outside() -> None:
     vertices_m, triangles = ball(0.05, 60)
     half = len(triangles) // 2
+    # All face outwards.
     triangles[half:] = triangles[half:, ::-1]
     vertices, packed = surfaces.packed(vertices_m, triangles)
-    return surfaces.TriangleSurface(surfaces.UNIT_M * vertices, packed)
-
-
-def test_a_winding_number_is_one_inside_of_a_ball_and_none_outside() -> None:
-    surface = closed_ball()
+    surface = surfaces.TriangleSurface(surfaces.UNIT_M * vertices, packed)
     random, middle_m = np.random.default_rng(1), 0.5 * sum(surface.box_m)
     for distance_m, expected in ((0.02, 1.0), (0.045, 1.0), (0.055, 0.0), (0.2, 0.0)):
         for direction in random.normal(size=(in_proportion(30), 3)):
@@ -157,13 +144,36 @@ def test_a_winding_number_is_one_inside_of_a_ball_and_none_outside() -> None:
     assert mirrored.encloses(inside_m[np.newaxis])
 
 
-def test_each_connected_body_of_a_surface_has_one_point() -> None:
+def test_each_connected_body_of_a_surface_has_one_point_and_packing_drops_what_is_twice_or_has_no_extent() -> None:
     vertices_m, triangles = ball(0.05, 12)
     two_m = np.vstack([vertices_m, vertices_m + np.array([0.2, 0.0, 0.0])])
     both = np.vstack([triangles, triangles + len(vertices_m)]).astype(np.int32)
     surface = surfaces.TriangleSurface(two_m, both)
     assert len(surface.points_m) == 2
     assert np.ptp(surface.points_m[:, 0]) > 0.1
+    vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 1e-7, 0.0]])
+    _, triangles = surfaces.packed(vertices, np.array([[0, 1, 2], [2, 0, 1], [0, 3, 2], [0, 1, 3]]))
+    assert len(triangles) == 1
+
+
+def test_a_file_that_is_none_of_surfaces_is_named(tmp_path, robot) -> None:
+    path, pin_model = tmp_path / "surfaces.npz", pin.buildModelFromXML(kinematic_urdf(robot))
+    vertices = np.zeros((3, 3), np.int16)
+    for content, problem in (
+        (None, "cannot be read"),
+        ({"other.vertices": vertices}, "cannot be read"),
+        ({"boom.vertices": vertices, "boom.triangles": np.zeros((0, 3), np.int32)}, "shape (n, 3)"),
+        ({"boom.vertices": vertices[:, :2], "boom.triangles": np.zeros((1, 3), np.int32)}, "shape (n, 3)"),
+        ({"boom.vertices": vertices, "boom.triangles": np.full((1, 3), 3, np.int32)}, "without vertices"),
+    ):
+        if content is None:
+            path.write_text("no numbers")
+        else:
+            np.savez(path, **content)
+        with pytest.raises(ShapeError) as error:
+            list(surfaces.load_surfaces({"boom": LinkSurface(path, "boom")}, pin_model))
+        assert problem in str(error.value)
+        assert str(path) in str(error.value)
 
 
 # Every so manieth problem of the file: all of them are the benchmark's.
@@ -171,43 +181,11 @@ SHARE = 8
 NEAR_CONTACTS = Path(__file__).parents[3] / "benchmarks" / "scenes" / "near_contacts.json"
 
 
-def test_packing_drops_what_is_twice_or_has_no_extent() -> None:
-    vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 1e-7, 0.0]])
-    _, triangles = surfaces.packed(vertices, np.array([[0, 1, 2], [2, 0, 1], [0, 3, 2], [0, 1, 3]]))
-    assert len(triangles) == 1
-
-
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (None, "cannot be read"),
-        ({"other.vertices": np.zeros((3, 3), np.int16)}, "cannot be read"),
-        ({"boom.vertices": np.zeros((3, 3), np.int16), "boom.triangles": np.zeros((0, 3), np.int32)}, "shape (n, 3)"),
-        ({"boom.vertices": np.zeros((3, 2), np.int16), "boom.triangles": np.zeros((1, 3), np.int32)}, "shape (n, 3)"),
-        (
-            {"boom.vertices": np.zeros((3, 3), np.int16), "boom.triangles": np.full((1, 3), 3, np.int32)},
-            "without vertices",
-        ),
-    ],
-)
-def test_a_file_that_is_none_of_surfaces_is_named(tmp_path, robot, content, problem) -> None:
-    path = tmp_path / "surfaces.npz"
-    if content is None:
-        path.write_text("no numbers")
-    else:
-        np.savez(path, **content)
-    pin_model = pin.buildModelFromXML(kinematic_urdf(robot))
-    with pytest.raises(ShapeError, match=problem.replace("(", r"\(").replace(")", r"\)")) as error:
-        list(surfaces.load_surfaces({"boom": LinkSurface(path, "boom")}, pin_model))
-    assert str(path) in str(error.value)
-
-
 def test_goals_next_to_things_are_free_by_the_parts_or_refused_as_the_meshes_say(robot, shared_data) -> None:
     file, fields = problem_file.read(NEAR_CONTACTS, robot), json.loads(NEAR_CONTACTS.read_text())
     entries = {one["id"]: one for key in ("joint_problems", "infeasible") for one in fields[key][::SHARE]}
-    outcomes = list(
-        plan_command.plan_all(file, plan_command.chosen(file, Options([NEAR_CONTACTS], ids=tuple(entries))))
-    )
+    chosen = plan_command.chosen(file, Options([NEAR_CONTACTS], ids=tuple(entries)))
+    outcomes = list(plan_command.plan_all(file, chosen))
     assert not {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected}
     judge = Judge(shared_data, fields)
     for answer in [plan_command.as_json(outcome, file.joint_names) for outcome in outcomes]:

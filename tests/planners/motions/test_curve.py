@@ -3,22 +3,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from planners.motions.curve import (
-    TICK_S,
-    Curve,
-    Ways,
-    averaged,
-    averaging_start,
-    brake,
-    from_moving,
-    least_time_s,
-    line,
-    polyline,
-    reduced,
-    same_point,
-    whole_ticks,
-    window_ticks,
-)
+from planners.motions import curve as curves
+from planners.motions.curve import TICK_S, Curve, averaged, from_moving, line, polyline, same_point, window_ticks
 from planners.problem import RateLimits
 from tests.helpers.resources import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
@@ -40,10 +26,9 @@ def test_samples_are_ten_milliseconds_apart_at_most_and_repeat_the_curve(curve):
     assert 0.9 * TICK_S < spacing_s.min() < spacing_s.max() < 0.0112
     ticks = np.arange(1, curve.duration_ticks, 37)
     positions, velocities, _ = curve.at(ticks)
-    for i, tick in enumerate(ticks):
-        position, velocity, _ = trajectory.sample(TICK_S * tick)
-        np.testing.assert_allclose(position, positions[i], atol=1e-10)
-        np.testing.assert_allclose(velocity, velocities[i], atol=1e-8)
+    samples = [trajectory.sample(TICK_S * tick) for tick in ticks]
+    np.testing.assert_allclose([position for position, _, _ in samples], positions, atol=1e-10)
+    np.testing.assert_allclose([velocity for _, velocity, _ in samples], velocities, atol=1e-8)
 
 
 def test_replacing_a_part_by_itself_changes_nothing_and_the_ends_stay_exact(curve):
@@ -59,49 +44,42 @@ def test_replacing_a_part_by_itself_changes_nothing_and_the_ends_stay_exact(curv
 def test_turning_points_between_knots_count_for_the_range():
     # Thrown up at 1 rad/s and braked at 2 rad/s^2 it turns 0.25 rad higher, where no knot is.
     thrown = Curve(np.array([0, 10000]), np.zeros((2, 1)), np.array([[1.0], [-1.0]]))
-    assert thrown.stays_within(np.array([-0.01]), np.array([0.2501]))
-    assert not thrown.stays_within(np.array([-0.01]), np.array([0.2499]))
-    assert not thrown.stays_within(np.array([0.01]), np.array([1.0]))
+    for lower, upper, within in ((-0.01, 0.2501, True), (-0.01, 0.2499, False), (0.01, 1.0, False)):
+        assert thrown.stays_within(np.array([lower]), np.array([upper])) == within
 
 
 START, GOAL = np.array([0.1, -0.3]), np.array([1.0, 0.5])
 MOVING = np.array([0.7, -0.4])
 
 
-def assert_keeps_jerk(trajectory, limits):
-    _, _, first = trajectory.sample(0.0)
-    np.testing.assert_allclose(first, 0.0, atol=1e-9)
-    times_s = np.arange(0.0, trajectory.duration_s, 0.001)
-    accelerations = np.array([trajectory.sample(t)[2] for t in times_s])
-    assert np.all(np.abs(np.diff(accelerations, axis=0)) <= 0.001 * limits.jerk_rad_s3 * 1.001 + 1e-6)
-
-
-@pytest.mark.parametrize("points", [[START, GOAL], [START, GOAL, [0.2, 0.9]]])
-def test_averaged_curves_keep_all_limits(points):
-    trajectory = averaged(polyline(np.array(points), LIMITS), window_ticks(LIMITS), NAMES)
-    assert_well_formed(trajectory)
-    assert_from_rest_to_rest(trajectory, points[0], points[-1])
+def assert_keeps_rates_and_jerk(trajectory):
     assert_keeps_rates(trajectory, LIMITS)
-    assert_keeps_jerk(trajectory, LIMITS)
-    share = (trajectory.positions_rad - START) / (GOAL - START)
-    # A straight line stays straight.
-    assert len(points) > 2 or np.abs(share[:, 0] - share[:, 1]).max() < 1e-9
+    accelerations = np.array([trajectory.sample(t)[2] for t in np.arange(0.0, trajectory.duration_s, 0.001)])
+    np.testing.assert_allclose(accelerations[0], 0.0, atol=1e-9)
+    assert np.all(np.abs(np.diff(accelerations, axis=0)) <= 0.001 * LIMITS.jerk_rad_s3 * 1.001 + 1e-6)
 
 
-def test_a_moving_start_is_met_in_position_and_velocity():
+def test_averaged_curves_keep_all_limits_and_meet_a_moving_start_in_position_and_velocity():
     window = window_ticks(LIMITS)
-    trajectory = averaged(from_moving(averaging_start(START, MOVING, window), MOVING, GOAL, LIMITS), window, NAMES)
+    for points in ([START, GOAL], [START, GOAL, [0.2, 0.9]]):
+        trajectory = averaged(polyline(np.array(points), LIMITS), window, NAMES)
+        assert_well_formed(trajectory)
+        assert_from_rest_to_rest(trajectory, points[0], points[-1])
+        assert_keeps_rates_and_jerk(trajectory)
+        share = (trajectory.positions_rad - START) / (GOAL - START)
+        # A straight line stays straight.
+        assert len(points) > 2 or np.abs(share[:, 0] - share[:, 1]).max() < 1e-9
+    start = curves.averaging_start(START, MOVING, window)
+    trajectory = averaged(from_moving(start, MOVING, GOAL, LIMITS), window, NAMES)
     np.testing.assert_allclose(trajectory.positions_rad[0], START, atol=1e-12)
     np.testing.assert_allclose(trajectory.velocities_rad_s[0], MOVING, atol=1e-12)
-    assert_keeps_rates(trajectory, LIMITS)
-    assert_keeps_jerk(trajectory, LIMITS)
+    assert_keeps_rates_and_jerk(trajectory)
 
 
 ABC = ("a", "b", "c")
 ABC_LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
 
-coordinates = st.floats(-2.0, 2.0, allow_nan=False).map(lambda value: round(value, 6))
-points = st.tuples(*[coordinates] * 3).map(np.array)
+points = st.tuples(*[st.floats(-2.0, 2.0, allow_nan=False).map(lambda value: round(value, 6))] * 3).map(np.array)
 velocities = st.tuples(*[st.floats(-0.99, 0.99)] * 3).map(lambda share: np.array(share) * ABC_LIMITS.velocity_rad_s)
 
 
@@ -126,37 +104,32 @@ def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits(corners):
 def test_a_line_takes_the_least_time_of_its_tightest_joint(goal):
     if same_point(goal, np.zeros(3)):
         return
-    curve = line(np.zeros(3), goal, ABC_LIMITS)
+    duration_s = TICK_S * line(np.zeros(3), goal, ABC_LIMITS).duration_ticks
     # Joints keep to the line, so the tightest velocity and acceleration may be those of different joints.
     share = np.maximum(np.abs(goal), 1e-9)
-    bound_s = least_time_of_one_s(
-        np.min(ABC_LIMITS.velocity_rad_s / share), np.min(ABC_LIMITS.acceleration_rad_s2 / share)
-    )
-    assert bound_s - 1e-9 <= TICK_S * curve.duration_ticks <= bound_s + 3.0 * TICK_S
+    tightest = np.min(ABC_LIMITS.velocity_rad_s / share), np.min(ABC_LIMITS.acceleration_rad_s2 / share)
+    bound_s = least_time_of_one_s(*tightest)
+    assert bound_s - 1e-9 <= duration_s <= bound_s + 3.0 * TICK_S
 
 
-@pytest.mark.parametrize("distance_rad", [1e-7, 1e-6, 1e-5, 1e-3])
-def test_tiny_moves_are_timed_and_end_exactly(distance_rad):
-    start, goal = np.array([0.1, 0.2, 0.3]), np.array([0.1 + distance_rad, 0.2, 0.3])
-    trajectory = line(start, goal, ABC_LIMITS).sampled(ABC)
-    assert_well_formed(trajectory)
-    assert_from_rest_to_rest(trajectory, start, goal)
-    assert 0.0 < trajectory.duration_s < 0.05
+def test_tiny_moves_are_timed_and_end_exactly():
+    for distance_rad in (1e-7, 1e-6, 1e-5, 1e-3):
+        start, goal = np.array([0.1, 0.2, 0.3]), np.array([0.1 + distance_rad, 0.2, 0.3])
+        trajectory = line(start, goal, ABC_LIMITS).sampled(ABC)
+        assert_well_formed(trajectory)
+        assert_from_rest_to_rest(trajectory, start, goal)
+        assert 0.0 < trajectory.duration_s < 0.05, distance_rad
 
 
-def test_a_polyline_stops_in_every_corner_and_waits_there():
+def test_a_polyline_stops_in_every_corner_and_waits_there_and_repeated_points_change_nothing():
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0]])
     stopping, waiting = (polyline(corners, ABC_LIMITS, wait) for wait in (0, 300))
     assert waiting.duration_ticks == stopping.duration_ticks + 300
     at_corner = np.flatnonzero(np.all(waiting.positions_rad == corners[1], axis=1))
     np.testing.assert_array_equal(waiting.velocities_rad_s[at_corner], np.zeros((2, 3)))
-
-
-def test_repeated_points_change_nothing():
-    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.2, 1.0, 1.0]])
-    expected, got = (polyline(each, ABC_LIMITS) for each in (corners, np.repeat(corners, 3, axis=0)))
-    np.testing.assert_array_equal(got.positions_rad, expected.positions_rad)
-    np.testing.assert_array_equal(got.ticks, expected.ticks)
+    repeated = polyline(np.repeat(corners, 3, axis=0), ABC_LIMITS)
+    np.testing.assert_array_equal(repeated.positions_rad, stopping.positions_rad)
+    np.testing.assert_array_equal(repeated.ticks, stopping.ticks)
 
 
 @given(points, velocities, points)
@@ -172,41 +145,35 @@ def test_a_moving_start_is_left_smoothly_and_within_the_limits(start, velocity, 
 
 @given(points, velocities)
 def test_braking_brings_each_joint_to_rest_within_the_limits_as_soon_as_it_can(start, velocity):
-    curve = brake(start, velocity, ABC_LIMITS)
+    curve = curves.brake(start, velocity, ABC_LIMITS)
     np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [velocity, np.zeros(3)])
     assert_keeps_rates(curve.sampled(ABC), ABC_LIMITS)
     nearest = start + 0.5 * velocity * np.abs(velocity) / ABC_LIMITS.acceleration_rad_s2
     assert np.all(np.abs(curve.positions_rad[-1] - nearest) <= TICK_S * ABC_LIMITS.velocity_rad_s)
 
 
-positions = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
-shares = st.tuples(*[st.floats(-0.99, 0.99)] * 3).map(np.array)
-
-
-def accelerations(curve):
-    return np.diff(curve.velocities_rad_s, axis=0) / (TICK_S * np.diff(curve.ticks))[:, None]
-
-
 def way_of(p0, v0, p1, v1, ticks, limits):
-    return Ways(*(each[np.newaxis] for each in (p0, v0, p1, v1, ticks)), limits)
+    return curves.Ways(*(each[np.newaxis] for each in (p0, v0, p1, v1, ticks)), limits)
 
 
-@given(positions, shares, positions, shares)
+positions = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
+
+
+@given(positions, velocities, positions, velocities)
 @examples(200)
 def test_ramps_join_two_states_within_the_limits(p0, v0, p1, v1):
-    v0, v1 = v0 * ABC_LIMITS.velocity_rad_s, v1 * ABC_LIMITS.velocity_rad_s
-    way = way_of(p0, v0, p1, v1, whole_ticks(least_time_s(p0, v0, p1, v1, reduced(ABC_LIMITS))), ABC_LIMITS)
+    least_s = curves.least_time_s(p0, v0, p1, v1, curves.reduced(ABC_LIMITS))
+    way = way_of(p0, v0, p1, v1, curves.whole_ticks(least_s), ABC_LIMITS)
     assume(way.possible.all())
     curve = way.curve(0)
+    velocities, steps_s = curve.velocities_rad_s, TICK_S * np.diff(curve.ticks)[:, None]
     np.testing.assert_allclose(way.halfway(), curve.at(np.array([0.5 * curve.duration_ticks]))[0], atol=1e-9)
     np.testing.assert_array_equal(curve.positions_rad[[0, -1]], [p0, p1])
-    np.testing.assert_array_equal(curve.velocities_rad_s[[0, -1]], [v0, v1])
-    assert np.all(np.abs(accelerations(curve)) <= ABC_LIMITS.acceleration_rad_s2 * (1.0 + 1e-6))
-    assert np.all(np.abs(curve.velocities_rad_s) <= ABC_LIMITS.velocity_rad_s * (1.0 + 1e-6))
-    mean = 0.5 * (curve.velocities_rad_s[1:] + curve.velocities_rad_s[:-1])
-    np.testing.assert_allclose(
-        np.diff(curve.positions_rad, axis=0), mean * (TICK_S * np.diff(curve.ticks))[:, None], atol=1e-9
-    )
+    np.testing.assert_array_equal(velocities[[0, -1]], [v0, v1])
+    assert np.all(np.abs(np.diff(velocities, axis=0)) <= steps_s * ABC_LIMITS.acceleration_rad_s2 * (1.0 + 1e-6))
+    assert np.all(np.abs(velocities) <= ABC_LIMITS.velocity_rad_s * (1.0 + 1e-6))
+    way_rad = 0.5 * (velocities[1:] + velocities[:-1]) * steps_s
+    np.testing.assert_allclose(np.diff(curve.positions_rad, axis=0), way_rad, atol=1e-9)
 
 
 def test_a_joint_that_would_overshoot_cannot_take_a_time_between():

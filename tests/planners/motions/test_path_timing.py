@@ -14,21 +14,15 @@ from scipy.interpolate import CubicSpline
 
 from harness.server import ROOT
 from harness.waiting import TIMEOUT_S
-from planners.motions.path_timing import (
-    time_along,
-    toppra_profile,
-    within_limits,
-)
+from planners.motions.path_timing import time_along, toppra_profile, within_limits
 from planners.motions.spline import NaturalSpline
 from planners.problem import RateLimits
 from robot.trajectory import Trajectory
 from tests.helpers.resources import examples
-from tests.planners.invariants import (
-    assert_from_rest_to_rest,
-    assert_keeps_rates,
-    assert_well_formed,
-    fine_samples,
-)
+from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed, fine_samples
+
+NAMES = ("a", "b", "c")
+LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
 
 
 @given(st.floats(0.01, 10.0), st.floats(0.01, 10.0))
@@ -40,9 +34,6 @@ def test_a_motion_is_slowed_down_until_it_keeps_its_limits_between_samples(veloc
     assert_keeps_rates(slowed, limits)
     assert slowed.duration_s >= motion.duration_s
 
-
-NAMES = ("a", "b", "c")
-LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
 
 coordinates = st.floats(-1.0, 1.0).map(lambda value: round(value, 3))
 polylines = (
@@ -57,6 +48,10 @@ def spline(points):
     return NaturalSpline(np.concatenate(([0.0], np.cumsum(lengths))), points)
 
 
+def straight(*goal, points=9):
+    return np.linspace(0.0, 1.0, points)[:, np.newaxis] * np.array(goal)
+
+
 def least_time_s(distance, velocity, acceleration):
     """Least time from rest to rest over a distance."""
     if distance < velocity**2 / acceleration:
@@ -66,17 +61,20 @@ def least_time_s(distance, velocity, acceleration):
 
 def test_a_motion_that_would_take_too_long_is_not_sampled() -> None:
     slow = RateLimits(LIMITS.velocity_rad_s, 1e-9 * LIMITS.acceleration_rad_s2)
-    assert time_along(spline(np.linspace(0.0, 1.0, 9)[:, np.newaxis] * np.array([1.0, 0.5, -0.5])), NAMES, slow) is None
+    assert time_along(spline(straight(1.0, 0.5, -0.5)), NAMES, slow) is None
 
 
-@given(polylines)
+@given(polylines, st.floats(0.05, 1.0))
 @examples(60)
-def test_every_curve_is_timed_from_rest_to_rest_within_the_limits(points):
-    motion = time_along(spline(points), NAMES, LIMITS)
+def test_every_curve_is_timed_from_rest_to_rest_within_the_limits_and_a_top_rate_is_kept(points, top_rate):
+    path = spline(points)
+    motion = time_along(path, NAMES, LIMITS)
     assert motion is not None
     assert_well_formed(motion)
     assert_from_rest_to_rest(motion, points[0], points[-1])
     assert_keeps_rates(motion, LIMITS)
+    profile = toppra_profile(path, LIMITS, np.full(len(path.grid), top_rate))
+    assert profile.rate.max() <= top_rate * (1.0 + 1e-6)
 
 
 @given(polylines)
@@ -92,31 +90,16 @@ def test_the_motion_stays_on_the_curve(points):
 
 @given(st.tuples(*[coordinates] * 3).map(np.array).filter(lambda goal: np.abs(goal).max() > 0.01))
 def test_a_straight_line_takes_the_least_time_there_is(goal):
-    motion = time_along(spline(np.linspace(0.0, 1.0, 9)[:, np.newaxis] * goal), NAMES, LIMITS)
+    motion = time_along(spline(straight(*goal)), NAMES, LIMITS)
     share = np.maximum(np.abs(goal), 1e-12)
     bound_s = least_time_s(1.0, np.min(LIMITS.velocity_rad_s / share), np.min(LIMITS.acceleration_rad_s2 / share))
     assert bound_s - 1e-9 <= motion.duration_s <= 1.03 * bound_s
 
 
-@given(polylines, st.floats(0.05, 1.0))
-@examples(30)
-def test_a_top_rate_is_kept(points, top_rate):
-    path = spline(points)
-    profile = toppra_profile(path, LIMITS, np.full(len(path.grid), top_rate))
-    assert profile.rate.max() <= top_rate * (1.0 + 1e-6)
-
-
-@pytest.mark.parametrize("rate", [None, np.full(21, np.nan)])
-def test_a_path_that_toppra_cannot_time_has_no_timing(monkeypatch, rate):
-    monkeypatch.setattr(toppra.algorithm.TOPPRA, "compute_parameterization", lambda *_: (None, rate, None))
-    assert toppra_profile(spline(np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0]])), LIMITS) is None
-
-
 @pytest.mark.parametrize("points", [4, 16, 64])
 def test_a_stretch_where_no_joint_moves_hardly_takes_time(points):
-    moving = np.linspace(0.0, 1.0, 16)[:, np.newaxis] * np.array([1.0, 0.5, 0.0])
-    standing = np.tile(moving[-1], (points, 1))
-    path = NaturalSpline(np.arange(16.0 + points), np.vstack((moving, standing)))
+    moving = straight(1.0, 0.5, 0.0, points=16)
+    path = NaturalSpline(np.arange(16.0 + points), np.vstack((moving, np.tile(moving[-1], (points, 1)))))
     alone_s = time_along(NaturalSpline(np.arange(16.0), moving), NAMES, LIMITS).duration_s
     motion = time_along(path, NAMES, LIMITS)
     assert_keeps_rates(motion, LIMITS)
@@ -124,20 +107,18 @@ def test_a_stretch_where_no_joint_moves_hardly_takes_time(points):
 
 
 OUT = np.cumsum(0.03 ** np.arange(7))[:, np.newaxis] * np.array([1.0, 0.5, -0.2])
-ENDS = np.array([[0.0] * 3, [1.0] * 3])
 
 
-@pytest.mark.parametrize(
-    ("path", "limits"),
-    [
-        (NaturalSpline(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS),
-        (spline(np.vstack((OUT, OUT[-2::-1]))), LIMITS),
-        (spline(ENDS), RateLimits(np.ones(3), np.full(3, np.nan))),
-    ],
-    ids=["stands", "has a bend that the arm could not get away from", "has limits that are not finite"],
-)
-def test_a_path_without_any_timing_has_none(path, limits):
-    assert toppra_profile(path, limits) is None
+def test_a_path_without_any_timing_or_that_toppra_cannot_time_has_none(monkeypatch):
+    assert toppra_profile(NaturalSpline(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS) is None
+    # It has a bend that the arm could not get away from.
+    assert toppra_profile(spline(np.vstack((OUT, OUT[-2::-1]))), LIMITS) is None
+    line = spline(straight(1.0, 1.0, 1.0, points=2))
+    assert toppra_profile(line, RateLimits(np.ones(3), np.full(3, np.nan))) is None
+    for rate in (None, np.full(21, np.nan)):
+        untimed = (None, rate, None)
+        monkeypatch.setattr(toppra.algorithm.TOPPRA, "compute_parameterization", lambda *_, untimed=untimed: untimed)
+        assert toppra_profile(line, LIMITS) is None
 
 
 def test_no_warning_is_shown_where_toppra_is_compiled(tmp_path: Path) -> None:

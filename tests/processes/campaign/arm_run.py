@@ -6,20 +6,21 @@ import os
 import random
 import signal
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from harness.emulator import RunningEmulator
+from harness.waiting import until
 from harness.write_log import Entry, read_entries
-from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.description.robot_folder import built_in
 from robot.hardware.config import SerialConfig
 from robot.hardware.interface import StatusFlag
-from robot.messages import ArmConfig, ArmState, CommandDone, EndState, Mode, MotionEnded, Order, Outcome
+from robot.messages import ArmConfig, ArmState, EndState, Mode, MotionEnded, Order, Outcome
+from tests.helpers.arm_contract import Watched
 from tests.helpers.motions import smooth_move
 from tests.processes.campaign import checks
 from tests.processes.campaign.scenario import (
@@ -55,23 +56,6 @@ WRONG_SHARE = 0.1
 DURATIONS_S = (0.6, 1.4)
 
 
-class ListeningArm(Arm):
-    """Arm that counts the messages of its process."""
-
-    def __init__(self, config: ArmConfig) -> None:
-        self.states: list[ArmState] = []
-        self.ended: list[MotionEnded] = []
-        self.done: list[CommandDone] = []
-        super().__init__(config, self.states.append)
-
-    def _received(self, message: Any) -> None:
-        if isinstance(message, MotionEnded):
-            self.ended.append(message)
-        elif isinstance(message, CommandDone):
-            self.done.append(message)
-        super()._received(message)
-
-
 @dataclass
 class CampaignBus:
     """A running emulator; ``port`` is the name under which the adapter is found again after it was unplugged."""
@@ -85,11 +69,6 @@ class CampaignBus:
         answer = self.emulator.command(**command)
         if "error" in answer:
             raise ValueError(str(answer["error"]))
-
-    def strike(self, scenario: Scenario) -> None:
-        """Start the scenario's faults on the wire."""
-        if scenario.wire:
-            self.tell(scenario.wire)
 
     def calm(self, scenario: Scenario) -> None:
         """End every fault; an overload that stays latched otherwise needs the supply off and on."""
@@ -111,10 +90,8 @@ def campaign_bus(scenario: Scenario, folder: Path) -> Iterator[CampaignBus]:
     # The link bears the process's id: one seed run twice at a time in one folder must not meet on one bus.
     log, link = folder / f"seed-{scenario.seed}.jsonl", folder / f"bus-{scenario.seed}-{os.getpid()}"
     start = ",".join(str(position) for position in START_RAD)
-    files = "--write-log", str(log), "--link", str(link)
-    emulator = RunningEmulator(
-        *files, f"--start={start}", "--seed", str(scenario.seed), "--population", scenario.population
-    )
+    drawn = f"--start={start}", "--seed", str(scenario.seed), "--population", scenario.population
+    emulator = RunningEmulator("--write-log", str(log), "--link", str(link), *drawn)
     try:
         yield CampaignBus(emulator, log, str(link))
     finally:
@@ -127,7 +104,7 @@ class ArmRun:
 
     scenario: Scenario
     bus: CampaignBus
-    arm: ListeningArm
+    arm: Watched
     result: Result
     chance: random.Random
     licensed: list[checks.Span] = field(default_factory=list)
@@ -136,7 +113,7 @@ class ArmRun:
     async def play(self) -> None:
         """Move, inject the faults, recover, end."""
         await self.arm.start(START_TIMEOUT_S)
-        await self._until(Mode.HOLDING)
+        await until(lambda: self.arm.state.mode is Mode.HOLDING)
         await self._operate()
         if self.scenario.calmed:
             await self._recover()
@@ -152,7 +129,7 @@ class ArmRun:
 
     async def _operate(self) -> None:
         """Inject the faults, and act as an operator meanwhile."""
-        self.bus.strike(self.scenario)
+        self.bus.tell(self.scenario.wire)
         befalling = asyncio.create_task(self._befall(self.scenario.events))
         until_s = time.monotonic() + MOVING_S
         while time.monotonic() < until_s:
@@ -243,24 +220,15 @@ class ArmRun:
     def _license(self, started_s: float) -> None:
         self.licensed.append(checks.Span(started_s, time.monotonic() + checks.HEARD_LATE_S))
 
-    async def _until(self, mode: Mode) -> None:
-        for _ in range(round(START_TIMEOUT_S / LOOK_S)):
-            if self.arm.state.mode is mode:
-                return
-            await asyncio.sleep(LOOK_S)
-
 
 def _end_state(entries: list[Entry], mode: Mode, scenario: Scenario) -> list[str]:
     """Check that an arm without a fault is in its configured end state."""
     torque = set(entries[-1].torque.values())
     if mode is Mode.HOLDING and scenario.on_exit is EndState.HOLD and torque != {1}:
         return [f"the arm was to hold at the end, but its torque is {entries[-1].torque}"]
-    relaxed = mode is Mode.RELAXED or (mode is Mode.HOLDING and scenario.on_exit is EndState.RELAX)
-    return (
-        [f"the arm was to be relaxed at the end, but its torque is {entries[-1].torque}"]
-        if relaxed and torque != {0}
-        else []
-    )
+    if (mode is Mode.RELAXED or (mode is Mode.HOLDING and scenario.on_exit is EndState.RELAX)) and torque != {0}:
+        return [f"the arm was to be relaxed at the end, but its torque is {entries[-1].torque}"]
+    return []
 
 
 async def run_arm(scenario: Scenario, folder: Path) -> Result:
@@ -268,7 +236,14 @@ async def run_arm(scenario: Scenario, folder: Path) -> Result:
     result = Result(scenario.seed, scenario.happening.value, scenario.population)
     refused = scenario.population in REFUSED
     with campaign_bus(scenario, folder) as bus:
-        arm = ListeningArm(_config(scenario, bus))
+        config = ArmConfig(
+            ROBOT,
+            SerialConfig(CALIBRATION, bus.port),
+            on_exit=scenario.on_exit,
+            on_server_lost=scenario.on_server_lost,
+            on_emergency_stop=scenario.on_emergency_stop,
+        )
+        arm = Watched(config)
         run = ArmRun(scenario, bus, arm, result, random.Random(scenario.seed))
         try:
             await (run.insist() if refused else run.play())
@@ -278,27 +253,11 @@ async def run_arm(scenario: Scenario, folder: Path) -> Result:
         entries = bus.entries()
     result.writes, result.states = len(entries), len(arm.states)
     result.violations += _answered_once(arm)
-    if not refused:
-        _check(run, entries)
+    if refused:
+        result.violations += checks.never_driven(entries)
+        if not any(state.mode is not Mode.DISCONNECTED or state.reason for state in arm.states):
+            result.violations.append("no state said why the arm has no torque")
         return result
-    result.violations += checks.never_driven(entries)
-    if not any(state.mode is not Mode.DISCONNECTED or state.reason for state in arm.states):
-        result.violations.append("no state said why the arm has no torque")
-    return result
-
-
-def _config(scenario: Scenario, bus: CampaignBus) -> ArmConfig:
-    return ArmConfig(
-        ROBOT,
-        SerialConfig(CALIBRATION, bus.port),
-        on_exit=scenario.on_exit,
-        on_server_lost=scenario.on_server_lost,
-        on_emergency_stop=scenario.on_emergency_stop,
-    )
-
-
-def _check(run: ArmRun, entries: list[Entry]) -> None:
-    arm, result = run.arm, run.result
     wall_minus_monotonic_s = time.time() - time.monotonic()
     licensed = [*run.licensed, *_minding(arm.states, wall_minus_monotonic_s)]
     result.violations += [
@@ -309,6 +268,7 @@ def _check(run: ArmRun, entries: list[Entry]) -> None:
         *checks.readings(entries, arm.states, wall_minus_monotonic_s),
         *checks.latched_faults(arm.states, run.resets),
     ]
+    return result
 
 
 def _minding(states: list[ArmState], wall_minus_monotonic_s: float) -> list[checks.Span]:
@@ -321,12 +281,8 @@ def _minding(states: list[ArmState], wall_minus_monotonic_s: float) -> list[chec
     ]
 
 
-def _answered_once(arm: ListeningArm) -> list[str]:
-    motions = [ended.motion_id for ended in arm.ended]
-    orders = [done.number for done in arm.done]
-    return [
-        f"{name} {number} was answered {numbers.count(number)} times"
-        for name, numbers in (("motion", motions), ("order", orders))
-        for number in sorted(set(numbers))
-        if numbers.count(number) > 1
-    ]
+def _answered_once(arm: Watched) -> list[str]:
+    """Check that no motion and no order was answered twice."""
+    answers = Counter(f"motion {ended.motion_id}" for ended in arm.ended)
+    answers += Counter(f"order {done.number}" for done in arm.done)
+    return [f"{name} was answered {count} times" for name, count in sorted(answers.items()) if count > 1]

@@ -1,10 +1,9 @@
 """Scenario of one run of the campaign, drawn from its seed, and the result of the run."""
 
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from types import MappingProxyType
 
 from robot.calibration import Calibration
 from robot.description.robot_folder import built_in
@@ -134,10 +133,9 @@ def _wire(chance: random.Random, *, at_least_one: bool) -> dict[str, float]:
 def _events(happening: Happening, chance: random.Random) -> tuple[Event, ...]:
     at_s = chance.uniform(FIRST_EVENT_S, LAST_EVENT_S)
     until_s = at_s + chance.uniform(0.05, 1.2)
-    servo = chance.randrange(len(JOINTS))
-    if happening in _COMMANDS:
-        begin, end = _COMMANDS[happening](servo, chance)
-        return Event(at_s, begin), Event(until_s, end)
+    commands = _commands(happening, chance.randrange(len(JOINTS)), chance)
+    if commands is not None:
+        return Event(at_s, commands[0]), Event(until_s, commands[1])
     if happening is Happening.EMERGENCY_STOP:
         return (Event(at_s, order=Order.EMERGENCY_STOP),)
     if happening is Happening.RELAX:
@@ -151,59 +149,39 @@ def _ticks_near(servo: int, away_rad: float) -> int:
     return JOINTS[servo].ticks_from_rad(max(lower, min(upper, START_RAD[servo] + away_rad)))
 
 
-Commands = tuple[dict[str, object], dict[str, object]]
-
-
-def _for_servo(name: str, begin: object, end: object) -> Callable[[int, random.Random], Commands]:
-    def commands(servo: int, _chance: random.Random) -> Commands:
-        joint = JOINTS[servo].joint
-        return {name: {joint: begin}}, {name: {joint: end}}
-
-    return commands
-
-
-def _placed(name: str, reach_rad: float) -> Callable[[int, random.Random], Commands]:
-    """Return a maker of commands that put an obstacle near a joint, and remove it later."""
-
-    def commands(servo: int, chance: random.Random) -> Commands:
-        ticks = _ticks_near(servo, chance.uniform(-reach_rad, reach_rad))
-        joint = JOINTS[servo].joint
-        return {name: {joint: ticks}}, {name: {joint: None}}
-
-    return commands
-
-
-def _listed(begin: str, end: str | None = None) -> Callable[[int, random.Random], Commands]:
-    def commands(servo: int, _chance: random.Random) -> Commands:
-        joints = [JOINTS[servo].joint]
-        return {begin: joints}, {} if end is None else {end: joints}
-
-    return commands
-
-
-def _fixed(begin: dict[str, object], end: dict[str, object]) -> Callable[[int, random.Random], Commands]:
-    return lambda _servo, _chance: (begin, end)
-
-
-_COMMANDS: Mapping[Happening, Callable[[int, random.Random], Commands]] = MappingProxyType(
-    {
-        Happening.SERVO_OFFLINE: _listed("offline", "online"),
-        Happening.UNPLUG: _fixed({"plugged": False}, {"plugged": True}),
-        Happening.UNPLUG_RENAMED: _fixed({"plugged": False}, {"plugged": "renamed"}),
-        Happening.FROZEN: _fixed({"frozen": True}, {"frozen": False}),
-        Happening.POWER_CYCLE_ONE: _listed("power_cycle"),
-        Happening.POWER_CYCLE_ALL: _fixed({"power_cycle": NAMES}, {}),
-        Happening.OBSTACLE: _placed("obstacle", 0.2),
-        Happening.PUSH: lambda servo, chance: _for_servo("push", chance.choice((-700, 300, 700)), 0)(servo, chance),
-        Happening.HAND: _placed("hand", 0.5),
-        Happening.OVER_TEMPERATURE: lambda servo, chance: _for_servo("temperature", chance.choice((58, 62, 67)), 40)(
-            servo, chance
-        ),
-        Happening.UNDERVOLTAGE: _fixed({"supply": 4.2}, {"supply": SUPPLY_V}),
-        Happening.TORQUE_OFF: _listed("torque_off"),
-        Happening.ENCODER_JUMP: _for_servo("jump", 400, 0),
-    }
-)
+def _commands(
+    happening: Happening, servo: int, chance: random.Random
+) -> tuple[dict[str, object], dict[str, object]] | None:
+    """Return the commands to the emulator that begin and end an incident; None for one without any."""
+    joint = JOINTS[servo].joint
+    match happening:
+        case Happening.SERVO_OFFLINE:
+            return {"offline": [joint]}, {"online": [joint]}
+        case Happening.UNPLUG:
+            return {"plugged": False}, {"plugged": True}
+        case Happening.UNPLUG_RENAMED:
+            return {"plugged": False}, {"plugged": "renamed"}
+        case Happening.FROZEN:
+            return {"frozen": True}, {"frozen": False}
+        case Happening.POWER_CYCLE_ONE:
+            return {"power_cycle": [joint]}, {}
+        case Happening.POWER_CYCLE_ALL:
+            return {"power_cycle": NAMES}, {}
+        case Happening.OBSTACLE:
+            return {"obstacle": {joint: _ticks_near(servo, chance.uniform(-0.2, 0.2))}}, {"obstacle": {joint: None}}
+        case Happening.PUSH:
+            return {"push": {joint: chance.choice((-700, 300, 700))}}, {"push": {joint: 0}}
+        case Happening.HAND:
+            return {"hand": {joint: _ticks_near(servo, chance.uniform(-0.5, 0.5))}}, {"hand": {joint: None}}
+        case Happening.OVER_TEMPERATURE:
+            return {"temperature": {joint: chance.choice((58, 62, 67))}}, {"temperature": {joint: 40}}
+        case Happening.UNDERVOLTAGE:
+            return {"supply": 4.2}, {"supply": SUPPLY_V}
+        case Happening.TORQUE_OFF:
+            return {"torque_off": [joint]}, {}
+        case Happening.ENCODER_JUMP:
+            return {"jump": {joint: 400}}, {"jump": {joint: 0}}
+    return None
 
 
 def calm(population: Population) -> tuple[Mapping[str, object], ...]:

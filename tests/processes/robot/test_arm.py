@@ -3,7 +3,6 @@
 import asyncio
 import errno
 import itertools
-import os
 import signal
 import time
 from collections.abc import AsyncIterator
@@ -89,7 +88,6 @@ async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnServ
 async def test_an_arm_whose_process_is_starved_goes_on_from_where_it_was(rig: ArmOnServos) -> None:
     motion = rig.arm.execute(to(0.6, duration_s=1.0))
     await until(lambda: rig.pan_rad > 0.1)
-    assert rig.arm.pid is not None
     for _ in range(3):
         rig.kill(signal.SIGSTOP)
         await asyncio.sleep(0.4)
@@ -104,7 +102,6 @@ async def test_an_arm_whose_process_is_starved_goes_on_from_where_it_was(rig: Ar
 
 async def test_time_limits_use_the_clock_of_a_starved_arm(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 2.5)
-    assert rig.arm.pid is not None
     relaxing = rig.arm.order(Order.RELAX)
     # Relaxing takes 1.5 s of the arm's time, which stands still while its process does.
     rig.kill(signal.SIGSTOP)
@@ -127,29 +124,26 @@ async def test_an_arm_process_that_dies_is_replaced_and_adopts_the_holding_arm(r
     assert joint.rad_from_ticks(first[1] | first[2] << 8) == pytest.approx(held_rad, abs=0.1)
 
 
-async def test_a_clock_that_is_faster_than_the_machines_goes_on_from_where_a_dead_process_left_it() -> None:
+async def test_a_clock_that_is_faster_than_the_machines_goes_on_from_where_a_dead_process_left_it(
+    tmp_path: Path,
+) -> None:
     def ended(state: ArmState) -> bool:
         return state.reason == "the arm process ended and is starting again"
 
-    states: list[ArmState] = []
-    arm = Arm(replace(CONFIG, hardware=replace(CONFIG.hardware, rate=10.0)), states.append)
-    try:
-        await arm.start(TIMEOUT_S)
-        assert arm.pid is not None
-        os.kill(arm.pid, signal.SIGKILL)
-        await until(lambda: states[-1].mode is Mode.HOLDING and any(map(ended, states)))
-        lost = next(number for number, state in enumerate(states) if ended(state))
-        assert states[lost].clock_s < states[lost + 1].clock_s < states[lost].clock_s + 1.0
-    finally:
-        await arm.close()
+    rig = ArmOnServos(tmp_path, rate=10.0)
+    await rig.start()
+    rig.kill()
+    await until(lambda: rig.arm.state.mode is Mode.HOLDING and any(map(ended, rig.states)))
+    lost = next(number for number, state in enumerate(rig.states) if ended(state))
+    assert rig.states[lost].clock_s < rig.states[lost + 1].clock_s < rig.states[lost].clock_s + 1.0
+    await rig.arm.close()
 
 
 async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     hanging = rig.arm.pid
-    assert hanging is not None
     motion = rig.arm.execute(to(1.0, duration_s=2.0))
     await until(lambda: rig.pan_rad > 0.1)
-    os.kill(hanging, signal.SIGSTOP)
+    rig.kill(signal.SIGSTOP)
     # Only for the hanging one: on a starved machine a sound process is silent for as long.
     with monkeypatch.context() as impatient:
         impatient.setattr("robot.arm.SILENT_HEARTBEATS", 4)
@@ -172,41 +166,26 @@ class FailingStarts:
         return start_arm_process(name)
 
 
-async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can(
-    restarted: ArmOnServos, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    starts = FailingStarts(
-        OSError(errno.EMFILE, "Too many open files"),
-        OSError(errno.EAGAIN, "Resource temporarily unavailable"),
-        MemoryError(),
-        RuntimeError("can't start new thread"),
-    )
-    monkeypatch.setattr("robot.arm.start_arm_process", starts)
-    restarted.kill()
-    await until_replaced(restarted)
-    assert starts.failed == 4
-    for reason in ("Too many open files", "temporarily unavailable", "MemoryError", "can't start new thread"):
-        assert any("cannot be started" in state.reason and reason in state.reason for state in restarted.states)
-        assert reason in caplog.text
-
-
-async def test_starts_that_fail_without_end_do_not_fill_the_log(
+async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can_and_does_not_fill_the_log(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = ArmOnServos(tmp_path, RestartDelay(0.0, 0.0))
     await rig.arm.start(TIMEOUT_S)
-    starts = FailingStarts(*[OSError(errno.EMFILE, "Too many open files")] * (10 * RESTART_LINES))
+    no_files = OSError(errno.EMFILE, "Too many open files")
+    others = OSError(errno.EAGAIN, "Resource temporarily unavailable"), MemoryError(), RuntimeError("no new thread")
+    starts = FailingStarts(*others, *[no_files] * (10 * RESTART_LINES))
     monkeypatch.setattr("robot.arm.start_arm_process", starts)
     rig.kill()
-    await until(lambda: starts.failed == 10 * RESTART_LINES)
-    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
-    assert caplog.text.count("cannot be started") == RESTART_LINES
+    await until_replaced(rig)
+    assert starts.failed == len(others) + 10 * RESTART_LINES
+    for reason in ("temporarily unavailable", "MemoryError", "no new thread", "Too many open files"):
+        assert any("cannot be started" in state.reason and reason in state.reason for state in rig.states)
+    assert caplog.text.count("Too many open files") == RESTART_LINES
     await rig.arm.close()
 
 
 async def test_an_error_with_a_state_ends_no_restarts(restarted: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     first = restarted.arm.pid
-    assert first is not None
 
     def fail(state: ArmState) -> None:
         if state.mode is Mode.DISCONNECTED:
@@ -215,7 +194,7 @@ async def test_an_error_with_a_state_ends_no_restarts(restarted: ArmOnServos, mo
 
     monkeypatch.setattr(restarted.arm, "_on_state", fail)
     monkeypatch.setattr("robot.arm.start_arm_process", FailingStarts(OSError(errno.EMFILE, "Too many open files")))
-    os.kill(first, signal.SIGKILL)
+    restarted.kill()
     await until(lambda: restarted.arm.pid != first and restarted.states[-1].mode is Mode.HOLDING)
 
 
@@ -223,8 +202,7 @@ async def test_an_arm_process_comes_back_where_clients_have_used_up_all_descript
     with no_descriptors_left():
         for _ in range(3):
             killed = restarted.arm.pid
-            assert killed is not None
-            os.kill(killed, signal.SIGKILL)
+            restarted.kill()
             await until(lambda killed=killed: restarted.arm.pid != killed and restarted.arm.state.mode is Mode.HOLDING)
 
 
@@ -250,10 +228,11 @@ async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew
     assert rig.arm.state.pace == Pace(0.5)
 
 
-async def test_who_asks_while_the_arm_is_being_started_waits_for_it(tmp_path: Path) -> None:
+async def test_who_asks_while_the_arm_is_being_started_waits_for_it_up_to_a_limit(tmp_path: Path) -> None:
     made = ArmOnServos(tmp_path)
     await asyncio.wait_for(made.arm.until_started(100.0 * TIMEOUT_S), TIMEOUT_S)
     await made.arm.launch()
+    await asyncio.wait_for(made.arm.until_started(0.02), TIMEOUT_S)
     waiting = asyncio.create_task(made.arm.until_started(TIMEOUT_S))
     await asyncio.sleep(0)
     assert not waiting.done()
@@ -261,13 +240,6 @@ async def test_who_asks_while_the_arm_is_being_started_waits_for_it(tmp_path: Pa
     await asyncio.wait_for(waiting, TIMEOUT_S)
     assert made.arm.state.mode is Mode.HOLDING
     await made.arm.close()
-
-
-async def test_the_wait_for_an_arm_that_does_not_start_ends_at_its_timeout() -> None:
-    arm = Arm(CONFIG, lambda _state: None)
-    await arm.launch()
-    await asyncio.wait_for(arm.until_started(0.02), 1.0)
-    await arm.close()
 
 
 async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
@@ -282,8 +254,10 @@ async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
     await arm.close()
 
 
-async def relaxing_arm(folder: Path) -> ArmOnServos:
-    made = ArmOnServos(folder, on_exit=EndState.RELAX)
+@pytest.fixture
+async def relaxing(tmp_path: Path) -> ArmOnServos:
+    """An arm that is relaxed when it is closed, as each test does in its way."""
+    made = ArmOnServos(tmp_path, on_exit=EndState.RELAX)
     await made.start()
     return made
 
@@ -292,37 +266,36 @@ def is_relaxed(made: ArmOnServos) -> bool:
     return set(read_write_log(made.log)[-1]["torque"].values()) == {0}
 
 
-async def test_an_arm_process_that_gets_no_time_is_waited_for_by_its_own_clock(tmp_path: Path) -> None:
-    made = await relaxing_arm(tmp_path)
-    closing = asyncio.create_task(made.arm.close())
-    assert made.arm.pid is not None
+async def test_an_arm_process_that_gets_no_time_is_waited_for_by_its_own_clock(relaxing: ArmOnServos) -> None:
+    closing = asyncio.create_task(relaxing.arm.close())
     # Six seconds without a core, more than relaxing takes; it is never silent for as long as one that hangs.
     for _ in range(3):
-        os.kill(made.arm.pid, signal.SIGSTOP)
+        relaxing.kill(signal.SIGSTOP)
         await asyncio.sleep(2.0)
-        os.kill(made.arm.pid, signal.SIGCONT)
+        relaxing.kill(signal.SIGCONT)
         await asyncio.sleep(0.1)
     await asyncio.wait_for(closing, TIMEOUT_S)
-    assert is_relaxed(made)
+    assert is_relaxed(relaxing)
 
 
-async def test_an_arm_process_that_hangs_at_its_end_is_killed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    made = await relaxing_arm(tmp_path)
-    assert made.arm.pid is not None
-    os.kill(made.arm.pid, signal.SIGSTOP)
-    await asyncio.wait_for(made.arm.close(), TIMEOUT_S)
-    assert not runs(made.arm.pid)
+async def test_an_arm_process_that_hangs_at_its_end_is_killed(
+    relaxing: ArmOnServos, caplog: pytest.LogCaptureFixture
+) -> None:
+    pid = relaxing.arm.pid or 0
+    assert runs(pid)
+    relaxing.kill(signal.SIGSTOP)
+    await asyncio.wait_for(relaxing.arm.close(), TIMEOUT_S)
+    assert not runs(pid)
     assert "the arm process has said nothing" in caplog.text or "does not end and is killed" in caplog.text
 
 
-async def test_an_arm_process_that_is_not_waited_for_ends_by_itself_in_its_end_state(tmp_path: Path) -> None:
-    made = await relaxing_arm(tmp_path)
-    assert made.arm.pid is not None
-    closing = asyncio.create_task(made.arm.close())
+async def test_an_arm_process_that_is_not_waited_for_ends_by_itself_in_its_end_state(relaxing: ArmOnServos) -> None:
+    pid = relaxing.arm.pid or 0
+    closing = asyncio.create_task(relaxing.arm.close())
     await asyncio.sleep(0.1)
     closing.cancel()
     await asyncio.wait([closing])
-    assert runs(made.arm.pid)
-    await until(lambda: not runs(made.arm.pid or 0))
-    assert is_relaxed(made)
-    await made.arm.close()
+    assert runs(pid)
+    await until(lambda: not runs(pid))
+    assert is_relaxed(relaxing)
+    await relaxing.arm.close()

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
 from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint, Stop
@@ -39,39 +39,28 @@ async def rig() -> AsyncIterator[ProcessRig]:
     await made.process.kill()
 
 
-async def test_an_order_that_comes_before_the_configuration_is_kept_for_it(rig: ProcessRig) -> None:
-    assert rig.process.order(Command(1, Order.EMERGENCY_STOP))
-    assert not rig.process.configured
-    rig.process.configure(CONFIG, Stop())
-    answer = await rig.until_message(CommandDone)
-    assert (answer.number, answer.done) == (1, False)
-    assert "not connected" in answer.message
-
-
-async def test_orders_are_kept_up_to_a_bound(rig: ProcessRig) -> None:
-    kept = [rig.process.order(Command(number, Order.ENABLE)) for number in range(MAX_EARLY_ORDERS + 1)]
-    assert kept == [True] * MAX_EARLY_ORDERS + [False]
-
-
-async def test_what_is_said_before_the_configuration_does_not_take_its_place(rig: ProcessRig) -> None:
+async def test_orders_that_come_before_the_configuration_are_kept_for_it_up_to_a_bound(rig: ProcessRig) -> None:
+    # What else is said does not take its place.
     rig.process.send("hello")
+    kept = [rig.process.order(Command(number, Order.EMERGENCY_STOP)) for number in range(MAX_EARLY_ORDERS + 1)]
+    assert (kept, rig.process.configured) == ([True] * MAX_EARLY_ORDERS + [False], False)
     rig.process.configure(CONFIG, Stop())
     assert "/dev/does-not-exist" in (await rig.until_message(ArmState)).reason
+    answer = await rig.until_message(CommandDone)
+    assert (answer.number, answer.done) == (0, False)
+    assert "not connected" in answer.message
 
 
 async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first() -> None:
     started = start_arm_process()
     rig = ProcessRig(started)
     await rig.process.launch()
-    try:
-        assert rig.process.pid == started.process.pid
-        rig.process.configure(CONFIG, Stop())
-        await rig.until_message(ArmState)
-        await rig.process.kill()
-        await rig.process.launch()
-        assert rig.process.pid != started.process.pid
-    finally:
-        await rig.process.kill()
+    assert rig.process.pid == started.process.pid
+    # One that was never configured ends at once.
+    await asyncio.wait_for(rig.process.kill(), TIMEOUT_S)
+    await rig.process.launch()
+    assert (rig.exits, rig.process.pid != started.process.pid) == (1, True)
+    await rig.process.kill()
 
 
 async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:
@@ -81,11 +70,6 @@ async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:
     assert not rig.process.order(Command(1, Order.ENABLE))
     rig.process.configure(CONFIG, Stop())
     assert not rig.process.configured
-
-
-async def test_a_process_that_was_never_configured_ends_at_once(rig: ProcessRig) -> None:
-    await asyncio.wait_for(rig.process.kill(), 2.0)
-    assert rig.exits == 1
 
 
 async def test_setpoints_go_out_under_the_streams_number_until_it_has_ended() -> None:

@@ -3,7 +3,6 @@ import json
 import logging
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -16,6 +15,7 @@ from harness.waiting import TIMEOUT_S, until
 from robot import logs, processes
 from robot.logs import LoggerLevel
 from robot.processes import Child, DescriptorReserve, StartedChild
+from tests.helpers.programs import run_python
 from tests.helpers.resources import no_descriptors_left
 
 ECHO = "tests.helpers.echo_child"
@@ -140,14 +140,10 @@ async def test_an_error_with_one_message_costs_no_later_one(start: Start, caplog
     assert "serving a message" in caplog.text
 
 
-@pytest.fixture
-def no_changed_levels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logs, "_changed", {})
-
-
 async def test_a_level_is_changed_in_children_that_run_and_in_those_that_follow(
-    no_changed_levels: None, start: Start, capfd: pytest.CaptureFixture[str]
+    start: Start, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(logs, "_changed", {})
     first = await start()
     assert logs.change(LoggerLevel("armbridge.echo", logging.DEBUG))
     for echo in (first, await start()):
@@ -170,9 +166,7 @@ def test_no_namesake_is_imported_from_the_working_directory(tmp_path: Path, monk
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "__init__.py").write_text("raise SystemExit(7)")
     monkeypatch.chdir(tmp_path)
-    process = processes.start_module("server.cli", ["--help"], ())
-    assert process.wait(TIMEOUT_S) == 0
-    assert sys.executable
+    assert processes.start_module("server.cli", ["--help"], ()).wait(TIMEOUT_S) == 0
 
 
 def test_with_descriptors_in_reserve_a_child_is_started_when_all_others_are_used_up() -> None:
@@ -185,6 +179,7 @@ def test_with_descriptors_in_reserve_a_child_is_started_when_all_others_are_used
             started = StartedChild(ECHO)
     started.close()
     reserve.close()
+    assert len(reserve._held) == 0
 
 
 def test_the_reserve_is_filled_again_as_far_as_it_goes() -> None:
@@ -198,7 +193,6 @@ def test_the_reserve_is_filled_again_as_far_as_it_goes() -> None:
         reserve.fill()
         assert len(reserve._held) == 4
     reserve.close()
-    assert len(reserve._held) == 0
 
 
 def test_a_start_that_fails_leaves_no_descriptor_open(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,13 +244,7 @@ asyncio.run(main(StartedChild("", body=echo)))
     ],
 )
 def test_a_forked_child_is_one_like_any_other(end: str, ending: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", FORKED.replace("{end}", end)],
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=True,
-    )
+    done = run_python(FORKED.replace("{end}", end))
     (message, pid, session), seen_pid, running, ended = json.loads(done.stdout)
     assert (message, running, ended) == ("hello", True, ending)
     # Out of reach of the terminal's Ctrl-C.
@@ -271,7 +259,4 @@ started = StartedChild("", body=lambda sock: time.sleep(60))
 started.close()
 print(started.process.poll())
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=TIMEOUT_S, check=True
-    )
-    assert done.stdout == "-9\n"
+    assert run_python(program).stdout == "-9\n"

@@ -15,49 +15,36 @@ from tests.helpers.resources import examples
 STORE = get_typestore(Stores.ROS2_JAZZY)
 ROSBAGS = RosbagsTypes(STORE, REGISTRY.message)
 # rosbags takes no message without fields.
-SHARED_TYPES = [name for name in MESSAGE_TYPES if ROSBAGS.has(name) and REGISTRY.message(name).fields]
+SHARED_TYPES = {name for name in MESSAGE_TYPES if ROSBAGS.has(name) and REGISTRY.message(name).fields}
 
 
 @examples(5)
 @given(seed=st.integers(0, 2**32))
-def test_a_serialized_message_of_every_type_is_read_back_the_same(seed: int) -> None:
+def test_a_message_of_every_type_is_read_back_the_same_from_the_bytes_of_another_implementation(seed: int) -> None:
     assert len(MESSAGE_TYPES) == 340
+    assert len(SHARED_TYPES) > 100
     for name in MESSAGE_TYPES:
         message = made_up(REGISTRY, name, seed)
-        octets = cdr.serialize(REGISTRY, name, message)
-        assert cdr.deserialize(REGISTRY, name, octets) == message, name
-
-
-@examples(5)
-@given(seed=st.integers(0, 2**32))
-def test_the_bytes_of_every_shared_type_are_those_of_another_implementation(seed: int) -> None:
-    assert len(SHARED_TYPES) > 100
-    for name in SHARED_TYPES:
-        message = made_up(REGISTRY, name, seed)
-        theirs = bytes(STORE.serialize_cdr(ROSBAGS.message(name, packed(REGISTRY, name, message, numbers=False)), name))
         ours = cdr.serialize(REGISTRY, name, message)
-        # rosbags pads the whole to four bytes.
-        assert theirs == ours.ljust(len(theirs), b"\0"), name
+        assert cdr.deserialize(REGISTRY, name, ours) == message, name
+        if name in SHARED_TYPES:
+            theirs = STORE.serialize_cdr(ROSBAGS.message(name, packed(REGISTRY, name, message, numbers=False)), name)
+            # rosbags pads the whole to four bytes.
+            assert bytes(theirs) == ours.ljust(len(theirs), b"\0"), name
 
 
-def test_a_message_may_be_filled_up_to_four_octets() -> None:
+def test_octets_that_are_no_such_message_are_refused_but_it_may_be_filled_up_to_four() -> None:
     assert cdr.deserialize(REGISTRY, "std_msgs/Bool", HEADER + b"\x01\x00\x00\x00") == {"data": True}
-
-
-BROKEN = {
-    "big-endian": ("std_msgs/Bool", b"\x00\x00\x00\x00\x01", "header 00010000, got 00000000"),
-    "nothing": ("std_msgs/Bool", b"", "got nothing"),
-    "too short": ("std_msgs/Float64", HEADER + bytes(4), "8 bytes of CDR at byte 0, got 4"),
-    "too long": ("std_msgs/Bool", HEADER + bytes(5), "1 bytes of std_msgs/Bool, got 4 more"),
-    "text beyond the end": ("std_msgs/String", HEADER + struct.pack("<I", 2**31), "at most 0 elements, got 2147483648"),
-    "no UTF-8": ("std_msgs/String", HEADER + struct.pack("<I", 2) + b"\xff\x00", "text in UTF-8"),
-}
-
-
-@pytest.mark.parametrize(("name", "octets", "words"), BROKEN.values(), ids=BROKEN.keys())
-def test_octets_that_are_no_such_message_are_refused(name: str, octets: bytes, words: str) -> None:
-    with pytest.raises(MessageError, match=words):
-        cdr.deserialize(REGISTRY, name, octets)
+    for name, octets, words in (
+        ("std_msgs/Bool", b"\x00\x00\x00\x00\x01", "header 00010000, got 00000000"),
+        ("std_msgs/Bool", b"", "got nothing"),
+        ("std_msgs/Float64", HEADER + bytes(4), "8 bytes of CDR at byte 0, got 4"),
+        ("std_msgs/Bool", HEADER + bytes(5), "1 bytes of std_msgs/Bool, got 4 more"),
+        ("std_msgs/String", HEADER + struct.pack("<I", 2**31), "at most 0 elements, got 2147483648"),
+        ("std_msgs/String", HEADER + struct.pack("<I", 2) + b"\xff\x00", "text in UTF-8"),
+    ):
+        with pytest.raises(MessageError, match=words):
+            cdr.deserialize(REGISTRY, name, octets)
 
 
 @examples(200)

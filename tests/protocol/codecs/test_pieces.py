@@ -2,12 +2,12 @@ from typing import Any
 
 import cbor2
 import orjson
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.codecs import cbor, json
-from protocol.codecs.pieces import Notation, encoded_pieces, encoding_cost_bytes, json_notation
+from protocol.codecs.pieces import encoded_pieces, encoding_cost_bytes, json_notation
+from protocol.publication import LARGE_BYTES
 
 # Of a message the elements of a list are of one kind.
 VALUES: st.SearchStrategy[Any] = st.recursive(
@@ -20,54 +20,43 @@ VALUES: st.SearchStrategy[Any] = st.recursive(
     ),
     max_leaves=60,
 )
-PIECE_BYTES = st.integers(20, 300)
 
 MESH = {"vertices": [{"x": 0.1, "y": 0.2, "z": 0.3}] * 40_000, "triangles": [{"vertex_indices": [0, 1, 2]}] * 80_000}
 SCENE = {"world": {"collision_objects": [{"id": "a", "meshes": [MESH]}, {"id": "b", "meshes": []}]}}
 
 
-class Noting:
-    """JSON's encoder, which notes the values that it gets."""
+@given(VALUES, st.integers(20, 300))
+def test_pieces_together_are_the_json_or_cbor_of_the_whole_and_none_but_a_single_text_costs_more_than_the_limit(
+    value: Any, piece_bytes: int
+) -> None:
+    encoded = []
 
-    def __init__(self) -> None:
-        self.values: list[Any] = []
+    def encode(member: Any) -> bytes:
+        encoded.append(member)
+        return orjson.dumps(member)
 
-    def encode(self, value: Any) -> bytes:
-        self.values.append(value)
-        return orjson.dumps(value)
-
-
-@given(VALUES, PIECE_BYTES)
-def test_pieces_together_are_the_json_or_cbor_of_the_whole(value: Any, piece_bytes: int) -> None:
-    notation: Notation = cbor._NOTATION
-    assert b"".join(encoded_pieces(value, json_notation(orjson.dumps), piece_bytes)) == orjson.dumps(value)
-    assert b"".join(encoded_pieces(value, notation, piece_bytes)) == cbor2.dumps(value)
-
-
-@given(VALUES, PIECE_BYTES)
-def test_no_piece_costs_more_than_the_limit_but_a_single_text(value: Any, piece_bytes: int) -> None:
-    noting = Noting()
-    list(encoded_pieces(value, json_notation(noting.encode), piece_bytes))
-    for each in noting.values:
-        if isinstance(each, dict | list):
-            assert encoding_cost_bytes(each, piece_bytes + 1) <= piece_bytes
-
-
-def test_a_list_of_few_elements_with_a_mesh_is_cut() -> None:
-    noting = Noting()
-    pieces = list(encoded_pieces(SCENE, json_notation(noting.encode)))
-    assert orjson.loads(b"".join(pieces)) == SCENE
-    assert max(map(len, pieces)) < 20_000
-
-
-@pytest.mark.parametrize("encode", [json.encode_in_pieces, cbor.encode])
-def test_a_mesh_in_pieces_is_the_mesh(encode: Any) -> None:
-    decode: Any = orjson.loads if encode is json.encode_in_pieces else cbor2.loads
-    assert decode(encode(SCENE)) == SCENE
+    assert b"".join(encoded_pieces(value, json_notation(encode), piece_bytes)) == orjson.dumps(value)
+    assert b"".join(encoded_pieces(value, cbor._NOTATION, piece_bytes)) == cbor2.dumps(value)
+    for each in (each for each in encoded if isinstance(each, dict | list)):
+        assert encoding_cost_bytes(each, piece_bytes + 1) <= piece_bytes
 
 
 @given(VALUES)
 def test_a_frame_encoded_in_pieces_is_the_frame(value: Any) -> None:
-    assert json.encode_in_pieces({"many": [{"value": value}] * 1000}) == json.encode(
-        {"many": [{"value": value}] * 1000}
-    )
+    frame = {"value": value, "many": [{"value": value}] * 1000}
+    assert json.encode_in_pieces(frame) == json.encode(frame)
+    assert cbor2.loads(cbor.encode(frame)) == frame
+
+
+def test_a_list_of_few_elements_with_a_mesh_is_cut() -> None:
+    pieces = list(encoded_pieces(SCENE, json_notation(orjson.dumps)))
+    assert orjson.loads(b"".join(pieces)) == orjson.loads(json.encode_in_pieces(SCENE)) == SCENE
+    assert cbor2.loads(cbor.encode(SCENE)) == SCENE
+    assert max(map(len, pieces)) < 20_000
+
+
+@given(VALUES)
+def test_the_cost_of_encoding_is_estimated_without_looking_at_everything(value: Any) -> None:
+    assert 0 <= encoding_cost_bytes(value, LARGE_BYTES) <= LARGE_BYTES
+    for large in ([0.5] * 10_000, {"data": "x" * LARGE_BYTES}, [{"x": 1.0, "y": 1.0}] * 3000, [["x" * 100] * 10] * 100):
+        assert encoding_cost_bytes([value, large], LARGE_BYTES) == LARGE_BYTES

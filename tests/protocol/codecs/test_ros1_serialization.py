@@ -27,15 +27,12 @@ def test_the_bytes_of_every_shared_type_are_those_of_another_implementation(seed
         assert serialize(REGISTRY, name, message) == wanted, name
 
 
-def test_an_empty_message_has_no_octets_and_a_ros2_type_the_times_of_ros1():
+def test_an_empty_message_has_no_octets_and_types_of_ros2_alone_and_log_records_are_those_of_ros1():
+    stamp, octets_of_stamp = {"sec": 1, "nanosec": 2}, bytes.fromhex("01000000 02000000")
     assert serialize(REGISTRY, "std_msgs/Empty", {}) == b""
-    message = complete(REGISTRY, "action_msgs/GoalInfo", {"stamp": {"sec": 1, "nanosec": 2}}, Stamp(0, 0))
-    assert serialize(REGISTRY, "action_msgs/GoalInfo", message) == bytes(16) + bytes.fromhex("01000000 02000000")
-
-
-def test_a_log_record_is_that_of_ros1():
+    message = complete(REGISTRY, "action_msgs/GoalInfo", {"stamp": stamp}, Stamp(0, 0))
+    assert serialize(REGISTRY, "action_msgs/GoalInfo", message) == bytes(16) + octets_of_stamp
     record = complete(REGISTRY, "rcl_interfaces/Log", {"level": 30, "msg": "x", "line": 7}, Stamp(0, 0))
-    octets = serialize(REGISTRY, "rcl_interfaces/Log", {**record, "stamp": {"sec": 1, "nanosec": 2}})
-    assert octets == bytes.fromhex(
-        "00000000 01000000 02000000 00000000  04  00000000 01000000 78 00000000 00000000 07000000 00000000"
-    )
+    record_of_ros1 = bytes.fromhex("00000000  04  00000000 01000000 78 00000000 00000000 07000000 00000000")
+    octets = serialize(REGISTRY, "rcl_interfaces/Log", {**record, "stamp": stamp})
+    assert octets == bytes(4) + octets_of_stamp + record_of_ros1

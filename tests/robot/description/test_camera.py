@@ -1,5 +1,3 @@
-"""The pinhole camera of an arm's description."""
-
 from typing import Any
 
 import numpy as np
@@ -27,8 +25,7 @@ def test_the_optical_frame_has_z_along_the_view_and_y_down() -> None:
 
 
 def test_a_point_at_the_upper_edge_is_half_the_field_of_view_above_the_middle() -> None:
-    camera = Camera(view=AHEAD, field_of_view_deg=90.0)
-    column, row, depth = camera.intrinsic_matrix @ (0.0, -1.0, 1.0)
+    column, row, depth = Camera(view=AHEAD, field_of_view_deg=90.0).intrinsic_matrix @ (0.0, -1.0, 1.0)
     # The middle of the first pixel is (0, 0), and its upper edge half a pixel above.
     assert (column / depth, row / depth) == pytest.approx((159.5, -0.5))
 

@@ -1,8 +1,7 @@
-"""Descriptions of several arms as one: names, places, limits, groups of all, and pairs that are never near."""
-
 import itertools
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.joined import ALL_ARMS, BOTH_ARMS, PlacedArm, joined, prefixed, reach_m
 from robot.description.meshes import find_mesh
 from robot.description.model import RobotModel
+from robot.description.urdf import Joint
 from tests.helpers.robots import so101
 from tests.helpers.stl_arm import write_package
 
@@ -21,41 +21,35 @@ LEFT, RIGHT = prefixed(ONE, "left"), prefixed(ONE, "right")
 
 
 def pair(apart_m: float = 0.4) -> RobotModel:
-    places = {"left": PlacedArm(LEFT, (0.0, apart_m, 0.0)), "right": PlacedArm(RIGHT, base_rpy_rad=(0.0, 0.0, 1.0))}
-    return joined("pair", places)
+    left, right = PlacedArm(LEFT, (0.0, apart_m, 0.0)), PlacedArm(RIGHT, base_rpy_rad=(0.0, 0.0, 1.0))
+    return joined("pair", {"left": left, "right": right})
 
 
-def test_every_link_joint_and_group_of_an_arm_begins_with_its_name() -> None:
+def test_every_link_joint_and_group_of_an_arm_begins_with_its_name_and_the_whole_has_the_joints_of_all() -> None:
     names = (*LEFT.links, *LEFT.joints, *LEFT.groups, LEFT.tip_link, LEFT.default_group)
     assert all(name.startswith("left_") for name in names)
     assert LEFT.gripper.joints == ("left_gripper",)
+    names = [joint.name for joint in pair().movable_joints]
+    assert names == [joint.name for arm in (LEFT, RIGHT) for joint in arm.movable_joints]
+
+
+def limits(joint: Joint) -> tuple[float, ...]:
+    return joint.lower, joint.upper, joint.max_velocity, joint.max_acceleration
+
+
+def plain(names: Iterable[str]) -> set[str]:
+    """Names without the arm's own."""
+    return {name.removeprefix("left_") for name in names}
 
 
 def test_limits_states_hulls_and_unchecked_pairs_are_those_of_the_arm() -> None:
     for joint in ONE.movable_joints:
-        same = LEFT.joints[f"left_{joint.name}"]
-        assert (same.lower, same.upper, same.max_velocity, same.max_acceleration) == (
-            joint.lower,
-            joint.upper,
-            joint.max_velocity,
-            joint.max_acceleration,
-        )
-    assert LEFT.hulls.keys() == {f"left_{link}" for link in ONE.hulls}
-    assert LEFT.parts.keys() == {f"left_{link}" for link in ONE.parts}
-    assert {
-        frozenset(link.removeprefix("left_") for link in each) for each in LEFT.disabled_pairs
-    } == ONE.disabled_pairs
+        assert limits(LEFT.joints[f"left_{joint.name}"]) == limits(joint)
+    assert (plain(LEFT.hulls), plain(LEFT.parts)) == (set(ONE.hulls), set(ONE.parts))
+    assert {frozenset(plain(each)) for each in LEFT.disabled_pairs} == ONE.disabled_pairs
     for group, states in ONE.named_states.items():
-        named = LEFT.named_states[f"left_{group}"]
-        assert {
-            name: {joint.removeprefix("left_"): value for joint, value in state.items()}
-            for name, state in named.items()
-        } == states
-
-
-def test_the_whole_has_the_joints_of_all_arms_in_their_order() -> None:
-    names = [joint.name for joint in pair().movable_joints]
-    assert names == [joint.name for arm in (LEFT, RIGHT) for joint in arm.movable_joints]
+        for name, state in LEFT.named_states[f"left_{group}"].items():
+            assert {joint.removeprefix("left_"): value for joint, value in state.items()} == states[name]
 
 
 def test_each_arm_stands_at_its_place() -> None:
@@ -64,26 +58,21 @@ def test_each_arm_stands_at_its_place() -> None:
     both = {f"{arm}_{name}": value for arm in ("left", "right") for name, value in bent.items()}
     tip = np.array(alone.transforms(bent)["gripper_frame_link"])
     placed = whole.transforms(both)
-    shifted = np.eye(4)
+    shifted, turned = np.eye(4), np.eye(4)
     shifted[1, 3] = 0.4
-    turned = np.eye(4)
     turned[:2, :2] = [[math.cos(1.0), -math.sin(1.0)], [math.sin(1.0), math.cos(1.0)]]
     assert np.allclose(placed["left_gripper_frame_link"], shifted @ tip)
     assert np.allclose(placed["right_gripper_frame_link"], turned @ tip)
 
 
-def test_two_arms_have_a_group_of_both_with_the_states_that_both_have() -> None:
+def test_two_arms_have_a_group_of_both_with_the_states_that_both_have_and_more_arms_one_of_all() -> None:
     whole = pair()
     assert set(whole.groups[BOTH_ARMS].joints) == {*LEFT.groups["left_arm"].joints, *RIGHT.groups["right_arm"].joints}
     assert whole.named_states[BOTH_ARMS].keys() == ONE.named_states["arm"].keys()
     assert whole.groups[BOTH_ARMS].tip_link == ""
-
-
-def test_more_arms_have_a_group_of_all() -> None:
-    three = {name: PlacedArm(prefixed(ONE, name)) for name in ("a", "b", "c")}
-    whole = joined("three", three)
-    assert len(whole.groups[ALL_ARMS].joints) == 15
-    assert BOTH_ARMS not in whole.groups
+    three = joined("three", {name: PlacedArm(prefixed(ONE, name)) for name in ("a", "b", "c")})
+    assert len(three.groups[ALL_ARMS].joints) == 15
+    assert BOTH_ARMS not in three.groups
 
 
 @pytest.mark.parametrize("apart_m", [0.4, 2.0])

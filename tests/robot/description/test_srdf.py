@@ -30,6 +30,7 @@ TREE = read_urdf(
 )
 LEFT = '<group name="left"><chain base_link="torso" tip_link="l_tool"/></group>'
 RIGHT = '<group name="right"><joint name="r_elbow"/><joint name="r_shoulder"/></group>'
+BOTH = ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
 
 
 def read(inner: str) -> Semantics:
@@ -48,18 +49,13 @@ def refusal(inner: str) -> str:
         ('<joint name="r_elbow"/><joint name="r_shoulder"/>', ("r_shoulder", "r_elbow"), "r2"),
         ('<link name="l1"/><link name="l2"/><link name="l_tool"/>', ("l_shoulder", "l_elbow"), "l_tool"),
         ('<link name="base"/><link name="torso"/>', ("lift",), "torso"),
-        (
-            '<chain base_link="torso" tip_link="l2"/><chain base_link="torso" tip_link="r2"/>',
-            ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow"),
-            "",
-        ),
+        ('<chain base_link="torso" tip_link="l2"/><chain base_link="torso" tip_link="r2"/>', BOTH, ""),
         (
             '<joint name="l_elbow"/><joint name="l_elbow"/><chain base_link="base" tip_link="l_tool"/>',
             ("lift", "l_shoulder", "l_elbow"),
             "l_tool",
         ),
     ],
-    ids=["joints", "links", "the root link brings none", "several chains", "a chain and its own joints"],
 )
 def test_a_group_has_its_joints_from_the_root_to_the_last_link(inner: str, joints: tuple[str, ...], tip: str) -> None:
     group = read(f'<group name="g">{inner}</group>').groups["g"]
@@ -70,30 +66,26 @@ def test_nested_groups_bring_their_joints_whatever_their_order_in_the_file_and_t
     both = '<group name="both"><group name="left"/><group name="right"/></group>'
     for inner in (f"{both}{LEFT}{RIGHT}", f"{LEFT}{RIGHT}{both}"):
         group = read(inner).groups["both"]
-        assert group.joints == ("l_shoulder", "l_elbow", "r_shoulder", "r_elbow")
+        assert group.joints == BOTH
         assert group.tip_link == ""
     assert read(RIGHT).groups["right"].base_link == "torso"
 
 
 def test_a_chain_may_lead_from_one_branch_to_another() -> None:
     group = read('<group name="g"><chain base_link="l2" tip_link="r2"/></group>').groups["g"]
-    assert set(group.joints) == {"l_shoulder", "l_elbow", "r_shoulder", "r_elbow"}
+    assert set(group.joints) == set(BOTH)
     assert group.tip_link == "r2"
 
 
-def test_a_joint_that_mimics_is_in_no_group_and_in_no_state() -> None:
+def test_a_joint_that_mimics_is_in_no_group_and_no_state_and_a_passive_joint_in_no_group() -> None:
     fingers = '<group name="hand"><joint name="grip"/><joint name="thumb"/></group>'
     values = '<joint name="grip" value="1"/><joint name="thumb" value="1"/>'
     semantics = read(f'{fingers}<group_state name="open" group="hand">{values}</group_state>')
     assert semantics.groups["hand"].joints == ("grip",)
     assert semantics.named_states == {"hand": {"open": {"grip": 1.0}}}
-
-
-def test_a_passive_joint_is_in_no_group() -> None:
     semantics = read(f'{RIGHT}<passive_joint name="r_elbow"/>')
     assert semantics.groups["right"].joints == ("r_shoulder",)
-    assert semantics.passive_joints == {"r_elbow"}
-    assert semantics.planning_frame == "base"
+    assert (semantics.passive_joints, semantics.planning_frame) == ({"r_elbow"}, "base")
 
 
 VIRTUAL = '<virtual_joint name="world_joint" type="planar" parent_frame="odom" child_link="base"/>'
@@ -111,14 +103,11 @@ def test_a_virtual_joint_names_the_planning_frame_and_is_no_joint_of_a_group() -
     assert semantics.named_states == {"all": {"s": {"l_elbow": 1.0}}}
 
 
-def test_an_end_effector_that_names_the_arm_itself_names_its_tip() -> None:
+def test_an_end_effector_that_names_the_arm_itself_names_its_tip_and_one_of_its_own_group_none() -> None:
     arm = '<group name="arm"><joint name="l_shoulder"/><joint name="l_elbow"/></group>'
     effector = '<end_effector name="hand" parent_link="l_tool" group="arm"/>'
     assert read(arm).groups["arm"].tip_link == "l2"
     assert read(arm + effector).groups["arm"].tip_link == "l_tool"
-
-
-def test_an_end_effector_of_its_own_group_leaves_tips_alone() -> None:
     hand = '<group name="hand"><joint name="grip"/></group>'
     semantics = read(f'{RIGHT}{hand}<end_effector name="e" parent_link="r2" group="hand"/>')
     assert semantics.groups["hand"].tip_link == "jaw"

@@ -25,21 +25,16 @@ def refusal(text: str) -> str:
     return str(refused.value)
 
 
-def test_a_joint_that_mimics_has_no_position_of_its_own() -> None:
-    joints = tree(HAND).joints
-    assert [joint.name for joint in joints.values() if joint.movable] == ["grip"]
-    assert joints["other"].mimic == Mimic("grip", -1.0, 0.01)
-
-
-def test_a_joint_that_mimics_a_mimicking_one_follows_the_first_of_them() -> None:
-    mimic = tree(HAND).joints["last"].mimic
+def test_a_joint_that_mimics_has_no_position_of_its_own_and_follows_the_first_of_a_chain() -> None:
+    found = tree(HAND)
+    assert [joint.name for joint in found.joints.values() if joint.movable] == ["grip"]
+    assert found.joints["other"].mimic == Mimic("grip", -1.0, 0.01)
+    mimic = found.joints["last"].mimic
     assert mimic.joint == "grip"
     # The last is twice the other, which is 0.01 less the grip, and 0.5 more.
     assert (mimic.multiplier, mimic.offset) == pytest.approx((-2.0, 0.52))
-
-
-def test_links_come_root_first_and_each_branch_as_a_whole() -> None:
-    assert tree(HAND).links == ("palm", "left", "right", "tip")
+    # Links come root first and each branch as a whole.
+    assert found.links == ("palm", "left", "right", "tip")
 
 
 def test_limits_from_beside_the_urdf_replace_its_own() -> None:
@@ -60,8 +55,7 @@ def test_a_continuous_joint_needs_no_limit_element_where_its_velocity_is_given()
 
 def test_a_floating_joint_rests() -> None:
     base = '<joint name="base" type="floating"><parent link="world"/><child link="palm"/></joint>'
-    text = HAND.replace("</robot>", f'<link name="world"/>{base}</robot>')
-    assert not tree(text).joints["base"].movable
+    assert not tree(HAND.replace("</robot>", f'<link name="world"/>{base}</robot>')).joints["base"].movable
 
 
 def test_the_namespace_of_xacro_alone_is_no_xacro() -> None:
@@ -69,17 +63,14 @@ def test_the_namespace_of_xacro_alone_is_no_xacro() -> None:
 
 
 BROKEN = {
-    "velocity zero": (HAND.replace('velocity="0.2"', 'velocity="0"'), "max_velocity in [joints.grip] of robot.toml"),
+    "velocity zero": (HAND.replace('velocity="0.2"', 'velocity="0"'), "velocity must be above 0, not 0: "),
     "no velocity": (HAND.replace(' velocity="0.2"', ""), "max_velocity in [joints.grip] of robot.toml"),
     "unknown leader": (HAND.replace('mimic joint="grip"', 'mimic joint="grap"'), "names the joint 'grap'"),
     "ring of mimics": (HAND.replace('mimic joint="grip"', 'mimic joint="last"'), "leads back to the joint itself"),
     "two of a name": (HAND.replace('name="other"', 'name="grip"'), "two joints of the name 'grip'"),
     "two parents": (HAND.replace('<child link="tip"/>', '<child link="left"/>'), "'left' is the child of two joints"),
     "unknown type": (HAND.replace('type="revolute"', 'type="hinge"'), "unknown type 'hinge'"),
-    "ring of links": (
-        HAND.replace('<parent link="right"/>', '<parent link="tip"/>'),
-        "joined to one another in a ring",
-    ),
+    "ring of links": (HAND.replace('<parent link="right"/>', '<parent link="tip"/>'), "to one another in a ring"),
 }
 
 
@@ -88,17 +79,13 @@ def test_a_broken_urdf_is_refused_with_its_element(text: str, words: str) -> Non
     assert words in refusal(text)
 
 
-@pytest.mark.parametrize(
-    ("type_", "position", "hinted"),
-    [
-        ("revolute", 20.0, True),
-        ("revolute", -45.0, True),
-        ("revolute", 3.0, False),
-        ("revolute", 400.0, False),
+def test_a_position_that_may_be_in_degrees_gets_a_hint() -> None:
+    for type_, position, hinted in (
+        *(("revolute", degrees, True) for degrees in (20.0, -45.0)),
+        *(("revolute", other, False) for other in (3.0, 400.0)),
         ("prismatic", 20.0, False),
-    ],
-)
-def test_a_position_that_may_be_in_degrees_gets_a_hint(type_: str, position: float, hinted: bool) -> None:
-    joint = Joint("elbow", type_, "a", "b", -1.0, 1.0, 1.0, 1.0)
-    assert bool(joint.degrees_hint(position)) is hinted
-    assert joint.degrees_hint(20.0) in ("", "; positions are in radians: 20 degrees are 0.3491 rad")
+    ):
+        joint = Joint("elbow", type_, "a", "b", -1.0, 1.0, 1.0, 1.0)
+        assert bool(joint.degrees_hint(position)) is hinted, (type_, position)
+    hint = Joint("elbow", "revolute", "a", "b", -1.0, 1.0, 1.0, 1.0).degrees_hint(20.0)
+    assert hint == "; positions are in radians: 20 degrees are 0.3491 rad"

@@ -272,8 +272,7 @@ def test_an_adapter_is_pulled_and_plugged_in_by_commands(controlled):
     with pytest.raises(PortError, match="unplugged"):
         controlled.servos.open()
     controller.send(b'{"plugged": true}\n')
-    measured = controlled.servos.open().read()
-    assert measured.position_rad.shape == (6,)
+    assert controlled.servos.open().read().position_rad.shape == (6,)
     assert [controller.answer()["ok"], controller.answer()["ok"]] == [True, True]
 
 

@@ -7,7 +7,7 @@ from robot.emulator.plant import Plant
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.registers import Area, Register
 from robot.hardware.interface import StatusFlag
-from tests.helpers.emulated_family import run
+from tests.helpers.emulated_family import FEETECH, run
 
 
 def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
@@ -20,29 +20,24 @@ def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
     return FeetechServo(Plant(ticks + offset, 0.0, 4095.0), eprom)
 
 
-def put(servo, register, value):
-    servo.write(register, register.encode(value))
-
-
-def get(servo, register):
-    return register.decode(servo.read(register, register.size))
+put, get = FEETECH.write, FEETECH.read
 
 
 @pytest.mark.parametrize(("goal", "reached"), [(100, 800), (4000, 3300)])
 def test_a_goal_beyond_the_angle_limits_ends_at_the_limit(goal, reached):
     servo = servo_at()
-    put(servo, Register.GOAL_POSITION, goal)
-    put(servo, Register.TORQUE_ENABLE, 1)
+    put(servo, "GOAL_POSITION", goal)
+    put(servo, "TORQUE_ENABLE", 1)
     run(servo, 2.0)
     assert servo.present_ticks == reached
-    assert get(servo, Register.GOAL_POSITION) == goal
-    assert get(servo, Register.GOAL_POSITION_ECHO) == reached
+    assert get(servo, "GOAL_POSITION") == goal
+    assert get(servo, "GOAL_POSITION_ECHO") == reached
 
 
 def holding_servo(**registers):
     servo = servo_at()
     for name, value in registers.items():
-        put(servo, Register[name], value)
+        put(servo, name, value)
     servo.hold()
     return servo
 
@@ -50,15 +45,15 @@ def holding_servo(**registers):
 def test_a_joint_that_is_stuck_overloads_and_goes_weak_until_torque_is_off():
     servo = holding_servo()
     servo.plant.block(2060)
-    put(servo, Register.GOAL_POSITION, 2600)
+    put(servo, "GOAL_POSITION", 2600)
     run(servo, 1.9)
     assert servo.error == 0
-    assert get(servo, Register.PRESENT_LOAD) == 1000
+    assert get(servo, "PRESENT_LOAD") == 1000
     run(servo, 0.3)
-    assert servo.error == get(servo, Register.STATUS) == StatusFlag.OVERLOAD
-    assert get(servo, Register.PRESENT_LOAD) == 200
+    assert servo.error == get(servo, "STATUS") == StatusFlag.OVERLOAD
+    assert get(servo, "PRESENT_LOAD") == 200
     servo.plant.block(None)
-    put(servo, Register.TORQUE_ENABLE, 0)
+    put(servo, "TORQUE_ENABLE", 0)
     servo.hold()
     run(servo, 0.1)
     assert servo.error == 0
@@ -71,10 +66,10 @@ def test_a_joint_that_is_stuck_overloads_and_goes_weak_until_torque_is_off():
 def test_a_stuck_joint_overloads_above_its_torque_and_is_cut_off_above_its_current(registers, error):
     servo = holding_servo(**registers)
     servo.plant.block(2060)
-    put(servo, Register.GOAL_POSITION, 2600)
+    put(servo, "GOAL_POSITION", 2600)
     run(servo, 5.0)
     assert servo.error == error
-    assert (get(servo, Register.PRESENT_CURRENT) == 0) is (error != 0)
+    assert (get(servo, "PRESENT_CURRENT") == 0) is (error != 0)
 
 
 @pytest.mark.parametrize(("unloading", "reached"), [(44, 2048), (0, 2200)])
@@ -83,7 +78,7 @@ def test_a_hot_servo_lets_go_if_it_is_set_to_and_holds_again_when_cool(unloading
     servo.motor.temperature_c = 75.0
     run(servo, 0.05)
     assert servo.error == StatusFlag.TEMPERATURE
-    put(servo, Register.GOAL_POSITION, 2200)
+    put(servo, "GOAL_POSITION", 2200)
     run(servo, 0.3)
     assert servo.present_ticks == reached
     servo.motor.temperature_c = 50.0
@@ -94,7 +89,7 @@ def test_a_hot_servo_lets_go_if_it_is_set_to_and_holds_again_when_cool(unloading
 def test_a_wrong_supply_takes_no_torque():
     servo = holding_servo()
     servo.voltage_v = 12.0
-    put(servo, Register.GOAL_POSITION, 2200)
+    put(servo, "GOAL_POSITION", 2200)
     run(servo, 1.0)
     assert (servo.error, servo.present_ticks) == (StatusFlag.VOLTAGE, 2200)
 
@@ -104,14 +99,14 @@ def test_a_servo_may_power_up_holding_where_it_is():
     servo.powers_up_holding = True
     servo.power_up()
     run(servo, 1.0)
-    assert get(servo, Register.TORQUE_ENABLE) == 1
-    assert servo.present_ticks == get(servo, Register.GOAL_POSITION) == 2500
+    assert get(servo, "TORQUE_ENABLE") == 1
+    assert servo.present_ticks == get(servo, "GOAL_POSITION") == 2500
 
 
 @pytest.mark.parametrize("value", [2, 3, 255])
 def test_only_one_is_torque_on(value):
     servo = servo_at()
-    put(servo, Register.TORQUE_ENABLE, value)
+    put(servo, "TORQUE_ENABLE", value)
     run(servo, 0.5)
     assert servo.present_ticks == 2048
 
@@ -129,8 +124,8 @@ def test_no_write_changes_what_is_read_only_or_adds_memory(address, data):
 @pytest.mark.parametrize(("lock", "kept"), [(1, 32), (0, 16)])
 def test_eprom_outlives_a_power_cut_only_when_written_unlocked(lock, kept):
     servo = servo_at()
-    put(servo, Register.LOCK, lock)
-    put(servo, Register.P_GAIN, 16)
+    put(servo, "LOCK", lock)
+    put(servo, "P_GAIN", 16)
     assert servo.value(Register.P_GAIN) == 16
     servo.power_up()
     assert servo.value(Register.P_GAIN) == kept
@@ -138,9 +133,9 @@ def test_eprom_outlives_a_power_cut_only_when_written_unlocked(lock, kept):
 
 def test_without_a_backup_a_restore_brings_back_what_was_there_at_first_except_the_id():
     servo = servo_at()
-    put(servo, Register.LOCK, 0)
-    put(servo, Register.P_GAIN, 16)
-    put(servo, Register.ID, 9)
+    put(servo, "LOCK", 0)
+    put(servo, "P_GAIN", 16)
+    put(servo, "ID", 9)
     servo.restore()
     assert (servo.value(Register.P_GAIN), servo.value(Register.ID)) == (FACTORY_EPROM[Register.P_GAIN], 9)
 
@@ -159,8 +154,8 @@ def test_the_position_begins_again_after_a_turn_unless_the_servo_counts_turns():
 @pytest.mark.parametrize("goal", [4000, 20])
 def test_a_goal_across_the_seam_is_approached_the_long_way_round(goal):
     servo = turning(4080.0)
-    put(servo, Register.GOAL_POSITION, goal)
-    put(servo, Register.TORQUE_ENABLE, 1)
+    put(servo, "GOAL_POSITION", goal)
+    put(servo, "TORQUE_ENABLE", 1)
     run(servo, 4.0)
     assert servo.plant.position_ticks == pytest.approx(goal, abs=1.0)
 

@@ -6,7 +6,7 @@ from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Register
-from tests.helpers.emulated_family import run
+from tests.helpers.emulated_family import FEETECH, run
 from tests.helpers.robots import nominal_calibration, so101
 
 JOINTS = [joint.joint for joint in nominal_calibration().joints]
@@ -50,10 +50,6 @@ ELBOW, WRIST_ROLL, GRIPPER = 2, 4, 5
 
 def servos_of(population: str) -> list[FeetechServo]:
     return build_servos(NOMINAL, [0.0] * 6, POPULATIONS[population])
-
-
-def put(servo: FeetechServo, register: Register, value: int) -> None:
-    servo.write(register, register.encode(value))
 
 
 def test_lerobots_servos_have_its_registers_and_an_open_eprom():
@@ -139,8 +135,8 @@ def test_a_loaded_shoulder_droops_by_20_to_30_ticks_with_lerobots_gain():
         goal = shoulder.present_ticks
         # With a payload it is 1.5 kg at 10 cm.
         shoulder.plant.gravity_permille *= 1.47 * 130.0 / abs(shoulder.plant.gravity_permille)
-        put(shoulder, Register.GOAL_POSITION, goal)
-        put(shoulder, Register.TORQUE_ENABLE, 1)
+        FEETECH.write(shoulder, "GOAL_POSITION", goal)
+        FEETECH.write(shoulder, "TORQUE_ENABLE", 1)
         run(shoulder, 2.0)
         droops.append(abs(goal - shoulder.plant.position_ticks))
     assert 20.0 < droops[1] < 30.0

@@ -150,8 +150,7 @@ def test_an_instruction_whose_reply_is_lost_is_carried_out_and_its_servo_moves(f
 
 @OF_BOTH_FAMILIES
 def test_a_reply_may_bear_a_wrong_id_with_a_sound_checksum(family: Family) -> None:
-    wire = Wire(family, wrong_id=1.0)
-    replies = wire.ask(2, READ, family.block("ID"))
+    replies = Wire(family, wrong_id=1.0).ask(2, READ, family.block("ID"))
     ((servo_id, frame),) = family.driver.parse_status_frames(replies, range(253), 1).items()
     assert (servo_id != 2, frame.data) == (True, b"\x02")
 

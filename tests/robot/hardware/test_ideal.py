@@ -109,8 +109,7 @@ def test_an_enabled_arm_holds_where_it_is_whatever_goals_were_written() -> None:
     rig = IdealRig(driven=False, start_rad={"shoulder": 0.3})
     written = goals(shoulder=1.0)
     rig.arm.write_goals(written)
-    held_rad = run_to_end(rig.arm.enable(range(3)), rig.clock.advance)
-    assert held_rad == pytest.approx([0.0, 0.3, 0.4])
+    assert run_to_end(rig.arm.enable(range(3)), rig.clock.advance) == pytest.approx([0.0, 0.3, 0.4])
     assert written[SHOULDER] == 1.0
     assert rig.run(0.5).position_rad == pytest.approx([0.0, 0.3, 0.4])
     assert run_to_end(rig.arm.driven()).tolist() == [True] * 3

@@ -37,19 +37,15 @@ def test_arms_of_different_kinds_stand_in_one_description(tmp_path: Path) -> Non
     srdf.write_text(so101().srdf)
     arms = read_arms(
         settings(
-            left={"base_xyz_m": (0.0, 0.3, 0.0)},
+            left={"base_xyz_m": (0.0, 0.3, 0.0), "role": "leader"},
             koch={"robot": "koch_v1_1", "base_rpy_rad": (0.0, 0.0, 1.5)},
             ideal={"urdf": str(urdf), "srdf": str(srdf)},
         )
     )
     assert isinstance(arms["ideal"].config.hardware, IdealConfig)
+    assert [arm.config.start_enabled for arm in arms.values()] == [False, True, True], "a leader starts without torque"
     whole = joined_robot(arms)
     assert [joint.name for joint in whole.movable_joints] == [name for arm in arms.values() for name in arm.joint_names]
-
-
-def test_a_leader_starts_without_torque() -> None:
-    arms = read_arms(settings(leader={"role": "leader"}, follower={}))
-    assert (arms["leader"].config.start_enabled, arms["follower"].config.start_enabled) == (False, True)
 
 
 @pytest.mark.parametrize(
@@ -66,28 +62,18 @@ def test_what_cannot_be_used_is_refused_with_the_name_of_the_arm(arm: dict[str, 
         read_arms(settings(left=arm))
 
 
-# The beat of states: arms at 50 Hz.
+def test_states_of_arms_are_told_once_a_period_and_silent_arms_and_bursts_hold_nobody_up() -> None:
+    arms, period_s, random = ("a", "b", "c"), 0.02, np.random.default_rng(3)
 
-ARMS, PERIOD_S = ("a", "b", "c"), 0.02
+    def told(arrivals: list[tuple[str, float]]) -> int:
+        beat = JoinedBeat(frozenset(arms), period_s)
+        return sum(beat.takes(name, at_s) for name, at_s in arrivals)
 
-
-def told(arrivals: list[tuple[str, float]]) -> list[float]:
-    beat = JoinedBeat(frozenset(ARMS), PERIOD_S)
-    return [at_s for name, at_s in arrivals if beat.takes(name, at_s)]
-
-
-def test_states_of_arms_in_any_order_are_told_once_a_period() -> None:
-    random = np.random.default_rng(3)
-    arrivals = [
-        (name, tick * PERIOD_S + number * 0.002)
+    in_any_order = [
+        (name, tick * period_s + number * 0.002)
         for tick in range(100)
-        for number, name in enumerate(random.permutation(ARMS).tolist())
+        for number, name in enumerate(random.permutation(arms).tolist())
     ]
-    assert len(told(arrivals)) == pytest.approx(100, abs=2)
-
-
-def test_silent_arms_and_bursts_hold_nobody_up() -> None:
-    arrivals = [(name, tick * PERIOD_S) for tick in range(100) for name in ("a", "b")]
-    assert len(told(arrivals)) >= 98
-    arrivals = [(name, burst * 0.1) for burst in range(20) for name in ARMS for _ in range(5)]
-    assert len(told(arrivals)) <= 2 * 20
+    assert told(in_any_order) == pytest.approx(100, abs=2)
+    assert told([(name, tick * period_s) for tick in range(100) for name in ("a", "b")]) >= 98
+    assert told([(name, burst * 0.1) for burst in range(20) for name in arms for _ in range(5)]) <= 2 * 20

@@ -18,29 +18,26 @@ def lerobot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "robots" / "so_follower"
 
 
-def test_a_name_is_one_of_lerobots(lerobot: Path) -> None:
+def test_a_name_is_one_of_lerobots_and_without_one_the_calibration_in_use_is_written(lerobot: Path) -> None:
     description = Description.read(ArmSettings(calibration=Path("mine")))
+    assert (description.calibration, description.calibration_file) == (nominal_calibration(), lerobot / "mine.json")
     assert calibration_file("other", description) == (lerobot / "other.json", False)
-    assert calibration_file("mine", description) == (lerobot / "mine.json", True)
+    for name in ("mine", ""):
+        assert calibration_file(name, description) == (lerobot / "mine.json", True)
 
 
-def test_without_a_name_the_calibration_in_use_is_written(lerobot: Path) -> None:
-    description = Description.read(ArmSettings(calibration=Path("mine")))
-    assert calibration_file("", description) == (lerobot / "mine.json", True)
-    with pytest.raises(CalibrationError, match="no calibration is in use: name the one to write"):
-        calibration_file("", Description.read(ArmSettings()))
-
-
-@pytest.mark.parametrize("name", ["a/b", "../mine", "mine.json", "-x", "x" * 65, "a b"])
-def test_a_name_leads_nowhere_else(lerobot: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "robot", "words"),
+    [
+        ("", "so101", "no calibration is in use: name the one to write"),
+        *((name, "so101", "is no name") for name in ("a/b", "../mine", "mine.json", "-x", "x" * 65, "a b")),
+        ("mine", "koch_v1_1", "has dynamixel servos"),
+    ],
+)
+def test_a_name_leads_nowhere_else_and_one_is_needed(lerobot: Path, name: str, robot: str, words: str) -> None:
     assert lerobot.is_dir()
-    with pytest.raises(CalibrationError, match="is no name"):
-        calibration_file(name, Description.read(ArmSettings()))
-
-
-def test_an_arm_with_other_servos_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="has dynamixel servos"):
-        calibration_file("mine", Description.read(ArmSettings(robot="koch_v1_1")))
+    with pytest.raises(CalibrationError, match=words):
+        calibration_file(name, Description.read(ArmSettings(robot=robot)))
 
 
 def test_an_arm_that_lerobot_does_not_know_needs_a_file() -> None:

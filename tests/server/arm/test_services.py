@@ -16,18 +16,18 @@ from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
 from tests.server.conftest import JOINTS
 
-JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
 RESULT = "/moveit_goal_result"
 
 
-def pan_to(position_rad: float) -> dict[str, Any]:
-    return {"name": ["shoulder_pan"], "position": [position_rad]}
+async def pan_to(client: ArmClient, position_rad: float) -> None:
+    msg = {"name": ["shoulder_pan"], "position": [position_rad]}
+    await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", msg)
 
 
 async def begin_to_move(client: ArmClient) -> None:
     """Move away from where the pan joint is; returns on the way."""
     pan_rad = (await client.until("/joint_states", bool))[-1]["position"][0]
-    await client.goal(*JOINT_GOAL, pan_to(-1.5 if pan_rad > 0.0 else 1.5))
+    await pan_to(client, -1.5 if pan_rad > 0.0 else 1.5)
     await client.until("/joint_states", lambda states: abs(states[-1]["position"][0] - pan_rad) > 0.3)
 
 
@@ -35,23 +35,20 @@ async def results(client: ArmClient, count: int = 1) -> list[dict[str, Any]]:
     return await client.until(RESULT, lambda all_: len(all_) >= count)
 
 
-async def test_a_relaxed_arm_refuses_goals_until_it_is_enabled(client: ArmClient) -> None:
+async def test_relaxing_ends_the_goals_and_others_are_refused_until_the_arm_is_enabled(client: ArmClient) -> None:
+    await begin_to_move(client)
+    await pan_to(client, 0.0)
     assert (await client.call("/arm/relax"))["success"]
     await client.until_mode("relaxed")
-    await client.goal(*JOINT_GOAL, pan_to(0.3))
-    refused = (await results(client))[0]
+    await results(client, 2)
+    await pan_to(client, 0.3)
+    *ended, refused = await results(client, 3)
+    assert [result["val"] for result in ended] == [-7, -7]
     assert refused["val"] == -4
     assert "/arm/enable" in refused["message"]
     assert (await client.call("/arm/enable"))["success"]
-    await client.goal(*JOINT_GOAL, pan_to(0.3))
-    assert (await results(client, 2))[1]["val"] == 1
-
-
-async def test_relaxing_ends_the_goals(client: ArmClient) -> None:
-    await begin_to_move(client)
-    await client.goal(*JOINT_GOAL, pan_to(0.0))
-    assert (await client.call("/arm/relax"))["success"]
-    assert [result["val"] for result in await results(client, 2)] == [-7, -7]
+    await pan_to(client, 0.3)
+    assert (await results(client, 4))[3]["val"] == 1
 
 
 async def test_stop_is_answered_when_the_arm_stands(client: ArmClient) -> None:
@@ -63,7 +60,7 @@ async def test_stop_is_answered_when_the_arm_stands(client: ArmClient) -> None:
 
 async def test_an_emergency_stop_cuts_torque_ends_goals_and_needs_a_reset(client: ArmClient) -> None:
     await begin_to_move(client)
-    await client.goal(*JOINT_GOAL, pan_to(0.0))
+    await pan_to(client, 0.0)
     assert await client.call("/arm/emergency_stop") == {"success": True, "message": "torque is off at every servo"}
     assert values_of(await client.until_mode("fault"))["fault"] == "emergency_stop"
     by_goal = {result["message"] for result in await results(client, 2)}
@@ -87,11 +84,11 @@ async def test_an_obstacle_is_answered_with_the_fault_until_it_is_gone(client: A
     end_rad = -1.5 if pan_rad > 0.0 else 1.5
     in_the_way = JOINTS["shoulder_pan"].ticks_from_rad((pan_rad + end_rad) / 2)
     served.emulator.command(obstacle={"1": in_the_way})
-    await client.goal(*JOINT_GOAL, pan_to(end_rad))
+    await pan_to(client, end_rad)
     failed = (await results(client))[0]
     assert failed["val"] == -4
     assert re.match("joint shoulder_pan (is stalled|is .* behind its goal)", failed["message"])
-    await client.goal(*JOINT_GOAL, pan_to(0.0))
+    await pan_to(client, 0.0)
     assert "/arm/reset_fault" in (await results(client, 2))[1]["message"]
     served.emulator.command(obstacle={"1": None})
     assert (await client.call("/arm/reset_fault"))["success"]
@@ -106,23 +103,31 @@ async def test_a_fault_cannot_be_reset_while_its_cause_lasts(client: ArmClient, 
     assert "elbow_flex" in refused["message"]
 
 
-CLIENT = Node("client")
-GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
-
-
 class Desk:
+    """The services of one arm's pace, and those of one of several."""
+
     def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
-        self.arm = FakeArm()
+        self.arm, self.left = FakeArm(), FakeArm()
         offer_pace(LocalGraph(self.graph), self.arm.as_arm)
+        offer_pace(LocalGraph(self.graph, "left"), self.left.as_arm)
 
     def call(self, service: str, **request: Any) -> Any:
         return answered(self.graph, service, **request).values
+
+    def set_factor(self, factor: Any) -> None:
+        self.graph.publish(Node("client"), SPEED_FACTOR_TOPIC, {"data": factor})
 
 
 @pytest.fixture
 async def desk() -> Desk:
     return Desk()
+
+
+async def test_a_speed_limit_below_the_name_of_one_of_several_arms_is_that_of_this_arm(desk: Desk) -> None:
+    assert desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.5)["success"]
+    assert (desk.left.changes, desk.arm.changes) == ([ChangePace(speed_limit=0.5)], [])
+    assert "/left/arm/pause" in desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.0)["message"]
 
 
 @pytest.mark.parametrize("service", [PAUSE, RESUME, STEP_BACK])
@@ -142,52 +147,29 @@ async def test_a_speed_limit_out_of_range_is_refused_with_range_value_and_remedy
     assert desk.arm.changes == []
 
 
-async def test_a_speed_limit_below_the_name_of_one_of_several_arms_is_that_of_this_arm(desk: Desk) -> None:
-    left = FakeArm()
-    offer_pace(LocalGraph(desk.graph, "left"), left.as_arm)
-    assert desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.5)["success"]
-    assert (left.changes, desk.arm.changes) == ([ChangePace(speed_limit=0.5)], [])
-    assert "/left/arm/pause" in desk.call(f"/left{SPEED_LIMIT}", speed_limit=0.0)["message"]
-
-
-@pytest.mark.parametrize("factor", [0.0, 0.25, 1.0])
-async def test_a_speed_factor_is_passed_on(desk: Desk, factor: float) -> None:
-    desk.graph.publish(CLIENT, SPEED_FACTOR_TOPIC, {"data": factor})
-    assert desk.arm.changes == [ChangePace(speed_factor=factor)]
-
-
-@pytest.mark.parametrize("factor", [-0.1, 1.5, float("nan")])
-async def test_no_factor_but_a_share_is_taken(desk: Desk, factor: float, caplog: pytest.LogCaptureFixture) -> None:
-    desk.graph.publish(CLIENT, SPEED_FACTOR_TOPIC, {"data": factor})
-    assert desk.arm.changes == []
-    assert f"must be 0 to 1, a share of the planned speed, not {factor}" in caplog.text
-
-
-async def test_a_message_of_the_wrong_form_changes_nothing(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_speed_factor_is_passed_on_if_it_is_a_share(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    shares = (0.0, 0.25, 1.0)
+    for factor in shares:
+        desk.set_factor(factor)
+    for factor in (-0.1, 1.5, float("nan")):
+        desk.set_factor(factor)
+        assert f"must be 0 to 1, a share of the planned speed, not {factor}" in caplog.text
     with pytest.raises(MessageError):
-        desk.graph.publish(CLIENT, SPEED_FACTOR_TOPIC, {"data": "fast"})
-    assert desk.arm.changes == []
-    assert SPEED_FACTOR_TOPIC in caplog.text
+        desk.set_factor("fast")
+    assert desk.arm.changes == [ChangePace(speed_factor=factor) for factor in shares]
 
 
 async def test_a_motion_is_paused_goes_back_and_arrives_after_all(client: ArmClient) -> None:
-    await client.goal(*GOAL, {"name": ["shoulder_pan"], "position": [0.0]})
-    await client.until("/moveit_goal_result", bool)
-    await client.goal(*GOAL, {"name": ["shoulder_pan"], "position": [1.2]})
+    await pan_to(client, 0.0)
+    await results(client)
+    await pan_to(client, 1.2)
     await client.until("/joint_states", lambda states: states[-1]["position"][0] > 0.3)
     assert (await client.call(PAUSE))["success"]
     await client.until("/arm/state", lambda states: values_of(states[-1])["course"] == "paused")
-    paused_at = (await standing(client))["position"][0]
+    standing = (await client.until("/joint_states", lambda states: abs(states[-1]["velocity"][0]) < 0.02))[-1]
     assert (await client.call(STEP_BACK))["success"]
-    await client.until("/joint_states", lambda states: states[-1]["position"][0] < paused_at - 0.1)
-    assert len(client.topics["/moveit_goal_result"]) == 1
+    await client.until("/joint_states", lambda states: states[-1]["position"][0] < standing["position"][0] - 0.1)
+    assert len(client.topics[RESULT]) == 1
     assert (await client.call(RESUME))["success"]
-    results = await client.until("/moveit_goal_result", lambda all_: len(all_) == 2)
-    assert results[1]["val"] == 1
+    assert (await results(client, 2))[1]["val"] == 1
     assert client.topics["/joint_states"][-1]["position"][0] == pytest.approx(1.2, abs=0.06)
-
-
-async def standing(client: ArmClient) -> dict[str, Any]:
-    """The joints once they stand still."""
-    states = await client.until("/joint_states", lambda states: abs(states[-1]["velocity"][0]) < 0.02)
-    return states[-1]

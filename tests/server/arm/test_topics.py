@@ -21,13 +21,11 @@ class Heard:
 
     def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
-        self.topics = ArmStateTopics(LocalGraph(self.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()))
+        self.topics = ArmStateTopics(
+            LocalGraph(self.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()), nominal_calibration()
+        )
         self.states = listen(self.graph, STATE_TOPIC)
-        # The state at the start, which is latched.
-        self.states.clear()
         self.limits = listen(self.graph, LIMITS_TOPIC)
-        self.joint_publisher = JointStates(LocalGraph(self.graph))
-        self.joint_states = listen(self.graph, TOPIC)
 
 
 @pytest.fixture
@@ -44,30 +42,21 @@ def health(limits_rad: list[tuple[float, float]]) -> ArmHealth:
     return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, limits_rad=np.array(limits_rad))
 
 
-def test_the_state_has_the_calibrated_ranges(heard: Heard) -> None:
-    calibration = nominal_calibration()
-    ArmStateTopics(LocalGraph(heard.graph), ROBOT, ArmState(0.0, Mode.CONNECTED, ()), calibration)
-    gripper = calibration.joints[-1]
-    ends = values_of(heard.states[-1])["calibrated_range_rad.gripper"].split()
-    assert [float(end) for end in ends] == pytest.approx([gripper.lower_rad, gripper.upper_rad], abs=1e-5)
-
-
-def test_a_state_is_published_when_it_says_something_new(heard: Heard) -> None:
+def test_a_state_has_the_calibrated_ranges_and_is_published_when_it_says_something_new(heard: Heard) -> None:
     for stamp_s in range(3):
         heard.topics.take_state(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=np.array([stamp_s])))
-    heard.topics.take_state(ArmState(4.0, Mode.MOVING, ("a",)))
-    assert [values_of(state)["mode"] for state in heard.states] == ["holding", "moving"]
-
-
-def test_every_stop_is_told_by_its_number(heard: Heard) -> None:
     for last_stop in (3, 3, 4):
-        heard.topics.take_state(ArmState(0.0, Mode.HOLDING, ("a",)), last_stop)
-    assert [values_of(state)["last_stop"] for state in heard.states] == ["3", "4"]
+        heard.topics.take_state(ArmState(4.0, Mode.MOVING, ("a",)), last_stop)
+    told = [(values_of(state)["mode"], values_of(state)["last_stop"]) for state in heard.states[1:]]
+    assert told == [("holding", "0"), ("moving", "3"), ("moving", "4")]
+    gripper = nominal_calibration().joints[-1]
+    ends = values_of(heard.states[0])["calibrated_range_rad.gripper"].split()
+    assert [float(end) for end in ends] == pytest.approx([gripper.lower_rad, gripper.upper_rad], abs=1e-5)
 
 
 def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> None:
     heard.topics.take_state(ArmState(0.0, Mode.FAULT, ("a",), fault=STALLED))
-    (state,) = heard.states
+    state = heard.states[-1]
     assert state["level"] == 2
     assert state["message"].startswith(str(STALLED))
     assert "/arm/reset_fault" in state["message"]
@@ -93,12 +82,14 @@ async def test_a_late_subscriber_gets_state_and_limits_at_once(client: ArmClient
     assert all(each["min_position"] < each["max_position"] for each in limits["limits"])
 
 
-def test_a_state_is_published_with_the_time_of_its_reading(heard: Heard) -> None:
-    array = np.array([0.1, -0.2])
-    heard.joint_publisher.publish(
+def test_joints_are_published_with_the_time_of_their_reading_and_not_of_an_arm_that_is_not_there() -> None:
+    graph, array = Graph(REGISTRY), np.array([0.1, -0.2])
+    publisher, joint_states = JointStates(LocalGraph(graph)), listen(graph, TOPIC)
+    publisher.publish(ArmState(1.8e9, Mode.DISCONNECTED, ("a",), reason="unplugged"))
+    publisher.publish(
         ArmState(1234.25, Mode.HOLDING, ("a", "b"), position_rad=array, velocity_rad_s=array * 2, load=array * 3)
     )
-    assert heard.joint_states == [
+    assert joint_states == [
         {
             "header": {"stamp": {"sec": 1234, "nanosec": 250_000_000}, "frame_id": ""},
             "name": ["a", "b"],
@@ -107,11 +98,6 @@ def test_a_state_is_published_with_the_time_of_its_reading(heard: Heard) -> None
             "effort": pytest.approx([0.3, -0.6]),
         }
     ]
-
-
-def test_an_arm_that_is_not_there_has_no_joint_states(heard: Heard) -> None:
-    heard.joint_publisher.publish(ArmState(1.8e9, Mode.DISCONNECTED, ("a",), reason="unplugged"))
-    assert heard.joint_states == []
 
 
 @pytest.mark.parametrize(
@@ -127,8 +113,7 @@ def test_an_arm_that_is_not_there_has_no_joint_states(heard: Heard) -> None:
 )
 def test_states_are_observed_while_somebody_subscribes_to_what_follows_them(topic: str, observed: bool) -> None:
     graph, node = Graph(REGISTRY), Node("test")
-    publisher = Node("arm")
-    graph.advertise(publisher, topic, "std_msgs/String")
+    graph.advertise(Node("arm"), topic, "std_msgs/String")
     assert not states_are_observed(graph)
     graph.subscribe(node, topic, None, Subscriber(lambda _: None))
     assert states_are_observed(graph) is observed

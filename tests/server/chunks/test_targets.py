@@ -29,27 +29,18 @@ def setpoints(motion: Trajectory) -> Vector:
 
 
 def assert_within_limits(motion: Trajectory) -> None:
-    velocity = np.diff(setpoints(motion), axis=0) / TICK_S
-    acceleration = np.diff(velocity, axis=0) / TICK_S
-    jerk = np.diff(acceleration, axis=0) / TICK_S
-    assert (np.abs(velocity) <= 1.001 * LIMITS.velocity).all()
-    assert (np.abs(acceleration) <= 1.001 * LIMITS.acceleration).all()
-    assert (np.abs(jerk) <= 1.001 * LIMITS.jerk).all()
+    for order, limit in ((1, LIMITS.velocity), (2, LIMITS.acceleration), (3, LIMITS.jerk)):
+        assert (np.abs(np.diff(setpoints(motion), order, axis=0)) / TICK_S**order <= 1.001 * limit).all()
 
 
-def test_smooth_targets_are_followed_at_their_times() -> None:
-    targets = wave(rate=2.5)
+@pytest.mark.parametrize("rate", [1.0, 2.5])
+def test_smooth_targets_are_followed_at_their_times_until_the_motion_rests_at_the_last_one(rate: float) -> None:
+    targets = wave(rate=rate)
     motion = follow(targets, at_rest(targets.positions_rad[0]), BEGINS_S, LIMITS)
     assert_within_limits(motion)
     # The greatest speed is 1 rad/s; the arm starts at rest, so it has to catch up at first.
-    late = motion.time_s > 0.6
-    apart = np.abs(motion.positions_rad - targets.at(BEGINS_S + motion.time_s))[late]
-    assert apart.max() < 0.02
-
-
-def test_a_motion_ends_at_rest_at_the_last_target() -> None:
-    targets = wave()
-    motion = follow(targets, at_rest(targets.positions_rad[0]), BEGINS_S, LIMITS)
+    apart = np.abs(motion.positions_rad - targets.at(BEGINS_S + motion.time_s))
+    assert apart[motion.time_s > 0.6].max() < 0.02
     np.testing.assert_allclose(motion.positions_rad[-1], targets.positions_rad[-1], atol=1e-6)
     np.testing.assert_allclose(motion.velocities_rad_s[-1], 0.0, atol=1e-6)
     # It brakes before the last target and not beyond it.

@@ -1,11 +1,10 @@
-import csv
 import stat
 from pathlib import Path
 
 import pytest
 
 from server.classroom.students import LIST_FILE, TEACHER, new_token, places, reachable_name, read_tokens, write_list
-from server.config import RecordingSettings, Settings
+from server.config import Settings
 from server.errors import ConfigurationError, StartError
 
 TOKEN = "t" * 24
@@ -20,26 +19,19 @@ def test_ports_follow_the_first_and_end_where_ports_end(tmp_path: Path) -> None:
         places(10, 65_530, tmp_path, HOST)
 
 
-def test_tokens_of_the_list_stay_and_new_students_get_new_ones(tmp_path: Path) -> None:
-    before = places(2, 9100, tmp_path, HOST)
-    write_list(tmp_path / LIST_FILE, before, TOKEN, HOST, tls=False)
-    after = places(3, 9200, tmp_path, HOST)
-    assert [student.token for student in after[:2]] == [student.token for student in before]
-    assert after[2].token not in {student.token for student in before}
-    assert read_tokens(tmp_path / LIST_FILE)[TEACHER] == TOKEN
-
-
-def test_the_list_has_a_line_for_each_with_name_address_and_token(tmp_path: Path) -> None:
-    students = places(2, 9100, tmp_path, HOST)
-    write_list(tmp_path / LIST_FILE, students, TOKEN, HOST, tls=True)
-    with (tmp_path / LIST_FILE).open(newline="") as lines:
-        rows = list(csv.reader(lines))
+def test_the_list_has_name_address_and_token_of_each_and_tokens_stay_for_the_next_time(tmp_path: Path) -> None:
+    file, students = tmp_path / LIST_FILE, places(2, 9100, tmp_path, HOST)
+    write_list(file, students, TOKEN, HOST, tls=True)
     # Lines as awk and cut take them, too.
-    assert b"\r" not in (tmp_path / LIST_FILE).read_bytes()
-    assert rows[0] == ["name", "url", "token"]
-    assert rows[1] == ["student01", "wss://127.0.0.1:9100", students[0].token]
-    assert rows[-1] == ["teacher", "wss://127.0.0.1:9100", TOKEN]
-    assert stat.S_IMODE((tmp_path / LIST_FILE).stat().st_mode) == 0o600
+    assert file.read_bytes().decode() == (
+        f"name,url,token\nstudent01,wss://127.0.0.1:9100,{students[0].token}\n"
+        f"student02,wss://127.0.0.1:9101,{students[1].token}\nteacher,wss://127.0.0.1:9100,{TOKEN}\n"
+    )
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    after = [student.token for student in places(3, 9200, tmp_path, HOST)]
+    assert after[:2] == [student.token for student in students]
+    assert after[2] not in after[:2]
+    assert read_tokens(file)[TEACHER] == TOKEN
 
 
 @pytest.mark.parametrize("text", ["name,url\nstudent01,ws://x\n", "name,url,token\nstudent01,ws://x,short\n"])
@@ -52,24 +44,16 @@ def test_a_file_that_is_no_such_list_is_refused_and_left_alone(tmp_path: Path, t
     assert (tmp_path / LIST_FILE).read_text() == text
 
 
-def test_what_a_server_keeps_is_in_the_students_folder(tmp_path: Path) -> None:
+def test_what_a_server_keeps_is_in_the_students_folder_and_tokens_of_their_name_are_refused(tmp_path: Path) -> None:
     (student,) = places(1, 9100, tmp_path, HOST)
-    settings = student.settings(
-        Settings(recording=RecordingSettings(file=Path("runs/lesson.mcap"))),
-        TOKEN,
-        {"student01": 9100, "student02": 9101},
-    )
+    ports = {"student01": 9100, "student02": 9101}
+    settings = student.settings(Settings.model_validate({"recording": {"file": "runs/lesson.mcap"}}), TOKEN, ports)
     kept = (settings.scene.file, settings.goals.named_states_file, settings.recording.file)
     assert [file.parent for file in kept if file is not None] == [tmp_path / "student01"] * 3
-    assert settings.server.port == 9100
-    assert settings.server.classroom == {"student01": 9100, "student02": 9101}
-
-
-def test_a_token_of_the_same_name_in_the_settings_is_refused(tmp_path: Path) -> None:
-    (student,) = places(1, 9100, tmp_path, HOST)
-    settings = Settings.model_validate({"access": {"operate_tokens": {"student01": new_token()}}})
+    assert (settings.server.port, settings.server.classroom) == (9100, ports)
+    own = Settings.model_validate({"access": {"operate_tokens": {"student01": new_token()}}})
     with pytest.raises(ConfigurationError, match="student01"):
-        student.settings(settings, TOKEN, {})
+        student.settings(own, TOKEN, {})
 
 
 def test_an_address_that_stands_for_all_is_shown_by_the_name_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,12 +47,10 @@ def person(emulator, monkeypatch) -> Iterator[Callable[[Sequence[Deed]], int]]:
         emulator.run(0.2)
 
     def prepare(deeds):
+        # A hand takes its time, and the command reads meanwhile.
+        sleeps = round(max(abs(b - a) for a, b in STOPS.values()) / HAND_TICKS_S / 0.2 + 2)
         for deed in deeds:
-            if isinstance(deed, str):
-                to_do.append(deed)
-                continue
-            # A hand takes its time, and the command reads meanwhile.
-            to_do.extend([deed] * round(max(abs(b - a) for a, b in STOPS.values()) / HAND_TICKS_S / 0.2 + 2))
+            to_do.extend([deed] * (1 if isinstance(deed, str) else sleeps))
         return read_end
 
     monkeypatch.setattr(calibrate.time, "sleep", sleep)
@@ -73,13 +71,17 @@ def calibrated(armbridge, deeds, file, *options):
     return answer, Calibration.load(file, SO101_SERVOS).joints
 
 
-def test_a_sweep_by_hand_becomes_a_file_and_leaves_the_servos_alone(armbridge, person, bus, tmp_path):
+def test_a_sweep_by_hand_becomes_a_file_and_a_mirrored_gripper_is_found(armbridge, person, bus, tmp_path):
     before = held(bus, ELBOW)
-    deeds = person([*MEASURED, "skip all"])
-    answer, (_, _, elbow, *_) = calibrated(armbridge, deeds, tmp_path / "arm.json", "--yes")
-    assert (elbow.range_min, elbow.range_max) == STOPS[ELBOW]
-    assert str(elbow.range_min) in answer.stdout
+    # The gripper's servo falls when it opens.
+    shown = ["skip", "skip", "skip", "skip", "skip", {GRIPPER: MIDDLE - 400}, "", ""]
+    answer, joints = calibrated(armbridge, person(["", *MEASURED, *shown]), tmp_path / "arm.json")
+    assert (joints[2].range_min, joints[2].range_max) == STOPS[ELBOW]
+    assert str(joints[2].range_min) in answer.stdout
     assert held(bus, ELBOW) == before
+    assert "Now open the gripper" in answer.stderr
+    assert "gripper is mirrored" in answer.stderr
+    assert joints[-1].drive_mode == 1
 
 
 def test_on_request_the_servos_get_what_the_file_says(armbridge, person, bus, tmp_path):
@@ -92,15 +94,6 @@ def test_on_request_the_servos_get_what_the_file_says(armbridge, person, bus, tm
     assert held(bus, ELBOW) == (elbow.homing_offset, elbow.range_min, elbow.range_max)
 
 
-def test_a_mirrored_gripper_is_found_by_moving_it(armbridge, person, tmp_path):
-    # The gripper's servo falls when it opens.
-    shown = ["skip", "skip", "skip", "skip", "skip", {GRIPPER: MIDDLE - 400}, "", ""]
-    answer, joints = calibrated(armbridge, person(["", *MEASURED, *shown]), tmp_path / "arm.json")
-    assert "Now open the gripper" in answer.stderr
-    assert "gripper is mirrored" in answer.stderr
-    assert joints[-1].drive_mode == 1
-
-
 def test_nothing_is_written_for_an_arm_with_a_mirrored_joint(armbridge, person, tmp_path):
     shown = ["skip", "skip", {ELBOW: MIDDLE + 400}, "", "skip all"]
     answer = armbridge("calibrate", str(tmp_path / "arm.json"), descriptor=person(["", *MEASURED, *shown]))
@@ -110,33 +103,27 @@ def test_nothing_is_written_for_an_arm_with_a_mirrored_joint(armbridge, person, 
     assert not (tmp_path / "arm.json").exists()
 
 
-def test_a_file_that_is_there_is_not_replaced(armbridge, tmp_path):
-    file = tmp_path / "arm.json"
-    file.write_text("mine")
-    answer = armbridge("calibrate", str(file))
+@pytest.mark.parametrize(
+    ("name", "options", "answers", "missing", "said"),
+    [
+        ("mine.json", (), "", [], "--overwrite"),
+        ("arm.json", (), "n\n", [], "the arm was not relaxed"),
+        ("arm.json", ("--yes",), "\n\n", [], "did not meet both stops"),
+        ("arm.json", (), "", [2], "2 (shoulder_lift)"),
+    ],
+)
+def test_an_arm_is_neither_relaxed_nor_calibrated_without_a_yes_a_sweep_all_servos_and_a_new_file(
+    armbridge, emulator, tmp_path, name, options, answers, missing, said
+):
+    (tmp_path / "mine.json").write_text("mine")
+    emulator.command(offline=missing)
+    answer = armbridge("calibrate", str(tmp_path / name), *options, answers=answers)
     assert answer.returncode == ExitCode.FAILED
-    assert "--overwrite" in answer.stderr
-    assert file.read_text() == "mine"
+    assert said in answer.stderr
 
-
-def test_torque_stays_as_it_is_without_a_yes(armbridge, tmp_path):
-    answer = armbridge("calibrate", str(tmp_path / "arm.json"), answers="n\n")
-    assert answer.returncode == ExitCode.FAILED
-    assert "relaxing" not in answer.stderr
-
-
-def test_an_arm_that_is_not_moved_is_not_calibrated(armbridge, tmp_path):
-    answer = armbridge("calibrate", str(tmp_path / "arm.json"), "--yes", answers="\n\n")
-    assert answer.returncode == ExitCode.FAILED
-    assert "did not meet both stops" in answer.stderr
+    assert ("torque is off" in answer.stderr) is bool(options)
+    assert (tmp_path / "mine.json").read_text() == "mine"
     assert not (tmp_path / "arm.json").exists()
-
-
-def test_an_arm_that_lacks_a_servo_is_not_calibrated(armbridge, emulator, tmp_path):
-    emulator.command(offline=[2])
-    answer = armbridge("calibrate", str(tmp_path / "a.json"))
-    assert answer.returncode == ExitCode.FAILED
-    assert "2 (shoulder_lift)" in answer.stderr
 
 
 @pytest.mark.parametrize(("typed", "code"), [("y\n", ExitCode.DONE), ("n\n", ExitCode.FAILED)])

@@ -21,13 +21,23 @@ def file(tmp_path, monkeypatch):
     return path
 
 
-def test_every_value_is_told_with_its_source(file, capsys):
+def test_every_value_is_told_with_its_source_as_json_and_in_a_table(file, capsys):
     assert cli.main(["config", "--json", "--config", str(file), "--set", "goals.capacity=4"]) == ExitCode.DONE
     told = json.loads(capsys.readouterr().out)
     assert told["server.host"] == {"value": "::1", "source": "file"}
     assert told["server.port"] == {"value": 2, "source": "environment"}
     assert told["goals.capacity"] == {"value": 4, "source": "command line"}
     assert told["goals.confirm"] == {"value": False, "source": "default"}
+    assert cli.main(["config", "--config", str(file)]) == ExitCode.DONE
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["server.port", "2", "environment"] in rows
+    assert ["arm.watchdog_s", "0.5", "s", "default"] in rows
+    assert ["arm.serial", "-", "default"] in rows
+
+
+def test_the_template_has_every_section(capsys):
+    assert cli.main(["config", "--template"]) == ExitCode.DONE
+    assert "[moveit.servo]" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("form", [[], ["--json"]])
@@ -39,16 +49,6 @@ def test_tokens_are_told_to_be_set_and_not_shown(form, capsys, monkeypatch):
     assert told.count("**********") == 2
     assert "screen" in told
     assert "0123456789abcdef" not in told
-
-
-def test_the_table_has_a_line_a_setting(file, capsys):
-    assert cli.main(["config", "--config", str(file)]) == ExitCode.DONE
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert ["server.port", "2", "environment"] in rows
-    assert ["arm.watchdog_s", "0.5", "s", "default"] in rows
-    assert ["arm.serial", "-", "default"] in rows
-    assert cli.main(["config", "--template"]) == ExitCode.DONE
-    assert "[moveit.servo]" in capsys.readouterr().out
 
 
 def section(text: str, name: str) -> configparser.SectionProxy:
@@ -67,17 +67,12 @@ def test_the_unit_runs_this_installation(capsys: pytest.CaptureFixture[str]) -> 
     assert (service["Type"], service["DynamicUser"], service["SupplementaryGroups"]) == ("notify", "yes", "dialout")
 
 
-def test_a_user_and_a_group_of_its_own_can_be_given() -> None:
-    service = section(unit(["/a"], None, "lab", "uucp"), "Service")
+def test_a_unit_has_the_user_and_group_that_are_given_and_quotes_what_systemd_would_read_otherwise() -> None:
+    text = unit(["/opt/my arm/bin/armbridge"], Path('/etc/100% "$HOME".toml'), "lab", "uucp")
+    service = section(text, "Service")
     assert (service["User"], service["SupplementaryGroups"]) == ("lab", "uucp")
     assert "DynamicUser" not in service
-    assert service["ExecStart"] == "/a serve"
-
-
-def test_words_that_systemd_would_read_otherwise_are_quoted() -> None:
-    text = unit(["/opt/my arm/bin/armbridge"], Path('/etc/100% "$HOME".toml'), None, "dialout")
-    command = '"/opt/my arm/bin/armbridge" serve --config "/etc/100%% \\"$$HOME\\".toml"'
-    assert section(text, "Service")["ExecStart"] == command
+    assert service["ExecStart"] == '"/opt/my arm/bin/armbridge" serve --config "/etc/100%% \\"$$HOME\\".toml"'
 
 
 def test_without_a_script_the_interpreter_runs_the_server(tmp_path: Path) -> None:

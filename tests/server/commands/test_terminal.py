@@ -1,5 +1,6 @@
 import os
 import pty
+from pathlib import Path
 
 import pytest
 
@@ -15,38 +16,26 @@ def typed():
         os.close(descriptor)
 
 
-@pytest.mark.parametrize(("answer", "agreed"), [("y\n", True), ("YES\n", True), ("\n", False), ("yellow\n", False)])
-def test_only_yes_is_yes(typed, capsys, answer, agreed):
+def test_only_yes_is_yes_and_each_question_takes_one_line_of_many(typed, capsys):
     terminal, write = typed
-    write(answer)
-    assert terminal.confirm("Go on?") is agreed
-    assert capsys.readouterr().err == "Go on? [y/N]\n"
-
-
-def test_each_question_takes_one_line_of_many(typed):
-    terminal, write = typed
-    write("y\nn\n\n")
-    assert terminal.confirm("one")
-    assert not terminal.confirm("two")
+    write("y\nYES\n\nyellow\n\n")
+    assert [terminal.confirm("Go on?") for _ in range(4)] == [True, True, False, False]
+    assert capsys.readouterr().err == "Go on? [y/N]\n" * 4
     assert terminal.line_typed() == ""
     assert terminal.line_typed() is None
 
 
-class Answered(Terminal):
-    """A terminal at which somebody has pressed keys too early, and types ``n`` once a question is printed."""
-
-    def __init__(self, keyboard: int, descriptor: int) -> None:
-        super().__init__(descriptor)
-        self._keyboard = keyboard
-
-    def say(self, text: str) -> None:
-        super().say(text)
-        os.write(self._keyboard, b"n\n")
-
-
-def test_keys_pressed_before_a_question_do_not_answer_it(capsys):
+def test_keys_pressed_before_a_question_do_not_answer_it():
     keyboard, descriptor = pty.openpty()
-    terminal = Answered(keyboard, descriptor)
+
+    class Answered(Terminal):
+        """A terminal at which somebody types ``n`` once a question is printed."""
+
+        def say(self, text):
+            super().say(text)
+            os.write(keyboard, b"n\n")
+
+    terminal = Answered(descriptor)
     os.write(keyboard, b"y\ny\n")
     assert not terminal.confirm("Write this?")
     os.write(keyboard, b"\n\n")
@@ -66,11 +55,8 @@ def test_looking_for_a_line_does_not_wait_for_its_enter(typed):
 
 
 def test_an_input_that_ends_answers_nothing():
-    read_end, write_end = os.pipe()
-    os.close(write_end)
-    with pytest.raises(AnswerMissing):
-        Terminal(read_end).await_enter("Hold the arm")
-    os.close(read_end)
+    with Path("/dev/null").open() as empty, pytest.raises(AnswerMissing):
+        Terminal(empty.fileno()).await_enter("Hold the arm")
 
 
 def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, monkeypatch):

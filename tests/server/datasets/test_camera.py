@@ -66,10 +66,8 @@ def test_the_end_of_a_file_is_told_after_its_last_image() -> None:
     images = NewestImage(source, 0.0, lambda: ended_at.append(images.ended))
     images.start()
     source.allowed.release(3)
-    wait_until(lambda: images.ended)
-    wait_until(lambda: len(ended_at) == 3)
-    assert ended_at == [False, False, True]
-    assert source.closed
+    wait_until(lambda: images.ended and len(ended_at) == 3)
+    assert (ended_at, source.closed) == ([False, False, True], True)
     images.close()
 
 
@@ -92,15 +90,15 @@ def test_without_opencv_its_extra_is_named(monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr().err == "armbridge: a camera needs OpenCV: pip install 'armbridge[camera]'\n"
 
 
-WRONG = {
-    "--connect": ("http://x", "must begin with ws:// or wss://, not 'http://x'"),
-    "--fps": ("0", "must be a whole number from 1 to 60, not '0'"),
-    "--width": ("9", "must be a whole number from 16 to 4096, not '9'"),
-    "--quality": ("96", "must be a whole number from 1 to 95, not '96'"),
-}
-
-
-@pytest.mark.parametrize(("option", "value", "sentence"), [(key, *value) for key, value in WRONG.items()])
+@pytest.mark.parametrize(
+    ("option", "value", "sentence"),
+    [
+        ("--connect", "http://x", "must begin with ws:// or wss://, not 'http://x'"),
+        ("--fps", "0", "must be a whole number from 1 to 60, not '0'"),
+        ("--width", "9", "must be a whole number from 16 to 4096, not '9'"),
+        ("--quality", "96", "must be a whole number from 1 to 95, not '96'"),
+    ],
+)
 def test_an_option_out_of_range_is_refused_with_the_range(
     option: str, value: str, sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -109,17 +107,12 @@ def test_an_option_out_of_range_is_refused_with_the_range(
     assert f"{option}: {sentence}" in capsys.readouterr().err
 
 
-with_opencv = pytest.mark.skipif(
-    importlib.util.find_spec("cv2") is None, reason="the extra [camera] is not installed: no OpenCV"
-)
-
-
-@with_opencv
-def test_a_video_file_is_read_to_its_end(tmp_path: Path) -> None:
-    video = pytest.importorskip("av", reason="the extra [datasets] is not installed: no av") and tmp_path / "v.mp4"
+@pytest.mark.skipif(importlib.util.find_spec("cv2") is None, reason="the extra [camera] is not installed: no OpenCV")
+def test_a_video_file_is_read_to_its_end_and_a_device_that_cannot_be_opened_is_said(tmp_path: Path) -> None:
+    pytest.importorskip("av", reason="the extra [datasets] is not installed: no av")
     from server.datasets.lerobot import VideoWriter
 
-    path = tmp_path / "folder" / video.name
+    path = tmp_path / "folder" / "v.mp4"
     with VideoWriter(path, 10) as writer:
         for red in (50, 200):
             image = np.zeros((48, 64, 3), dtype=np.uint8)
@@ -132,9 +125,5 @@ def test_a_video_file_is_read_to_its_end(tmp_path: Path) -> None:
         reds.append(pixels[:, :, 0].mean())
     source.close()
     assert reds == pytest.approx([50, 200], abs=6)
-
-
-@with_opencv
-def test_a_device_that_cannot_be_opened_is_said(tmp_path: Path) -> None:
     with pytest.raises(CameraError, match="OpenCV cannot open it; is it a camera or a video, and free"):
         OpenCvSource(str(tmp_path / "none.mp4"), None)

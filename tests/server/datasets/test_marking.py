@@ -32,56 +32,48 @@ class Marked:
         return values["success"], values["message"]
 
 
-async def test_the_services_publish_marks_and_say_what_they_have_done() -> None:
-    marked = Marked()
-    assert await marked.call(START_SERVICE, task="pick the  cube") == (True, "episode 1 has begun")
-    marked.now_s += 2.5
-    assert await marked.call(STOP_SERVICE) == (True, "episode 1 has ended after 2.5 s")
-    assert await marked.call(DISCARD_SERVICE) == (True, "the last episode is discarded; 0 are left")
-    assert marked.texts == ["start pick the cube", "stop", "discard"]
-
-
-async def test_a_mark_that_does_not_fit_is_refused_and_not_published() -> None:
+async def test_the_services_publish_marks_that_fit_and_say_what_they_have_done() -> None:
     marked = Marked()
     assert await marked.call(STOP_SERVICE) == (False, f"no episode is in progress: {START_SERVICE} begins one")
     assert await marked.call(DISCARD_SERVICE) == (False, "there is no episode to discard")
-    assert await marked.call(START_SERVICE, task="x" * 301) == (
-        False,
-        "task: must have at most 300 characters, not 301",
-    )
-    assert marked.texts == []
-    await marked.call(START_SERVICE, task="")
+    long = "task: must have at most 300 characters, not 301"
+    assert await marked.call(START_SERVICE, task="x" * 301) == (False, long)
+    assert await marked.call(START_SERVICE, task="pick the  cube") == (True, "episode 1 has begun")
     done, sentence = await marked.call(START_SERVICE, task="")
-    assert not done
-    assert "an episode is in progress" in sentence
-    assert marked.texts == ["start"]
+    assert (done, "an episode is in progress" in sentence) == (False, True)
+    marked.now_s += 2.5
+    assert await marked.call(STOP_SERVICE) == (True, "episode 1 has ended after 2.5 s")
+    assert await marked.call(DISCARD_SERVICE) == (True, "the last episode is discarded; 0 are left")
+    await marked.call(START_SERVICE, task="")
+    assert marked.texts == ["start pick the cube", "stop", "discard", "start"]
+
+
+CAMERA = "/wrist/image/compressed"
 
 
 async def test_a_silent_camera_is_reported_as_soon_as_its_episode_ends(caplog: pytest.LogCaptureFixture) -> None:
-    marked, camera, topic = Marked(), Node("camera"), "/wrist/image/compressed"
-    marked.graph.advertise(camera, topic, "sensor_msgs/CompressedImage")
+    marked, camera = Marked(), Node("camera")
+    marked.graph.advertise(camera, CAMERA, "sensor_msgs/CompressedImage")
     sentences = []
     for images_s in ([0.3, 0.3, 0.3], [0.3, 0.9], []):
         await marked.call(START_SERVICE, task="")
         for wait_s in images_s:
             marked.now_s += wait_s
-            marked.graph.publish(camera, topic, {})
+            marked.graph.publish(camera, CAMERA, {})
         marked.now_s += 0.4
         if not images_s:
             # The camera is gone.
             marked.now_s += 1.0
-            marked.graph.unadvertise(camera, topic)
+            marked.graph.unadvertise(camera, CAMERA)
         sentences.append((await marked.call(STOP_SERVICE))[1])
-    left_out = f"It would be left out of a dataset: {topic} was silent for"
+    left_out = f"It would be left out of a dataset: {CAMERA} was silent for"
     assert sentences == [
         "episode 1 has ended after 1.3 s",
         f"episode 2 has ended after 1.6 s. {left_out} 0.9 s",
         f"episode 3 has ended after 1.4 s. {left_out} 1.4 s",
     ]
-    assert f"episode 2 would be left out of a dataset: {topic} was silent for 0.9 s" in caplog.text
+    assert f"episode 2 would be left out of a dataset: {CAMERA} was silent for 0.9 s" in caplog.text
 
-
-CAMERA = "/wrist/image/compressed"
 
 # Intervals between images [s], their delay behind their stamps [s], and the problem.
 TIMINGS: dict[str, tuple[list[float], float, str]] = {
@@ -147,51 +139,44 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
     await marked.call(STOP_SERVICE)
     assert subscribed() == []
     marked.recording = False
-    done, sentence = await marked.call(START_SERVICE, task="")
-    assert done
-    assert sentence == "episode 2 has begun, but this server records nothing (armbridge serve --record FILE.mcap)"
+    nothing = "episode 2 has begun, but this server records nothing (armbridge serve --record FILE.mcap)"
+    assert await marked.call(START_SERVICE, task="") == (True, nothing)
     assert subscribed() == []
 
 
-MARKS: dict[str, tuple[list[tuple[float, str]], list[Episode]]] = {
-    "a recording without marks is one episode": ([], [Episode(0.0, 9.0, "")]),
-    "an episode lasts from start to stop and has the task of its start": (
-        [(1.0, "start pick the cube"), (3.0, "stop"), (4.0, "start"), (6.0, "stop")],
-        [Episode(1.0, 3.0, "pick the cube"), Episode(4.0, 6.0, "")],
-    ),
-    "a discard drops the episode in progress": (
-        [(1.0, "start"), (2.0, "discard"), (3.0, "start"), (4.0, "stop")],
-        [Episode(3.0, 4.0, "")],
-    ),
-    "a discard between episodes drops the last one": (
-        [(1.0, "start"), (2.0, "stop"), (3.0, "start"), (4.0, "stop"), (5.0, "discard")],
-        [Episode(1.0, 2.0, "")],
-    ),
-    "a recording whose episodes are all discarded has none": ([(1.0, "start"), (2.0, "discard")], []),
-}
-
-
-@pytest.mark.parametrize(("marks", "episodes"), MARKS.values(), ids=MARKS.keys())
+@pytest.mark.parametrize(
+    ("marks", "episodes"),
+    [
+        ([], [Episode(0.0, 9.0, "")]),
+        (
+            [(1.0, "start pick the cube"), (3.0, "stop"), (4.0, "start"), (6.0, "stop")],
+            [Episode(1.0, 3.0, "pick the cube"), Episode(4.0, 6.0, "")],
+        ),
+        ([(1.0, "start"), (2.0, "discard"), (3.0, "start"), (4.0, "stop")], [Episode(3.0, 4.0, "")]),
+        # A discard between episodes drops the last one.
+        ([(1.0, "start"), (2.0, "stop"), (3.0, "start"), (4.0, "stop"), (5.0, "discard")], [Episode(1.0, 2.0, "")]),
+        ([(1.0, "start"), (2.0, "discard")], []),
+    ],
+)
 def test_marks_make_episodes(marks: list[tuple[float, str]], episodes: list[Episode]) -> None:
     assert episodes_of(marks, 0.0, 9.0) == (episodes, [])
 
 
-ODD_MARKS = {
-    "an episode that is not stopped": ([(1.0, "start")], 1, "was not stopped, and ends with the file"),
-    "a start within an episode": ([(1.0, "start"), (2.0, "start"), (3.0, "stop")], 2, "within another"),
-    "a stop without start": ([(1.0, "stop")], 0, "has no start"),
-    "a discard of nothing": ([(1.0, "discard")], 0, "has no episode"),
-    "another text": ([(1.0, "go")], 0, "data: must be 'start', 'start TASK', 'stop' or 'discard', not 'go'"),
-    "a long task": ([(1.0, "start " + "x" * 301)], 0, "task: must have at most 300 characters, not 301"),
-}
-
-
-@pytest.mark.parametrize(("marks", "count", "sentence"), ODD_MARKS.values(), ids=ODD_MARKS.keys())
-def test_a_mark_that_does_not_fit_is_said(marks: list[tuple[float, str]], count: int, sentence: str) -> None:
-    episodes, notes = episodes_of(marks, 0.0, 9.0)
+@pytest.mark.parametrize(
+    ("texts", "count", "sentence"),
+    [
+        (["start"], 1, "was not stopped, and ends with the file"),
+        (["start", "start", "stop"], 2, "within another"),
+        (["stop"], 0, "has no start"),
+        (["discard"], 0, "has no episode"),
+        (["go"], 0, "data: must be 'start', 'start TASK', 'stop' or 'discard', not 'go'"),
+        (["start " + "x" * 301], 0, "task: must have at most 300 characters, not 301"),
+    ],
+)
+def test_a_mark_that_does_not_fit_is_said(texts: list[str], count: int, sentence: str) -> None:
+    episodes, (note,) = episodes_of(list(enumerate(texts, start=1)), 0.0, 9.0)
     assert len(episodes) == count
-    assert len(notes) == 1
-    assert sentence in notes[0]
+    assert sentence in note
 
 
 def test_a_task_is_one_line() -> None:

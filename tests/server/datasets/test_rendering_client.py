@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import functools
+import itertools
 import json
 import threading
 from collections.abc import Callable, Iterator
@@ -36,34 +36,45 @@ def test_a_camera_that_cannot_be_is_refused(settings: dict[str, object], refusal
         open_camera("so101", CAMERA.topic, 80, frame="", **settings)
 
 
-def received(connection: ServerConnection) -> str | bytes | None:
-    """Return the next frame; None when the client has left, by a close frame that names its error."""
+def operations(connection: ServerConnection) -> Iterator[dict[str, Any]]:
+    """The operations of a client until it has left, by a close frame that names its error."""
     with contextlib.suppress(ConnectionClosed):
-        return connection.recv()
-    return None
+        while True:
+            yield json.loads(connection.recv())
 
 
 @contextlib.contextmanager
-def serving(handler: Callable[[ServerConnection], None]) -> Iterator[str]:
-    """Serve connections by a handler, at a URL."""
-    with serve(handler, "127.0.0.1", 0) as server:
+def ended_client(
+    answer: Callable[[ServerConnection], None], last_wait: Callable[[], bool], told: list[str] | None = None
+) -> Iterator[tuple[str, RenderingClient]]:
+    """A client that has run up to one of its waits, at a server that goes on answering, and the URL of that."""
+
+    def wait(_duration_s: float) -> None:
+        if last_wait():
+            raise KeyboardInterrupt
+
+    with serve(answer, "127.0.0.1", 0) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
+        url = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
+        client = RenderingClient(url, None, so101(), CAMERA, ([] if told is None else told).append)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(rendering_client.time, "sleep", wait)
+            with pytest.raises(KeyboardInterrupt):
+                client.run()
+        yield url, client
 
 
 @needs_egl
-def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_of_sending(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_of_sending() -> None:
     images: list[dict[str, Any]] = []
     goals = {"header": {"stamp": {"sec": 9, "nanosec": 0}}, "name": ["shoulder_pan"], "position": [0.0]}
     around = {"robot_state": {"joint_state": goals, "attached_collision_objects": []}, "object_colors": []}
+    values = {"scene": {**around, "world": {"collision_objects": []}}}
     calls = 0
 
     def answer(connection: ServerConnection) -> None:
         nonlocal calls
-        for frame in iter(functools.partial(received, connection), None):
-            operation = json.loads(frame)
+        for operation in operations(connection):
             if operation["op"] == "publish" and operation["topic"] == CAMERA.topic:
                 images.append(operation["msg"])
             elif operation["op"] == "call_service":
@@ -73,21 +84,10 @@ def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_
                     header = {"stamp": {"sec": calls, "nanosec": 7}}
                     state = {"header": header, "name": ["shoulder_pan"], "position": [0.25 * calls]}
                     connection.send(json.dumps({"op": "publish", "topic": "/joint_states", "msg": state}))
-                values = {"scene": {**around, "world": {"collision_objects": []}}}
-                connection.send(
-                    json.dumps({"op": "service_response", "id": "camera", "result": True, "values": values})
-                )
+                response = {"op": "service_response", "id": "camera", "result": True, "values": values}
+                connection.send(json.dumps(response))
 
-    def wait(_duration_s: float) -> None:
-        if calls > 5:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(rendering_client.time, "sleep", wait)
-    with serving(answer) as url:
-        client = RenderingClient(url, None, so101(), CAMERA, lambda _: None)
-        with pytest.raises(KeyboardInterrupt):
-            client.run()
-        monkeypatch.undo()
+    with ended_client(answer, lambda: calls > 5) as (_, client):
         wait_until(lambda: len(images) == 2)
     assert client.published == 2
     assert [image["header"]["stamp"] for image in images] == [{"sec": sec, "nanosec": 7} for sec in (2, 4)]
@@ -97,36 +97,20 @@ def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_
         assert image["data"] == expected
 
 
-class NoRenderer:
-    def __init__(self, *_: object) -> None:
-        """Draw nothing."""
-
-
 def test_a_refused_camera_leaves_the_server_before_it_tries_again(monkeypatch: pytest.MonkeyPatch) -> None:
     here: set[ServerConnection] = set()
     told: list[str] = []
-    tries = 0
+    tries = itertools.count(1)
 
     def refuse(connection: ServerConnection) -> None:
         here.add(connection)
-        for frame in iter(functools.partial(received, connection), None):
-            if json.loads(frame)["op"] == "call_service":
+        for operation in operations(connection):
+            if operation["op"] == "call_service":
                 connection.send(json.dumps({"op": "status", "level": "error", "msg": "not you"}))
                 connection.send(json.dumps({"op": "service_response", "id": "camera", "result": False, "values": "no"}))
         here.remove(connection)
 
-    def wait(_duration_s: float) -> None:
-        nonlocal tries
-        tries += 1
-        if tries == 3:
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(renderer, "ArmRenderer", NoRenderer)
-    monkeypatch.setattr(rendering_client.time, "sleep", wait)
-    with serving(refuse) as url:
-        client = RenderingClient(url, None, so101(), CAMERA, told.append)
-        with pytest.raises(KeyboardInterrupt):
-            client.run()
-        monkeypatch.undo()
+    monkeypatch.setattr(renderer, "ArmRenderer", lambda *_: None)
+    with ended_client(refuse, lambda: next(tries) == 3, told) as (url, _):
         wait_until(lambda: not here)
     assert f"{url}: not you" in told

@@ -42,7 +42,7 @@ from server.execution.player import MotionsInProgress
 from server.moveit.scene.scene_state import SceneState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, settle
-from tests.helpers.motions import smooth_move
+from tests.helpers.motions import STILL, smooth_move
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.steps import StepOf
 
@@ -209,7 +209,8 @@ class Stage:
             return self.failures.pop(0)
         ends = {**request.start_rad, **request.goal.positions_rad}
         moves = {name: (request.start_rad[name], ends[name]) for name in ARM}
-        return Plan(smooth_move(moves, 1.0), "straight line", 0.01)
+        moved = any(start_rad != end_rad for start_rad, end_rad in moves.values())
+        return Plan(smooth_move(moves, 1.0) if moved else STILL, "straight line", 0.01)
 
     async def begin(self, motion: Motion, limits: TimeLimits | None = None) -> None:
         self.goal = Goal("1", GoalRequest("/goal", motion), self.news.append, deadline=ExecutionDeadline(limits))
@@ -329,6 +330,12 @@ async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: S
     await stage.begin(to(shoulder_pan=0.4))
     await stage.arrive()
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
+
+
+async def test_a_goal_where_the_arm_is_already_is_reached_without_a_motion(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.0))
+    assert (await stage.answer()).message == "the arm was there already"
+    assert stage.arm.played == []
 
 
 async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_holds(stage: Stage) -> None:

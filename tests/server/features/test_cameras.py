@@ -23,10 +23,11 @@ from server.features.cameras import IDLE_S, MAX_FAILURES, SILENT_S, Cameras, cam
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services.description import TransformsTopics
+from tests.helpers.graph import answered
 from tests.helpers.moveit import REGISTRY, ROBOT, box, diff, held, pose, scene_state
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
-VIEW = (0.6, 0.0, 0.4, 0.0, 0.0, 0.0)
+VIEW = [0.6, 0.0, 0.4, 0.0, 0.0, 0.0]
 FRONT = PublishedCamera(Camera(frame="base_link", view=VIEW, depth=True), "/front/image/compressed")
 WRIST = PublishedCamera(Camera(frame="gripper_link", view=VIEW, rate_hz=5.0), "/wrist/image/compressed")
 PUBLISHED = "sensor_msgs/CompressedImage"
@@ -65,13 +66,14 @@ class Stage:
         self.graph, self.scene = Graph(REGISTRY), scene_state()
         self.physics = SimpleNamespace(body_states={})
         TransformsTopics(self.graph, ROBOT, 50.0)
-        planning = SimpleNamespace(scene_state=self.scene)
-        settings = Settings.model_validate({"recording": {"file": recorded}})
-        whole = SimpleNamespace(robot=ROBOT)
-        context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph, settings=settings)
+        context = SimpleNamespace(
+            planning=SimpleNamespace(scene_state=self.scene),
+            whole=SimpleNamespace(robot=ROBOT),
+            graph=self.graph,
+            settings=Settings.model_validate({"recording": {"file": recorded}}),
+        )
         self.cameras = Cameras(cast(Any, context), cast(Any, self.physics), [FRONT, WRIST])
-        self.images: list[str] = []
-        self.messages: list[Any] = []
+        self.published: list[PublishedMessage] = []
 
     def _child(self, *arguments: Any, **options: Any) -> FakeChild:
         self.children.append(FakeChild(*arguments, **options))
@@ -79,30 +81,36 @@ class Stage:
 
     def subscribe(self, topic: str, type_name: str = PUBLISHED) -> Node:
         node = Node("client")
-        self.graph.subscribe(node, topic, type_name, Subscriber(self._take))
+        self.graph.subscribe(node, topic, type_name, Subscriber(self.published.append))
         return node
 
-    def _take(self, published: PublishedMessage) -> None:
-        self.images.append(published.topic)
-        self.messages.append(published.msg)
-
-    async def watch(self, clock_s: float = 0.0, topic: str = FRONT.topic) -> FakeChild:
+    async def watch(self, clock_s: float = 0.0) -> FakeChild:
         """Subscribe, and return the process that is ready."""
-        self.subscribe(topic)
+        self.subscribe(FRONT.topic)
         self.state(clock_s)
         await asyncio.sleep(0)
         self.children[-1].answer(Rendered())
         return self.children[-1]
 
+    async def end_process(self) -> None:
+        """End the process, and wait for the next one."""
+        count = len(self.children)
+        self.children[-1].exit()
+        await until(lambda: len(self.children) == count + 1)
+        await asyncio.sleep(0)
+
     def call(self, service: str, **request: Any) -> tuple[bool, str]:
-        answers: list[Any] = []
-        message = {key: list(value) if isinstance(value, tuple) else value for key, value in request.items()}
-        self.graph.services.call(Node("client"), f"/simulation/{service}", message, answers.append)
-        return answers[0].values["success"], answers[0].values["message"]
+        values = answered(self.graph, f"/simulation/{service}", **request).values
+        return values["success"], values["message"]
 
     def state(self, clock_s: float, pan_rad: float = 0.3) -> None:
         state = ArmState(7.25, Mode.HOLDING, ("shoulder_pan",), position_rad=np.array([pan_rad]), clock_s=clock_s)
         self.cameras.on_state("", state)
+
+    @property
+    def images(self) -> list[str]:
+        """Topics of what was published."""
+        return [each.topic for each in self.published]
 
     @property
     def frames(self) -> dict[str, str]:
@@ -153,10 +161,8 @@ async def test_the_info_of_a_camera_needs_no_process_and_comes_with_each_image(s
     for tick in range(50):
         stage.state(0.02 * tick)
     assert (stage.images, stage.children) == ([FRONT.info_topic] * 15, [])
-    assert stage.messages[0]["header"] == {
-        "stamp": {"sec": 7, "nanosec": 250_000_000},
-        "frame_id": "front_optical_frame",
-    }
+    stamp = {"sec": 7, "nanosec": 250_000_000}
+    assert stage.published[0].msg["header"] == {"stamp": stamp, "frame_id": "front_optical_frame"}
     child = await stage.watch(1.0)
     assert len(stage.images) == 15, "the process is not ready"
     stage.state(1.02)
@@ -181,9 +187,7 @@ async def test_the_process_ends_a_while_after_the_last_subscriber_and_comes_back
     assert await stage.watch(2.0) is stage.children[1]
 
 
-async def test_a_server_that_records_has_the_process_ready_for_the_first_episode(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_server_that_records_has_the_process_ready_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     stage = Stage(monkeypatch, Path("run.mcap"))
     stage.state(0.0)
     await asyncio.sleep(0)
@@ -193,6 +197,8 @@ async def test_a_server_that_records_has_the_process_ready_for_the_first_episode
 
 async def test_a_service_adds_replaces_and_removes_cameras(stage: Stage) -> None:
     child = await stage.watch()
+    assert stage.frames["wrist_optical_frame"] == "gripper_link"
+    assert len(stage.frames) > 2, "the arm's own fixed frames"
     added = stage.call("set_camera", name="top", view=[0.2, 0.0, 0.8, 0.2, 0.0, 0.0], width=64, depth=True)
     assert added == (True, "top is on /top/image/compressed, /top/camera_info, /top/depth/image")
     assert stage.call("set_camera", name="front", view=VIEW, frame="gripper_link", rate_hz=30.0)[0]
@@ -216,22 +222,17 @@ async def test_a_service_adds_replaces_and_removes_cameras(stage: Stage) -> None
     ("request_", "sentence"),
     [
         ({"name": "Top"}, "name must be at most 31 lower-case letters, digits and _, a letter first, not 'Top'"),
-        (
-            {"name": "top", "view": [0.0] * 6},
-            "view: the camera must look at another point than its own place, not [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
-        ),
-        ({"name": "top", "frame": "hand"}, "frame: the arm has no link 'hand'"),
-        ({"name": "top", "width": 2000}, "width: must be less than or equal to 1280, not 2000"),
-        ({"name": "top", "height": 33}, "height: must be a multiple of 2, not 33"),
-        ({"name": "top", "rate_hz": 1000.0}, "rate_hz: must be less than or equal to 60, not 1000.0"),
-        ({"name": "top", "rate_hz": math.nan}, "rate_hz: must be less than or equal to 60, not nan"),
-        ({"name": "top", "field_of_view_deg": -1.0}, "field_of_view_deg: must be greater than or equal to 5, not -1.0"),
+        ({"view": [0.0] * 6}, "view: the camera must look at another point than its own place, not [0.0, 0.0, 0.0, "),
+        ({"frame": "hand"}, "frame: the arm has no link 'hand'"),
+        ({"width": 2000}, "width: must be less than or equal to 1280, not 2000"),
+        ({"height": 33}, "height: must be a multiple of 2, not 33"),
+        ({"rate_hz": 1000.0}, "rate_hz: must be less than or equal to 60, not 1000.0"),
+        ({"rate_hz": math.nan}, "rate_hz: must be less than or equal to 60, not nan"),
+        ({"field_of_view_deg": -1.0}, "field_of_view_deg: must be greater than or equal to 5, not -1.0"),
     ],
 )
-async def test_a_camera_that_cannot_be_is_refused_in_one_sentence(
-    stage: Stage, request_: dict[str, Any], sentence: str
-) -> None:
-    done, message = stage.call("set_camera", **{"view": VIEW, **request_})
+async def test_a_camera_that_cannot_be_is_refused(stage: Stage, request_: dict[str, Any], sentence: str) -> None:
+    done, message = stage.call("set_camera", **{"name": "top", "view": VIEW, **request_})
     assert (done, message[: len(sentence)]) == (False, sentence)
     assert stage.graph.topic_type("/top/image/compressed") is None
 
@@ -240,12 +241,9 @@ async def test_the_cameras_are_bounded_and_a_topic_of_another_type_is_refused(st
     stage.graph.advertise(Node("client", remote=True), "/top/camera_info", "std_msgs/String")
     assert not stage.call("set_camera", name="top", view=VIEW)[0]
     assert stage.graph.publishers("/top/image/compressed") == []
-    for count in range(6):
-        assert stage.call("set_camera", name=f"camera{count}", view=VIEW)[0]
-    assert stage.call("set_camera", name="camera6", view=VIEW) == (
-        False,
-        "there are 8 cameras at most: remove one first",
-    )
+    assert all(stage.call("set_camera", name=f"camera{count}", view=VIEW)[0] for count in range(6))
+    said = stage.call("set_camera", name="camera6", view=VIEW)
+    assert said == (False, "there are 8 cameras at most: remove one first")
     assert stage.call("set_camera", name="camera5", view=VIEW)[0], "in place of the one there is"
     assert stage.call("remove_camera", name="side")[1].startswith("there is no camera 'side'; there are: front, wrist")
 
@@ -274,41 +272,25 @@ async def test_a_camera_sees_the_measured_joints_and_objects_where_the_physics_h
     assert [(body.position_m, body.shapes) for body in walls] == [((0.5, 0.0, 0.1), shapes)]
 
 
-async def test_images_are_published_and_their_frames_stand_beside_the_arms_fixed_frames(stage: Stage) -> None:
-    child = await stage.watch()
-    child.answer(Rendered([(FRONT.topic, IMAGE)]))
-    assert stage.images == [FRONT.topic]
-    assert stage.frames["wrist_optical_frame"] == "gripper_link"
-    assert len(stage.frames) > 2, "the arm's own fixed frames"
-
-
 @pytest.mark.stepped_time
-async def test_a_process_that_ends_is_started_again_a_few_times(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
-    child = await stage.watch()
-    child.answer(Rendered([(FRONT.topic, IMAGE)]))
-    for count in range(1, MAX_FAILURES):
-        stage.children[-1].exit()
-        await until(lambda count=count: len(stage.children) == count + 1)
-        await asyncio.sleep(0)
+async def test_a_process_that_ends_is_started_again_a_few_times_and_an_image_makes_its_ends_forgotten(
+    stage: Stage, caplog: pytest.LogCaptureFixture
+) -> None:
+    await stage.watch()
+    for _ in range(3 * MAX_FAILURES):
+        stage.children[-1].answer(Rendered([(FRONT.topic, IMAGE)]))
+        await stage.end_process()
+    for _ in range(2, MAX_FAILURES):
+        await stage.end_process()
+    started = len(stage.children)
     with caplog.at_level(logging.ERROR):
         stage.children[-1].exit()
-        await until(
-            lambda: caplog.messages[-1:] == ["the cameras show nothing: their process has ended 5 times in a row"]
-        )
+        given_up = "the cameras show nothing: their process has ended 5 times in a row"
+        await until(lambda: caplog.messages[-1:] == [given_up])
     stage.state(1.0)
     await asyncio.sleep(100.0)
-    assert len(stage.children) == MAX_FAILURES
+    assert len(stage.children) == started
     assert all(child.killed for child in stage.children)
-
-
-@pytest.mark.stepped_time
-async def test_an_image_makes_the_ends_before_it_forgotten(stage: Stage) -> None:
-    await stage.watch()
-    for count in range(1, 3 * MAX_FAILURES):
-        stage.children[-1].answer(Rendered([(FRONT.topic, IMAGE)]))
-        stage.children[-1].exit()
-        await until(lambda count=count: len(stage.children) == count + 1)
-        await asyncio.sleep(0)
 
 
 @pytest.mark.stepped_time
@@ -321,7 +303,7 @@ async def test_a_machine_that_cannot_render_gets_one_sentence(stage: Stage, capl
         stage.state(1.0)
         await asyncio.sleep(100.0)
     sentence = "the cameras show nothing: images need OpenGL off screen"
-    assert [each.message for each in caplog.records] == [sentence]
+    assert caplog.messages == [sentence]
     assert stage.call("set_camera", name="top", view=VIEW) == (False, sentence)
     assert len(stage.children) == 1
 

@@ -39,14 +39,6 @@ async def test_the_interface_has_the_rules_by_which_the_server_decides() -> None
     assert len(got["arms"][0]["groups"][got["arms"][0]["group"]]) == 5
 
 
-async def test_each_type_has_its_hash() -> None:
-    registry, got = Registry.load(), await document()
-    assert got["types"].keys() == set(registry.type_names())
-    assert got["types"]["std_msgs/msg/String"] == message_hash(registry, "std_msgs/msg/String")
-    assert got["types"]["armbridge_msgs/action/MoveitGoal"].startswith("sha256_")
-    assert len(got["types_sha256"]) == 64
-
-
 async def test_names_that_a_setting_hides_are_left_out_and_stops_are_not() -> None:
     got = await document(access={"services_glob": ["/moveit_goal"], "topics_glob": ["/joint_states"]})
     assert {name for name in got["services"] if not name.startswith("/rosapi/")} >= {"/moveit_goal", "/arm/stop"}
@@ -55,7 +47,11 @@ async def test_names_that_a_setting_hides_are_left_out_and_stops_are_not() -> No
     assert "/arm/state" not in got["topics"]
 
 
-async def test_each_of_several_arms_is_described() -> None:
-    got = await document(arms={"left": {}, "right": {}})
+async def test_each_type_has_its_hash_and_each_of_several_arms_its_description() -> None:
+    registry, got = Registry.load(), await document(arms={"left": {}, "right": {}})
+    assert got["types"].keys() == set(registry.type_names())
+    assert got["types"]["std_msgs/msg/String"] == message_hash(registry, "std_msgs/msg/String")
+    assert got["types"]["armbridge_msgs/action/MoveitGoal"].startswith("sha256_")
+    assert len(got["types_sha256"]) == 64
     assert [arm["name"] for arm in got["arms"]] == ["", "left", "right"]
     assert got["arms"][1]["tip"].startswith("left")

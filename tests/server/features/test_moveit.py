@@ -23,9 +23,7 @@ from tests.helpers.robots import so101
 
 CANCELED, SUCCEEDED = 5, 4
 MOVE, MOVE_TYPE = "/move_action", "moveit_msgs/action/MoveGroup"
-
 JOINT_GOAL = ("/moveit_goal_joints", "sensor_msgs/JointState")
-NAMED_GOAL = ("/moveit_goal_named", "std_msgs/String")
 RESULT, STATUS = "/moveit_goal_result", "/moveit_goal_status"
 
 # Backlash, droop and one tick of rounding.
@@ -39,43 +37,32 @@ def to(position_rad: float, scaling: float = 0.3, **options: Any) -> dict[str, A
     return {"request": request, "planning_options": options}
 
 
-async def result(client: ArmClient, goal_id: str) -> tuple[int, int]:
-    """Status and error code of a goal."""
-    ended = await client.result(goal_id)
-    return ended["status"], ended["values"]["error_code"]["val"]
+async def test_goals_follow_one_another_and_a_planned_trajectory_is_executed_and_cancelled(client: ArmClient) -> None:
+    async def result(goal_id: str) -> tuple[int, int]:
+        ended = await client.result(goal_id)
+        return ended["status"], ended["values"]["error_code"]["val"]
 
-
-async def test_goals_follow_one_another_and_the_last_one_is_reached(client: ArmClient) -> None:
     first = await client.send_goal(MOVE, MOVE_TYPE, to(0.8))
     await client.until_mode("moving")
     second = await client.send_goal("/move_group", MOVE_TYPE, to(-0.2, 1.0))
-    assert await result(client, first) == (CANCELED, -7)
-    assert await result(client, second) == (SUCCEEDED, 1)
-
-
-async def test_a_planned_trajectory_can_be_executed_and_cancelled_on_its_way(client: ArmClient) -> None:
+    assert (await result(first), await result(second)) == ((CANCELED, -7), (SUCCEEDED, 1))
     goal = await client.send_goal(MOVE, MOVE_TYPE, to(0.9, plan_only=True))
     planned = (await client.result(goal))["values"]["planned_trajectory"]
     name = "/execute_trajectory"
     goal = await client.send_goal(name, "moveit_msgs/action/ExecuteTrajectory", {"trajectory": planned})
     await client.until_mode("moving")
     await client.say("cancel_action_goal", action=name, id=goal)
-    assert await result(client, goal) == (CANCELED, -7)
+    assert await result(goal) == (CANCELED, -7)
     assert await client.until_mode("holding")
 
 
 async def test_settings_reach_their_parts() -> None:
-    settings = Settings(
-        arm=ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3)),
-        moveit=MoveItParameters(
-            allowed_execution_duration_scaling=3.0, allowed_goal_duration_margin=4.0, publish_planning_scene_hz=2.0
-        ),
-        goals=GoalSettings(max_paused_s=5.0),
-    )
-    context = context_for(so101(), settings)
-    gripper = context.whole.gripper
+    arm = ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3))
+    times = {"allowed_execution_duration_scaling": 3.0, "allowed_goal_duration_margin": 4.0}
+    parameters = MoveItParameters(**times, publish_planning_scene_hz=2.0)
+    context = context_for(so101(), Settings(arm=arm, moveit=parameters, goals=GoalSettings(max_paused_s=5.0)))
+    limits, gripper = TimeLimits(3.0, 4.0, 5.0), context.whole.gripper
     assert gripper is not None
-    limits = TimeLimits(3.0, 4.0, 5.0)
     assert context.goals.executors.time_limits == limits
     assert gripper._limits == GripperLimits(0.3, 0.3, 0.3, limits)
     assert MoveGroup(context)._transforms._period_s == 0.1
@@ -123,7 +110,8 @@ async def test_a_saved_state_is_a_named_goal_and_moves_after_its_confirmation(cl
     try:
         await client.say("subscribe", topic=STATUS, type="diagnostic_msgs/DiagnosticStatus")
         await client.say("subscribe", topic="/display_planned_path", type="moveit_msgs/DisplayTrajectory")
-        await client.goal(*NAMED_GOAL, {"data": "beside the mug"})
+
+        await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "beside the mug"})
         await client.until(STATUS, lambda all_: values_of(all_[-1])["state"] == "planned")
         await client.until("/display_planned_path", lambda shown: abs(last_pan_rad(shown[-1]) - 0.3) < ARRIVED_RAD)
         assert abs(client.topics["/joint_states"][-1]["position"][0]) < ARRIVED_RAD

@@ -27,7 +27,7 @@ from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.queue import GoalQueue
+from server.execution.queue import GoalListener, GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.features.parking import CHECK_S, ArmParking, LastClient, Parkings, rest_pose
 from server.graph.local_graph import LocalGraph
@@ -39,7 +39,7 @@ from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.messages import REGISTRY
 from tests.helpers.motions import smooth_move
-from tests.server.teleop.test_two_followers import ROBOT_PAIR, SIDES
+from tests.server.teleop.test_latency import ROBOT_PAIR, SIDES
 
 pytestmark = pytest.mark.stepped_time
 
@@ -102,7 +102,8 @@ class World:
             scene_state=self,
             current=CurrentState(whole, self.robot),
         )
-        self.goals = SimpleNamespace(queue=self, listeners=[])
+        self.listeners: list[GoalListener] = []
+        self.goals = SimpleNamespace(queue=self)
         self.access = SimpleNamespace(drivers=set())
         graph = Graph(REGISTRY)
         self.whole = SimpleNamespace(served=SimpleNamespace(arm=whole), graph=LocalGraph(graph))
@@ -140,6 +141,11 @@ class World:
         way = {name: (request.start_rad[name], end) for name, end in request.goal.positions_rad.items()}
         return self.failure or Plan(smooth_move(way, self.duration_s), "a line", 0.0)
 
+    def become(self, mode: Mode) -> None:
+        """Have the first arm say that this is its mode."""
+        self.arm.state = replace(self.arm.state, mode=mode)
+        self.parkings.on_state("", self.arm.state)
+
     async def run(self) -> list[bool]:
         """Return for each arm True if its process keeps a way after a while."""
         await self.parkings.start()
@@ -171,12 +177,15 @@ async def test_each_arm_keeps_its_own_way_from_where_it_holds(sides: tuple[str, 
         assert plan.trajectory.positions_rad[-1] == pytest.approx(list(REST.values()))
 
 
-async def test_a_scene_that_changes_takes_the_way_back_at_once_and_has_another_planned(world: World) -> None:
+async def test_a_scene_that_changes_takes_the_way_back_at_once_and_a_new_process_is_told_the_next(world: World) -> None:
     await world.run()
     world.change_scene()
     assert world.arm.kept[1:] == [None]
     await world.run()
-    assert world.arm.kept[2] is not None
+    assert world.arm.keeps
+    world.arm.pid = 8
+    await world.run()
+    assert len(world.arm.kept) == 4
 
 
 @pytest.mark.parametrize("settings", [{}, {"on_server_lost": "hold", "on_exit": "park"}])
@@ -188,23 +197,19 @@ async def test_a_way_that_was_planned_in_a_scene_before_is_not_kept(settings: di
     assert world.arm.kept == []
 
 
-async def test_an_arm_process_that_was_restarted_is_told_the_way_again(world: World) -> None:
+@pytest.mark.parametrize(
+    ("policy", "mode"),
+    [("hold", Mode.HOLDING), *(("park", mode) for mode in (Mode.MOVING, Mode.RELAXED, Mode.DISCONNECTED))],
+)
+async def test_no_way_is_planned_unless_the_arm_is_parked_at_its_end_and_holds(policy: str, mode: Mode) -> None:
+    world = World(on_server_lost=policy)
+    world.become(mode)
     await world.run()
-    world.arm.pid = 8
-    await world.run()
-    assert len(world.arm.kept) == 2
-
-
-@pytest.mark.parametrize("mode", [Mode.MOVING, Mode.RELAXED, Mode.DISCONNECTED])
-async def test_no_way_is_planned_unless_the_arm_holds(world: World, mode: Mode) -> None:
-    world.arm.state = replace(world.arm.state, mode=mode)
-    await world.run()
+    await world.parkings.stop()
     assert world.asked == []
 
 
-async def test_a_way_that_cannot_be_found_takes_the_one_before_back_and_is_told_of_once(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_without_a_way_the_one_before_is_taken_back(world: World, caplog: pytest.LogCaptureFixture) -> None:
     await world.run()
     world.failure = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "a box is in the way")
     world.arm.put(shoulder_pan=0.5)
@@ -220,13 +225,6 @@ async def test_a_way_above_the_limit_of_the_arm_is_reported(world: World, caplog
     assert "16.0 s from here, above the limit of 15 s" in caplog.text
 
 
-async def test_nothing_is_planned_for_an_arm_that_is_not_parked_at_its_end() -> None:
-    world = World(on_server_lost="hold")
-    await world.run()
-    await world.parkings.stop()
-    assert world.asked == []
-
-
 @pytest.mark.parametrize("moved_rad", [0.0, 0.5])
 async def test_the_end_of_the_server_has_a_way_from_the_present_place_planned_where_none_is(moved_rad: float) -> None:
     world = World(on_server_lost="hold", on_exit="park")
@@ -239,31 +237,27 @@ async def test_the_end_of_the_server_has_a_way_from_the_present_place_planned_wh
     assert plan.held_rad["shoulder_pan"] == moved_rad
 
 
-async def test_parking_is_refused_where_there_is_no_rest_pose(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_rest_pose_is_one_of_the_srdf_and_parking_is_refused_without_one(monkeypatch: Any) -> None:
+    with pytest.raises(ConfigurationError, match=r"arm\.park_state: the SRDF has no state 'bed', but closed, extended"):
+        rest_pose(ROBOT, ArmSettings(park_state="bed"))
+    assert rest_pose(replace(ROBOT, park_state="bed"), ArmSettings()) is None
     monkeypatch.setattr("server.features.parking.rest_pose", lambda *_: None)
     answer = await World().parkings._parkings[0].park("/arm/park")
     assert not answer.done
     assert "name one by arm.park_state" in answer.message
 
 
-def test_a_rest_pose_is_one_of_the_srdf() -> None:
-    with pytest.raises(ConfigurationError, match=r"arm\.park_state: the SRDF has no state 'bed', but closed, extended"):
-        rest_pose(ROBOT, ArmSettings(park_state="bed"))
-    assert rest_pose(replace(ROBOT, park_state="bed"), ArmSettings()) is None
-
-
 def left_moves(two_arms: World) -> None:
-    two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.MOVING)
-    two_arms.parkings.on_state("", two_arms.arms[0].state)
+    two_arms.become(Mode.MOVING)
 
 
 def left_is_elsewhere(two_arms: World) -> None:
-    two_arms.arms[0].put(shoulder_pan=0.3)
-    two_arms.parkings.on_state("", two_arms.arms[0].state)
+    two_arms.arm.put(shoulder_pan=0.3)
+    two_arms.become(Mode.HOLDING)
 
 
 def a_goal_begins(two_arms: World) -> None:
-    (listener,) = two_arms.goals.listeners
+    (listener,) = two_arms.goals.queue.listeners
     listener.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
 
 
@@ -271,7 +265,7 @@ def a_goal_begins(two_arms: World) -> None:
 async def test_no_arm_keeps_a_way_beside_an_arm_that_moves(two_arms: World, happens: Callable[[World], None]) -> None:
     happens(two_arms)
     assert [arm.keeps for arm in two_arms.arms] == [False, False]
-    two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.HOLDING)
+    two_arms.become(Mode.HOLDING)
     assert await two_arms.run() == [True, True]
 
 
@@ -283,8 +277,7 @@ async def test_no_arm_keeps_a_way_where_two_ways_meet(two_arms: World, caplog: p
 
 
 async def test_a_relaxed_arm_keeps_no_way_and_the_other_arm_keeps_its_own(two_arms: World) -> None:
-    two_arms.arms[0].state = replace(two_arms.arms[0].state, mode=Mode.RELAXED)
-    two_arms.parkings.on_state("", two_arms.arms[0].state)
+    two_arms.become(Mode.RELAXED)
     assert await two_arms.run() == [False, True]
 
 
@@ -297,14 +290,13 @@ async def test_the_end_of_the_server_takes_no_way_from_an_arm_that_is_parked(two
 class Leaving:
     """Clients that come and go; the arm is parked or relaxed by what it is told."""
 
-    def __init__(self, policy: str = "park", delay_s: float = 5.0) -> None:
+    def __init__(self, policy: str = "park", *, parks: bool = True) -> None:
         self.drivers: set[object] = set()
         self.busy = lambda: ""
-        self.now_s = 0.0
-        self.parks = True
+        self.now_s, self.parks = 0.0, parks
         self.done: list[str] = []
         self.state = SimpleNamespace(mode=Mode.HOLDING)
-        settings = ArmSettings.model_validate({"on_last_client": policy, "last_client_delay_s": delay_s})
+        settings = ArmSettings.model_validate({"on_last_client": policy, "last_client_delay_s": 5.0})
         arm, queue, parking = cast("Arm", self), cast("GoalQueue", self), cast("ArmParking", self)
         self.last = LastClient(arm, settings, self.drivers, queue, parking, lambda: self.now_s)
 
@@ -331,19 +323,15 @@ class Leaving:
         assert not self.last.due()
 
 
-def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_unless_one_comes_within_it() -> None:
+def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_and_after_goals_that_move() -> None:
     leaving = Leaving()
     leaving.come_and_go()
     leaving.drivers.add(1)
-    assert not leaving.due_after(6.0)
+    assert not leaving.due_after(6.0), "a client has come within it"
     leaving.come_and_go()
     assert not leaving.due_after(4.9)
     assert leaving.due_after(0.2)
     assert not leaving.due_after(100.0)
-
-
-def test_a_goal_that_moves_is_waited_for() -> None:
-    leaving = Leaving()
     leaving.come_and_go()
     leaving.busy = lambda: "a goal"
     assert not leaving.due_after(60.0)
@@ -353,7 +341,17 @@ def test_a_goal_that_moves_is_waited_for() -> None:
     assert leaving.due_after(0.0)
 
 
-async def acted(leaving: Leaving) -> list[str]:
+@pytest.mark.parametrize(
+    ("policy", "parks", "done"),
+    [
+        ("nothing", True, []),
+        ("park", True, ["park"]),
+        ("park", False, ["park", "relax"]),
+        ("relax", True, ["relax"]),
+    ],
+)
+async def test_the_policy_says_what_becomes_of_the_arm(policy: str, *, parks: bool, done: list[str]) -> None:
+    leaving = Leaving(policy, parks=parks)
     running = asyncio.create_task(leaving.last.run())
     leaving.drivers.add(1)
     await asyncio.sleep(LOOKS_S)
@@ -363,15 +361,4 @@ async def acted(leaving: Leaving) -> list[str]:
     await asyncio.sleep(LOOKS_S)
     running.cancel()
     await asyncio.wait([running])
-    return leaving.done
-
-
-@pytest.mark.parametrize(("policy", "done"), [("nothing", []), ("park", ["park"]), ("relax", ["relax"])])
-async def test_the_policy_says_what_becomes_of_the_arm(policy: str, done: list[str]) -> None:
-    assert await acted(Leaving(policy)) == done
-
-
-async def test_an_arm_that_cannot_be_parked_is_relaxed() -> None:
-    leaving = Leaving("park")
-    leaving.parks = False
-    assert await acted(leaving) == ["park", "relax"]
+    assert leaving.done == done

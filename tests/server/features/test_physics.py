@@ -20,6 +20,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import Role, Rule
 from server.graph.topics import Graph
+from tests.helpers.graph import answered
 from tests.helpers.moveit import REGISTRY, ROBOT, box, current_state, diff, held, pose, scene_state
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -34,11 +35,8 @@ class PhysicalArm:
         self.sent: list[SetBodies] = []
         self.pauses: list[PauseSimulation] = []
 
-    def simulate(self, command: SetBodies | PauseSimulation) -> None:
-        if isinstance(command, SetBodies):
-            self.sent.append(command)
-        else:
-            self.pauses.append(command)
+    def simulate(self, command: Any) -> None:
+        (self.sent if isinstance(command, SetBodies) else self.pauses).append(command)
 
     @property
     def bodies(self) -> dict[str, Any]:
@@ -46,37 +44,46 @@ class PhysicalArm:
 
 
 class Stage:
-    """Scene, arm and feature, and the states that the arm sends."""
+    """Scene, arms and feature, and the states that the arms send."""
 
-    def __init__(self, **simulation: Any) -> None:
-        self.arm = PhysicalArm()
-        self.scene = scene_state()
-        self.graph = Graph(REGISTRY)
-        planning = SimpleNamespace(scene_state=self.scene, current=current_state())
+    def __init__(self, placed: dict[str, tuple[NamedArmSettings, Any]] | None = None, **simulation: Any) -> None:
+        self.scene, self.graph, self.clock_s = scene_state(), Graph(REGISTRY), STAMP_S
         settings = Settings.model_validate({"simulation": {"kind": "physics", **simulation}})
-        served = SimpleNamespace(settings=settings.arm)
-        whole = SimpleNamespace(name="", robot=ROBOT, graph=LocalGraph(self.graph), served=served)
+        self.arms: dict[str, PhysicalArm] = {}
+        worlds = []
+        for name, (own, robot) in (placed or {"": (settings.arm, ROBOT)}).items():
+            self.arms[name], served = PhysicalArm(), SimpleNamespace(settings=own)
+            arm = SimpleNamespace(name=name, robot=robot, graph=LocalGraph(self.graph, name), served=served)
+            worlds.append(ArmWorld(cast(Any, arm), cast(Any, self.arms[name])))
+        planning, whole = SimpleNamespace(scene_state=self.scene, current=current_state()), SimpleNamespace(robot=ROBOT)
         context = SimpleNamespace(planning=planning, whole=whole, graph=self.graph, settings=settings)
-        self.physics = Physics(cast(Any, context), [ArmWorld(cast(Any, whole), cast(Any, self.arm))])
-        self.clock_s = STAMP_S
+        self.physics = Physics(cast(Any, context), worlds)
+
+    @property
+    def arm(self) -> PhysicalArm:
+        return self.arms[""]
 
     def apply(self, *objects: dict[str, Any], **fields: Any) -> None:
         message = diff(world={"collision_objects": list(objects)}, **fields) if objects else diff(**fields)
         self.scene.apply_diff(message, {joint.name: 0.0 for joint in ROBOT.movable_joints})
 
+    def attach(self, name: str, **fields: Any) -> None:
+        attached = [held(name, **{"touch_links": FINGERS, **fields})]
+        self.apply(robot_state={"is_diff": True, "attached_collision_objects": attached})
+
     def call(self, service: str, **request: Any) -> tuple[bool, str]:
-        answers: list[Any] = []
-        self.graph.services.call(Node("client"), service, request, answers.append)
-        return answers[0].values["success"], answers[0].values["message"]
+        values = answered(self.graph, service, **request).values
+        return values["success"], values["message"]
 
     async def answer(self, service: str, *states: int | None, **request: Any) -> tuple[bool, str]:
-        """Call a service that waits for the arm, which reports these numbers of single ticks meanwhile."""
+        """Call a service that waits for the arms, which report these numbers of single ticks meanwhile."""
         answers: list[Any] = []
         self.graph.services.call(Node("client"), service, request, answers.append)
         for ticks in states:
-            await asyncio.sleep(0)
-            assert not answers
-            self.report(after_s=0.0, ticks=ticks)
+            for name in self.arms:
+                await asyncio.sleep(0)
+                assert not answers
+                self.report(arm=name, after_s=0.0, ticks=ticks)
         while not answers:
             await asyncio.sleep(0)
         return answers[0].values["success"], answers[0].values["message"]
@@ -84,6 +91,7 @@ class Stage:
     def report(
         self,
         *bodies: BodyState,
+        arm: str = "",
         after_s: float = 0.2,
         gripper_rad: float = 0.0,
         version: int | None = None,
@@ -91,7 +99,8 @@ class Stage:
         mode: Mode = Mode.HOLDING,
     ) -> None:
         self.clock_s += after_s
-        moved = BodyStates(self.arm.sent[-1].version if version is None else version, bodies) if bodies else None
+        sent = self.arms[arm].sent
+        moved = BodyStates(sent[-1].version if version is None else version, bodies) if bodies else None
         state = ArmState(
             STAMP_S,
             mode,
@@ -101,10 +110,17 @@ class Stage:
             bodies=moved,
             stepped_ticks=ticks,
         )
-        self.physics.on_state("", state)
+        self.physics.on_state(arm, state)
 
     def position(self, name: str) -> tuple[float, float, float]:
         return self.scene.contents.objects[name].pose.position_m
+
+    def movers(self) -> dict[str, bool]:
+        return {name: arm.bodies["cube"].movable for name, arm in self.arms.items()}
+
+    def seen(self) -> list[Any]:
+        """Where the cube is from the foot of each arm [m]."""
+        return [pytest.approx(arm.bodies["cube"].position_m) for arm in self.arms.values()]
 
 
 @pytest.fixture
@@ -129,7 +145,7 @@ async def test_each_change_of_the_scene_is_sent_once_and_nothing_is_movable_at_f
     assert set(stage.arm.bodies) == {"cube"}
 
 
-async def test_a_movable_object_follows_its_body_in_the_scene_without_being_sent_again(stage: Stage) -> None:
+async def test_a_movable_object_follows_its_body_without_being_sent_again(stage: Stage) -> None:
     assert stage.call("/simulation/set_body", id="cube", movable=True, mass=0.05) == (True, "cube can be moved")
     assert (stage.arm.bodies["cube"].movable, stage.arm.bodies["cube"].mass_kg) == (True, 0.05)
     sent = len(stage.arm.sent)
@@ -142,47 +158,45 @@ async def test_a_movable_object_follows_its_body_in_the_scene_without_being_sent
     version = stage.scene.scene.version
     stage.report(moved(0.0901))
     assert stage.scene.scene.version == version, "a new scene for a body that did not move"
+    stage.report(moved(0.07), ticks=0)
+    stage.report(moved(0.06), after_s=0.01, ticks=1)
+    assert stage.position("cube") == (0.2, 0.1, 0.06), "a step of a paused simulation"
     assert len(stage.arm.sent) == sent
 
 
-async def test_a_client_moves_a_body_and_older_reports_do_not_take_it_back(stage: Stage) -> None:
+@pytest.mark.parametrize(
+    ("change", "at"),
+    [
+        ({"id": "cube", "operation": 3, "pose": pose(0.1, 0.2, 0.025)}, (0.1, 0.2, 0.025)),
+        (box("cube", at=pose(0.2, 0.1, 0.025)), (0.2, 0.1, 0.025)),
+    ],
+    ids=["moved", "added again"],
+)
+async def test_a_body_that_has_moved_is_put_where_a_client_says_and_older_reports_do_not_take_it_back(
+    stage: Stage, change: dict[str, Any], at: tuple[float, float, float]
+) -> None:
     stage.call("/simulation/set_body", id="cube", movable=True)
     stage.report(moved(0.08))
     before = stage.arm.sent[-1].version
-    stage.apply({"id": "cube", "operation": 3, "pose": pose(0.1, 0.2, 0.025)})
-    assert stage.arm.bodies["cube"].position_m == (0.1, 0.2, 0.025)
+    stage.apply(change)
+    assert stage.arm.bodies["cube"].position_m == at
+    assert stage.arm.sent[-1].placed == {"cube": (at, LEVEL)}
     stage.report(moved(0.07), version=before)
-    assert stage.position("cube") == (0.1, 0.2, 0.025)
-
-
-async def test_a_body_that_has_moved_is_put_where_a_client_adds_it_again(stage: Stage) -> None:
-    stage.call("/simulation/set_body", id="cube", movable=True)
-    stage.report(moved(0.08))
-    before = stage.arm.sent[-1].version
-    stage.apply(box("cube", at=pose(0.2, 0.1, 0.025)))
-    assert stage.arm.sent[-1].placed == {"cube": ((0.2, 0.1, 0.025), LEVEL)}
-    stage.report(moved(0.07), version=before)
-    assert stage.position("cube") == (0.2, 0.1, 0.025)
+    assert stage.position("cube") == at
 
 
 def grip(stage: Stage) -> None:
     stage.call("/simulation/set_body", id="cube", movable=True)
     stage.report(moved(0.08, held=True))
-    state = {"is_diff": True, "attached_collision_objects": [held("cube", touch_links=FINGERS)]}
-    stage.apply(robot_state=state)
+    stage.attach("cube")
     assert "cube" in stage.scene.contents.attached
 
 
-async def test_an_attached_object_stays_a_body_and_is_attached_while_the_fingers_hold_it(stage: Stage) -> None:
+async def test_an_object_is_attached_until_it_is_dropped(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
     grip(stage)
     assert stage.arm.bodies["cube"].movable
     for _ in range(20):
         stage.report(moved(0.1, held=True))
-    assert "cube" in stage.scene.contents.attached
-
-
-async def test_a_dropped_object_is_detached_where_it_lies(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
-    grip(stage)
     stage.report(moved(0.02), after_s=DROPPED_AFTER_S - 0.1)
     assert "cube" in stage.scene.contents.attached
     sent = len(stage.arm.sent)
@@ -190,9 +204,7 @@ async def test_a_dropped_object_is_detached_where_it_lies(stage: Stage, caplog: 
         stage.report(after_s=0.2)
     assert "cube" not in stage.scene.contents.attached
     assert stage.position("cube") == (0.2, 0.1, 0.02)
-    assert [record.message for record in caplog.records] == [
-        "the gripper does not hold 'cube': it is at x 0.200, y 0.100, z 0.020 m"
-    ]
+    assert caplog.messages == ["the gripper does not hold 'cube': it is at x 0.200, y 0.100, z 0.020 m"]
     assert len(stage.arm.sent) == sent
 
 
@@ -208,56 +220,26 @@ async def test_a_gripper_that_opens_leaves_its_client_the_time_to_detach(stage: 
 async def test_a_detached_object_is_where_its_body_is(stage: Stage) -> None:
     grip(stage)
     sent = len(stage.arm.sent)
-    released = held("cube", operation=1)
-    stage.apply(robot_state={"is_diff": True, "attached_collision_objects": [released]})
+    stage.attach("cube", operation=1)
     stage.report(moved(0.03))
     assert stage.position("cube") == (0.2, 0.1, 0.03)
     assert len(stage.arm.sent) == sent
 
 
-async def test_a_reset_puts_every_movable_object_back(stage: Stage) -> None:
+async def test_a_movable_object_is_put_somewhere_and_a_reset_puts_it_back_each_out_of_the_fingers(stage: Stage) -> None:
     grip(stage)
+    assert stage.call("/simulation/set_pose", id="cube", pose=pose(0.1, 0.2, 0.3)) == (True, "cube is put there")
+    assert (stage.position("cube"), stage.scene.contents.attached) == ((0.1, 0.2, 0.3), {})
+    assert stage.arm.sent[-1].placed == {"cube": ((0.1, 0.2, 0.3), LEVEL)}
+    stage.attach("cube")
     assert stage.call("/simulation/reset") == (True, "put back: cube")
-    assert stage.position("cube") == (0.2, 0.1, 0.025)
-    assert "cube" not in stage.scene.contents.attached
+    assert (stage.position("cube"), stage.scene.contents.attached) == ((0.2, 0.1, 0.025), {})
     assert stage.arm.sent[-1].placed == {"cube": ((0.2, 0.1, 0.025), LEVEL)}
 
 
-async def test_a_movable_object_is_put_somewhere_and_a_reset_puts_it_back(stage: Stage) -> None:
-    grip(stage)
-    at = {"pose": pose(0.1, 0.2, 0.3)}
-    assert stage.call("/simulation/set_pose", id="cube", **at) == (True, "cube is put there")
-    assert stage.position("cube") == (0.1, 0.2, 0.3)
-    assert "cube" not in stage.scene.contents.attached
-    assert stage.arm.sent[-1].placed == {"cube": ((0.1, 0.2, 0.3), LEVEL)}
-    stage.call("/simulation/reset")
-    assert stage.position("cube") == (0.2, 0.1, 0.025)
-
-
-FAR = "pose has a position that is not finite or beyond 100 m: (1000.0, 0.0, 0.0)"
-UNPLACED = {
-    "unknown": ("ball", pose(), "the physics has no object 'ball'"),
-    "fixed": ("wall", pose(), "'wall' stays where it is: move it in the planning scene, or make it movable first"),
-    "not finite": ("cube", pose(math.nan), "pose.position.x must be a finite number, not nan"),
-    "far": ("cube", pose(1000.0), FAR),
-}
-
-
-@pytest.mark.parametrize(("name", "at", "sentence"), UNPLACED.values(), ids=UNPLACED.keys())
-async def test_an_object_that_cannot_be_put_somewhere_is_refused(
-    name: str, at: dict[str, Any], sentence: str, stage: Stage
-) -> None:
-    stage.call("/simulation/set_body", id="cube", movable=True)
-    sent = len(stage.arm.sent)
-    assert stage.call("/simulation/set_pose", id=name, pose=at) == (False, sentence)
-    assert len(stage.arm.sent) == sent
-
-
 async def test_a_pause_and_its_steps_are_answered_when_the_arm_has_done_them(stage: Stage) -> None:
-    assert await stage.answer("/simulation/pause", None, 0, data=True) == (
-        True,
-        "the time of the simulation stands still",
-    )
+    still = True, "the time of the simulation stands still"
+    assert await stage.answer("/simulation/pause", None, 0, data=True) == still
     assert await stage.answer("/simulation/step", 0, 2, 3, steps=3) == (True, "3 of 3 steps are done")
     assert await stage.answer("/simulation/step", 4, None, steps=3) == (False, "0 of 3 steps are done")
     assert await stage.answer("/simulation/pause", data=False) == (True, "the time of the simulation passes")
@@ -294,58 +276,48 @@ async def test_steps_need_a_pause_and_come_one_call_after_the_other(stage: Stage
     assert await stage.answer("/simulation/step", steps=1) == (False, "other steps are in progress")
 
 
-async def test_an_arm_that_does_not_answer_ends_the_wait_and_the_pause(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_an_arm_that_does_not_answer_ends_the_wait_and_the_pause(stage: Stage, monkeypatch: Any) -> None:
     monkeypatch.setattr("server.features.physics.ANSWER_TIMEOUT_S", 0.0)
     assert await stage.answer("/simulation/pause", data=True) == (False, "the arm process did not answer within 0 s")
     assert [each.paused for each in stage.arm.pauses] == [True, False]
 
 
-async def test_the_scene_follows_each_step(stage: Stage) -> None:
-    stage.call("/simulation/set_body", id="cube", movable=True)
-    stage.report(moved(0.08), ticks=0)
-    stage.report(moved(0.09), after_s=0.01, ticks=1)
-    assert stage.position("cube") == (0.2, 0.1, 0.09)
+FAR = "pose has a position that is not finite or beyond 100 m: (1000.0, 0.0, 0.0)"
+FIXED = "'wall' stays where it is: move it in the planning scene, or make it movable first"
+MASS = "mass must be 0 to 100 kg, 0 for a mass by its volume, not"
 
 
-REFUSED = {
-    "unknown": ({"id": "ball"}, "there is no object 'ball' in the planning scene"),
-    "mass": ({"id": "cube", "mass": -1.0}, "mass must be 0 to 100 kg, 0 for a mass by its volume, not -1"),
-    "no number": ({"id": "cube", "mass": math.nan}, "mass must be 0 to 100 kg, 0 for a mass by its volume, not nan"),
-    "friction": ({"id": "cube", "friction": 11.0}, "friction must be 0 to 10, 0 for 1, not 11"),
-}
-
-
-@pytest.mark.parametrize(("request_", "sentence"), REFUSED.values(), ids=REFUSED.keys())
-async def test_what_no_body_can_have_is_refused(request_: dict[str, Any], sentence: str, stage: Stage) -> None:
-    assert stage.call("/simulation/set_body", movable=True, **request_) == (False, sentence)
-    assert not stage.arm.bodies["cube"].movable
-
-
-async def test_a_plane_cannot_be_movable(stage: Stage) -> None:
-    plane = {"coef": [0.0, 0.0, 1.0, 0.05]}
-    stage.apply({"id": "floor", "planes": [plane], "plane_poses": [pose()]})
+@pytest.mark.parametrize(
+    ("service", "asked", "said"),
+    [
+        ("set_pose", {"id": "ball", "pose": pose()}, "the physics has no object 'ball'"),
+        ("set_pose", {"id": "wall", "pose": pose()}, FIXED),
+        ("set_pose", {"id": "cube", "pose": pose(math.nan)}, "pose.position.x must be a finite number, not nan"),
+        ("set_pose", {"id": "cube", "pose": pose(1000.0)}, FAR),
+        ("set_body", {"id": "ball"}, "there is no object 'ball' in the planning scene"),
+        ("set_body", {"id": "wall", "mass": -1.0}, f"{MASS} -1"),
+        ("set_body", {"id": "wall", "mass": math.nan}, f"{MASS} nan"),
+        ("set_body", {"id": "wall", "friction": 11.0}, "friction must be 0 to 10, 0 for 1, not 11"),
+        ("set_body", {"id": "floor"}, "'floor' has a plane, and cannot be movable"),
+    ],
+)
+async def test_what_no_body_can_have_is_refused(stage: Stage, service: str, asked: dict[str, Any], said: str) -> None:
+    stage.apply({"id": "floor", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]})
     assert stage.arm.bodies["floor"].shapes[0].position_m == (0.0, 0.0, -0.05)
-    assert stage.call("/simulation/set_body", id="floor", movable=True) == (
-        False,
-        "'floor' has a plane, and cannot be movable",
-    )
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    sent = len(stage.arm.sent)
+    movable = {"movable": True} if service == "set_body" else {}
+    assert stage.call(f"/simulation/{service}", **asked, **movable) == (False, said)
+    assert len(stage.arm.sent) == sent
 
 
-async def test_more_objects_than_physics_has_are_left_out_with_a_sentence(
-    stage: Stage, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_more_objects_than_physics_has_are_left_out(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         stage.apply(*(box(f"box {at}") for at in range(MAX_BODIES)))
-    assert [record.message for record in caplog.records] == [
-        "physics has 100 objects at most: the last 2 of the scene are left out"
-    ]
+    assert caplog.messages == ["physics has 100 objects at most: the last 2 of the scene are left out"]
     assert len(stage.arm.bodies) == MAX_BODIES
-    assert stage.call("/simulation/set_body", id="box 99", movable=True) == (
-        False,
-        "physics has 100 objects at most, and 'box 99' is left out",
-    )
+    said = stage.call("/simulation/set_body", id="box 99", movable=True)
+    assert said == (False, "physics has 100 objects at most, and 'box 99' is left out")
 
 
 async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
@@ -358,8 +330,7 @@ async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
     assert stage.position("cube_red") != (0.2, -0.1, 0.016)
     stage.apply(box("wall", at=pose(0.4, 0.0, 0.1)), {"id": "cube_blue", "operation": 1})
     stage.call("/simulation/set_body", id="cube_red")
-    attached = [held("cube_green", touch_links=FINGERS)]
-    stage.apply(robot_state={"is_diff": True, "attached_collision_objects": attached})
+    stage.attach("cube_green")
     assert stage.call("/simulation/reset") == (True, "put back: cube_red, cube_green, cube_blue, cube_yellow")
     assert stage.arm.bodies == before
     assert {name: each.pose for name, each in stage.scene.contents.objects.items()} == poses
@@ -367,118 +338,74 @@ async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
     assert stage.scene.contents.attached == {}
 
 
-WRONG_WORLDS = {
-    "overlap": (
-        [box("left", at=pose(0.3, 0.3, 0.05)), box("right", at=pose(0.3, 0.32, 0.05))],
-        r"simulation\.world: .*: 'left' overlaps 'right' by 30 mm, more than 2 mm",
-    ),
-    "not finite": ([box("left", at=pose(math.nan))], "the object 'left': .*pose.position.x must be a finite number"),
-    "too many": ([box(str(at)) for at in range(MAX_BODIES + 1)], "it has 101 objects, more than 100"),
-    "plane": (
-        [{"id": "left", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]}],
-        "'left' has a plane, and cannot be movable",
-    ),
-}
+LEFT, PLANE = box("left", at=pose(0.3, 0.3, 0.05)), {"coef": [0.0, 0.0, 1.0, 0.05]}
 
 
-@pytest.mark.parametrize(("objects", "sentence"), WRONG_WORLDS.values(), ids=WRONG_WORLDS.keys())
-async def test_a_world_that_cannot_be_simulated_is_refused(
-    objects: list[dict[str, Any]], sentence: str, tmp_path: Path
-) -> None:
-    names = [each["id"] for each in objects]
-    bodies = [{"id": name, "movable": True} for name in names]
+@pytest.mark.parametrize(
+    ("objects", "sentence"),
+    [
+        ([LEFT, box("right", at=pose(0.3, 0.32, 0.05))], "'left' overlaps 'right' by 30 mm, more than 2 mm"),
+        ([box("left", at=pose(math.nan))], "the object 'left': .*pose.position.x must be a finite number"),
+        ([box(str(at)) for at in range(MAX_BODIES + 1)], "it has 101 objects, more than 100"),
+        ([{"id": "left", "planes": [PLANE], "plane_poses": [pose()]}], "'left' has a plane, and cannot be movable"),
+    ],
+    ids=["overlap", "not finite", "too many", "plane"],
+)
+async def test_a_world_that_cannot_be_is_refused(objects: list[dict[str, Any]], sentence: str, tmp_path: Path) -> None:
     path = tmp_path / "world.json"
+    bodies = [{"id": each["id"], "movable": True} for each in objects]
     path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))
-    with pytest.raises(ConfigurationError, match=sentence):
+    with pytest.raises(ConfigurationError, match=rf"simulation\.world: .*{sentence}"):
         Stage(world=str(path))
 
 
-class TwoArms(Stage):
-    """The same with two arms at their places; the right one is turned by 90 degrees."""
-
-    def __init__(self, roll_rad: float = 0.0) -> None:
-        self.scene, self.graph = scene_state(), Graph(REGISTRY)
-        self.arms = {"left": PhysicalArm(), "right": PhysicalArm()}
-        settings = Settings.model_validate({"simulation": {"kind": "physics"}})
-        worlds = []
-        for name, y, yaw_rad in (("left", 0.2, 0.0), ("right", -0.2, 0.5 * math.pi)):
-            placed = NamedArmSettings(base_xyz_m=(0.0, y, 0.0), base_rpy_rad=(roll_rad, 0.0, yaw_rad))
-            links = {"left": FINGERS[:1], "right": FINGERS[1:]}[name]
-            robot = SimpleNamespace(links=links, gripper=None)
-            served = SimpleNamespace(settings=placed)
-            arm = SimpleNamespace(name=name, robot=robot, graph=LocalGraph(self.graph, name), served=served)
-            worlds.append(ArmWorld(cast(Any, arm), cast(Any, self.arms[name])))
-        planning = SimpleNamespace(scene_state=self.scene, current=current_state())
-        context = SimpleNamespace(planning=planning, graph=self.graph, settings=settings)
-        self.physics = Physics(cast(Any, context), worlds)
-        self.clock_s = STAMP_S
-
-    def tell(self, name: str, *bodies: BodyState, ticks: int | None = None) -> None:
-        self.clock_s += 0.2
-        moved = BodyStates(self.arms[name].sent[-1].version, bodies)
-        state = ArmState(STAMP_S, Mode.HOLDING, (), clock_s=self.clock_s, bodies=moved, stepped_ticks=ticks)
-        self.physics.on_state(name, state)
-
-    def movers(self) -> dict[str, bool]:
-        return {name: arm.bodies["cube"].movable for name, arm in self.arms.items()}
+def two_arms(roll_rad: float = 0.0) -> Stage:
+    """Two arms at their places; the right one is turned by 90 degrees."""
+    placed = {}
+    for name, y, yaw_rad, link in (("left", 0.2, 0.0, FINGERS[0]), ("right", -0.2, 0.5 * math.pi, FINGERS[1])):
+        settings = NamedArmSettings(base_xyz_m=(0.0, y, 0.0), base_rpy_rad=(roll_rad, 0.0, yaw_rad))
+        placed[name] = settings, SimpleNamespace(links=[link], gripper=None)
+    return Stage(placed)
 
 
 @pytest.fixture
-async def two() -> TwoArms:
-    made = TwoArms()
+async def two() -> Stage:
+    made = two_arms()
     made.apply(box("cube", at=pose(0.0, 0.1, 0.025)))
     return made
 
 
-async def test_a_body_is_where_it_is_seen_from_each_foot(two: TwoArms) -> None:
-    assert two.arms["left"].bodies["cube"].position_m == pytest.approx((0.0, -0.1, 0.025))
-    assert two.arms["right"].bodies["cube"].position_m == pytest.approx((0.3, 0.0, 0.025))
-
-
-async def test_an_object_moves_in_the_world_of_the_nearest_arm_and_follows_in_the_other(two: TwoArms) -> None:
+async def test_an_object_moves_in_the_world_of_the_nearest_arm_alone_and_follows_in_the_other(two: Stage) -> None:
+    assert two.seen() == [(0.0, -0.1, 0.025), (0.3, 0.0, 0.025)]
     two.call("/simulation/set_body", id="cube", movable=True)
     assert two.movers() == {"left": True, "right": False}
     sent = len(two.arms["left"].sent)
-    two.tell("left", BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False))
+    two.report(BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False), arm="left")
+    two.report(BodyState("cube", (0.0, 0.0, 0.5), LEVEL, held=False), arm="right")
     assert two.position("cube") == pytest.approx((0.0, 0.1, 0.08))
-    assert two.arms["right"].bodies["cube"].position_m == pytest.approx((0.3, 0.0, 0.08))
+    assert two.seen()[1] == (0.3, 0.0, 0.08)
     assert len(two.arms["left"].sent) == sent, "the arm that moves it is told where it is"
 
 
-async def test_an_arm_reports_only_its_own_objects(two: TwoArms) -> None:
+async def test_an_object_moves_in_the_world_of_the_arm_that_it_is_attached_to_from_where_it_is(two: Stage) -> None:
     two.call("/simulation/set_body", id="cube", movable=True)
-    two.tell("right", BodyState("cube", (0.0, 0.0, 0.5), LEVEL, held=False))
-    assert two.position("cube") == (0.0, 0.1, 0.025)
-
-
-async def test_an_object_moves_in_the_world_of_the_arm_that_it_is_attached_to_from_where_it_is(two: TwoArms) -> None:
-    two.call("/simulation/set_body", id="cube", movable=True)
-    two.tell("left", BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False))
-    attached = held("cube", link=FINGERS[1], touch_links=FINGERS)
-    two.apply(robot_state={"is_diff": True, "attached_collision_objects": [attached]})
+    two.report(BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False), arm="left")
+    two.attach("cube", link=FINGERS[1])
     assert two.movers() == {"left": False, "right": True}
     assert two.arms["right"].sent[-1].placed["cube"][0] == pytest.approx((0.3, 0.0, 0.08))
-    assert two.arms["left"].bodies["cube"].position_m == pytest.approx((0.0, -0.1, 0.08))
+    assert two.seen()[0] == (0.0, -0.1, 0.08)
 
 
-async def test_a_client_names_the_arm_that_moves_an_object(two: TwoArms) -> None:
+async def test_a_client_names_the_arm_that_moves_an_object(two: Stage) -> None:
     assert two.call("/right/simulation/set_body", id="cube", movable=True) == (True, "cube can be moved")
     assert two.movers() == {"left": False, "right": True}
 
 
-async def test_time_stands_still_for_both_arms(two: TwoArms) -> None:
-    answers: list[Any] = []
-    two.graph.services.call(Node("client"), "/simulation/pause", {"data": True}, answers.append)
-    for name in ("left", "right"):
-        await asyncio.sleep(0)
-        assert not answers
-        two.tell(name, ticks=0)
-    while not answers:
-        await asyncio.sleep(0)
-    assert answers[0].values["success"]
+async def test_time_stands_still_for_both_arms(two: Stage) -> None:
+    assert (await two.answer("/simulation/pause", 0, data=True))[0]
     assert all(arm.pauses == [PauseSimulation(paused=True)] for arm in two.arms.values())
 
 
 async def test_an_arm_that_leans_has_no_physics() -> None:
     with pytest.raises(ConfigurationError, match=r"arms\.left\.base_rpy_rad: physics needs an upright arm.*not 0\.1"):
-        TwoArms(roll_rad=0.1)
+        two_arms(roll_rad=0.1)

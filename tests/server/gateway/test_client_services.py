@@ -10,6 +10,7 @@ from server.graph.services import Call
 from tests.helpers.gateway import InProcess
 
 TYPE = "std_srvs/SetBool"
+CHECKING = "/check_goals", "armbridge_msgs/srv/CheckGoals"
 
 
 @pytest.fixture
@@ -91,13 +92,10 @@ async def test_a_service_that_does_not_answer_in_the_time_that_is_set_fails() ->
     assert "did not answer in 3 s" in response["values"]
 
 
-def call_while_planning(world: InProcess, role: Role, service: str, count: int, **fields: Any) -> list[Call]:
-    """Calls of a service that never answers, as many as one client makes."""
+def calls_of(world: InProcess, service: str, type_name: str, **options: Any) -> list[Call]:
+    """Offer a service that never answers; return its calls."""
     started: list[Call] = []
-    world.graph.services.offer_calls(Node("planner"), service, "armbridge_msgs/srv/MoveitGoal", started.append)
-    world.enter("c", Identity("c", role))
-    for number in range(count):
-        world.say("c", op="call_service", service=service, id=number, **fields)
+    world.graph.services.offer_calls(Node("p"), service, type_name, started.append, **options)
     return started
 
 
@@ -113,7 +111,10 @@ def call_while_planning(world: InProcess, role: Role, service: str, count: int, 
 )
 def test_calls_that_plan_are_limited_by_role(role: Role, limit: int, service: str, fields: dict[str, Any]) -> None:
     world = InProcess(arms=("left", "right"))
-    started = call_while_planning(world, role, service, limit + 1, **fields)
+    started = calls_of(world, service, "armbridge_msgs/srv/MoveitGoal")
+    world.enter("c", Identity("c", role))
+    for number in range(limit + 1):
+        world.say("c", op="call_service", service=service, id=number, **fields)
     assert len(started) == limit
     (refused,) = world.heard("c")
     assert (refused["id"], refused["result"]) == (limit, False)
@@ -125,8 +126,7 @@ def test_calls_that_plan_are_limited_by_role(role: Role, limit: int, service: st
 
 def test_a_client_that_has_left_is_answered_nothing() -> None:
     world = InProcess()
-    started: list[Call] = []
-    world.graph.services.offer_calls(Node("slow"), "/slow", "std_srvs/srv/Trigger", started.append)
+    started = calls_of(world, "/slow", "std_srvs/srv/Trigger")
     world.say("c", op="call_service", service="/slow")
     client = world.client("c")
     client.leave()
@@ -136,12 +136,8 @@ def test_a_client_that_has_left_is_answered_nothing() -> None:
 
 def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
     world = InProcess(Limits.model_construct(max_calls_in_flight=1))
-    started: list[Call] = []
-    world.graph.services.offer_calls(
-        Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append, limits=None
-    )
-    poses = {"poses": [{}] * 1500}
-    world.say("c", op="call_service", service="/check_goals", args=poses)
+    started = calls_of(world, *CHECKING, limits=None)
+    world.say("c", op="call_service", service="/check_goals", args={"poses": [{}] * 1500})
     assert len(started) == 1
     started[0].fail("busy")
     world.say("c", op="call_service", service="/check_goals", args={})
@@ -151,8 +147,7 @@ def test_a_request_that_is_completed_in_the_background_counts_once() -> None:
 def test_values_in_calls_that_wait_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client_requests, "MAX_VALUES_IN_FLIGHT", 2500)
     world = InProcess()
-    started: list[Call] = []
-    world.graph.services.offer_calls(Node("p"), "/check_goals", "armbridge_msgs/srv/CheckGoals", started.append)
+    started = calls_of(world, *CHECKING)
     for number in range(3):
         world.say("c", op="call_service", service="/check_goals", args={"poses": [{}] * 200}, id=number)
     assert len(started) == 2

@@ -71,7 +71,7 @@ class TestMisspeltTopics:
         world.say("x", op=op, topic="/moveit_goal_name", type="std_msgs/String")
         (told,) = world.heard("x")
         assert (told["op"], told["level"]) == ("status", "warning")
-        assert told["msg"] == (f"{op}: topic /moveit_goal_name: nobody else uses it; did you mean /moveit_goal_named?")
+        assert told["msg"] == f"{op}: topic /moveit_goal_name: nobody else uses it; did you mean /moveit_goal_named?"
 
     def test_clients_without_warnings_cost_nothing(self, world: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
         world.say("x", op="advertise", topic="/chat", type="std_msgs/String")
@@ -80,10 +80,10 @@ class TestMisspeltTopics:
         world.say("x", op="subscribe", topic="/moveit_goal_name", type="std_msgs/String")
         assert compared == []
 
-    @pytest.mark.parametrize("topic", ["/moveit_goal_named", "/chat", "/moveit_goal_nome", f"/{'x' * 200}"])
-    def test_other_topics_pass_without_a_word(self, world: InProcess, topic: str) -> None:
-        world.say("x", op="subscribe", topic=topic, type="std_msgs/String")
-        assert world.heard("x") == []
+    def test_other_topics_pass_without_a_word(self, world: InProcess) -> None:
+        for topic in ("/moveit_goal_named", "/chat", "/moveit_goal_nome", f"/{'x' * 200}"):
+            world.say(topic, op="subscribe", topic=topic, type="std_msgs/String")
+            assert world.heard(topic) == []
 
 
 def test_a_remark_on_a_topic_reaches_clients_that_publish_there_already(world: InProcess) -> None:
@@ -130,9 +130,12 @@ class TestLatching:
         )
 
 
+STRING = {"topic": "/a", "type": "std_msgs/String"}
+
+
 def read_strictly(world: InProcess) -> StrictPublication:
     """A message of y on a topic to which x has subscribed, read and not published yet."""
-    world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
+    world.say("x", op="subscribe", **STRING)
     frame = {"op": "publish", "topic": "/a", "msg": {"data": "text"}}
     world.say("y", **frame)
     publication = world.client("y").read_strictly(json.dumps(frame))
@@ -144,7 +147,7 @@ class TestStrictWay:
     """Messages on a topic on which the client has published before, without anything forgiven."""
 
     def test_they_are_published_the_strict_way(self, world: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
-        world.say("x", op="subscribe", topic="/a", type="std_msgs/String")
+        world.say("x", op="subscribe", **STRING)
         world.say("y", op="publish", topic="/a", msg={"data": "0"})
         monkeypatch.setattr(Graph, "publish", None)
         for text in ("1", "2"):
@@ -155,12 +158,8 @@ class TestStrictWay:
         world.say("x", op="subscribe", topic="/a", type="geometry_msgs/Point")
         for message in ({"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 1}, {"x": 4.0, "y": 5, "z": 6.0}, {"w": 1}, {"y": 7}):
             world.say("y", op="publish", topic="/a", msg=message)
-        assert [tuple(said["msg"].values()) for said in world.heard("x")] == [
-            (1, 2, 3),
-            (1, 0, 0),
-            (4, 5, 6),
-            (0, 7, 0),
-        ]
+        heard = [tuple(said["msg"].values()) for said in world.heard("x")]
+        assert heard == [(1, 2, 3), (1, 0, 0), (4, 5, 6), (0, 7, 0)]
 
     def test_what_was_read_before_its_topic_changed_is_read_again(self, world: InProcess) -> None:
         publication = read_strictly(world)

@@ -9,7 +9,6 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from harness.waiting import until
-from protocol.limits import Limits
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway import connection
@@ -17,7 +16,7 @@ from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
-from tests.helpers.gateway import TIMEOUT_S, listening, warnings_of
+from tests.helpers.gateway import TIMEOUT_S, listening, receive, say, warnings_of
 from tests.helpers.messages import REGISTRY
 
 TALKER = Node("talker")
@@ -36,43 +35,24 @@ async def url(graph: Graph) -> AsyncIterator[str]:
         yield listener.url
 
 
-async def until_subscribed(graph: Graph, count: int) -> None:
-    await until(lambda: len(graph._topics["/t"].subscribers) >= count)
-
-
-async def receive(client: ClientConnection) -> dict[str, Any]:
-    """The next operation."""
-    operation: dict[str, Any] = json.loads(await asyncio.wait_for(client.recv(), TIMEOUT_S))
-    return operation
-
-
 SUBSCRIBE = json.dumps({"op": "subscribe", "topic": "/t"})
 
 
-async def test_a_client_that_never_reads_costs_a_bounded_amount(graph: Graph, caplog: pytest.LogCaptureFixture) -> None:
-    settings = ServerSettings(port=0, limits=Limits(max_queued_bytes=500_000))
-    async with listening(settings, graph=graph) as listener, connect(listener.url) as reading:
-        await reading.send(SUBSCRIBE)
-        deaf = await connect(listener.url)
-        deaf.transport.pause_reading()
-        await deaf.send(SUBSCRIBE)
-        await until_subscribed(graph, 2)
-        payload = "x" * 100_000
-        for number in range(200):
-            graph.publish(TALKER, "/t", {"data": f"{number} {payload}"})
-            assert (await receive(reading))["msg"]["data"].startswith(f"{number} ")
-        deaf.transport.abort()
-        await until(lambda: "messages were dropped" in caplog.text)
+@contextlib.asynccontextmanager
+async def subscribed(graph: Graph, url: str, **options: Any) -> AsyncIterator[ClientConnection]:
+    """A client of /t."""
+    async with connect(url, **options) as client:
+        await client.send(SUBSCRIBE)
+        await until(lambda: graph._topics["/t"].subscribers)
+        yield client
 
 
 async def test_an_aborted_client_leaves_the_graph(graph: Graph, url: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
-    client = await connect(url)
-    await client.send(SUBSCRIBE)
-    await until_subscribed(graph, 1)
-    client.transport.abort()
-    await until(lambda: not graph._topics["/t"].subscribers)
-    await until(lambda: " left" in caplog.text)
+    async with subscribed(graph, url) as client:
+        client.transport.abort()
+        await until(lambda: not graph._topics["/t"].subscribers)
+        await until(lambda: " left" in caplog.text)
     assert warnings_of(caplog) == []
     assert all(vars(line)["client"] for line in caplog.records if line.name == "armbridge.gateway")
 
@@ -85,7 +65,7 @@ async def test_a_client_that_does_not_read_its_replies_is_closed_with_a_code_and
     deaf = await connect(url, max_size=None)
     deaf.transport.pause_reading()
     for _ in range(4):
-        await deaf.send(json.dumps({"op": "call_service", "service": "/long"}))
+        await say(deaf, "call_service", service="/long")
     await until(lambda: "does not read its replies; closing" in caplog.text)
     deaf.transport.resume_reading()
     async with asyncio.timeout(TIMEOUT_S):
@@ -96,62 +76,33 @@ async def test_a_client_that_does_not_read_its_replies_is_closed_with_a_code_and
 
 
 @pytest.mark.parametrize(
-    ("version", "query", "stamp"),
-    [
-        (2, "?ros=1", {"secs": 1, "nsecs": 2}),
-        (2, "?x=1", {"sec": 1, "nanosec": 2}),
-        (1, "?x=1", {"secs": 1, "nsecs": 2}),
-        (1, "?ros=2&x=1", {"sec": 1, "nanosec": 2}),
-    ],
+    ("version", "query", "ros1"), [(2, "?ros=1", True), (2, "?x=1", False), (1, "?x=1", True), (1, "?ros=2&x=1", False)]
 )
-async def test_clients_get_the_spelling_of_their_url_or_of_the_setting(
-    graph: Graph, version: int, query: str, stamp: dict[str, int]
+async def test_clients_get_the_spelling_of_their_url_or_of_the_setting_and_ros1_numbers(
+    graph: Graph, version: int, query: str, ros1: bool
 ) -> None:
-    graph.advertise(TALKER, "/h", "std_msgs/Header", latch=True)
-    graph.publish(TALKER, "/h", {"stamp": {"sec": 1, "nanosec": 2}})
+    message = {"header": {"stamp": {"sec": 1, "nanosec": 2}}}
+    graph.advertise(TALKER, "/joints", "sensor_msgs/JointState", latch=True)
+    graph.publish(TALKER, "/joints", message)
     async with (
         listening(ServerSettings(port=0, ros_version=version), graph=graph) as listener,
         connect(f"{listener.url}/{query}") as client,
     ):
-        await client.send(json.dumps({"op": "subscribe", "topic": "/h"}))
-        assert (await receive(client))["msg"]["stamp"] == stamp
-
-
-async def test_the_messages_of_a_topic_are_numbered_for_ros1(graph: Graph, url: str) -> None:
-    graph.advertise(TALKER, "/joints", "sensor_msgs/JointState", latch=True)
-    graph.publish(TALKER, "/joints", {})
-    async with connect(f"{url}/?ros=1") as client:
-        await client.send(json.dumps({"op": "subscribe", "topic": "/joints"}))
-        numbers = [(await receive(client))["msg"]["header"]["seq"]]
+        await say(client, "subscribe", topic="/joints")
+        headers = [(await receive(client))["msg"]["header"]]
         for _ in range(2):
-            graph.publish(TALKER, "/joints", {})
-            numbers.append((await receive(client))["msg"]["header"]["seq"])
-    assert numbers == [1, 2, 3]
-
-
-async def test_a_call_that_runs_does_not_hold_up_what_the_client_says_next(graph: Graph, url: str) -> None:
-    answer = asyncio.Event()
-
-    async def slow(_request: dict[str, Any]) -> dict[str, Any]:
-        await answer.wait()
-        return {}
-
-    graph.services.offer(TALKER, "/slow", "std_srvs/Trigger", slow)
-    async with connect(url) as client:
-        for service in ("/slow", "/nobody"):
-            await client.send(json.dumps({"op": "call_service", "service": service}))
-        assert (await receive(client))["service"] == "/nobody"
-        answer.set()
-        assert (await receive(client))["service"] == "/slow"
+            graph.publish(TALKER, "/joints", message)
+            headers.append((await receive(client))["msg"]["header"])
+    spelled = {"secs": 1, "nsecs": 2} if ros1 else {"sec": 1, "nanosec": 2}
+    assert [header["stamp"] for header in headers] == [spelled] * 3
+    assert [header.get("seq") for header in headers] == ([1, 2, 3] if ros1 else [None] * 3)
 
 
 @pytest.mark.parametrize(
     ("query", "ends"), [("", False), ("?on_disconnect=stop", True), ("?on_disconnect=finish", False)]
 )
 async def test_the_url_decides_if_goals_end_with_a_client(graph: Graph, url: str, query: str, *, ends: bool) -> None:
-    async with connect(f"{url}/{query}") as client:
-        await client.send(SUBSCRIBE)
-        await until_subscribed(graph, 1)
+    async with subscribed(graph, f"{url}/{query}"):
         assert [node.takes_goals_along for node in graph.subscribers("/t")] == [ends]
 
 
@@ -169,39 +120,47 @@ class TestGuarded:
         async with listening(graph=graph, access=Access(settings)) as listener:
             yield listener
 
-    @pytest.fixture
-    def guarded_url(self, guarded: Listener) -> str:
-        return guarded.url
-
     async def closed(self, client: ClientConnection) -> tuple[int | None, str | None]:
         await asyncio.wait_for(client.wait_closed(), TIMEOUT_S)
         return client.close_code, client.close_reason
 
-    async def test_anything_else_first_closes_it(self, guarded_url: str, graph: Graph) -> None:
-        async with connect(guarded_url) as client:
+    async def test_anything_else_first_closes_it(self, guarded: Listener, graph: Graph) -> None:
+        async with connect(guarded.url) as client:
             await client.send(SUBSCRIBE)
-            code, reason = await self.closed(client)
-        assert (code, reason) == (1008, "the first message must be auth, with a token of this server")
+            reason = "the first message must be auth, with a token of this server"
+            assert await self.closed(client) == (1008, reason)
         assert graph.subscribers("/t") == []
 
-    async def test_silence_closes_it(self, guarded_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test_silence_closes_it(self, guarded: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(connection, "AUTH_TIMEOUT_S", 0.05)
-        async with connect(guarded_url) as client:
+        async with connect(guarded.url) as client:
             assert await self.closed(client) == (1008, "the op auth is wanted within 0.05 s")
 
-    async def test_a_large_message_closes_it_before_it_is_read(self, guarded_url: str) -> None:
-        async with connect(guarded_url) as client:
-            await client.send("x" * 200_000)
-            code, _ = await self.closed(client)
-        assert code == 1009
+    @pytest.mark.parametrize(
+        ("shown", "by_header", "size"),
+        [
+            ("", False, connection.MAX_UNKNOWN_BYTES),
+            (SCREEN, True, connection.MAX_VIEW_BYTES),
+            (SCREEN, False, connection.MAX_VIEW_BYTES),
+        ],
+    )
+    async def test_a_message_beyond_the_limit_of_the_role_closes_it_before_it_is_read(
+        self, guarded: Listener, shown: str, by_header: bool, size: int
+    ) -> None:
+        header = {"Authorization": f"Bearer {shown}"} if by_header else {}
+        async with connect(guarded.url, additional_headers=header) as client:
+            if shown:
+                await say(client, "auth", token=shown)
+            await client.send("x" * (size + 1))
+            assert (await self.closed(client))[0] == 1009
 
-    async def test_a_token_lifts_the_client_s_limits(self, guarded: Listener, guarded_url: str, graph: Graph) -> None:
-        async with connect(guarded_url, max_size=None) as client:
-            await client.send(json.dumps({"op": "auth", "token": self.TOKEN}))
+    async def test_a_token_lifts_the_client_s_limits(self, guarded: Listener, graph: Graph) -> None:
+        async with connect(guarded.url, max_size=None) as client:
+            await say(client, "auth", token=self.TOKEN)
             await client.send(SUBSCRIBE)
             for size in (100_000, 1_500_000):
-                await client.send(json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * size}}))
-                assert len(await asyncio.wait_for(client.recv(), TIMEOUT_S)) > size
+                await say(client, "publish", topic="/t", msg={"data": "x" * size})
+                assert len((await receive(client))["msg"]["data"]) == size
             (served,) = guarded.traffic._open
             # What happens when the time for it is over.
             assert isinstance(served, connection.Connection)
@@ -209,34 +168,20 @@ class TestGuarded:
             await asyncio.wait_for(await client.ping(), TIMEOUT_S)
             assert [str(node).startswith("ada (127.0.0.1:") for node in graph.subscribers("/t")] == [True]
 
-    @pytest.mark.parametrize("by_header", [True, False])
-    async def test_a_viewer_that_floods_is_not_read_for_a_second(self, guarded_url: str, by_header: bool) -> None:
-        header = {"Authorization": f"Bearer {self.SCREEN}"} if by_header else {}
-        async with connect(guarded_url, additional_headers=header) as client:
-            await client.send(json.dumps({"op": "auth", "token": self.SCREEN}))
-            await client.send("x" * (connection.MAX_VIEW_BYTES + 1))
-            assert (await self.closed(client))[0] == 1009
-
-    async def test_a_token_in_the_handshake_needs_no_authentication(self, guarded_url: str, graph: Graph) -> None:
-        async with connect(guarded_url, additional_headers={"Authorization": f"Bearer {self.TOKEN}"}) as client:
-            await client.send(SUBSCRIBE)
-            await until_subscribed(graph, 1)
+    async def test_a_token_in_the_handshake_needs_no_authentication(self, guarded: Listener, graph: Graph) -> None:
+        async with subscribed(graph, guarded.url, additional_headers={"Authorization": f"Bearer {self.TOKEN}"}):
             assert str(graph.subscribers("/t")[0]).startswith("ada (127.0.0.1:")
 
 
 async def test_a_client_that_hears_little_costs_no_task_of_its_own(graph: Graph, url: str) -> None:
-    async with connect(url) as client:
-        await client.send(SUBSCRIBE)
-        await until_subscribed(graph, 1)
+    async with subscribed(graph, url) as client:
         graph.publish(TALKER, "/t", {"data": "hello"})
-        await asyncio.wait_for(client.recv(), TIMEOUT_S)
+        await receive(client)
         assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("write to")]
 
 
 async def test_a_real_client_is_counted_by_what_it_says_and_hears(graph: Graph) -> None:
-    async with listening(graph=graph) as listener, connect(listener.url, compression=None) as client:
-        await client.send(SUBSCRIBE)
-        await until_subscribed(graph, 1)
+    async with listening(graph=graph) as listener, subscribed(graph, listener.url, compression=None) as client:
         sent_bytes = 0
         for _ in range(3):
             graph.publish(TALKER, "/t", {"data": "x" * 200})
@@ -247,7 +192,7 @@ async def test_a_real_client_is_counted_by_what_it_says_and_hears(graph: Graph) 
         assert counts.sent_bytes == sent_bytes
         assert len(SUBSCRIBE) < counts.received_bytes < len(SUBSCRIBE) + 1000
         assert (counts.dropped_messages, counts.refused_operations, listener.traffic.queued_bytes()) == (0, 0, (0, 0))
-        for nonsense in ("{", json.dumps({"op": "publish", "topic": "/t", "msg": {"data": 1}})):
-            await client.send(nonsense)
+        await client.send("{")
+        await say(client, "publish", topic="/t", msg={"data": 1})
         await until(lambda: listener.traffic.counts().refused_operations == 2)
     assert (listener.traffic.clients, listener.traffic.counts().sent_messages) == (0, 3)

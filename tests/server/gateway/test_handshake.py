@@ -2,7 +2,6 @@
 
 import re
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.http11 import Request
@@ -98,40 +97,25 @@ def test_a_plain_request_with_other_bytes_in_it_is_read_alike_or_not_at_all(data
     assert_like_websockets(whole[:place] + other + whole[place + length :])
 
 
-@pytest.mark.parametrize(
-    "sent",
-    [
+def test_a_request_as_clients_send_it_is_read_in_one_step() -> None:
+    for sent in (
         plain(),
         plain(Upgrade="WebSocket", Connection="keep-alive, Upgrade"),
         plain(Origin="http://localhost", User_Agent="Mozilla/5.0 (X11; Linux)", Cookie="a=b; c=d"),
         plain(Sec_WebSocket_Extensions="permessage-deflate; client_max_window_bits"),
         plain(Authorization="Bearer secret"),
-    ],
-)
-def test_a_request_as_clients_send_it_is_read_in_one_step(sent: bytes) -> None:
-    assert read_upgrade(sent) is not None
-    assert_like_websockets(sent)
+    ):
+        assert read_upgrade(sent) is not None, sent
+        assert_like_websockets(sent)
 
 
-@pytest.mark.parametrize(
-    "sent",
-    [
-        plain()[:-1],
-        plain() + b"\x81",
-        plain(Upgrade=None),
-        plain(Connection="close"),
-        plain(Sec_WebSocket_Key="short"),
-        plain(Sec_WebSocket_Version="8"),
-        plain(Sec_WebSocket_Protocol="rosbridge"),
-        plain(Content_Length="5"),
-        plain(Transfer_Encoding="chunked"),
-        plain(X="\xe9"),
-        plain(X="a\r\n folded"),
+def test_any_other_request_is_left_to_websockets() -> None:
+    others = [plain()[:-1], plain() + b"\x81", plain(Upgrade=None), plain(Connection="close")]
+    others += [plain(Sec_WebSocket_Key="short"), plain(Sec_WebSocket_Version="8"), plain(Sec_WebSocket_Protocol="a")]
+    others += [plain(Content_Length="5"), plain(Transfer_Encoding="chunked"), plain(X="\xe9"), plain(X="a\r\n folded")]
+    others += [
         request([*PLAIN.items(), *((f"X-{number}", "") for number in range(64))]),
-        request(list(PLAIN.items()), "HEAD / HTTP/1.1"),
-        request(list(PLAIN.items()), "GET http://localhost/ HTTP/1.1"),
         plain(X="x" * MAX_UPGRADE_BYTES),
-    ],
-)
-def test_any_other_request_is_left_to_websockets(sent: bytes) -> None:
-    assert read_upgrade(sent) is None
+    ]
+    others += [request([*PLAIN.items()], f"{line} HTTP/1.1") for line in ("HEAD /", "GET http://localhost/")]
+    assert [sent for sent in others if read_upgrade(sent) is not None] == []

@@ -1,7 +1,6 @@
 import asyncio
 import contextlib
 import errno
-import json
 import resource
 import socket
 import ssl
@@ -19,19 +18,7 @@ from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
-from server.gateway.listener import (
-    COUNT_TOPIC,
-    LIST_PERIOD_S,
-    LIST_TOPIC,
-    SPARE,
-    ClientList,
-    Listener,
-    Place,
-    Tls,
-    listen,
-    raise_file_limit,
-    resolve,
-)
+from server.gateway.listener import LIST_PERIOD_S, SPARE, ClientList, Listener, Place, Tls, listen
 from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -43,7 +30,9 @@ from tests.helpers.gateway import (
     exchange,
     limiter_of,
     listening,
+    receive,
     request,
+    say,
     status,
     until_empty,
 )
@@ -57,10 +46,6 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Pair, Pair]:
     return make_pair(tmp_path_factory.mktemp("one")), make_pair(tmp_path_factory.mktemp("other"))
 
 
-def test_nothing_older_than_tls_1_2_is_spoken(pairs: tuple[Pair, Pair]) -> None:
-    assert Tls(*pairs[0]).context.minimum_version is ssl.TLSVersion.TLSv1_2
-
-
 def test_a_key_of_another_certificate_is_named(pairs: tuple[Pair, Pair]) -> None:
     one, other = pairs
     with pytest.raises(ConfigurationError) as refused:
@@ -70,17 +55,15 @@ def test_a_key_of_another_certificate_is_named(pairs: tuple[Pair, Pair]) -> None
     )
 
 
-@pytest.mark.parametrize(("which", "kind"), [("certificate", "CERTIFICATE"), ("key", "PRIVATE KEY")])
-def test_a_file_that_is_missing_or_of_something_else_is_named(
-    pairs: tuple[Pair, Pair], which: str, kind: str, tmp_path: Path
-) -> None:
-    other = tmp_path / "x.pem"
-    pair = pairs[0]._replace(**{which: other})
-    with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*x.pem cannot be read: No such file"):
-        Tls(*pair)
-    other.write_bytes(b"\xff\x00 nothing of that kind")
-    with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*x.pem has no {kind} in PEM format"):
-        Tls(*pair)
+def test_a_file_that_is_missing_or_of_something_else_is_named(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
+    for which, kind in (("certificate", "CERTIFICATE"), ("key", "PRIVATE KEY")):
+        other = tmp_path / f"{which}.pem"
+        pair = pairs[0]._replace(**{which: other})
+        with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*{which}.pem cannot be read: No such file"):
+            Tls(*pair)
+        other.write_bytes(b"\xff\x00 nothing of that kind")
+        with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*{which}.pem has no {kind} in PEM format"):
+            Tls(*pair)
 
 
 def test_a_key_with_a_passphrase_is_refused_without_a_prompt(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
@@ -114,6 +97,7 @@ def test_only_a_sound_pair_is_taken(pairs: tuple[Pair, Pair], tmp_path: Path, ca
     one, other = pairs
     used = copied(one, Pair(tmp_path / "certificate.pem", tmp_path / "key.pem"))
     tls = Tls(*used)
+    assert tls.context.minimum_version is ssl.TLSVersion.TLSv1_2
     first = certificate_shown(tls)
     assert first == ssl.PEM_cert_to_DER_cert(one.certificate.read_text())
     used.certificate.write_bytes(other.certificate.read_bytes())
@@ -157,13 +141,12 @@ async def is_ended(reader: asyncio.StreamReader) -> bool:
 
 async def talk(url: str, tls: ssl.SSLContext | None, topic: str = "/t") -> None:
     """Send and hear large messages, and many small ones at once."""
-    async with connect(url, ssl=tls) as client, asyncio.timeout(TIMEOUT_S):
-        await client.send(json.dumps({"op": "subscribe", "topic": topic, "type": "std_msgs/String"}))
+    async with connect(url, ssl=tls) as client:
+        await say(client, "subscribe", topic=topic, type="std_msgs/String")
         for sizes in ([500_000], [1_000_000], [1] * 300):
             for size in sizes:
-                await client.send(json.dumps({"op": "publish", "topic": topic, "msg": {"data": "x" * size}}))
-            heard = [json.loads(await client.recv())["msg"]["data"] for _ in sizes]
-            assert [len(data) for data in heard] == sizes
+                await say(client, "publish", topic=topic, msg={"data": "x" * size})
+            assert [len((await receive(client))["msg"]["data"]) for _ in sizes] == sizes
 
 
 @pytest.mark.parametrize("over_tls", [False, True], ids=["plain", "tls"])
@@ -229,11 +212,11 @@ async def test_a_new_certificate_is_for_new_connections(pairs: tuple[Pair, Pair]
             await asyncio.wait_for(await client.ping(), TIMEOUT_S)
 
 
-def test_clients_that_come_at_once_are_told_of_together_and_a_late_subscriber_gets_their_list() -> None:
+def test_clients_that_come_at_once_are_told_of_together_until_the_end_and_a_late_subscriber_gets_their_list() -> None:
     graph, clock = Graph(REGISTRY, wall_clock=lambda: 7.0), FakeClock()
     clients = ClientList(graph, clock.call_later)
     clients.open()
-    counts, lists = subscribe(graph, COUNT_TOPIC), subscribe(graph, LIST_TOPIC)
+    counts, lists = subscribe(graph, listener_module.COUNT_TOPIC), subscribe(graph, listener_module.LIST_TOPIC)
 
     def told() -> list[tuple[int, int]]:
         return [(count["data"], len(each["clients"])) for count, each in zip(counts, lists, strict=True)]
@@ -250,15 +233,10 @@ def test_clients_that_come_at_once_are_told_of_together_and_a_late_subscriber_ge
     clock.advance(10 * LIST_PERIOD_S)
     assert told()[3:] == [(1, 1)]
     kept = {"clients": [{"ip_address": "10.0.0.99", "connection_time": {"sec": 7, "nanosec": 0}}]}
-    assert subscribe(graph, LIST_TOPIC) == [kept]
-
-
-def test_a_list_that_is_closed_publishes_no_more() -> None:
-    graph, clock = Graph(REGISTRY), FakeClock()
-    clients = ClientList(graph, clock.call_later)
-    clients.open()
-    for name in ("a", "b"):
-        clients.add(Node(name), "10.0.0.1")
+    assert subscribe(graph, listener_module.LIST_TOPIC) == [kept]
+    for node in nodes[:2]:
+        clients.add(node, "10.0.0.1")
+    assert clock.waiting == 1
     clients.close()
     assert clock.waiting == 0
 
@@ -269,25 +247,14 @@ async def listener() -> AsyncIterator[Listener]:
         yield made
 
 
-async def test_a_message_in_1024_byte_frames_is_one_message(listener: Listener) -> None:
-    async with connect(listener.url, max_size=None) as websocket:
-        await websocket.send(json.dumps({"op": "subscribe", "topic": "/t", "type": "std_msgs/String"}))
-        frame = json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 6_000_000}})
-        await websocket.send(frame[start : start + 1024] for start in range(0, len(frame), 1024))
-        received = await asyncio.wait_for(websocket.recv(), TIMEOUT_S)
-    assert len(json.loads(received)["msg"]["data"]) == 6_000_000
-
-
-@pytest.mark.parametrize("limit", [None, 100_000], ids=["default", "set"])
-async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on(limit: int | None) -> None:
-    limits = Limits() if limit is None else Limits(max_message_bytes=limit)
-    limit = limit or Limits().max_message_bytes
-    async with listening(ServerSettings(port=0, limits=limits)) as made, connect(made.url, max_size=None) as websocket:
-        await websocket.send(json.dumps({"op": "set_level", "level": "error"}))
-        await websocket.send("x" * (limit + 1))
-        told = json.loads(await asyncio.wait_for(websocket.recv(), TIMEOUT_S))
+async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on() -> None:
+    settings = ServerSettings(port=0, limits=Limits(max_message_bytes=100_000))
+    async with listening(settings) as made, connect(made.url) as websocket:
+        await say(websocket, "set_level", level="error")
+        await websocket.send("x" * 100_001)
+        told = await receive(websocket)
         await asyncio.wait_for(await websocket.ping(), TIMEOUT_S)
-    assert told == {"op": "status", "level": "error", "msg": f"message of {limit + 1} bytes, the limit is {limit}"}
+    assert told == {"op": "status", "level": "error", "msg": "message of 100001 bytes, the limit is 100000"}
 
 
 async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_about_it() -> None:
@@ -297,13 +264,14 @@ async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_abo
     assert listener.port == 0
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
-async def test_the_listener_tells_where_it_is(host: str) -> None:
-    listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0))
-    await listener.bind()
-    assert listener.url == f"ws://{host}:{listener.port}"
-    assert listener.page_url == f"http://{host}:{listener.port}/"
-    await listener.close()
+async def test_the_listener_tells_where_it_is() -> None:
+    for host in ("127.0.0.1", "localhost"):
+        listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0))
+        await listener.bind()
+        assert listener.url == f"ws://{host}:{listener.port}"
+        assert listener.page_url == f"http://{host}:{listener.port}/"
+        assert (listener.tcp_port, listener.tcp_url) == (None, None)
+        await listener.close()
     assert Listener(Graph(REGISTRY), ServerSettings(host="::1", port=9090)).url == "ws://[::1]:9090"
 
 
@@ -333,17 +301,17 @@ def has_ipv6() -> bool:
 
 
 async def test_a_host_is_all_its_addresses_and_no_host_those_of_the_machine() -> None:
-    assert await resolve("127.0.0.1", 9090) == [IPV4]
-    assert await resolve("::1", 9090) == [IPV6]
-    assert IPV4 in await resolve("localhost", 9090)
-    assert "0.0.0.0" in {place.address for place in await resolve("", 9090)}
+    assert await listener_module.resolve("127.0.0.1", 9090) == [IPV4]
+    assert await listener_module.resolve("::1", 9090) == [IPV6]
+    assert IPV4 in await listener_module.resolve("localhost", 9090)
+    assert "0.0.0.0" in {place.address for place in await listener_module.resolve("", 9090)}
 
 
 async def test_a_name_that_there_is_not_is_told() -> None:
     with pytest.raises(StartError, match=r"cannot listen on no\.\.where:9090: this is no name of a host"):
-        await resolve("no..where", 9090)
+        await listener_module.resolve("no..where", 9090)
     with pytest.raises(StartError, match=r"cannot listen on 127\.0\.0\.256:9090: "):
-        await resolve("127.0.0.256", 9090)
+        await listener_module.resolve("127.0.0.256", 9090)
 
 
 @pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
@@ -413,21 +381,16 @@ FILE_LIMITS = [
 ]
 
 
-@pytest.mark.parametrize(("soft", "hard", "wanted", "clients", "raised"), FILE_LIMITS)
 def test_the_limit_is_raised_as_far_as_is_needed_and_reduces_the_number_of_clients_where_that_is_not_enough(
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    soft: int,
-    hard: int,
-    wanted: int,
-    clients: int,
-    raised: int,
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    limit = Limit(monkeypatch, soft, hard)
-    assert raise_file_limit(wanted) == clients
-    assert limit.value == (raised, hard)
-    told = [] if clients == wanted else [f"it serves {clients} clients at a time, not server.max_clients = {wanted}"]
-    assert [words for words, line in zip(told, caplog.messages, strict=True) if words not in line] == []
+    for soft, hard, wanted, clients, raised in FILE_LIMITS:
+        caplog.clear()
+        limit = Limit(monkeypatch, soft, hard)
+        assert listener_module.raise_file_limit(wanted) == clients
+        assert limit.value == (raised, hard)
+        reduced = f"it serves {clients} clients at a time, not server.max_clients = {wanted}"
+        assert [reduced in line for line in caplog.messages] == [True] * (clients != wanted)
 
 
 async def test_clients_beyond_the_system_s_limit_of_open_files_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

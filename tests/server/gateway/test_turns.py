@@ -1,5 +1,6 @@
 import asyncio
 import threading
+from collections.abc import Iterator
 
 import pytest
 
@@ -9,59 +10,56 @@ from protocol.publication import EncodedMessage, Frame
 from server.gateway.turns import Threads
 
 
-class TestThreads:
-    """Threads of a gateway."""
+@pytest.fixture
+def threads() -> Iterator[Threads]:
+    made = Threads()
+    yield made
+    made.close()
 
-    async def test_a_job_ends_in_the_event_loop_with_its_result_and_its_cost(self) -> None:
-        threads, ended = Threads(), asyncio.get_running_loop().create_future()
-        threads.run(
-            threading.get_ident,
-            lambda thread, cost_s: ended.set_result((thread, cost_s, threading.get_ident())),
-            lambda: None,
-        )
-        thread, cost_s, ended_in = await asyncio.wait_for(ended, TIMEOUT_S)
-        threads.close()
-        assert thread != ended_in == threading.get_ident()
-        assert cost_s >= 0
 
-    async def test_a_job_that_raises_is_logged_and_tells_that_it_failed(self, caplog: pytest.LogCaptureFixture) -> None:
-        threads, failed = Threads(), asyncio.Event()
+async def test_a_job_ends_in_the_event_loop_with_its_result_and_its_cost(threads: Threads) -> None:
+    ended = asyncio.get_running_loop().create_future()
+    threads.run(
+        threading.get_ident,
+        lambda thread, cost_s: ended.set_result((thread, cost_s, threading.get_ident())),
+        lambda: None,
+    )
+    thread, cost_s, ended_in = await asyncio.wait_for(ended, TIMEOUT_S)
+    assert thread != ended_in == threading.get_ident()
+    assert cost_s >= 0
 
-        def job() -> None:
-            raise RuntimeError("broken")
 
-        threads.run(job, lambda _result, _cost_s: None, failed.set)
-        await asyncio.wait_for(failed.wait(), TIMEOUT_S)
-        threads.close()
-        assert "broken" in caplog.text
+async def test_a_job_that_raises_is_logged_and_tells_that_it_failed(
+    threads: Threads, caplog: pytest.LogCaptureFixture
+) -> None:
+    failed = asyncio.Event()
 
-    async def test_a_message_is_encoded_once_for_all_who_ask(self) -> None:
-        threads, encoded, ready = Threads(), [], asyncio.Semaphore(0)
+    def job() -> None:
+        raise RuntimeError("broken")
 
-        def encode() -> EncodedMessage:
-            encoded.append(1)
-            return EncodedMessage(Frame(b"{}", text=True))
+    threads.run(job, lambda _result, _cost_s: None, failed.set)
+    await asyncio.wait_for(failed.wait(), TIMEOUT_S)
+    assert "broken" in caplog.text
 
-        message = EncodedMessage.later(encode, 100)
-        for _ in range(3):
-            threads.encode(message, ready.release)
-        async with asyncio.timeout(TIMEOUT_S):
-            for _ in range(3):
-                await ready.acquire()
-        threads.close()
-        assert encoded == [1]
-        assert message.ready
 
-    async def test_an_unencodable_message_is_left_out_with_a_log_line(self, caplog: pytest.LogCaptureFixture) -> None:
-        threads, ready = Threads(), asyncio.Event()
+async def test_a_message_is_encoded_once_for_all_who_ask_and_left_out_with_a_log_line_if_it_cannot_be(
+    threads: Threads, caplog: pytest.LogCaptureFixture
+) -> None:
+    encoded, ready = [], asyncio.Semaphore(0)
 
-        def encode() -> EncodedMessage:
-            raise MessageError("a number", "nothing")
+    def encode() -> EncodedMessage:
+        encoded.append(1)
+        return EncodedMessage(Frame(b"{}", text=True))
 
-        message = EncodedMessage.later(encode, 100)
-        threads.encode(message, ready.set)
-        await asyncio.wait_for(ready.wait(), TIMEOUT_S)
-        threads.close()
-        assert message.ready
-        assert message.frames == ()
-        assert "not delivered" in caplog.text
+    def fail() -> EncodedMessage:
+        raise MessageError("a number", "nothing")
+
+    message, other = EncodedMessage.later(encode, 100), EncodedMessage.later(fail, 100)
+    for each in (message, message, message, other):
+        threads.encode(each, ready.release)
+    async with asyncio.timeout(TIMEOUT_S):
+        for _ in range(4):
+            await ready.acquire()
+    assert encoded == [1]
+    assert (message.ready, other.ready, other.frames) == (True, True, ())
+    assert "not delivered" in caplog.text

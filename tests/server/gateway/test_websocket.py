@@ -12,7 +12,6 @@ from typing import NamedTuple
 import pytest
 from pydantic import SecretStr
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
 from harness.waiting import until
@@ -37,7 +36,9 @@ from tests.helpers.gateway import (
     exchange,
     limiter_of,
     listening,
+    receive,
     request,
+    say,
     status,
     until_empty,
     warnings_of,
@@ -45,6 +46,7 @@ from tests.helpers.gateway import (
 from tests.helpers.messages import REGISTRY
 
 TALKER = Node("talker")
+TOKENS = AccessSettings(token=SecretStr("right-" * 6))
 NUMBERS = [str(number) for number in range(300)]
 
 
@@ -55,20 +57,18 @@ class Link(NamedTuple):
     server: WebSocket
     graph: Graph
 
-    async def subscribe(self) -> None:
-        await self.client.send(json.dumps({"op": "subscribe", "topic": "/t"}))
-        await until(lambda: self.graph.subscribers("/t"))
-
     async def received(self, count: int) -> list[str]:
-        async with asyncio.timeout(TIMEOUT_S):
-            return [json.loads(await self.client.recv())["msg"]["data"] for _ in range(count)]
+        return [(await receive(self.client))["msg"]["data"] for _ in range(count)]
 
 
 @contextlib.asynccontextmanager
 async def linked() -> AsyncIterator[Link]:
+    """A client that has subscribed to /t."""
     graph = Graph(REGISTRY)
     graph.advertise(TALKER, "/t", "std_msgs/String")
     async with listening(graph=graph) as listener, connect(listener.url, compression=None) as client:
+        await say(client, "subscribe", topic="/t")
+        await until(lambda: graph.subscribers("/t"))
         (server,) = listener._transports
         assert isinstance(server, WebSocket)
         yield Link(client, server, graph)
@@ -99,7 +99,6 @@ async def test_a_flood_is_carried_out_in_order_however_it_is_cut_and_however_lon
     numbers = NUMBERS if piece_bytes > 7 else NUMBERS[:30]
     flood = flood_of(numbers)
     async with linked() as link:
-        await link.subscribe()
         for begin in range(0, len(flood), piece_bytes):
             link.server.data_received(flood[begin : begin + piece_bytes])
         assert await link.received(len(numbers)) == numbers
@@ -120,7 +119,6 @@ async def test_long_messages_fragments_and_pings_keep_their_order_among_whole_me
     )
     sent = b"".join(whole)
     async with linked() as link:
-        await link.subscribe()
         for begin in range(0, len(sent), piece_bytes):
             link.server.data_received(sent[begin : begin + piece_bytes])
         assert await link.received(len(wanted)) == wanted
@@ -140,7 +138,6 @@ async def test_frames_that_come_along_with_the_request_are_carried_out() -> None
 
 async def test_a_connection_that_is_held_reads_on_where_it_stopped() -> None:
     async with linked() as link:
-        await link.subscribe()
         link.server.hold_reading()
         link.server.data_received(FLOOD)
         assert link.server._data == FLOOD
@@ -174,14 +171,12 @@ async def test_a_connection_whose_message_finds_no_memory_is_closed_with_one_lin
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     async with linked() as link:
-        await link.subscribe()
         if place == "kept":
             link.server._data = FullMemory(b"{")
         else:
             name = "server.gateway.websocket.apply_mask" if place == "read" else "protocol.codecs.json.orjson.loads"
             monkeypatch.setattr(name, full)
-        long = json.dumps({"op": "publish", "topic": "/t", "msg": {"data": "x" * 3_000_000}})
-        await link.client.send(long if place == "thread" else "{}")
+        await link.client.send(publication("x" * 3_000_000).decode() if place == "thread" else "{}")
         await refused_for_memory(link, caplog)
         assert (link.client.close_code, link.client.close_reason) == (1011, OUT_OF_MEMORY)
 
@@ -192,7 +187,6 @@ async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_conn
 ) -> None:
     monkeypatch.setattr(transport, "BURST_S", burst_s)
     async with linked() as link:
-        await link.subscribe()
         link.graph.publish(TALKER, "/t", {"data": "before"})
         link.server._transport = FullTransport(link.server._transport)  # type: ignore[assignment]
         link.graph.publish(TALKER, "/t", {"data": "hello"})
@@ -202,29 +196,24 @@ async def test_a_message_that_cannot_be_written_for_want_of_memory_ends_its_conn
 @pytest.mark.parametrize(
     ("sent", "code"),
     [
-        (frame(b"\xff"), 1007),
-        (frame(b"\xff", fin=False) + frame(b"", Opcode.CONT), 1007),
-        # Not masked.
-        (b"\x81\x02{}", 1002),
+        pytest.param(frame(b"\xff"), 1007, id="no UTF-8"),
+        pytest.param(frame(b"\xff", fin=False) + frame(b"", Opcode.CONT), 1007, id="no UTF-8 in pieces"),
+        pytest.param(b"\x81\x02{}", 1002, id="no mask"),
         # FIN, RSV1 and text, as compressed frames have it; masked by zeros.
-        (b"\xc1\x84\x00\x00\x00\x00bomb", 1002),
-        # A message within another one.
-        (frame(b"{", fin=False) + frame(b"{}"), 1002),
-        (frame(b"{", Opcode.CONT), 1002),
+        pytest.param(b"\xc1\x84\x00\x00\x00\x00bomb", 1002, id="compressed"),
+        pytest.param(frame(b"{", fin=False) + frame(b"{}"), 1002, id="interleaved"),
+        pytest.param(frame(b"{", Opcode.CONT), 1002, id="no beginning"),
     ],
-    ids=["no UTF-8", "no UTF-8 in pieces", "no mask", "compressed", "interleaved", "no beginning"],
 )
 async def test_a_frame_against_the_rules_ends_its_connection_with_a_code(sent: bytes, code: int) -> None:
     async with linked() as link:
         link.client.transport.write(sent)
-        with pytest.raises(ConnectionClosed):
-            await asyncio.wait_for(link.client.recv(), TIMEOUT_S)
+        await asyncio.wait_for(link.client.wait_closed(), TIMEOUT_S)
         assert link.client.close_code == code
 
 
 async def test_who_has_not_authenticated_sends_no_long_message_in_pieces_either() -> None:
-    access = Access(AccessSettings(token=SecretStr("right-" * 6)))
-    async with listening(access=access) as listener, connect(listener.url, compression=None) as client:
+    async with listening(access=Access(TOKENS)) as listener, connect(listener.url, compression=None) as client:
         client.transport.write(frame(b"x" * 1000, fin=False))
         for _ in range(MAX_UNKNOWN_BYTES // 1000):
             client.transport.write(frame(b"x" * 1000, Opcode.CONT, fin=False))
@@ -236,7 +225,6 @@ async def test_who_has_not_authenticated_sends_no_long_message_in_pieces_either(
 async def test_messages_of_one_turn_arrive_in_order(monkeypatch: pytest.MonkeyPatch, burst_s: float) -> None:
     monkeypatch.setattr(transport, "BURST_S", burst_s)
     async with linked() as link:
-        await link.subscribe()
         for number in NUMBERS:
             link.graph.publish(TALKER, "/t", {"data": number})
         assert await link.received(len(NUMBERS)) == NUMBERS
@@ -256,20 +244,16 @@ async def test_in_one_turn_of_the_loop_no_more_is_taken_than_the_limit(monkeypat
         assert link.server.send_at_once(encoded)
 
 
-async def test_a_connection_that_is_closed_takes_nothing() -> None:
-    async with linked() as link:
-        await link.client.close()
-        await asyncio.wait_for(link.server.wait_ended(), TIMEOUT_S)
-        assert not link.server.send_at_once(EncodedMessage(Payload(b"{}", text=True)))
-
-
-async def test_frames_not_read_before_a_connection_ends_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_frames_not_read_before_a_connection_ends_are_dropped_and_none_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
         link.server.data_received(FLOOD)
         link.server.abort()
         await asyncio.wait_for(link.server.wait_ended(), TIMEOUT_S)
         assert not link.server._data
+        assert not link.server.send_at_once(EncodedMessage(Payload(b"{}", text=True)))
 
 
 LOWEST_S = 0.1
@@ -281,6 +265,16 @@ async def read_to_end(reader: asyncio.StreamReader) -> bytes:
             return await reader.read()
         except ConnectionError:
             return b""
+
+
+@contextlib.asynccontextmanager
+async def upgraded(
+    listener: Listener, sent: bytes = b"", path: str = "/"
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    """A WebSocket whose handshake was answered, as its socket; the bytes come along with the request."""
+    async with connected(listener.port, request(*UPGRADE, path=path) + sent) as (reader, writer):
+        assert status((await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), TIMEOUT_S)).decode()) == 101
+        yield reader, writer
 
 
 HALF_A_REQUEST = (b"G", b"GET / HTTP/1.1\r\n", b"GET / HTTP/1.1\r\nHost: localhost\r\n")
@@ -296,6 +290,13 @@ async def answered(listener: Listener, sent: bytes, *, ended: bool) -> str:
     return answer
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
+    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
+
+
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize(
     ("ended", "reason"),
     [
@@ -305,10 +306,8 @@ async def answered(listener: Listener, sent: bytes, *, ended: bool) -> str:
     ids=["waits", "ends its stream"],
 )
 async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_disconnected(
-    ended: bool, reason: str, monkeypatch: pytest.MonkeyPatch
+    ended: bool, reason: str
 ) -> None:
-    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
-    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
     async with listening() as listener:
         # Without a byte of a request nothing is answered.
         assert await answered(listener, b"", ended=ended) == ""
@@ -318,9 +317,8 @@ async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_dis
             assert reason in answer, sent
 
 
-async def test_a_client_that_sends_its_request_by_letters_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
-    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
+@pytest.mark.usefixtures("impatient")
+async def test_a_client_that_sends_its_request_by_letters_is_disconnected() -> None:
     async with listening() as listener, connected(listener.port) as (reader, writer), asyncio.timeout(TIMEOUT_S):
         ended = asyncio.create_task(read_to_end(reader))
         while not ended.done():
@@ -329,9 +327,7 @@ async def test_a_client_that_sends_its_request_by_letters_is_disconnected(monkey
 
 
 async def test_a_path_that_is_no_url_opens_a_websocket_with_its_query() -> None:
-    asked = request(*UPGRADE, path="//[?ros=1")
-    async with listening() as listener, connected(listener.port, asked) as (reader, _), asyncio.timeout(TIMEOUT_S):
-        assert status((await reader.readuntil(b"\r\n\r\n")).decode()) == 101
+    async with listening() as listener, upgraded(listener, path="//[?ros=1"):
         (server,) = listener._transports
         assert server.is_open
         assert server.query == {"ros": ["1"]}
@@ -379,8 +375,8 @@ async def test_no_token_gets_into_the_log_whatever_its_level(caplog: pytest.LogC
         for sent in (request(*UPGRADE, f"Authorization: Bearer {token}"), request(path=f"/nothing?token={token}")):
             assert await exchange(listener.port, sent)
         auth = frame(f'{{"op": "auth", "token": "{token}"}}'.encode())
-        async with connected(listener.port, request(*UPGRADE, path=f"/?token={token}") + auth) as (reader, _):
-            await reader.readuntil(b"\r\n\r\n")
+        async with upgraded(listener, auth, f"/?token={token}"):
+            pass
     ours = [record for record in caplog.records if not record.name.startswith("websockets.client")]
     assert ours
     assert not [record for record in ours if token in record.getMessage()]
@@ -394,8 +390,7 @@ async def test_the_end_of_the_server_does_not_wait_for_silent_clients(monkeypatc
 
 
 async def test_the_end_of_the_server_ends_a_client_that_does_not_listen() -> None:
-    async with listening() as listener, connected(listener.port, request(*UPGRADE)) as (reader, _):
-        await reader.readuntil(b"\r\n\r\n")
+    async with listening() as listener, upgraded(listener) as (reader, _):
         await listener.close()
         assert await read_to_end(reader)
 
@@ -418,11 +413,11 @@ async def test_a_request_over_http_is_answered_in_full_whatever_follows_it() -> 
             assert status((await read_to_end(reader)).decode()) == 404
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("sent", [request(path="/nothing"), b"what\r\n\r\n"])
 async def test_a_client_that_stays_open_after_an_answer_is_disconnected_without_a_traceback(
-    sent: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    sent: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
     async with listening() as listener, connected(listener.port, sent) as (reader, _):
         assert (await read_to_end(reader)).count(b"HTTP/1.1 4") == 1
         await until_empty(listener)
@@ -437,10 +432,9 @@ async def test_a_client_that_answers_pings_stays_and_a_pong_to_none_counts_for_n
     pings = {"ping_interval_s": LOWEST_S / 10, "ping_timeout_s": LOWEST_S}
     async with (
         listening(ServerSettings(port=0).model_copy(update=pings)) as listener,
-        connected(listener.port, request(*UPGRADE)) as (reader, writer),
+        upgraded(listener) as (reader, writer),
         asyncio.timeout(TIMEOUT_S),
     ):
-        await reader.readuntil(b"\r\n\r\n")
         asked = set()
         # Longer than the server waits for an answer to the first.
         for _ in range(20):
@@ -455,29 +449,23 @@ async def test_a_client_that_answers_pings_stays_and_a_pong_to_none_counts_for_n
         assert (await reader.read()).startswith(b"\x88\x18\x03\xf3keepalive ping timeout")
 
 
-async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
-    async with listening() as listener, connected(listener.port, request(*UPGRADE)) as (reader, writer):
-        await reader.readuntil(b"\r\n\r\n")
+@pytest.mark.usefixtures("impatient")
+async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected() -> None:
+    async with listening() as listener, upgraded(listener) as (_, writer):
         writer.write(b"\x88\x80" + bytes(4))
         await until_empty(listener)
 
 
-@pytest.mark.parametrize(
-    ("lines", "path", "answer", "reason"),
-    [
-        (("Origin: http://elsewhere.example",), "/", 403, "origin"),
-        (("Host: elsewhere.example",), "/", 421, "host"),
-        ((), "/?token=wrong", 401, "token"),
-    ],
-)
-async def test_a_refused_request_is_counted_once(lines: tuple[str, ...], path: str, answer: int, reason: str) -> None:
-    tokens = AccessSettings(token=SecretStr("right-" * 6))
-    async with listening(access=Access(tokens)) as listener:
-        host = None if lines and lines[0].startswith("Host") else "localhost"
-        refused = await exchange(listener.port, request(*UPGRADE, *lines, path=path, host=host))
-        assert status(refused) == answer
-        assert listener.refused_connections() == {"limit": 0, reason: 1}
+async def test_a_refused_request_is_counted_once() -> None:
+    async with listening(access=Access(TOKENS)) as listener:
+        for asked, answer, reason in (
+            (request(*UPGRADE, "Origin: http://elsewhere.example"), 403, "origin"),
+            (request(*UPGRADE, host="elsewhere.example"), 421, "host"),
+            (request(*UPGRADE, path="/?token=wrong"), 401, "token"),
+        ):
+            assert status(await exchange(listener.port, asked)) == answer
+            assert listener.refused_connections()[reason] == 1
+        assert listener.refused_connections() == {"limit": 0, "origin": 1, "host": 1, "token": 1}
 
 
 async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -> None:
@@ -486,7 +474,7 @@ async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -
         gc.disable()
         try:
             async with connect(f"ws://127.0.0.1:{listener.port}", compression=None) as client:
-                await client.send(json.dumps({"op": "subscribe", "topic": "/t", "type": "std_msgs/String"}))
+                await say(client, "subscribe", topic="/t", type="std_msgs/String")
                 (each,) = listener._transports
                 (connection,) = listener.traffic._open
                 assert isinstance(connection, Connection)

@@ -1,4 +1,3 @@
-from base64 import b64encode
 from typing import Any
 
 import pytest
@@ -8,7 +7,6 @@ from server.graph.actions import MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
-from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
 
 SERVER, SENDER = Node("server"), Node("sender", remote=True)
@@ -66,15 +64,6 @@ def test_a_late_listener_is_told_of_a_cancel_at_once(world: World) -> None:
     assert told == ["cancel"]
 
 
-def test_a_local_part_may_end_a_goal_later_and_as_canceled(world: World) -> None:
-    _, goals = world.offer(SERVER)
-    world.send()
-    goals[0].when_canceled(lambda: goals[0].finish(GoalStatus.CANCELED, {}))
-    assert world.results == []
-    goals[0].cancel()
-    assert world.results[0].status == 5
-
-
 def test_no_goal_lasts_for_ever(world: World) -> None:
     world.offer()
     world.send()
@@ -88,16 +77,6 @@ def test_a_goal_that_has_ended_leaves_nothing_behind(world: World) -> None:
     goals[0].finish(GoalStatus.SUCCEEDED, {})
     assert world.clock.waiting == 0
     assert not world.actions._offers["/grip"].requests
-
-
-def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:
-    _, goals = world.offer()
-    for _ in range(2):
-        world.send()
-    goal_info = {"goal_id": {"uuid": b64encode(goals[1].goal_id).decode()}}
-    response = answered(world.graph, "/grip/_action/cancel_goal", SENDER, goal_info=goal_info)
-    assert [goal.cancel_requested for goal in goals] == [False, True]
-    assert len(response.values["goals_canceling"]) == 1
 
 
 def test_the_number_of_actions_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

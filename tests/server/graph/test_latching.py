@@ -41,6 +41,11 @@ def test_recent_messages_are_bounded_the_oldest_goes(kept: LatchedMessages, monk
 FIRST, SECOND = Node("first", remote=True), Node("second", remote=True)
 
 
+def latch(kept: LatchedMessages, *topics: tuple[str, Node | None]) -> list[str | None]:
+    """Latch a message on topics, each of a client or, without one, of the server; return the refusals."""
+    return [kept.latch(published("x" * 600, topic), client) for topic, client in topics]
+
+
 class TestRoom:
     """Limits of a few messages of 600 characters."""
 
@@ -50,42 +55,35 @@ class TestRoom:
             monkeypatch.setattr(latching, f"MAX_{name}_LATCHED_BYTES", limit)
 
     def test_the_servers_latched_messages_are_bounded_in_bytes_together(self, kept: LatchedMessages) -> None:
-        assert kept.latch(published("x" * 600, "/a")) is None
         sentence = "the server has 1222 bytes latched with it, the limit is 1000"
-        assert kept.latch(published("x" * 600, "/b")) == sentence
+        assert latch(kept, ("/a", None), ("/b", None)) == [None, sentence]
         kept.unlatch("/a")
-        assert kept.latch(published("x" * 600, "/b")) is None
+        assert latch(kept, ("/b", None)) == [None]
         assert data_of(kept, 0.0, "/a") == []
 
     def test_those_of_a_client_are_bounded(self, kept: LatchedMessages) -> None:
         sentence = "this client has 1833 bytes latched with it, the limit is 1300"
-        latched = [kept.latch(published("x" * 600, topic), FIRST) for topic in ("/a", "/b", "/c")]
-        assert latched == [None, None, sentence]
-        assert kept.latch(published("y" * 600, "/b"), FIRST) is None
+        assert latch(kept, ("/a", FIRST), ("/b", FIRST), ("/c", FIRST), ("/b", FIRST)) == [None, None, sentence, None]
 
     def test_those_of_all_clients_are_bounded_together(self, kept: LatchedMessages) -> None:
         sentence = "all clients have 2444 bytes latched with it, the limit is 2000"
-        clients = (("/a", FIRST), ("/b", FIRST), ("/c", SECOND), ("/d", SECOND))
-        latched = [kept.latch(published("x" * 600, topic), client) for topic, client in clients]
-        assert latched == [None, None, None, sentence]
+        assert latch(kept, ("/a", FIRST), ("/b", FIRST), ("/c", SECOND), ("/d", SECOND)) == [None, None, None, sentence]
 
     def test_a_message_that_has_an_end_makes_room_the_earliest_first(self, kept: LatchedMessages) -> None:
         for topic in ("/a", "/b", "/c"):
-            kept.latch(published("x" * 600, topic), FIRST)
+            latch(kept, (topic, FIRST))
             kept.unlatch_at(topic, 10.0)
-        assert kept.latch(published("x" * 600, "/d"), SECOND) is None
+        assert latch(kept, ("/d", SECOND)) == [None]
         assert [bool(data_of(kept, 5.0, topic)) for topic in ("/a", "/b", "/c", "/d")] == [False, True, True, True]
 
     def test_it_makes_none_for_the_other_side(self, kept: LatchedMessages) -> None:
-        kept.latch(published("x" * 600, "/a"))
+        latch(kept, ("/a", None))
         kept.unlatch_at("/a", 10.0)
-        for topic, client in (("/b", FIRST), ("/c", FIRST), ("/d", SECOND), ("/e", SECOND)):
-            kept.latch(published("x" * 600, topic), client)
+        latch(kept, ("/b", FIRST), ("/c", FIRST), ("/d", SECOND), ("/e", SECOND))
         assert data_of(kept, 5.0, "/a") != []
 
     def test_what_is_given_up_is_off_every_account(self, kept: LatchedMessages) -> None:
-        for topic in ("/a", "/b"):
-            kept.latch(published("x" * 600, topic), FIRST)
+        latch(kept, ("/a", FIRST), ("/b", FIRST))
         kept.unlatch_at("/a", 10.0)
         kept.unlatch_at("/a", 11.0)
         for topic in ("/a", "/b"):

@@ -37,29 +37,28 @@ def refusal(limits: ListLimits, message: object, type_name: str = f"{SEQUENCE}_R
     return ""
 
 
-def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value() -> None:
-    limits = ListLimits({ITEMS: 2})
-    assert refusal(limits, {"request": {"items": [{}] * 2}}) == ""
-    refused = refusal(limits, {"request": {"items": [{}] * 3}})
-    assert refused == "field request.items: wanted at most 2 elements in all, got 3"
+BLENDED = {"req": {"path_constraints": {"joint_constraints": [{}] * 2}}}
+CONSTRAINTS = ListLimits({"moveit_msgs/msg/Constraints.joint_constraints": 3})
+FIELD = "request.items[].req.path_constraints.joint_constraints"
+ITEM_VALUES = 43
+
+
+@pytest.mark.parametrize(
+    ("limits", "item", "most", "words"),
+    [
+        (ListLimits({ITEMS: 2}), {}, 2, "field request.items: wanted at most 2 elements in all, got 3"),
+        # A limit is for all lists of the field together, and others count by the values that they stand for.
+        (CONSTRAINTS, BLENDED, 1, f"field {FIELD}: wanted at most 3 elements in all, got 4"),
+        (ListLimits(max_values=10 * ITEM_VALUES), {}, 10, "request.items: wanted at most 430 values"),
+    ],
+)
+def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value(
+    limits: ListLimits, item: dict[str, Any], most: int, words: str
+) -> None:
+    assert refusal(limits, {"request": {"items": [item] * most}}) == ""
+    assert words in refusal(limits, {"request": {"items": [item] * (most + 1)}})
     # In order of declaration, fields count as well.
-    assert "request.items" in refusal(limits, [{"items": [{}] * 3}])
-
-
-def test_a_limit_is_for_all_lists_of_the_field_together() -> None:
-    limits = ListLimits({"moveit_msgs/msg/Constraints.joint_constraints": 3})
-    item = {"req": {"path_constraints": {"joint_constraints": [{}] * 2}}}
-    assert refusal(limits, {"request": {"items": [item]}}) == ""
-    refused = refusal(limits, {"request": {"items": [item] * 2}})
-    field = "request.items[].req.path_constraints.joint_constraints"
-    assert refused == f"field {field}: wanted at most 3 elements in all, got 4"
-
-
-def test_other_lists_are_limited_by_the_values_that_they_stand_for() -> None:
-    item_values = 43
-    limits = ListLimits(max_values=10 * item_values)
-    assert refusal(limits, {"request": {"items": [{}] * 10}}) == ""
-    assert "request.items: wanted at most 430 values" in refusal(limits, {"request": {"items": [{}] * 11}})
+    assert "request.items" in refusal(limits, [{"items": [item] * (most + 1)}])
 
 
 @pytest.mark.parametrize("count", [MAX_VALUES, MAX_VALUES + 1])

@@ -4,17 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from server.monitoring.memory import (
-    EXCESS_BYTES,
-    FIRST_TRIM_S,
-    FULL_COLLECTION_PERIOD_S,
-    LONGEST_TRIM_S,
-    THRESHOLDS,
-    CollectorPolicy,
-    MemoryKeeper,
-    resident_bytes,
-    trim_heap,
-)
+from server.monitoring import memory
+from server.monitoring.memory import EXCESS_BYTES, FULL_COLLECTION_PERIOD_S, CollectorPolicy, MemoryKeeper
 
 BASE_BYTES = 80 << 20
 
@@ -87,7 +78,7 @@ def test_the_collector_is_put_back_to_what_it_was() -> None:
     before = gc.get_threshold(), list(gc.callbacks)
     collector = CollectorPolicy(keeps_frozen=True)
     collector.start()
-    assert gc.get_threshold() == THRESHOLDS
+    assert gc.get_threshold() == memory.THRESHOLDS
     collector.stop()
     collector.stop()
     assert (gc.get_threshold(), gc.callbacks) == before
@@ -169,16 +160,16 @@ async def test_trims_in_vain_become_rare(rig: KeeperRig) -> None:
     rig.resident += 10 * EXCESS_BYTES
     await rig.check(2000)
     waits = [after - before for before, after in zip(rig.trims, rig.trims[1:], strict=False)]
-    assert waits[:3] == [2 * FIRST_TRIM_S, 4 * FIRST_TRIM_S, 8 * FIRST_TRIM_S]
-    assert max(waits) == LONGEST_TRIM_S
+    assert waits[:3] == [2 * memory.FIRST_TRIM_S, 4 * memory.FIRST_TRIM_S, 8 * memory.FIRST_TRIM_S]
+    assert max(waits) == memory.LONGEST_TRIM_S
 
 
 async def test_after_a_gain_the_next_trim_comes_soon_again(rig: KeeperRig) -> None:
     rig.resident += 10 * EXCESS_BYTES
     await rig.check(1000)
     rig.gain = 4 * EXCESS_BYTES
-    await rig.check(int(LONGEST_TRIM_S) + int(FIRST_TRIM_S))
-    assert rig.trims[-1] - rig.trims[-2] == FIRST_TRIM_S
+    await rig.check(int(memory.LONGEST_TRIM_S) + int(memory.FIRST_TRIM_S))
+    assert rig.trims[-1] - rig.trims[-2] == memory.FIRST_TRIM_S
 
 
 async def test_all_is_collected_no_more_often_than_its_period(rig: KeeperRig) -> None:
@@ -190,10 +181,10 @@ def test_free_memory_between_used_memory_is_given_back() -> None:
     # Of a size that is taken from the heap, and not by itself from the system.
     taken = [bytearray(3000) for _ in range(20_000)]
     kept = taken[::50]
-    full = resident_bytes()
+    full = memory.resident_bytes()
     del taken
-    trim_heap()
-    assert full - resident_bytes() > 40_000_000
+    memory.trim_heap()
+    assert full - memory.resident_bytes() > 40_000_000
     assert kept
 
 

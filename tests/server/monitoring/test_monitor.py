@@ -30,37 +30,14 @@ from robot.trajectory import Trajectory
 from server.execution.goal import Answer
 from server.execution.motions import Performed
 from server.gateway.connection import Traffic, TrafficCounts
-from server.monitoring import monitor as monitor_module
+from server.monitoring import monitor as parts
 from server.monitoring.health import Health, Sources, check_health
-from server.monitoring.monitor import (
-    ARM_HEALTH_STALE_S,
-    WATCHDOG_NOTIFICATIONS,
-    GoalCounters,
-    Metrics,
-    Monitor,
-    arm_health_metrics,
-    arm_metrics,
-    client_metrics,
-    planner_metrics,
-    process_metrics,
-    queue_metrics,
-    recording_metrics,
-    refusal_metrics,
-    zenoh_metrics,
-)
+from server.monitoring.monitor import GoalCounters, Metrics, Monitor
 from server.monitoring.systemd import SystemdNotifier
 from tests.helpers.clock import SteppedLoop
 from tests.helpers.cost import count_calls
-from tests.server.monitoring.watched_parts import (
-    NOW_S,
-    WatchedArm,
-    WatchedPlanners,
-    WatchedQueue,
-    WatchedRecorder,
-    arm_health,
-    arm_state,
-    watched_sources,
-)
+from tests.server.monitoring import watched_parts as watched
+from tests.server.monitoring.watched_parts import NOW_S, WatchedArm, WatchedRecorder, arm_health, arm_state
 from tests.test_readme import blocks
 
 # A scrape holds the event loop up; this many calls take some 2 ms.
@@ -76,53 +53,45 @@ def samples(metrics: Iterable[Metric]) -> dict[tuple[str, ...], float]:
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """The monitor's clocks, which stand; all is watched at this time."""
     stands = SimpleNamespace(monotonic=lambda: NOW_S, time=lambda: NOW_S)
-    monkeypatch.setattr(monitor_module, "time", stands)
+    monkeypatch.setattr(parts, "time", stands)
     return stands
 
 
 @pytest.fixture
 def sources(clock: SimpleNamespace) -> Sources:
-    return watched_sources()
+    return watched.watched_sources()
 
 
 def exposed(sources: Sources) -> Mapping[str, float]:
-    """Every sample by its name and labels."""
-    text = Metrics(sources).expose("")[0].decode()
-    found: dict[str, float] = {}
-    for family in parse(text):
-        for each in family.samples:
-            labels = ",".join(f"{key}={value}" for key, value in sorted(each.labels.items()))
-            key = f"{each.name}{{{labels}}}" if labels else each.name
-            assert key not in found
-            found[key] = each.value
-    return found
+    """Every sample by its name and labels, none of which comes twice."""
+    found = [
+        (each.name + "".join(f" {key}={value}" for key, value in sorted(each.labels.items())), each.value)
+        for family in parse(Metrics(sources).expose("")[0].decode())
+        for each in family.samples
+    ]
+    assert len(found) == len(dict(found))
+    return dict(found)
 
 
 def test_absent_parts_have_no_metrics() -> None:
     found = exposed(Sources())
     assert found["armbridge_ready"] == 0
-    assert not [name for name in found if "servo" in name or "client" in name or "goal" in name]
+    assert not [name for name in found if re.search("servo|client|goal", name)]
 
 
+# Age of the report beyond the limit [s], and its real time factor: a slow simulated arm reports as seldom as it passes.
 @pytest.mark.parametrize(
-    ("age_s", "real_time_factor", "told"),
-    [
-        (ARM_HEALTH_STALE_S - 0.1, 1.0, True),
-        (ARM_HEALTH_STALE_S + 1.0, 1.0, False),
-        (ARM_HEALTH_STALE_S + 1.0, 0.25, True),
-        (ARM_HEALTH_STALE_S - 0.1, 10.0, True),
-    ],
-    ids=["present", "old", "of a slow simulated arm, which reports as seldom as its time passes", "of a fast one"],
+    ("age_s", "factor", "told"),
+    [(-0.1, 1.0, True), (1.0, 1.0, False), (1.0, 0.25, True), (-0.1, 10.0, True)],
 )
 @pytest.mark.parametrize("jump_s", [0.0, 6.3e8])
 def test_an_old_condition_is_not_told_as_if_it_were_the_present_one(
-    sources: Sources, clock: SimpleNamespace, age_s: float, real_time_factor: float, jump_s: float, told: bool
+    sources: Sources, clock: SimpleNamespace, age_s: float, factor: float, jump_s: float, told: bool
 ) -> None:
-    assert sources.arm_health is not None
-    sources.arm_health = replace(sources.arm_health, real_time_factor=real_time_factor)
-    clock.monotonic = lambda: NOW_S + age_s
+    sources.arm_health = replace(arm_health(), real_time_factor=factor)
+    clock.monotonic = lambda: NOW_S + parts.ARM_HEALTH_STALE_S + age_s
     # That the machine's clock was set makes no report an old one.
-    clock.time = lambda: NOW_S + age_s + jump_s
+    clock.time = lambda: clock.monotonic() + jump_s
     found = [name for name in exposed(sources) if name.startswith(("armbridge_servo", "armbridge_bus"))]
     assert bool(found) is told
 
@@ -176,39 +145,6 @@ def test_only_what_was_planned_and_moved_is_timed() -> None:
     assert [found["armbridge_goal_planning_seconds_bucket", bound] for bound in ("0.25", "0.5")] == [0, 1]
 
 
-# Queue, planners, recording.
-
-
-COUNTED: dict[str, tuple[Iterator[Metric], dict[tuple[str, ...], float]]] = {
-    "goals": (queue_metrics(WatchedQueue(2, 1)), {("goals_waiting",): 2, ("goals_in_hand",): 1}),
-    "no goals": (queue_metrics(WatchedQueue(0, 0)), {("goals_waiting",): 0, ("goals_in_hand",): 0}),
-    "planners": (
-        planner_metrics(WatchedPlanners(loaded_count=2, idle_count=1, waiting_count=3)),
-        {("planners_loaded",): 2, ("planners_idle",): 1, ("planners_waiting_requests",): 3},
-    ),
-    "a recording": (
-        recording_metrics(WatchedRecorder(dropped=4, queued=5, ended=True)),
-        {("recording",): 0, ("recording_waiting_messages",): 5, ("recording_dropped_messages_total",): 4},
-    ),
-    "refused connections": (
-        refusal_metrics(lambda: {"origin": 3, "limit": 0}),
-        {("refused_connections_total", "origin"): 3, ("refused_connections_total", "limit"): 0},
-    ),
-    "messages lost between machines": (
-        zenoh_metrics(WatchedRecorder(dropped=7)),
-        {("zenoh_dropped_messages_total",): 7},
-    ),
-}
-
-
-@pytest.mark.parametrize(("metrics", "counts"), COUNTED.values(), ids=COUNTED.keys())
-def test_each_part_is_counted_by_what_it_does(metrics: Iterator[Metric], counts: dict[tuple[str, ...], float]) -> None:
-    assert samples(metrics) == {(f"armbridge_{name}", *labels): value for (name, *labels), value in counts.items()}
-
-
-# Clients and other machines.
-
-
 class Talk:
     """A connection."""
 
@@ -218,65 +154,73 @@ class Talk:
         return TrafficCounts(1, 2, 3, 4, 5, 6)
 
 
-def test_each_count_is_told_under_its_own_name() -> None:
+def of_two_clients() -> Iterator[Metric]:
     traffic = Traffic()
     for _ in range(2):
         traffic.add(Talk())
-    assert samples(client_metrics(traffic)) == {
-        ("armbridge_clients",): 2,
-        ("armbridge_clients_queued_bytes",): 140,
-        ("armbridge_clients_queued_greatest_bytes",): 70,
-        ("armbridge_connections_total",): 2,
-        ("armbridge_received_messages_total",): 2,
-        ("armbridge_received_bytes_total",): 4,
-        ("armbridge_sent_messages_total",): 6,
-        ("armbridge_sent_bytes_total",): 8,
-        ("armbridge_dropped_messages_total",): 10,
-        ("armbridge_refused_operations_total",): 12,
-    }
+    return parts.client_metrics(traffic)
 
 
-# The arm.
+# Metrics of a part, and values by name and labels.
+COUNTED: list[tuple[Iterator[Metric], dict[str, float]]] = [
+    (parts.queue_metrics(watched.WatchedQueue(2, 1)), {"goals_waiting": 2, "goals_in_hand": 1}),
+    (parts.queue_metrics(watched.WatchedQueue(0, 0)), {"goals_waiting": 0, "goals_in_hand": 0}),
+    (
+        parts.planner_metrics(watched.WatchedPlanners(loaded_count=2, idle_count=1, waiting_count=3)),
+        {"planners_loaded": 2, "planners_idle": 1, "planners_waiting_requests": 3},
+    ),
+    (
+        parts.recording_metrics(WatchedRecorder(dropped=4, queued=5, ended=True)),
+        {"recording": 0, "recording_waiting_messages": 5, "recording_dropped_messages_total": 4},
+    ),
+    (
+        parts.refusal_metrics(lambda: {"origin": 3, "limit": 0}),
+        {"refused_connections_total origin": 3, "refused_connections_total limit": 0},
+    ),
+    (parts.zenoh_metrics(WatchedRecorder(dropped=7)), {"zenoh_dropped_messages_total": 7}),
+    (
+        of_two_clients(),
+        {"clients": 2, "clients_queued_bytes": 140, "clients_queued_greatest_bytes": 70, "connections_total": 2}
+        | {"received_messages_total": 2, "received_bytes_total": 4, "sent_messages_total": 6, "sent_bytes_total": 8}
+        | {"dropped_messages_total": 10, "refused_operations_total": 12},
+    ),
+    (
+        parts.arm_health_metrics(arm_health()),
+        {"bus_timeouts_total": 10, "bus_retries_total": 12, "arm_loop_lateness_seconds p99": 0.001}
+        | {"bus_round_trip_seconds max": 0.005, "servo_temperature_celsius shoulder_pan": 31}
+        | {"servo_voltage_volts gripper": 5.0, "servo_silent_cycles_total gripper": 4, "arm_real_time_factor": 1.0},
+    ),
+]
+
+
+def test_each_part_is_counted_by_what_it_does() -> None:
+    for metrics, counts in COUNTED:
+        found = {" ".join(key).removeprefix("armbridge_"): value for key, value in samples(metrics).items()}
+        assert {name: found.get(name) for name in counts} == counts
 
 
 def test_the_arms_mode_and_fault_are_ones_among_zeros() -> None:
-    found = samples(arm_metrics(WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED), 0.25)))
+    found = samples(parts.arm_metrics(WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED), 0.25)))
     assert [name[1:] for name, value in found.items() if value == 1] == [("fault",), ("overheated",)]
     assert len(found) == len(Mode) + len(FaultCode) + 1
     assert found["armbridge_arm_state_age_seconds",] == 0.25
-    sound = samples(arm_metrics(WatchedArm(arm_state())))
+    sound = samples(parts.arm_metrics(WatchedArm(arm_state())))
     assert {value for (name, *_), value in sound.items() if name == "armbridge_arm_fault"} == {0}
 
 
-def test_the_condition_is_told_in_base_units_by_joint() -> None:
-    found = samples(arm_health_metrics(arm_health()))
-    assert found["armbridge_bus_timeouts_total",] == 10
-    assert found["armbridge_bus_retries_total",] == 12
-    assert found["armbridge_arm_loop_lateness_seconds", "p99"] == 0.001
-    assert found["armbridge_bus_round_trip_seconds", "max"] == 0.005
-    assert found["armbridge_servo_temperature_celsius", "shoulder_pan"] == 31
-    assert found["armbridge_servo_voltage_volts", "gripper"] == 5.0
-    assert found["armbridge_servo_silent_cycles_total", "gripper"] == 4
-    assert found["armbridge_arm_real_time_factor",] == 1.0
-
-
 def test_an_ideal_arm_has_no_metrics_of_what_it_does_not_have() -> None:
-    servos = arm_health()
-    nan = float("nan")
-    joints = [replace(joint, temperature_c=nan, voltage_v=nan, current_a=nan) for joint in servos.joints]
-    found = samples(arm_health_metrics(replace(servos, bus=None, joints=tuple(joints), real_time_factor=0.5)))
-    assert not [name for name, *_ in found if name.startswith(("armbridge_bus", "armbridge_servo_temperature"))]
-    assert not [name for name, *_ in found if name.endswith(("_volts", "_amperes"))]
+    servos, nan = arm_health(), float("nan")
+    joints = tuple(replace(joint, temperature_c=nan, voltage_v=nan, current_a=nan) for joint in servos.joints)
+    found = samples(parts.arm_health_metrics(replace(servos, bus=None, joints=joints, real_time_factor=0.5)))
+    absent = re.compile("armbridge_bus|armbridge_servo_temperature|.*_(volts|amperes)$")
+    assert not [name for name, *_ in found if absent.match(name)]
     assert found["armbridge_servo_reply_age_seconds", "gripper"] == 0.002
     assert found["armbridge_arm_real_time_factor",] == 0.5
 
 
-# Processes.
-
-
 def figures_of(pid: int) -> dict[str, float]:
     """Metrics of a process by the last part of their names."""
-    found = samples(process_metrics({"it": pid}))
+    found = samples(parts.process_metrics({"it": pid}))
     return {name.removeprefix("armbridge_process_"): value for (name, _), value in found.items()}
 
 
@@ -321,10 +265,7 @@ def health(port: int, path: str = "/healthz") -> tuple[int, dict[str, Any]]:
 
 def metrics(port: int) -> dict[str, float]:
     """The samples of a server, by name and values of labels."""
-    text = ask(port, "/metrics")[1].decode()
-    return {
-        "/".join((each.name, *each.labels.values())): each.value for family in parse(text) for each in family.samples
-    }
+    return {"/".join(key): value for key, value in samples(parse(ask(port, "/metrics")[1].decode())).items()}
 
 
 async def test_routes_are_answered_before_any_part_is_there() -> None:
@@ -374,10 +315,7 @@ async def test_metrics_follow_what_happens(served: ServerOnBus, client: ArmClien
     assert {f"armbridge_process_threads/{name}" for name in ("server", "arm", "planner_1", "planner_2")} <= set(after)
 
 
-# The event loop.
-
 WELL = Health(live=True, ready=True)
-
 DEAD = Health(live=False, ready=False, reasons=("the arm process has been silent", "and so on"))
 
 
@@ -401,7 +339,7 @@ def monitored(notifier: Listening, *found: Health, times_s: Iterable[float]) -> 
     looks = iter(found)
     monitor = Monitor(Sources(), notifier)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(monitor_module, "check_health", lambda _sources: next(looks, found[-1]))
+        patched.setattr(parts, "check_health", lambda _sources: next(looks, found[-1]))
         for now_s in times_s:
             monitor.check(now_s)
     return notifier.heard
@@ -409,7 +347,7 @@ def monitored(notifier: Listening, *found: Health, times_s: Iterable[float]) -> 
 
 def test_signs_of_life_come_well_before_they_are_missed_and_never_from_a_dead_server() -> None:
     heard = monitored(Listening(watchdog_s=3.0), WELL, times_s=(100.0 + 0.25 * tick for tick in range(13)))
-    assert heard == ["ready", *["alive"] * (1 + int(WATCHDOG_NOTIFICATIONS))]
+    assert heard == ["ready", *["alive"] * (1 + int(parts.WATCHDOG_NOTIFICATIONS))]
     assert monitored(Listening(), DEAD, times_s=range(100, 130)) == ["the arm process has been silent; and so on"]
 
 
@@ -422,7 +360,7 @@ def test_the_status_is_told_when_it_changes_and_no_sign_of_life_where_nobody_wai
 async def test_a_blocked_event_loop_shows_as_its_lag(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = asyncio.get_running_loop()
     assert isinstance(loop, SteppedLoop)
-    monkeypatch.setattr(monitor_module, "time", SimpleNamespace(monotonic=loop.time))
+    monkeypatch.setattr(parts, "time", SimpleNamespace(monotonic=loop.time))
     monitor = Monitor(Sources(), Listening(), period_s=0.01)
     lag_s = monitor.metrics.loop_lag_s
     watching = asyncio.create_task(monitor.run())
@@ -435,9 +373,6 @@ async def test_a_blocked_event_loop_shows_as_its_lag(monkeypatch: pytest.MonkeyP
     # The look that was due 5 ms later came when the loop was free again.
     assert samples(lag_s.collect())[f"{name}_sum",] == pytest.approx(0.095)
     assert samples(lag_s.collect())[f"{name}_count",] == 7
-
-
-# Metrics over HTTP.
 
 
 async def test_the_accept_header_chooses_the_format_of_the_metrics() -> None:
@@ -453,24 +388,20 @@ async def test_the_accept_header_chooses_the_format_of_the_metrics() -> None:
 
 
 PAGE = ROOT / "docs" / "operations.md"
-
 SUFFIXES = {"counter": "_total", "info": "_info"}
 
 
-def rows() -> list[list[str]]:
-    lines = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
-    return [re.split(r" *\| *", line)[1:-1] for line in lines]
-
-
 def test_every_metric_is_on_the_page_with_its_kind_and_labels() -> None:
-    told = {}
-    for cells in rows():
-        for name in re.findall(r"`(armbridge_\w+)`", cells[0]):
-            told[name] = (cells[1], set(filter(None, re.split(r",? +", cells[2].strip()))))
+    rows = (re.split(r" *\| *", line)[1:-1] for line in PAGE.read_text().splitlines() if line.startswith("| "))
+    told = {
+        name: (cells[1], set(filter(None, re.split(r",? +", cells[2].strip()))))
+        for cells in rows
+        for name in re.findall(r"`(armbridge_\w+)`", cells[0])
+    }
     found = {}
     # Of no age, whatever the time is.
     condition = replace(arm_health(), monotonic_s=math.inf)
-    for family in Metrics(replace(watched_sources(), arm_health=condition)).registry.collect():
+    for family in Metrics(replace(watched.watched_sources(), arm_health=condition)).registry.collect():
         labels = {label for each in family.samples for label in each.labels} - {"le"}
         # Nobody has sent a goal.
         labels |= {"source", "result"} if family.name == "armbridge_goals" else set()

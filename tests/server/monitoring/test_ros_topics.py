@@ -16,19 +16,8 @@ from robot.hardware.interface import StatusFlag
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
-from server.monitoring.ros_topics import (
-    GET_LEVELS,
-    LOG_DEPTH,
-    MAX_REQUESTED,
-    MAX_WAITING,
-    ROSOUT_TOPIC,
-    SET_LEVELS,
-    TOPIC,
-    Diagnostics,
-    Rosout,
-    diagnostic_array,
-    offer_level_services,
-)
+from server.monitoring import ros_topics
+from server.monitoring.ros_topics import GET_LEVELS, MAX_REQUESTED, MAX_WAITING, SET_LEVELS, Rosout
 from tests.helpers.graph import answered, listen
 from tests.helpers.messages import REGISTRY
 
@@ -48,22 +37,28 @@ STATE = ArmState(100.0, Mode.HOLDING, ("elbow_flex",))
 NAN = float("nan")
 
 
+def timed(factor: float, rate: float = 1.0) -> dict[str, Any]:
+    """Changes of a report: the passing of a simulated arm's time."""
+    return {"real_time_factor": factor, "rate": rate}
+
+
 def statuses(
     state: ArmState = STATE, health: ArmHealth | None = HEALTH, health_age_s: float = 0.5, state_age_s: float = 0.5
 ) -> list[dict[str, Any]]:
-    told: list[dict[str, Any]] = diagnostic_array(state, health, 1e9, "so101", state_age_s, health_age_s)["status"]
+    told: list[dict[str, Any]] = ros_topics.diagnostic_array(state, health, 1e9, "so101", state_age_s, health_age_s)[
+        "status"
+    ]
     return told
 
 
 def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos() -> None:
-    arm, servo = statuses()
-    assert (arm["level"], servo["level"]) == (0, 0)
-    values = values_of(arm)
-    assert values["loop_lateness_ms"] == "p50 0.100, p99 0.200, max 0.300"
-    assert (values["bus_sent"], values["bus_timeouts"]) == ("7", "1")
-    assert servo["hardware_id"] == "servo 3"
-    assert values_of(servo)["temperature_c"] == "31"
-    assert values_of(servo)["torque"] == "on"
+    arm, servo = statuses(health=replace(HEALTH, memory_locked=True))
+    assert (arm["level"], servo["level"], servo["hardware_id"]) == (0, 0, "servo 3")
+    told = {"loop_lateness_ms": "p50 0.100, p99 0.200, max 0.300", "bus_sent": "7", "bus_timeouts": "1"}
+    told |= {"real_time_priority": "true", "memory_locked": "true"}
+    assert values_of(arm) | told == values_of(arm)
+    assert values_of(statuses()[0])["memory_locked"] == "false"
+    assert (values_of(servo)["temperature_c"], values_of(servo)["torque"]) == ("31", "on")
 
 
 def test_an_ideal_joint_has_neither_temperature_nor_bus() -> None:
@@ -75,49 +70,32 @@ def test_an_ideal_joint_has_neither_temperature_nor_bus() -> None:
     assert not [key for key in values_of(arm) if key.startswith("bus")]
 
 
-def test_priority_and_memory_of_the_arm_process_are_reported() -> None:
-    values = values_of(statuses(health=replace(HEALTH, memory_locked=True))[0])
-    assert (values["real_time_priority"], values["memory_locked"]) == ("true", "true")
-    assert values_of(statuses()[0])["memory_locked"] == "false"
-
-
-# Real time factor, rate and age of the report [s]; then the levels of the arm and of the servo, and words of the arm.
-SIMULATED = {
-    "slow": (0.42, 1.0, 0.5, 1, 0, "the arm holds, at 42% of real time: this machine is busy"),
-    "nearly in time": (0.95, 1.0, 0.5, 0, 0, "the arm holds"),
-    "slower than its rate": (6.0, 10.0, 2.0, 1, 0, "at 600% of real time, not 1000%: this machine is busy"),
-    "nearly at its rate": (9.5, 10.0, 0.5, 0, 0, "the arm holds"),
-    "slow, and seldom heard": (0.25, 1.0, 8.0, 1, 0, "at 25% of real time"),
-    "heard too seldom": (0.5, 1.0, 8.0, 1, 3, "at 50% of real time"),
-}
-
-
-@pytest.mark.parametrize(("factor", "rate", "age_s", "of_arm", "of_servo", "words"), SIMULATED.values(), ids=SIMULATED)
-def test_a_simulated_arm_says_how_its_time_passes_and_reports_as_seldom(
-    factor: float, rate: float, age_s: float, of_arm: int, of_servo: int, words: str
-) -> None:
-    arm, servo = statuses(health=replace(HEALTH, real_time_factor=factor, rate=rate), health_age_s=age_s)
-    assert (arm["level"], servo["level"]) == (of_arm, of_servo)
-    assert words in arm["message"]
-    assert values_of(arm)["real_time_factor"] == f"{factor:.2f}"
-
-
 STALLED = replace(STATE, mode=Mode.FAULT, fault=Fault(FaultCode.STALLED, "joint elbow_flex is stalled", "elbow_flex"))
 
-# State, health, and the levels and the beginnings of the messages of the arm and of the servo.
-LEVELS = {
-    "a warning of a servo": (STATE, {"joints": (replace(SERVO, warnings=(WARM,)),)}, 1, 1, "warm: 56 degC"),
-    "the joint of a fault": (STALLED, {}, 2, 2, ""),
-    "a fault of a slow arm": (STALLED, {"real_time_factor": 0.42}, 2, 2, ""),
+# State, changes of the report, its age [s]; then the levels of the arm and of the servo, and words of their messages.
+LEVELS: dict[str, tuple[ArmState, dict[str, Any], float, tuple[int, int], str, str]] = {
+    "slow": (STATE, timed(0.42), 0.5, (1, 0), "the arm holds, at 42% of real time: this machine is busy", ""),
+    "nearly in time": (STATE, timed(0.95), 0.5, (0, 0), "the arm holds", ""),
+    "slower than its rate": (STATE, timed(6.0, 10.0), 2.0, (1, 0), "at 600% of real time, not 1000%: this machine", ""),
+    "nearly at its rate": (STATE, timed(9.5, 10.0), 0.5, (0, 0), "the arm holds", ""),
+    "slow, and seldom heard": (STATE, timed(0.25), 8.0, (1, 0), "at 25% of real time", ""),
+    "heard too seldom": (STATE, timed(0.5), 8.0, (1, 3), "at 50% of real time", ""),
+    "a warning of a servo": (STATE, {"joints": (replace(SERVO, warnings=(WARM,)),)}, 0.5, (1, 1), "", "warm: 56 degC"),
+    "the joint of a fault": (STALLED, {}, 0.5, (2, 2), str(STALLED.fault), ""),
+    "a fault of a slow arm": (STALLED, timed(0.42), 0.5, (2, 2), str(STALLED.fault), ""),
+    "a silent servo": (STATE, {"joints": (replace(SERVO, age_s=2.0),)}, 0.5, (1, 3), "", ""),
+    "no report": (STATE, {}, 4.0, (1, 3), "", ""),
 }
 
 
-@pytest.mark.parametrize(("state", "changes", "of_arm", "of_servo", "words"), LEVELS.values(), ids=LEVELS.keys())
-def test_one_servo_complains(state: ArmState, changes: dict[str, Any], of_arm: int, of_servo: int, words: str) -> None:
-    arm, servo = statuses(state, replace(HEALTH, **changes))
-    assert (arm["level"], servo["level"]) == (of_arm, of_servo)
-    assert arm["message"].startswith(str(state.fault or ""))
-    assert words in servo["message"]
+@pytest.mark.parametrize("case", LEVELS)
+def test_arm_and_servo_tell_how_they_are_and_how_simulated_time_passes(case: str) -> None:
+    state, changes, age_s, levels, of_arm, of_servo = LEVELS[case]
+    arm, servo = statuses(state, replace(HEALTH, **changes), health_age_s=age_s)
+    assert (arm["level"], servo["level"]) == levels
+    assert of_arm in arm["message"]
+    assert of_servo in servo["message"]
+    assert values_of(arm)["real_time_factor"] == f"{changes.get('real_time_factor', HEALTH.real_time_factor):.2f}"
 
 
 def story(joint: JointHealth = SERVO, state: ArmState = STATE, **fields: Any) -> dict[str, str]:
@@ -139,28 +117,22 @@ def test_a_joint_tells_the_registers_of_its_servo_and_what_a_setting_should_be_t
     assert registers == {"register/P_GAIN": "16", "register/HOMING_OFFSET": "-12", "expected/P_GAIN": "32"}
 
 
-@pytest.mark.parametrize(
-    ("joint", "alert"),
-    [
+def test_an_alert_of_the_moment_has_its_advice() -> None:
+    for joint, alert in (
         (replace(SERVO, warnings=(WARM,)), "warm: "),
         (replace(SERVO, status=int(StatusFlag.ENCODER)), "encoder: "),
         (replace(SERVO, silent_cycles=100), "silent_cycles: "),
-    ],
-)
-def test_an_alert_of_the_moment_has_its_advice(joint: JointHealth, alert: str) -> None:
-    assert story(joint, bus=BusCounters(sent=1000))["advice"].startswith(alert)
-
-
-@pytest.mark.parametrize(("lost", "sent"), [(0, 100), (21, 10_000), (19, 100)])
-def test_no_and_single_lost_replies_need_no_advice(lost: int, sent: int) -> None:
-    assert "advice" not in story(replace(SERVO, silent_cycles=lost), bus=BusCounters(sent=sent))
+    ):
+        assert story(joint, bus=BusCounters(sent=1000))["advice"].startswith(alert)
+    # No and single lost replies need none.
+    for lost, sent in ((0, 100), (21, 10_000), (19, 100)):
+        assert "advice" not in story(replace(SERVO, silent_cycles=lost), bus=BusCounters(sent=sent)), lost
 
 
 def test_the_joint_of_a_fault_has_its_remedy_once() -> None:
     fault = Fault(FaultCode.OVERLOAD, "joint elbow_flex is overloaded", "elbow_flex")
     overloaded = replace(SERVO, status=int(StatusFlag.OVERLOAD), errors={"overload": 1})
-    told = story(overloaded, replace(STATE, mode=Mode.FAULT, fault=fault))
-    assert told["advice"] == str(fault)
+    assert story(overloaded, replace(STATE, mode=Mode.FAULT, fault=fault))["advice"] == str(fault)
 
 
 def test_a_simulated_servo_has_the_advice_for_simulated_ones() -> None:
@@ -169,8 +141,6 @@ def test_a_simulated_servo_has_the_advice_for_simulated_ones() -> None:
 
 
 def test_what_says_nothing_more_is_stale() -> None:
-    assert statuses(health=replace(HEALTH, joints=(replace(SERVO, age_s=2.0),)))[1]["level"] == 3
-    assert statuses(health_age_s=4.0)[1]["level"] == 3
     assert statuses(replace(STATE, mode=Mode.DISCONNECTED))[1]["level"] == 3
     arm = statuses(state_age_s=4.0)[0]
     assert (arm["level"], arm["message"]) == (3, "the last state of the arm is 4.0 s old")
@@ -179,8 +149,8 @@ def test_what_says_nothing_more_is_stale() -> None:
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
 def test_an_arm_is_as_old_as_a_clock_says_that_is_never_set(jump_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
     graph, now_s = Graph(REGISTRY), 100.0
-    diagnostics = Diagnostics(graph, "so101", lambda: None, lambda: now_s)
-    heard = listen(graph, TOPIC)
+    diagnostics = ros_topics.Diagnostics(graph, "so101", lambda: None, lambda: now_s)
+    heard = listen(graph, ros_topics.TOPIC)
     diagnostics.take_state(STATE)
     diagnostics.take_health(HEALTH)
     monkeypatch.setattr(time, "time", lambda: STATE.stamp_s + jump_s)
@@ -196,12 +166,11 @@ def test_before_the_first_report_there_is_the_arm_alone() -> None:
 
 async def test_a_silent_servo_shows_within_seconds(client: ArmClient, served: ServerOnBus) -> None:
     served.emulator.command(offline=[3])
-    await client.until(
-        "/diagnostics",
-        lambda arrays: any(
-            status["name"] == "arm: elbow_flex" and status["level"] == 2 for status in arrays[-1]["status"]
-        ),
-    )
+
+    def shows(arrays: list[dict[str, Any]]) -> bool:
+        return ("arm: elbow_flex", 2) in [(status["name"], status["level"]) for status in arrays[-1]["status"]]
+
+    await client.until("/diagnostics", shows)
 
 
 pytestmark = pytest.mark.usefixtures("levels_are_put_back")
@@ -213,7 +182,7 @@ LOG = logging.getLogger("armbridge.test")
 async def heard() -> AsyncIterator[list[Any]]:
     graph = Graph(REGISTRY)
     rosout = Rosout(graph, asyncio.get_running_loop())
-    yield listen(graph, ROSOUT_TOPIC)
+    yield listen(graph, ros_topics.ROSOUT_TOPIC)
     rosout.close()
 
 
@@ -228,18 +197,19 @@ async def test_a_record_is_published_with_level_name_and_place_and_without_a_tok
 async def test_a_new_subscriber_gets_the_last_records() -> None:
     graph = Graph(REGISTRY)
     rosout = Rosout(graph, asyncio.get_running_loop())
-    for number in range(LOG_DEPTH + 5):
+    for number in range(ros_topics.LOG_DEPTH + 5):
         LOG.warning("line %d", number)
     await asyncio.sleep(0)
-    kept = graph.subscribe(Node("late"), ROSOUT_TOPIC, None, Subscriber(lambda _: None))
+    kept = graph.subscribe(Node("late"), ros_topics.ROSOUT_TOPIC, None, Subscriber(lambda _: None))
     rosout.close()
-    assert [published.msg["msg"] for published in kept] == [f"line {number}" for number in range(5, LOG_DEPTH + 5)]
+    assert [published.msg["msg"] for published in kept] == [
+        f"line {number}" for number in range(5, ros_topics.LOG_DEPTH + 5)
+    ]
 
 
 async def test_a_record_of_another_thread_is_published(heard: list[Any]) -> None:
     await asyncio.to_thread(LOG.error, "from afar")
-    await until(lambda: heard)
-    assert [m["msg"] for m in heard] == ["from afar"]
+    await until(lambda: [m["msg"] for m in heard] == ["from afar"])
 
 
 async def test_a_burst_is_bounded(heard: list[Any]) -> None:
@@ -252,13 +222,10 @@ async def test_a_burst_is_bounded(heard: list[Any]) -> None:
     assert heard[-1]["msg"] == "after the burst"
 
 
-# Levels.
-
-
 @pytest.fixture
 async def graph() -> Graph:
     made = Graph(REGISTRY)
-    offer_level_services(made)
+    ros_topics.offer_level_services(made)
     return made
 
 

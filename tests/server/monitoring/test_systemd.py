@@ -90,20 +90,20 @@ def test_an_unreachable_notifier_is_logged_and_passed_over(tmp_path: Path, caplo
     assert "NOTIFY_SOCKET" in caplog.text
 
 
-WATCHED = {
-    "this process": ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "7"}, 2.5),
-    "whoever reads it": ({"WATCHDOG_USEC": "2500000"}, 2.5),
-    "another process": ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "8"}, 0.0),
-    "nonsense": ({"WATCHDOG_USEC": "often", "WATCHDOG_PID": "7"}, 0.0),
-    "nobody": ({}, 0.0),
-}
+WATCHED: list[tuple[dict[str, str], float]] = [
+    ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "7"}, 2.5),
+    ({"WATCHDOG_USEC": "2500000"}, 2.5),
+    ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "8"}, 0.0),
+    ({"WATCHDOG_USEC": "often", "WATCHDOG_PID": "7"}, 0.0),
+    ({}, 0.0),
+]
 
 
-@pytest.mark.parametrize(("variables", "watchdog_s"), WATCHED.values(), ids=WATCHED.keys())
-def test_the_watchdog_is_for_the_named_process(systemd: Systemd, variables: dict[str, str], watchdog_s: float) -> None:
-    notifier = SystemdNotifier.from_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
-    assert notifier.watchdog_s == watchdog_s
-    notifier.close()
+def test_the_watchdog_is_for_the_named_process(systemd: Systemd) -> None:
+    for variables, watchdog_s in WATCHED:
+        notifier = SystemdNotifier.from_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
+        assert notifier.watchdog_s == watchdog_s, variables
+        notifier.close()
 
 
 def test_children_do_not_inherit_the_variables(monkeypatch: pytest.MonkeyPatch, systemd: Systemd) -> None:

@@ -18,8 +18,6 @@ NOW_S = 1000.0
 
 @dataclass
 class _WatchedArm:
-    """An arm process."""
-
     state: ArmState
     state_age_s: float = 0.01
     pids: Sequence[int] = ()
@@ -28,8 +26,6 @@ class _WatchedArm:
 
 @dataclass
 class _WatchedPlanners:
-    """Planner processes."""
-
     load_failure: str | None = None
     pids: Sequence[int] = ()
     loaded_count: int = 2
@@ -39,8 +35,6 @@ class _WatchedPlanners:
 
 @dataclass
 class _WatchedRecorder:
-    """A recording."""
-
     dropped: int = 0
     queued: int = 0
     ended: bool = False
@@ -48,8 +42,6 @@ class _WatchedRecorder:
 
 @dataclass
 class _WatchedQueue:
-    """Goals on their way."""
-
     waiting_count: int = 2
     active_count: int = 1
 

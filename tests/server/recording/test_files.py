@@ -20,13 +20,11 @@ from server.recording.files import (
     METADATA_NAME,
     QOS_KEY,
     McapFile,
-    RecordedMessage,
     RecordingSeries,
     check_path,
     is_latched,
 )
-from server.recording.replay import RecordingFile
-from tests.server.recordings import REGISTRY, START_NS, entry, record, text
+from tests.server.recordings import REGISTRY, START_NS, entry, record, recorded_messages, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.
 
@@ -38,15 +36,37 @@ def foreign(path: Path) -> list[Any]:
 
 
 def test_a_foreign_reader_decodes_what_was_recorded(tmp_path: Path) -> None:
-    states = [
-        entry("/joint_states", "sensor_msgs/JointState", {"name": ["a", "b"], "position": [0.5, float(n)]}, n)
-        for n in range(3)
-    ]
+    msgs = [{"name": ["a", "b"], "position": [0.5, float(n)]} for n in range(3)]
+    states = [entry("/joint_states", "sensor_msgs/JointState", msg, n) for n, msg in enumerate(msgs)]
     read = foreign(record(tmp_path / "run.mcap", states))
-    assert [list(one.decoded_message.position) for one in read] == [[0.5, 0.0], [0.5, 1.0], [0.5, 2.0]]
+    assert [list(one.decoded_message.position) for one in read] == [msg["position"] for msg in msgs]
     assert read[0].decoded_message.name == ["a", "b"]
     assert [one.message.log_time - START_NS for one in read] == [0, 10**9, 2 * 10**9]
     assert [one.message.sequence for one in read] == [1, 2, 3]
+
+
+def test_profile_schema_and_channel_are_those_that_viewers_expect(tmp_path: Path) -> None:
+    path = record(tmp_path / "run.mcap", [text(0, "/d")._replace(latched=True), entry("/d", "std_msgs/Int8", {}, 1)])
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+    assert summary is not None
+    schema, channel = summary.schemas[1], summary.channels[1]
+    assert (schema.name, schema.encoding, schema.data) == ("std_msgs/msg/String", "ros2msg", b"string data\n")
+    assert (channel.topic, channel.message_encoding) == ("/d", "cdr")
+    assert is_latched(channel.metadata)
+    # A topic with two types has two channels.
+    assert [one.schema.name for one in foreign(path)] == ["std_msgs/msg/String", "std_msgs/msg/Int8"]
+
+
+def test_readers_of_rosbag2_know_which_topics_are_latched(tmp_path: Path) -> None:
+    entries = [entry("/plain", "std_msgs/Bool", {}), entry("/kept", "std_msgs/Bool", {"data": True}, 1, latched=True)]
+    path = record(tmp_path / "run.mcap", entries)
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        offered = {one.topic: cast(Any, one.ext).offered_qos_profiles[0].durability.name for one in reader.connections}
+        assert [reader.deserialize(octets, one.msgtype).data for one, _, octets in reader.messages()] == [False, True]
+    assert offered == {"/plain": "VOLATILE", "/kept": "TRANSIENT_LOCAL"}
 
 
 def test_a_foreign_reader_understands_the_schema_of_every_type(tmp_path: Path) -> None:
@@ -57,31 +77,6 @@ def test_a_foreign_reader_understands_the_schema_of_every_type(tmp_path: Path) -
     assert [one.schema.name for one in foreign(path)] == names
 
 
-def test_profile_schema_and_channel_are_those_that_viewers_expect(tmp_path: Path) -> None:
-    path = record(tmp_path / "run.mcap", [entry("/d", "std_msgs/String", {"data": "<robot/>"}, latched=True)])
-    with path.open("rb") as stream:
-        reader = make_reader(stream)
-        assert reader.get_header().profile == "ros2"
-        summary = reader.get_summary()
-    assert summary is not None
-    schema, channel = summary.schemas[1], summary.channels[1]
-    assert (schema.name, schema.encoding, schema.data) == ("std_msgs/msg/String", "ros2msg", b"string data\n")
-    assert (channel.topic, channel.message_encoding) == ("/d", "cdr")
-    assert is_latched(channel.metadata)
-
-
-def test_readers_of_rosbag2_know_which_topics_are_latched(tmp_path: Path) -> None:
-    entries = [
-        entry("/plain", "std_msgs/Bool", {}),
-        entry("/latched", "std_msgs/Bool", {"data": True}, 1, latched=True),
-    ]
-    path = record(tmp_path / "run.mcap", entries)
-    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-        offered = {one.topic: cast(Any, one.ext).offered_qos_profiles[0].durability.name for one in reader.connections}
-        assert [reader.deserialize(octets, one.msgtype).data for one, _, octets in reader.messages()] == [False, True]
-    assert offered == {"/plain": "VOLATILE", "/latched": "TRANSIENT_LOCAL"}
-
-
 def test_facts_are_kept_as_metadata(tmp_path: Path) -> None:
     McapFile((tmp_path / "run.mcap").open("wb"), REGISTRY, {"robot": "so101"}).end({"dropped_messages": "3"})
     with (tmp_path / "run.mcap").open("rb") as stream:
@@ -89,78 +84,54 @@ def test_facts_are_kept_as_metadata(tmp_path: Path) -> None:
     assert (first["robot"], last["dropped_messages"]) == ("so101", "3")
 
 
-def test_a_topic_with_two_types_has_two_channels(tmp_path: Path) -> None:
-    entries = [entry("/t", "std_msgs/Bool", {}), entry("/t", "std_msgs/Int8", {}, 1)]
-    read = foreign(record(tmp_path / "run.mcap", entries))
-    assert [one.schema.name for one in read] == ["std_msgs/msg/Bool", "std_msgs/msg/Int8"]
-
-
 # A series of files.
 
-LIMIT = 20_000
 
-
-def series(path: Path, limit: int | None = LIMIT, keep: int = 0) -> RecordingSeries:
+def series(path: Path, limit: int | None = 20_000, keep: int = 0) -> RecordingSeries:
     return RecordingSeries(path, REGISTRY, {}, limit, keep)
 
 
-def picture(number: int) -> RecordedMessage:
-    """Ten kilobytes that do not compress."""
-    octets = base64.b64encode(random.Random(number).randbytes(10_000)).decode()
-    return entry("/picture", "sensor_msgs/CompressedImage", {"format": str(number), "data": octets}, number)
-
-
 def fill(written: RecordingSeries, count: int) -> None:
+    """Write pictures of ten kilobytes that do not compress."""
     for number in range(count):
-        written.add(picture(number))
+        octets = base64.b64encode(random.Random(number).randbytes(10_000)).decode()
+        written.add(entry("/picture", "sensor_msgs/CompressedImage", {"format": "", "data": octets}, number))
         written.flush()
     written.end({})
 
 
 def topics(path: Path) -> list[str]:
-    return [each.topic for chunk in RecordingFile(path).chunks() for each in chunk]
+    return [each.topic for each in recorded_messages(path)]
 
 
 def names(directory: Path) -> list[str]:
     return sorted(path.name for path in directory.iterdir())
 
 
-def test_a_file_that_exists_is_left_alone(tmp_path: Path) -> None:
+def test_a_file_that_exists_is_left_alone_and_one_that_has_its_size_is_followed_by_the_next(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_text("precious")
     written = series(tmp_path / "run.mcap")
-    written.end({})
-    assert written.path == tmp_path / "run_1.mcap"
+    fill(written, 5)
+    assert written.path == tmp_path / "run_3.mcap"
+    assert names(tmp_path) == ["run.mcap", *(f"run_{number}.mcap" for number in (1, 2, 3))]
+    assert [len(topics(tmp_path / name)) for name in names(tmp_path)[1:]] == [2, 2, 1]
     assert (tmp_path / "run.mcap").read_text() == "precious"
 
 
-def test_a_file_that_has_its_size_is_followed_by_the_next(tmp_path: Path) -> None:
-    fill(series(tmp_path / "run.mcap"), 5)
-    assert names(tmp_path) == ["run.mcap", "run_1.mcap", "run_2.mcap"]
-    assert [len(topics(tmp_path / name)) for name in names(tmp_path)] == [2, 2, 1]
-    bounded = tmp_path / "bounded"
-    bounded.mkdir()
-    (bounded / "other.mcap").touch()
-    fill(series(bounded / "run.mcap", keep=2), 7)
-    assert names(bounded) == ["other.mcap", "run_2.mcap", "run_3.mcap"]
+@pytest.mark.parametrize(
+    ("limit", "keep", "files"), [(20_000, 2, ["run_2.mcap", "run_3.mcap"]), (None, 0, ["run.mcap"])]
+)
+def test_so_many_files_are_kept(tmp_path: Path, limit: int | None, keep: int, files: list[str]) -> None:
+    (tmp_path / "other.mcap").touch()
+    fill(series(tmp_path / "run.mcap", limit, keep), 7)
+    assert names(tmp_path) == ["other.mcap", *files]
 
 
-def test_without_a_limit_there_is_one_file(tmp_path: Path) -> None:
-    fill(series(tmp_path / "run.mcap", limit=None), 5)
-    assert names(tmp_path) == ["run.mcap"]
-
-
-def test_latched_messages_stand_at_the_beginning_of_every_file(tmp_path: Path) -> None:
-    written = series(tmp_path / "run.mcap")
-    written.add(entry("/robot_description", "std_msgs/String", {"data": "<robot/>"}, latched=True))
-    fill(written, 3)
-    assert topics(tmp_path / "run_1.mcap") == ["/robot_description", "/picture"]
-
-
-def test_only_so_much_that_is_latched_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_latched_messages_begin_every_file_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "MAX_LATCHED_BYTES", 15)
     written = series(tmp_path / "run.mcap")
-    written.add(text(1, "/small")._replace(latched=True))
-    written.add(text(1, "/one_too_many")._replace(latched=True))
+    for topic in ("/small", "/one_too_many"):
+        written.add(text(1, topic)._replace(latched=True))
     fill(written, 3)
     assert topics(tmp_path / "run_1.mcap") == ["/small", "/picture"]
 
@@ -182,9 +153,9 @@ def test_there_are_only_so_many_numbers(tmp_path: Path, monkeypatch: pytest.Monk
 # Quality of service.
 
 
-@pytest.mark.parametrize(("number", "latched"), [(1, True), (2, False)])
-def test_the_numbers_of_older_releases_are_understood(number: int, latched: bool) -> None:
-    assert is_latched({QOS_KEY: f"- history: 1\n  depth: 10\n  durability: {number}\n"}) is latched
+def test_the_numbers_of_older_releases_are_understood() -> None:
+    qos = "- history: 1\n  depth: 10\n  durability: "
+    assert [is_latched({QOS_KEY: f"{qos}{number}\n"}) for number in (1, 2)] == [True, False]
 
 
 def make_socket(path: Path) -> None:
@@ -192,16 +163,16 @@ def make_socket(path: Path) -> None:
         made.bind(str(path))
 
 
-NOT_A_FILE: dict[str, Callable[[Path], object]] = {
-    "a directory": Path.mkdir,
-    "a FIFO": os.mkfifo,
-    "a socket": make_socket,
-    "a character device": lambda path: path.symlink_to("/dev/null"),
-    "a symbolic link to nothing": lambda path: path.symlink_to("/no/such/file"),
-}
-
-
-@pytest.mark.parametrize(("kind", "make"), NOT_A_FILE.items(), ids=NOT_A_FILE.keys())
+@pytest.mark.parametrize(
+    ("kind", "make"),
+    [
+        ("a directory", Path.mkdir),
+        ("a FIFO", os.mkfifo),
+        ("a socket", make_socket),
+        ("a character device", lambda path: path.symlink_to("/dev/null")),
+        ("a symbolic link to nothing", lambda path: path.symlink_to("/no/such/file")),
+    ],
+)
 def test_a_path_that_is_no_regular_file_is_refused(kind: str, make: Callable[[Path], object], tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     make(path)
@@ -210,18 +181,14 @@ def test_a_path_that_is_no_regular_file_is_refused(kind: str, make: Callable[[Pa
     assert str(refused.value) == f"recording.file: {path} must be a regular file or not exist; it is {kind}"
 
 
-@pytest.mark.parametrize(
-    ("folder", "words"),
-    [("file", "cannot be used: Not a directory"), ("no", "cannot be written: there is no writable folder .*/no")],
-)
-def test_a_path_in_no_folder_is_refused(tmp_path: Path, folder: str, words: str) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(ConfigurationError, match=rf"{folder}/run\.mcap {words}"):
-        check_path(tmp_path / folder / "run.mcap")
-
-
-def test_a_path_of_a_file_of_a_link_to_one_or_of_nothing_is_taken(tmp_path: Path) -> None:
+def test_a_path_of_a_file_a_link_to_one_or_of_nothing_is_taken_and_one_in_no_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file.mcap").touch()
     (tmp_path / "link.mcap").symlink_to(tmp_path / "file.mcap")
     for name in ("file.mcap", "link.mcap", "nothing.mcap"):
         check_path(tmp_path / name)
+    for folder, words in (
+        ("file.mcap", "cannot be used: Not a directory"),
+        ("no", "cannot be written: there is no writable folder .*/no"),
+    ):
+        with pytest.raises(ConfigurationError, match=rf"{folder}/run\.mcap {words}"):
+            check_path(tmp_path / folder / "run.mcap")

@@ -13,7 +13,7 @@ from planners.problem import JointPathProblem, MoveItErrorCode, PlanningFailure,
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
-from server.graph.actions import GoalStatus
+from server.graph.actions import ActionGoal, GoalStatus
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.teaching.replay import MAX_REPEAT, NAME, groups_of, offer_replay, planned, result
@@ -27,20 +27,20 @@ WAVE = TaughtMotion(JOINTS, np.arange(11) * 0.3, POINTS)
 PROBLEMS = ProblemBuilder(ROBOT, FRAMES, PlannerParameters(MoveItParameters()))
 
 
-class Desk(ActionDesk):
-    """The action with one taught motion."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__()
-        self.motions = MotionFiles(folder, ROBOT)
-        offer_replay(self.graph, ROBOT, self.motions, self.queue, PROBLEMS)
-
-
 @pytest.fixture
-async def desk(tmp_path: Path) -> Desk:
-    made = Desk(tmp_path)
-    await made.motions.save("wave", WAVE)
+async def desk(tmp_path: Path) -> ActionDesk:
+    """The action with one taught motion."""
+    made, motions = ActionDesk(), MotionFiles(tmp_path, ROBOT)
+    offer_replay(made.graph, ROBOT, motions, made.queue, PROBLEMS)
+    await motions.save("wave", WAVE)
     return made
+
+
+async def replay(desk: ActionDesk, **goal: Any) -> ActionGoal:
+    """Ask for a replay, and wait until it is asked of the executor."""
+    sent = await desk.send(NAME, name="wave", **goal)
+    await until(lambda: desk.asked)
+    return sent
 
 
 def problems(motion: PlannedMotion) -> list[Any]:
@@ -50,22 +50,18 @@ def problems(motion: PlannedMotion) -> list[Any]:
 def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() -> None:
     arm, gripper, path = problems(planned(WAVE, 1.0, 0, ROBOT, PROBLEMS))
     assert isinstance(arm, PlanningProblem)
-    assert arm.group == "arm"
-    assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.1))
-    assert gripper.group == "gripper"
     assert isinstance(path, JointPathProblem)
-    assert path.joint_names == JOINTS
-    assert path.positions_rad.tolist() == POINTS.tolist()
+    assert (arm.group, gripper.group) == ("arm", "gripper")
+    assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.1))
+    assert (path.joint_names, path.positions_rad.tolist()) == (JOINTS, POINTS.tolist())
 
 
-async def test_a_replay_backwards_begins_at_the_end_and_is_repeated(desk: Desk) -> None:
-    await desk.send(NAME, name="wave", speed=0.5, reverse=True, repeat=1)
-    await until(lambda: desk.asked)
+async def test_a_replay_backwards_begins_at_the_end_and_is_repeated(desk: ActionDesk) -> None:
+    await replay(desk, speed=0.5, reverse=True, repeat=1)
     arm, _, path, *again = problems(desk.asked[0])
     assert arm.goal == JointGoal(dict.fromkeys(JOINTS[:-1], 0.5))
     assert path.positions_rad.tolist() == POINTS[::-1].tolist()
-    assert path.speed == 0.5
-    assert len(again) == 3
+    assert (path.speed, len(again)) == (0.5, 3)
 
 
 def test_joints_that_make_no_group_without_others_are_refused() -> None:
@@ -84,33 +80,25 @@ def test_joints_that_make_no_group_without_others_are_refused() -> None:
         ({"name": "dance"}, "saved are: wave"),
     ],
 )
-async def test_a_wrong_field_is_refused_with_what_is_possible(desk: Desk, fields: dict[str, Any], says: str) -> None:
+async def test_a_wrong_field_is_refused(desk: ActionDesk, fields: dict[str, Any], says: str) -> None:
     await desk.send(NAME, **({"name": "wave"} | fields))
     await until(lambda: desk.results)
-    assert desk.results[0].status == GoalStatus.ABORTED
+    assert (desk.results[0].status, desk.asked) == (GoalStatus.ABORTED, [])
     assert says in desk.results[0].values["message"]
-    assert desk.asked == []
 
 
-async def test_a_replay_is_a_goal_with_feedback_and_a_result(desk: Desk) -> None:
-    await desk.send(NAME, name="wave", speed=0.0)
-    await until(lambda: desk.asked)
-    (motion,) = desk.asked
-    assert problems(motion)[-1].speed == 1.0
+async def test_a_replay_is_a_goal_with_feedback_and_a_result_that_can_be_cancelled(desk: ActionDesk) -> None:
+    await replay(desk, speed=0.0)
+    assert problems(desk.asked[0])[-1].speed == 1.0
     desk.report(Progress(GoalState.EXECUTING, "moving", 0.25, 3.0))
     assert desk.feedback[-1] == {"state": "executing", "fraction": 0.25, "remaining_s": 3.0}
     desk.finish()
     await until(lambda: desk.results)
-    assert desk.results[0].status == GoalStatus.SUCCEEDED
+    desk.asked.clear()
+    (await replay(desk)).cancel()
+    await until(lambda: len(desk.results) == 2)
+    assert [result.status for result in desk.results] == [GoalStatus.SUCCEEDED, GoalStatus.CANCELED]
     assert desk.results[0].values["error_code"]["val"] == 1
-
-
-async def test_a_replay_that_is_cancelled_ends(desk: Desk) -> None:
-    goal = await desk.send(NAME, name="wave")
-    await until(lambda: desk.asked)
-    goal.cancel()
-    await until(lambda: desk.results)
-    assert desk.results[0].status == GoalStatus.CANCELED
 
 
 def test_a_refusal_says_where_without_the_number_of_the_step() -> None:
@@ -120,10 +108,9 @@ def test_a_refusal_says_where_without_the_number_of_the_step() -> None:
     assert result(Answer.of(failure))["message"] == "at 1.20 s of the motion would touch: crate"
 
 
-async def test_a_slower_replay_names_the_place_in_result_and_log(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_slower_replay_names_the_place(desk: ActionDesk, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    await desk.send(NAME, name="wave")
-    await until(lambda: desk.asked)
+    await replay(desk)
     slow = Trajectory(JOINTS, 2.0 * WAVE.time_s, POINTS, np.zeros_like(POINTS), np.zeros_like(POINTS))
     desk.finish(Answer(MoveItErrorCode.SUCCESS, "there", performed=Performed({}, (slow,))))
     await until(lambda: desk.results)

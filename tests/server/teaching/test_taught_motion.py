@@ -46,13 +46,26 @@ def recording(lasts_s: float, seed: int = 0, tremble_rad: float = 0.004) -> tupl
     return time_s, clean + rng.uniform(-tremble_rad, tremble_rad, clean.shape)
 
 
-def motion(*points: float, every_s: float = 0.5) -> TaughtMotion:
-    """A motion of the base joint."""
-    return TaughtMotion(NAMES[:1], every_s * np.arange(len(points)), np.array(points)[:, np.newaxis])
+WHOLE = TaughtMotion(NAMES[:1], 0.5 * np.arange(5), np.array([[0.0], [0.3], [0.1], [0.5], [0.2]]))
+
+
+def test_a_part_follows_the_same_curve_between_its_times() -> None:
+    part = WHOLE.part(0.7, 1.6)
+    assert part.duration_s == pytest.approx(0.9)
+    assert part.at(np.array([0.0, 0.9])) == pytest.approx(WHOLE.at(np.array([0.7, 1.6])), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "says"),
+    [(-0.1, 1.0, "must be 0 to 2 s"), (0.5, 2.5, "not 0.5 and 2.5"), (1.0, 1.0, "from_s before"), (1.0, 1.05, "0.1 s")],
+)
+def test_a_part_that_is_none_is_refused_with_the_limits(from_s: float, to_s: float, says: str) -> None:
+    with pytest.raises(ServiceError, match=says):
+        WHOLE.part(from_s, to_s)
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_motion_keeps_within_the_tolerance_of_its_recording(seed: int) -> None:
+def test_a_motion_keeps_within_the_tolerance_of_its_recording_and_is_smoother(seed: int) -> None:
     time_s, positions = recording(6.0, seed)
     made, away_rad = of_recording(NAMES, time_s, positions, ROBOT)
     first, last = moving(time_s, positions)
@@ -60,11 +73,6 @@ def test_a_motion_keeps_within_the_tolerance_of_its_recording(seed: int) -> None
     # Rounded to microseconds and microradians.
     assert away.max() == pytest.approx(away_rad, abs=1e-5)
     assert away_rad <= 0.02
-
-
-def test_a_motion_is_smoother_than_the_hand_that_trembled() -> None:
-    time_s, positions = recording(4.0)
-    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
     grid_s = np.arange(0.0, made.duration_s, 1.0 / RATE_HZ)
     hand, smooth = np.diff(positions, 3, axis=0), np.diff(made.at(grid_s), 3, axis=0)
     assert np.abs(smooth).max() < 0.2 * np.abs(hand).max()
@@ -72,11 +80,10 @@ def test_a_motion_is_smoother_than_the_hand_that_trembled() -> None:
 
 def test_a_jerk_of_the_hand_is_kept_rather_than_smoothed_away() -> None:
     time_s = np.arange(0.0, 4.0, 1.0 / RATE_HZ)
-    positions = np.zeros((len(time_s), 2))
-    positions[:, 0] = np.clip(time_s - 1.0, 0.0, 2.0) * 0.1 + 0.2 * np.exp(-(((time_s - 2.0) / 0.08) ** 2))
-    made, away_rad = of_recording(NAMES, time_s, positions, ROBOT)
+    jerk = np.clip(time_s - 1.0, 0.0, 2.0) * 0.1 + 0.2 * np.exp(-(((time_s - 2.0) / 0.08) ** 2))
+    made, away_rad = of_recording(NAMES, time_s, np.column_stack([jerk, np.zeros_like(jerk)]), ROBOT)
     assert away_rad <= 0.02
-    assert made.positions_rad[:, 0].max() > positions[:, 0].max() - TOLERANCE_RAD
+    assert made.positions_rad[:, 0].max() > jerk.max() - TOLERANCE_RAD
 
 
 def test_one_abrupt_start_leaves_the_rest_of_the_motion_smooth_and_as_fast_as_it_was() -> None:
@@ -120,11 +127,12 @@ def test_a_replay_in_its_own_time_is_not_called_slower() -> None:
     assert made.slowed(0.5, replay(made, 0.5), ROBOT) == ""
 
 
-def test_rest_at_both_ends_is_cut_off_but_for_a_moment() -> None:
-    time_s, positions = recording(4.0, tremble_rad=0.001)
-    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
+def test_rest_at_both_ends_is_cut_off_but_for_a_moment_and_the_longest_recording_fits_a_message() -> None:
+    made, _ = of_recording(NAMES, *recording(4.0, tremble_rad=0.001), ROBOT)
     # The first and the last hundredth of a radian of a slow start and end count as rest as well.
     assert 4.0 - 0.4 < made.duration_s < 4.0 + 2.0 * KEPT_REST_S + 0.05
+    made, _ = of_recording(NAMES, *recording(MAX_DURATION_S - 4.0), ROBOT)
+    assert len(made.time_s) <= taught_motion.MAX_POINTS
 
 
 def test_a_motion_keeps_the_limits_that_a_relaxed_arm_was_beyond() -> None:
@@ -133,29 +141,6 @@ def test_a_motion_keeps_the_limits_that_a_relaxed_arm_was_beyond() -> None:
     positions[:, 1] += upper - positions[:, 1].max() + 0.05
     made, _ = of_recording(NAMES, time_s, positions, ROBOT)
     assert made.positions_rad[:, 1].max() <= upper + 1e-6
-
-
-def test_the_longest_recording_has_no_more_points_than_a_message() -> None:
-    time_s, positions = recording(MAX_DURATION_S - 4.0)
-    made, _ = of_recording(NAMES, time_s, positions, ROBOT)
-    assert len(made.time_s) <= taught_motion.MAX_POINTS
-
-
-def test_a_part_follows_the_same_curve_between_its_times() -> None:
-    whole = motion(0.0, 0.3, 0.1, 0.5, 0.2)
-    part = whole.part(0.7, 1.6)
-    assert part.duration_s == pytest.approx(0.9)
-    ends = part.at(np.array([0.0, 0.9])) - whole.at(np.array([0.7, 1.6]))
-    assert np.abs(ends).max() < 1e-5
-
-
-@pytest.mark.parametrize(
-    ("from_s", "to_s", "says"),
-    [(-0.1, 1.0, "must be 0 to 2 s"), (0.5, 2.5, "not 0.5 and 2.5"), (1.0, 1.0, "from_s before"), (1.0, 1.05, "0.1 s")],
-)
-def test_a_part_that_is_none_is_refused_with_the_limits(from_s: float, to_s: float, says: str) -> None:
-    with pytest.raises(ServiceError, match=says):
-        motion(0.0, 0.3, 0.1, 0.5, 0.2).part(from_s, to_s)
 
 
 def given(*times_s: int, joint: str = "shoulder_pan") -> dict[str, object]:
@@ -183,14 +168,13 @@ WAVE = TaughtMotion(("elbow_flex", "gripper"), np.array([0.0, 0.5, 1.25]), np.ar
 
 @pytest.fixture
 def motions(tmp_path: Path) -> MotionFiles:
-    return MotionFiles(tmp_path / "motions", ROBOT)
+    return MotionFiles(tmp_path, ROBOT)
 
 
 async def test_a_saved_motion_is_the_same_for_the_next_server(motions: MotionFiles, tmp_path: Path) -> None:
     await motions.save("Küche 1", WAVE)
-    again = await MotionFiles(tmp_path / "motions", ROBOT).load("Küche 1")
-    assert again.joint_names == WAVE.joint_names
-    assert again.time_s.tolist() == WAVE.time_s.tolist()
+    again = await MotionFiles(tmp_path, ROBOT).load("Küche 1")
+    assert (again.joint_names, again.time_s.tolist()) == (WAVE.joint_names, WAVE.time_s.tolist())
     assert again.positions_rad.tolist() == WAVE.positions_rad.tolist()
 
 
@@ -204,25 +188,21 @@ async def test_a_name_that_is_no_file_is_refused_with_the_limit(motions: MotionF
         await motions.rename("a", name)
 
 
-async def test_a_taken_name_is_neither_recorded_nor_renamed_to(motions: MotionFiles) -> None:
-    for name in ("a", "b"):
-        await motions.save(name, WAVE)
-    with pytest.raises(ServiceError, match="delete or rename it"):
-        await motions.check_new("a")
-    with pytest.raises(ServiceError, match="there is a motion 'b' already"):
-        await motions.rename("a", "b")
-
-
-async def test_several_motions_at_once_keep_to_their_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_taken_name_is_neither_recorded_nor_renamed_to_and_several_at_once_keep_to_their_bound(
+    motions: MotionFiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(taught_motion, "MAX_MOTIONS", 2)
-    motions = MotionFiles(tmp_path, ROBOT)
-    saved = await asyncio.gather(*(motions.save(name, WAVE) for name in "abcd"), return_exceptions=True)
+    bounded = MotionFiles(tmp_path, ROBOT)
+    saved = await asyncio.gather(*(bounded.save(name, WAVE) for name in "abcd"), return_exceptions=True)
     assert sum(isinstance(each, ServiceError) for each in saved) == 2
-    names = await motions.names()
-    assert len(names) == 2
-    await motions.save(names[0], WAVE)
+    first, second = await bounded.names()
+    await bounded.save(first, WAVE)
     with pytest.raises(ServiceError, match="2 motions are saved already, the limit is 2"):
-        await motions.check_new("e")
+        await bounded.check_new("e")
+    with pytest.raises(ServiceError, match="delete or rename it"):
+        await motions.check_new(first)
+    with pytest.raises(ServiceError, match=f"there is a motion '{second}' already"):
+        await motions.rename(first, second)
 
 
 GOOD = {"joint_names": ["elbow_flex"], "time_s": [0.0, 1.0], "positions_rad": [[0.0], [0.1]]}
@@ -233,20 +213,20 @@ GOOD = {"joint_names": ["elbow_flex"], "time_s": [0.0, 1.0], "positions_rad": [[
     [
         "{",
         "[]",
-        {**GOOD, "joint_names": ["knee"]},
-        {**GOOD, "joint_names": ["elbow_flex", "elbow_flex"]},
-        {**GOOD, "time_s": [0.0]},
-        {**GOOD, "time_s": [0.0, 0.0]},
-        {**GOOD, "time_s": [0.5, 1.0]},
-        {**GOOD, "time_s": [0.0, 601.0]},
-        {**GOOD, "positions_rad": [[0.0]]},
-        {**GOOD, "positions_rad": [[0.0], [0.1, 0.2]]},
-        '{"joint_names": ["elbow_flex"], "time_s": [0.0, 1.0], "positions_rad": [[0.0], [NaN]]}',
+        json.dumps(GOOD).replace("0.1", "NaN"),
+        {"joint_names": ["knee"]},
+        {"joint_names": ["elbow_flex", "elbow_flex"]},
+        {"time_s": [0.0]},
+        {"time_s": [0.0, 0.0]},
+        {"time_s": [0.5, 1.0]},
+        {"time_s": [0.0, 601.0]},
+        {"positions_rad": [[0.0]]},
+        {"positions_rad": [[0.0], [0.1, 0.2]]},
     ],
 )
 async def test_files_without_a_motion_are_refused(motions: MotionFiles, tmp_path: Path, content: Any) -> None:
     await motions.save("wave", WAVE)
-    file = tmp_path / "motions" / "wave.json"
-    file.write_text(content if isinstance(content, str) else json.dumps(content))
+    file = tmp_path / "wave.json"
+    file.write_text(content if isinstance(content, str) else json.dumps(GOOD | content))
     with pytest.raises(ServiceError, match=r"wave\.json"):
         await motions.load("wave")

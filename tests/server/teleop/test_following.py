@@ -17,16 +17,9 @@ LIMITS = {"a": TrackingLimits(2.0, 6.0)}
 
 def following() -> Following:
     one = Following()
-    assert one.tick(0.0, FRESH) is FollowerAct.RAMP
-    one.take_ramp_end("")
-    return one
-
-
-def test_it_ramps_once_and_then_follows() -> None:
-    one = Following()
     assert [one.tick(0.0, FRESH) for _ in range(3)] == [FollowerAct.RAMP, FollowerAct.NOTHING, FollowerAct.NOTHING]
     one.take_ramp_end("")
-    assert one.tick(0.1, FRESH) is FollowerAct.FOLLOW
+    return one
 
 
 def test_a_ramp_that_fails_ends_it_with_the_cause() -> None:
@@ -37,18 +30,15 @@ def test_a_ramp_that_fails_ends_it_with_the_cause() -> None:
     assert "the goal collides" in one.message
 
 
-def test_an_open_clutch_holds_and_a_closed_one_ramps_again() -> None:
+def test_it_follows_after_one_ramp_and_an_open_clutch_holds_until_it_is_closed_and_ramps_again() -> None:
     one = following()
-    assert one.set_clutch(closed=False) is FollowerAct.BRAKE
-    assert one.tick(1.0, FRESH) is FollowerAct.NOTHING
-    one.set_clutch(closed=True)
-    assert one.tick(2.0, FRESH) is FollowerAct.RAMP
-
-
-def test_a_closed_clutch_that_is_closed_again_changes_nothing() -> None:
-    one = following()
+    assert one.tick(0.1, FRESH) is FollowerAct.FOLLOW
     one.set_clutch(closed=True)
     assert one.tick(1.0, FRESH) is FollowerAct.FOLLOW
+    assert one.set_clutch(closed=False) is FollowerAct.BRAKE
+    assert one.tick(2.0, FRESH) is FollowerAct.NOTHING
+    one.set_clutch(closed=True)
+    assert one.tick(3.0, FRESH) is FollowerAct.RAMP
 
 
 def test_samples_that_stop_during_the_ramp_brake_it() -> None:
@@ -76,50 +66,49 @@ def test_a_follower_that_cannot_go_on_ends_once_from_every_phase(before: str) ->
     assert one.message == "the arm has a fault"
 
 
+class Tracking:
+    """A joint between two limits that is steered after a leader, every other tick."""
+
+    def __init__(self, range_rad: float = 2.0) -> None:
+        bounds = JointBounds(*(np.array([value]) for value in (-range_rad, range_rad, 2.0, 6.0)))
+        self._joint, self._ticks = VelocityTracking(bounds, np.zeros(1)), 0
+
+    def follow(self, place_rad: float, velocity_rad_s: float = 0.0) -> tuple[float, float]:
+        """Do a tick; returns position [rad] and velocity [rad/s]."""
+        if self._ticks % 2 == 0:
+            goal = {"a": float(self._joint.position_rad[0])}
+            wanted = tracking_velocities(goal, {"a": place_rad}, {"a": velocity_rad_s}, LIMITS, 0.0)
+            self._joint.set_target(np.array([wanted["a"]]))
+        self._ticks += 1
+        self._joint.advance(TICK_S)
+        return float(self._joint.position_rad[0]), float(self._joint.velocity_rad_s[0])
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=40), st.integers(1, 12))
 def test_goals_never_jump_however_the_leader_moves(places: list[float], ticks_each: int) -> None:
     limits = LIMITS["a"]
-    bounds = JointBounds(*(np.array([value]) for value in (-2.0, 2.0, 2.0, 6.0)))
-    arm = VelocityTracking(bounds, np.zeros(1))
     jerk = limits.acceleration_rad_s2 / TIME_TO_FULL_ACCELERATION_S
-    position, velocity, acceleration = 0.0, 0.0, None
-    for place in places:
-        for tick in range(ticks_each):
-            if tick % 2 == 0:
-                goal = {"a": float(arm.position_rad[0])}
-                wanted = tracking_velocities(goal, {"a": place}, {"a": 0.0}, LIMITS, 0.0)
-                arm.set_target(np.array([wanted["a"]]))
-            arm.advance(TICK_S)
-            assert abs(arm.position_rad[0] - position) <= limits.velocity_rad_s * TICK_S + 1e-6
-            gained = arm.velocity_rad_s[0] - velocity
-            assert abs(gained) <= limits.acceleration_rad_s2 * TICK_S + 1e-6
-            if acceleration is not None:
-                assert abs(gained / TICK_S - acceleration) <= jerk * TICK_S * 2.0 + 1e-4
-            acceleration = gained / TICK_S
-            position, velocity = float(arm.position_rad[0]), float(arm.velocity_rad_s[0])
-            assert -2.0 - 1e-6 <= position <= 2.0 + 1e-6
+    ticks = [(0.0, 0.0)]
+    tracking = Tracking()
+    ticks += [tracking.follow(place) for place in places for _ in range(ticks_each)]
+    position, velocity = np.array(ticks).T
+    acceleration = np.diff(velocity) / TICK_S
+    assert np.abs(position).max() <= 2.0 + 1e-6
+    assert np.abs(np.diff(position)).max() <= limits.velocity_rad_s * TICK_S + 1e-6
+    assert np.abs(acceleration).max() <= limits.acceleration_rad_s2 + 1e-4
+    assert np.abs(np.diff(acceleration)).max(initial=0.0) <= jerk * TICK_S * 2.0 + 1e-4
 
 
 @pytest.mark.parametrize("distance_rad", [0.05, 0.5, 1.5])
 def test_a_follower_arrives_at_a_resting_leader_without_swinging_past(distance_rad: float) -> None:
-    bounds = JointBounds(*(np.array([value]) for value in (-2.0, 2.0, 2.0, 6.0)))
-    arm, farthest = VelocityTracking(bounds, np.zeros(1)), 0.0
-    for tick in range(400):
-        if tick % 2 == 0:
-            wanted = tracking_velocities({"a": float(arm.position_rad[0])}, {"a": distance_rad}, {}, LIMITS, 0.0)
-            arm.set_target(np.array([wanted["a"]]))
-        farthest = max(farthest, float(arm.advance(TICK_S)[0]))
-    assert arm.position_rad[0] == pytest.approx(distance_rad, abs=2e-3)
-    assert farthest <= distance_rad + 0.01
+    tracking = Tracking()
+    positions = [tracking.follow(distance_rad)[0] for _ in range(400)]
+    assert positions[-1] == pytest.approx(distance_rad, abs=2e-3)
+    assert max(positions) <= distance_rad + 0.01
 
 
 def test_a_steady_leader_is_followed_without_lag() -> None:
-    bounds = JointBounds(*(np.array([value]) for value in (-9.0, 9.0, 2.0, 6.0)))
-    arm, place = VelocityTracking(bounds, np.zeros(1)), 0.0
-    for _ in range(400):
-        place += 1.0 * TICK_S
-        wanted = tracking_velocities({"a": float(arm.position_rad[0])}, {"a": place}, {"a": 1.0}, LIMITS, 0.0)
-        arm.set_target(np.array([wanted["a"]]))
-        arm.advance(TICK_S)
-    assert arm.position_rad[0] == pytest.approx(place, abs=0.02)
+    tracking = Tracking(9.0)
+    positions = [tracking.follow(tick * TICK_S, 1.0)[0] for tick in range(1, 401)]
+    assert positions[-1] == pytest.approx(4.0, abs=0.02)

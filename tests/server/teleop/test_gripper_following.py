@@ -36,20 +36,19 @@ class Led:
     """An arm that follows a topic.
 
     Attributes:
-        goals_rad: goals of all joints, one each tick, each of shape (joints,).
+        goals_rad: goals of the gripper, one each tick [rad].
     """
 
     def __init__(self) -> None:
         self.arm = RigArm(DEFAULTS)
-        self.goals_rad: list[np.ndarray] = []
+        self.goals_rad: list[float] = []
 
-    async def lead(self, seconds: float, gripper_rad: Callable[[float], float]) -> None:
-        """Lead by 50 samples a second, and note the goals meanwhile."""
+    async def lead(self, seconds: float, gripper_rad: Callable[[float], float]) -> float:
+        """Lead by 50 samples a second, and note the goals meanwhile; returns the last one."""
         loop = asyncio.get_running_loop()
         began_s = loop.time()
         while (at_s := loop.time() - began_s) < seconds:
-            whole = math.floor(at_s)
-            stamp = {"sec": 5 + whole, "nanosec": round((at_s - whole) * 1e9)}
+            stamp = {"sec": 5 + math.floor(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
             position = [0.1, 0.0, 0.0, 0.0, 0.0, gripper_rad(at_s)]
             sample = {"header": {"stamp": stamp}, "name": list(NAMES), "position": position}
             Context().run(self.arm.stage.publish, "/glove", "sensor_msgs/JointState", sample)
@@ -57,7 +56,8 @@ class Led:
                 await asyncio.sleep(PERIOD_S)
                 controller = self.arm.rig.supervisor._controller
                 assert controller is not None
-                self.goals_rad.append(controller.goal_rad)
+                self.goals_rad.append(float(controller.goal_rad[GRIPPER]))
+        return self.goals_rad[-1]
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def opening(at_s: float) -> float:
 async def test_the_gripper_follows_within_a_tenth_of_a_second(led: Led) -> None:
     await led.lead(6.0, opening)
     first = round(SETTLED_S / PERIOD_S)
-    goals = np.array(led.goals_rad)[first:, GRIPPER]
+    goals = np.array(led.goals_rad)[first:]
     at_s = (np.arange(len(goals)) + first + 1) * PERIOD_S
     behind = np.abs(goals - np.array([opening(each) for each in at_s]))
     # At its fastest the leader goes this far in the time.
@@ -112,20 +112,15 @@ async def test_a_dataset_has_the_gripper_within_a_tenth_of_a_second_of_its_actio
 
 
 async def test_a_gripper_that_another_client_moved_follows_when_the_leader_moves_on(led: Led) -> None:
-    await led.lead(2.0, lambda _at_s: 0.5)
-    assert led.goals_rad[-1][GRIPPER] == pytest.approx(0.5, abs=0.01)
+    assert await led.lead(2.0, lambda _at_s: 0.5) == pytest.approx(0.5, abs=0.01)
     command = {"position": 1.0}
     led.arm.stage.send("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command=command)
-    await led.lead(2.0, lambda _at_s: 0.5)
-    assert led.goals_rad[-1][GRIPPER] == pytest.approx(1.0, abs=0.01)
-    await led.lead(1.0, lambda _at_s: 0.6)
-    assert led.goals_rad[-1][GRIPPER] == pytest.approx(0.6, abs=0.01)
+    assert await led.lead(2.0, lambda _at_s: 0.5) == pytest.approx(1.0, abs=0.01)
+    assert await led.lead(1.0, lambda _at_s: 0.6) == pytest.approx(0.6, abs=0.01)
 
 
 async def test_a_stop_stops_the_gripper(led: Led) -> None:
     await led.lead(2.0, lambda at_s: 0.2 + 0.2 * at_s)
     led.arm.stage.call("/arm/stop")
-    await led.lead(0.3, lambda at_s: 0.6 + 0.2 * at_s)
-    held_rad = led.goals_rad[-1][GRIPPER]
-    await led.lead(1.0, lambda at_s: 0.66 + 0.2 * at_s)
-    assert led.goals_rad[-1][GRIPPER] == held_rad
+    held_rad = await led.lead(0.3, lambda at_s: 0.6 + 0.2 * at_s)
+    assert await led.lead(1.0, lambda at_s: 0.66 + 0.2 * at_s) == held_rad

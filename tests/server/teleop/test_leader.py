@@ -1,8 +1,9 @@
 """Samples of leaders: jitter, order, gaps, and jumps."""
 
-import itertools
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,20 +34,16 @@ def test_an_arm_of_this_server_is_followed_without_a_delay() -> None:
     buffer = JitterBuffer({}, max_delay_s=0.0)
     for number, late_s in enumerate((0.0, 0.03, 0.0, 0.05)):
         buffer.add(LeaderSample(number * 0.1, {"pan": float(number)}), number * 0.1 + late_s)
-    assert buffer.delay_s == 0.0
-    pose = pose_at(buffer, 0.35)
-    assert pose.positions_rad == {"pan": 3.0}
+    assert (buffer.delay_s, pose_at(buffer, 0.35).positions_rad) == (0.0, {"pan": 3.0})
 
 
 def test_a_velocity_is_not_that_of_the_single_ticks_of_an_encoder() -> None:
     # 0.1 rad/s, read at 100 Hz in steps of 1.5 mrad: two readings in a row differ by nothing or by 0.15 rad/s.
     buffer = JitterBuffer({}, max_delay_s=0.0)
     velocities = []
-    for number in range(100):
-        read_s = number / 100
+    for read_s in np.arange(100) / 100:
         buffer.add(LeaderSample(read_s, {"pan": 0.0015 * round(0.1 * read_s / 0.0015)}), read_s)
-        pose = pose_at(buffer, read_s)
-        velocities.append(pose.velocity_rad_s["pan"])
+        velocities.append(pose_at(buffer, read_s).velocity_rad_s["pan"])
     assert velocities[0] == 0.0
     assert velocities[10:] == pytest.approx([0.1] * 90, abs=0.035)
 
@@ -61,15 +58,11 @@ def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
     buffer = JitterBuffer({"a": 2.0})
     seen = []
     for tick in range(100):
-        now_s = tick / 100
-        if tick % 4 == 3:
-            for k in range(tick - 3, tick + 1):
-                buffer.add(LeaderSample(k / 100 + OFFSET_S, {"a": k / 100}), now_s)
+        for k in range(tick - 3, tick + 1) if tick % 4 == 3 else ():
+            buffer.add(LeaderSample(k / 100 + OFFSET_S, {"a": k / 100}), tick / 100)
         if tick > 20:
-            seen.append(pose_at(buffer, now_s).positions_rad["a"])
-    assert [later - before for before, later in itertools.pairwise(seen)] == pytest.approx(
-        [0.01] * (len(seen) - 1), abs=1e-6
-    )
+            seen.append(pose_at(buffer, tick / 100).positions_rad["a"])
+    assert np.diff(seen) == pytest.approx(0.01, abs=1e-6)
 
 
 def test_a_sample_that_is_overtaken_is_dropped() -> None:
@@ -103,9 +96,8 @@ def test_a_leader_whose_clock_is_set_is_followed_on(jump_s: float) -> None:
     for number in range(100):
         now_s = number / 100
         buffer.add(LeaderSample(now_s + (jump_s if number >= 50 else 0.0), {"pan": now_s}), now_s)
-        assert buffer.age_s(now_s) == 0.0
         pose = pose_at(buffer, now_s)
-        assert pose.positions_rad == {"pan": now_s}
+        assert (buffer.age_s(now_s), pose.positions_rad) == (0.0, {"pan": now_s})
         assert abs(pose.velocity_rad_s["pan"]) < 1.1
     assert buffer.take_jump() == ""
 
@@ -114,23 +106,35 @@ ROBOT = so101()
 JOINTS = [joint.name for joint in ROBOT.movable_joints]
 
 
-def test_joints_follow_those_of_the_same_name_below_another_prefix() -> None:
-    joints = joint_map(ROBOT, "", [f"leader_{name}" for name in JOINTS], "leader_")
-    assert joints.targets_rad({"leader_elbow_flex": 0.3}) == {"elbow_flex": 0.3}
-    assert [link.follower for link in joints.links] == JOINTS
+PAN = ROBOT.joints["shoulder_pan"]
 
 
-def test_targets_are_scaled_within_the_limits() -> None:
-    joints = joint_map(ROBOT, "", JOINTS, scale=0.5)
-    assert joints.targets_rad({"elbow_flex": 0.4, "gripper": 0.4}) == {"elbow_flex": 0.2, "gripper": 0.4}
-    pan = ROBOT.joints["shoulder_pan"]
-    assert joint_map(ROBOT, "", JOINTS).targets_rad({"shoulder_pan": 9.0}) == {"shoulder_pan": pan.upper}
+@pytest.mark.parametrize(
+    ("leader", "options", "positions_rad", "targets_rad"),
+    [
+        (
+            [f"left_{name}" for name in JOINTS],
+            {"leader_prefix": "left_"},
+            {"left_elbow_flex": 0.3},
+            {"elbow_flex": 0.3},
+        ),
+        (JOINTS, {"scale": 0.5}, {"elbow_flex": 0.4, "gripper": 0.4}, {"elbow_flex": 0.2, "gripper": 0.4}),
+        (JOINTS, {}, {"shoulder_pan": 9.0}, {"shoulder_pan": PAN.upper}),
+        (JOINTS, {"mirror": True}, {"shoulder_pan": 0.4, "elbow_flex": 0.4}, {"shoulder_pan": -0.4, "elbow_flex": 0.4}),
+        (["a", "b"], {"pairs": (["b"], ["wrist_roll"])}, {"a": 0.1, "b": 0.2}, {"wrist_roll": 0.2}),
+    ],
+    ids=["below another prefix", "scaled", "within the limits", "mirrored", "pairs"],
+)
+def test_joints_follow_those_of_the_same_name_or_as_the_request_says(
+    leader: list[str], options: dict[str, Any], positions_rad: dict[str, float], targets_rad: dict[str, float]
+) -> None:
+    joints = joint_map(ROBOT, "", leader, **options)
+    assert joints.targets_rad(positions_rad) == targets_rad
+    assert [link.follower for link in joints.links] == (["wrist_roll"] if "pairs" in options else JOINTS)
 
 
 def test_in_the_mirror_pan_and_roll_turn_the_other_way() -> None:
     assert mirrored_joints(ROBOT) == {"shoulder_pan", "wrist_roll"}
-    joints = joint_map(ROBOT, "", JOINTS, mirror=True)
-    assert joints.targets_rad({"shoulder_pan": 0.4, "elbow_flex": 0.4}) == {"shoulder_pan": -0.4, "elbow_flex": 0.4}
 
 
 @pytest.mark.parametrize(("pan_rad", "says"), [(45.0, "45.00 rad"), (-2.5, "-2.50 rad"), (2.0, "")])
@@ -138,11 +142,6 @@ def test_a_target_far_beyond_the_range_is_named_with_a_hint_at_degrees(pan_rad: 
     found = joint_map(ROBOT, "", JOINTS).beyond_range({"shoulder_pan": pan_rad})
     assert ("the leader's shoulder_pan leads shoulder_pan" in found and "not in degrees" in found) is bool(says)
     assert says in found
-
-
-def test_pairs_name_who_follows_whom() -> None:
-    joints = joint_map(ROBOT, "", ["a", "b"], pairs=(["b"], ["wrist_roll"]))
-    assert joints.targets_rad({"a": 0.1, "b": 0.2}) == {"wrist_roll": 0.2}
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,7 @@
 """A leader at another machine: what it sends on a slow network."""
 
 import asyncio
-import contextlib
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -18,60 +16,57 @@ from tests.helpers.held_connection import HeldConnection
 TOPIC = "/leader/joint_states"
 
 
-def positions(connection: HeldConnection) -> list[float]:
-    return [message["position"][0] for message in connection.messages]
-
-
 def reading(position_rad: float) -> ArmState:
     at = np.array([position_rad])
     return ArmState(position_rad, Mode.RELAXED, ("elbow_flex",), position_rad=at, velocity_rad_s=at)
 
 
-@dataclass
 class Publishing:
-    server: HeldConnection
-    samples: NewestSample
+    """A client that publishes the samples that a test shows, on a connection whose pongs the test gives."""
 
-    async def show(self, *positions_rad: float) -> None:
-        for position_rad in positions_rad:
-            self.samples.put(reading(position_rad))
+    def __init__(self) -> None:
+        self.server, self.samples = HeldConnection(), NewestSample()
+        topic = PublishedTopic("ws://nowhere", TOPIC, "secret-of-sixteen")
+        self.client = LeaderClient(topic, self.samples, lambda _sentence: None)
+
+    async def show(self, *states: ArmState) -> None:
+        for state in states:
+            self.samples.put(state)
             for _ in range(5):
                 await asyncio.sleep(0)
+
+    @property
+    def positions(self) -> list[float]:
+        return [message["position"][0] for message in self.server.messages]
 
 
 @pytest.fixture
 async def publishing() -> AsyncIterator[Publishing]:
-    server, samples = HeldConnection(), NewestSample()
-    client = LeaderClient(PublishedTopic("ws://nowhere", TOPIC, "secret-of-sixteen"), samples, lambda _sentence: None)
-    await client.announce(server)
-    task = asyncio.create_task(client.publish(server))
-    yield Publishing(server, samples)
+    made = Publishing()
+    await made.client.announce(made.server)
+    task = asyncio.create_task(made.client.publish(made.server))
+    yield made
     task.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await task
+    await asyncio.wait([task])
 
 
 async def test_it_shows_its_token_and_advertises_before_the_first_sample(publishing: Publishing) -> None:
-    await publishing.show(0.5)
+    await publishing.show(ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",)))
+    assert publishing.positions == [], "of an arm that is not read"
+    await publishing.show(reading(0.5))
     assert [each["op"] for each in publishing.server.sent] == ["auth", "advertise", "publish"]
     assert publishing.server.sent[-1]["msg"]["name"] == ["elbow_flex"]
     assert publishing.server.sent[-1]["msg"]["header"]["stamp"] == {"sec": 0, "nanosec": 500_000_000}
 
 
 async def test_on_a_slow_network_old_samples_are_left_out(publishing: Publishing) -> None:
-    await publishing.show(*(float(number) for number in range(50)))
-    assert len(positions(publishing.server)) <= IN_FLIGHT + 2
+    await publishing.show(*(reading(number) for number in range(50)))
+    assert len(publishing.positions) <= IN_FLIGHT + 2
     publishing.server.pings[0].set_result(0.1)
-    await publishing.show(100.0)
+    await publishing.show(reading(100.0))
     # Those that were on their way, at most one that was waited with, and the newest.
-    assert positions(publishing.server)[-1] == 100.0
-    assert len(positions(publishing.server)) <= IN_FLIGHT + 4
-
-
-async def test_an_arm_that_is_not_read_publishes_nothing(publishing: Publishing) -> None:
-    publishing.samples.put(ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",)))
-    await publishing.show()
-    assert positions(publishing.server) == []
+    assert publishing.positions[-1] == 100.0
+    assert len(publishing.positions) <= IN_FLIGHT + 4
 
 
 def test_a_real_leader_needs_a_calibration(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

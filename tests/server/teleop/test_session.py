@@ -1,14 +1,15 @@
 """A following in progress: when it steps, and what it tells of its latency."""
 
 import asyncio
-from collections.abc import Callable, Mapping
-from typing import cast
+from collections.abc import AsyncIterator, Callable
+from typing import Any, cast
 
 import pytest
 
 from harness.waiting import TIMEOUT_S
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode
 from planners.servo.question import JointVelocities, ServoAnswer, ServoLimits, ServoQuestion
+from robot.description.joined import prefixed
 from server.execution.executor import GoalExecutors
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Positions
@@ -26,29 +27,41 @@ STEERED = ROBOT.groups["arm"].joints
 PLANNING_S = 0.002
 
 
-def idle_queue() -> GoalQueue:
-    """A queue that is never started: ramps are played by the rig."""
-    return GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+def context_of(arm: FakeArm, pool: Any, clock: Callable[[], float], **planning: Any) -> FollowingContext:
+    """Return the context of followings whose ramps arrive at once."""
+
+    def go_to(_positions: Positions, _scaling: float) -> Goal:
+        goal = Goal("1", GoalRequest("/goal"))
+        goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
+        return goal
+
+    # The queue is never started: no ramp is played.
+    queue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
+    return FollowingContext(planning_of(arm, pool=pool, **planning), queue, go_to, clock)
+
+
+def session_of(
+    context: FollowingContext, arm: FakeArm, samples: JitterBuffer, told: list[FollowingState], name: str = ""
+) -> FollowingSession:
+    """Return a following by the arm, or by the arm with this name of several."""
+    prefix, robot = name and f"{name}_", context.planning.robot
+    group = robot.groups[f"{prefix}arm"]
+    setup = ServoSetup(group.name, group.joints, f"{prefix}gripper_frame_link", ServoLimits(), 0.02, 1000.0)
+    follower = Follower(name, prefix, prefixed(ROBOT, name) if name else ROBOT, arm.as_arm, setup, None)
+    joints = joint_map(robot, prefix, JOINTS)
+    return FollowingSession(follower, joints, samples, context, told.append, lambda _targets: None)
 
 
 class Rig:
-    """A following whose ramps arrive at once and whose planners take 2 ms for an answer."""
+    """A following whose planners take 2 ms for an answer."""
 
-    def __init__(self, max_delay_s: float = 0.0) -> None:
+    def __init__(self) -> None:
         self.clock = FakeClock()
-        self.samples = JitterBuffer({}, max_delay_s)
+        self.samples = JitterBuffer({}, max_delay_s=0.0)
         self.questions: list[ServoQuestion] = []
         self.told: list[FollowingState] = []
-        self.arm = arm = FakeArm()
-        setup = ServoSetup("arm", STEERED, "gripper_frame_link", ServoLimits(), 0.02, 1000.0)
-        self.session = FollowingSession(
-            Follower("right", "", ROBOT, arm.as_arm, setup, None),
-            joint_map(ROBOT, "", JOINTS),
-            self.samples,
-            FollowingContext(planning_of(arm, pool=self), idle_queue(), self._go_to, self.clock),
-            self.told.append,
-            lambda _targets: None,
-        )
+        self.arm = FakeArm()
+        self.session = session_of(context_of(self.arm, self, self.clock), self.arm, self.samples, self.told)
 
     def read(self, elbow_rad: float, late_s: float = 0.0) -> None:
         """Have the leader read and its sample come."""
@@ -62,66 +75,43 @@ class Rig:
             while not condition():
                 await asyncio.sleep(0)
 
-    def _go_to(self, _positions: Positions, _scaling: float) -> Goal:
-        goal = Goal("1", GoalRequest("/goal"))
-        goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
-        return goal
-
-    async def ask(self, question: ServoQuestion, _scene: object) -> ServoAnswer | PlanningFailure:
+    async def ask(self, question: ServoQuestion, _scene: object) -> ServoAnswer:
         self.questions.append(question)
         self.clock.advance(PLANNING_S)
         await asyncio.sleep(0)
-        velocities: Mapping[str, float] = dict.fromkeys(STEERED, 0.0)
-        return ServoAnswer(dict(velocities))
-
-    @property
-    def following(self) -> bool:
-        return self.session.following.phase is FollowingPhase.FOLLOWING
+        return ServoAnswer(dict.fromkeys(STEERED, 0.0))
 
 
 @pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
+async def rig(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Rig]:
     """One whose period passes for no test: it steps with its samples alone."""
     monkeypatch.setattr(sessions, "PERIOD_S", 1000.0)
-    return Rig()
+    made = Rig()
+    yield made
+    await made.session.close()
 
 
 async def begin(rig: Rig) -> None:
     """Start the following and wait until the first answer has reached the arm."""
     rig.read(0.1)
     rig.session.start()
+    assert rig.told[-1].phase is FollowingPhase.RAMPING, "before the start is answered"
     await rig.until(lambda: rig.session.following.phase is not FollowingPhase.RAMPING)
     rig.read(0.1)
     await rig.until(lambda: len(rig.arm.setpoints) == 1)
 
 
-async def test_the_state_shows_the_following_before_its_start_is_answered(rig: Rig) -> None:
-    rig.read(0.1)
-    rig.session.start()
-    assert rig.told[-1].phase is FollowingPhase.RAMPING
-    await rig.session.close()
-
-
-async def test_a_sample_of_a_leader_of_this_server_is_followed_when_it_comes(rig: Rig) -> None:
-    await begin(rig)
-    rig.clock.advance(0.01)
-    rig.read(0.2)
-    await rig.until(lambda: len(rig.questions) == 2)
-    command = rig.questions[1].command
-    assert isinstance(command, JointVelocities)
-    assert command.velocity_rad_s["elbow_flex"] > 0.0
-    await rig.session.close()
-
-
-async def test_the_latency_counts_from_the_reading_to_the_planners_answer(rig: Rig) -> None:
+async def test_a_sample_is_followed_when_it_comes_and_the_latency_counts_from_its_reading(rig: Rig) -> None:
     await begin(rig)
     rig.clock.advance(0.01)
     rig.read(0.2, late_s=0.004)
     await rig.until(lambda: len(rig.questions) == 2)
+    command = rig.questions[1].command
+    assert isinstance(command, JointVelocities)
+    assert command.velocity_rad_s["elbow_flex"] > 0.0
     await rig.until(lambda: len(rig.arm.setpoints) == 2)
     rig.session._tell()
     assert rig.told[-1].latency_s == pytest.approx(0.004 + PLANNING_S)
-    await rig.session.close()
 
 
 async def test_a_follower_that_does_not_set_out_for_the_leader_within_two_seconds_gives_up(rig: Rig) -> None:
@@ -139,7 +129,6 @@ async def test_a_follower_that_does_not_set_out_for_the_leader_within_two_second
         await asyncio.sleep(0)
     await rig.until(lambda: rig.session.following.ended)
     assert "has not set out for the leader within 2 s: waits for the motion" in rig.session.following.message
-    await rig.session.close()
 
 
 async def test_a_leader_that_is_far_ahead_is_followed_by_a_planned_motion(rig: Rig) -> None:
@@ -152,7 +141,6 @@ async def test_a_leader_that_is_far_ahead_is_followed_by_a_planned_motion(rig: R
     rig.read(1.5)
     await rig.until(lambda: rig.session.following.phase is not FollowingPhase.FOLLOWING)
     assert len(rig.questions) == asked
-    await rig.session.close()
 
 
 async def test_a_leader_that_speaks_in_degrees_leads_nowhere(rig: Rig) -> None:
@@ -161,4 +149,3 @@ async def test_a_leader_that_speaks_in_degrees_leads_nowhere(rig: Rig) -> None:
     await rig.until(lambda: rig.session.following.ended)
     assert "beyond its range of -1.69 to 1.69 rad: positions are in radians" in rig.session.following.message
     assert rig.arm.setpoints == []
-    await rig.session.close()

@@ -8,7 +8,7 @@ import pytest
 from protocol.codecs import cdr
 from protocol.errors import MessageError
 from server.gateway.turns import Threads
-from server.graph.message_types import BYTES_AT_ONCE, MessageTypes, ReceivedMessage
+from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
@@ -95,84 +95,21 @@ async def test_names_lose_this_server_s_namespace_alone(alone: Network) -> None:
             assert found.to_network(here) == there
 
 
-STRING = "std_msgs/msg/String"
+class Failing:
+    """Threads whose jobs fail."""
+
+    def run(self, _job: Callable[[], Any], _done: Callable[[Any, float], None], failed: Callable[[], None]) -> None:
+        failed()
 
 
-class Waiting:
-    """Threads whose jobs are done when the test says so."""
-
-    def __init__(self) -> None:
-        self.jobs: list[Callable[[], None]] = []
-
-    def run(self, job: Callable[[], Any], done: Callable[[Any, float], None], failed: Callable[[], None]) -> None:
-        def work() -> None:
-            try:
-                result = job()
-            except RuntimeError:
-                failed()
-            else:
-                done(result, 0.0)
-
-        self.jobs.append(work)
-
-    def encode(self, encoded: Any, ready: Callable[[], None]) -> None:
-        raise AssertionError
-
-
-class Decoding:
-    """A network whose messages such threads decode, and the decoded messages."""
-
-    def __init__(self, network: Network) -> None:
-        self.background = Waiting()
-        self.decoded: list[ReceivedMessage | MessageError] = []
-        self._network = replace(network, background=self.background)
-
-    def take(self, octets: bytes, type_name: str = STRING) -> None:
-        self._network.decode(type_name, octets, self.decoded.append)
-
-    def work(self) -> None:
-        """Have the threads do what they were given, which is one job."""
-        (job,) = self.background.jobs
-        job()
-
-
-@pytest.fixture
-async def decoding(alone: Network) -> Decoding:
-    return Decoding(alone)
-
-
-def octets_of(text: str) -> bytes:
-    return cdr.serialize(REGISTRY, STRING, {"data": text})
-
-
-async def test_a_small_message_is_decoded_at_once(decoding: Decoding) -> None:
-    decoding.take(octets_of("a"))
-    assert decoding.background.jobs == []
-    assert isinstance(decoding.decoded[0], ReceivedMessage)
-    assert MessageTypes(REGISTRY).complete(STRING, decoding.decoded[0]) == {"data": "a"}
-
-
-async def test_a_large_message_is_decoded_and_completed_by_a_thread(decoding: Decoding) -> None:
-    text = "x" * BYTES_AT_ONCE
-    decoding.take(octets_of(text))
-    assert decoding.decoded == []
-    decoding.work()
-    assert isinstance(decoding.decoded[0], ReceivedMessage)
-    assert decoding.decoded[0].completed(STRING) == {"data": text}
-
-
-async def test_of_octets_that_are_no_message_the_reason_is_told(decoding: Decoding) -> None:
-    decoding.take(b"\0\0", "std_msgs/msg/Header")
-    decoding.take(b"\xff" * (BYTES_AT_ONCE + 1))
-    decoding.work()
-    assert [type(each) for each in decoding.decoded] == [MessageError, MessageError]
-
-
-async def test_a_thread_that_fails_leaves_a_reason(decoding: Decoding, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise RuntimeError
-
-    monkeypatch.setattr(cdr, "deserialize", fail)
-    decoding.take(b"x" * (BYTES_AT_ONCE + 1))
-    decoding.work()
-    assert isinstance(decoding.decoded[0], MessageError)
+async def test_a_small_message_is_decoded_at_once_and_whatever_cannot_be_decoded_leaves_a_reason(
+    alone: Network,
+) -> None:
+    type_name, decoded = "std_msgs/msg/String", list[ReceivedMessage | MessageError]()
+    network = replace(alone, background=cast(Threads, Failing()))
+    for octets in (cdr.serialize(REGISTRY, type_name, {"data": "a"}), b"\0\0", b"x" * (BYTES_AT_ONCE + 1)):
+        network.decode(type_name, octets, decoded.append)
+    message, *errors = decoded
+    assert isinstance(message, ReceivedMessage)
+    assert message.completed(type_name) == {"data": "a"}
+    assert [type(each) for each in errors] == [MessageError, MessageError]

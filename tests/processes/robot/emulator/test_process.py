@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,8 @@ from harness.waiting import TIMEOUT_S, running
 from robot.emulator.process import LINGER_S
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
+from tests.helpers.programs import run
 
 IDS = (1, 2, 3, 4, 5, 6)
 
@@ -49,59 +51,40 @@ def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):
     assert terminal.process.wait(TIMEOUT_S) == 0
 
 
-def standalone(*options):
-    """Emulator as a person starts it."""
+@contextlib.contextmanager
+def standalone(*options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Emulator as a person starts it, and the port that it prints."""
     pipe = subprocess.PIPE
-    return running(
-        [sys.executable, "-P", "-m", "server.cli", "emulate", *options], stdin=pipe, stdout=pipe, stderr=pipe
-    )
+    command = [sys.executable, "-P", "-m", "server.cli", "emulate", *options]
+    with running(command, stdin=pipe, stdout=pipe, stderr=pipe) as process:
+        assert process.stdout is not None
+        yield process, process.stdout.readline().strip()
 
 
-def test_without_a_controller_live_commands_come_on_standard_input():
-    with standalone() as process:
-        port = process.stdout.readline().strip()
+def test_without_a_controller_live_commands_come_on_standard_input(tmp_path: Path) -> None:
+    link = tmp_path / "arm"
+    with standalone("--link", str(link)) as (process, port):
+        assert str(link.readlink()) == port
+        assert process.stdin is not None
+        assert process.stdout is not None
         process.stdin.write('{"offline": [6]}\n\n{"explode": 1}\n')
         process.stdin.flush()
         assert process.stdout.readline() == '{"ok": true}\n'
         assert "explode" in process.stdout.readline()
         process.stdin.close()
-        with contextlib.closing(Bus.open(port)) as bus:
+        with contextlib.closing(Bus.open(str(link))) as bus:
             assert bus.ping(5) == 777
             with pytest.raises(NoReply):
                 bus.ping(6)
         process.terminate()
         assert process.wait(TIMEOUT_S) == 0
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_without_a_controller_it_prints_the_port_and_runs_until_a_signal(tmp_path, number):
-    link = tmp_path / "arm"
-    with standalone("--link", str(link)) as process:
-        port = process.stdout.readline().strip()
-        with contextlib.closing(Bus.open(str(link))) as bus:
-            assert bus.read(6, Register.ID) == 6
-        assert str(link.readlink()) == port
-        process.send_signal(number)
-        assert process.wait(TIMEOUT_S) == 0
     assert not link.is_symlink()
 
 
-def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path) -> None:
-    script, link = tmp_path / "script.jsonl", tmp_path / "arm"
-    script.write_text('{"at_s": 0, "hand": {"3": 5000}}\n')
-    link.symlink_to("/dev/pts/of_another")
-    command = [sys.executable, "-P", "-m", "server.cli", "emulate", "--script", str(script), "--link", str(link)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert f"{script}, line 1: hand.3: must be less than or equal to 4095, not 5000" in done.stderr
-    assert str(link.readlink()) == "/dev/pts/of_another"
-
-
-def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(tmp_path: Path) -> None:
+def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_ends_with_ctrl_c(tmp_path: Path) -> None:
     script = tmp_path / "script.jsonl"
     script.write_text('{"at_s": 2.0, "offline": [6]}\n')
-    with standalone("--script", str(script)) as process:
-        port = process.stdout.readline().strip()
+    with standalone("--script", str(script)) as (process, port):
         # Longer than the script waits, which begins with the first byte.
         time.sleep(2.1)
         with contextlib.closing(Bus.open(port)) as bus:
@@ -110,6 +93,17 @@ def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_shows_it(
             time.sleep(2.1)
             with pytest.raises(NoReply):
                 bus.ping(6)
-        process.terminate()
+        process.send_signal(signal.SIGINT)
         _, shown = process.communicate(timeout=TIMEOUT_S)
         assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'
+        assert process.returncode == 0
+
+
+def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path) -> None:
+    script, link = tmp_path / "script.jsonl", tmp_path / "arm"
+    script.write_text('{"at_s": 0, "hand": {"3": 5000}}\n')
+    link.symlink_to("/dev/pts/of_another")
+    done = run(sys.executable, "-P", "-m", "server.cli", "emulate", "--script", script, "--link", link)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert f"{script}, line 1: hand.3: must be less than or equal to 4095, not 5000" in done.stderr
+    assert str(link.readlink()) == "/dev/pts/of_another"

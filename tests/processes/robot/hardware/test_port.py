@@ -4,7 +4,6 @@ import os
 import pty
 import time
 import tty
-from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -13,30 +12,18 @@ from robot.hardware.port import open_port
 BAUDRATE = 1_000_000
 
 
-@pytest.fixture(params=["pseudo terminal", "loop://"])
-def silent_line(request: pytest.FixtureRequest) -> Iterator[str]:
-    """URL of a line on which nothing comes, with a file descriptor and without."""
-    if request.param == "loop://":
-        yield request.param
-        return
+@pytest.mark.parametrize("kind", ["pseudo terminal", "loop://"])
+def test_a_silent_line_is_waited_for_no_longer_than_asked(kind: str) -> None:
+    """On a line with a file descriptor and on one without; a busy machine makes any of the waits longer."""
     master, slave = pty.openpty()
     tty.setraw(slave)
-    yield os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
-
-
-def shortest_s(receive: Callable[[], bytes]) -> float:
-    """The shortest of several waits on a silent line: a busy machine makes any of them longer."""
+    port = open_port(kind if kind == "loop://" else os.ttyname(slave), BAUDRATE)
     waits_s = []
     for _ in range(5):
         began_s = time.monotonic()
-        assert receive() == b""
+        assert port.receive(0.02) == b""
         waits_s.append(time.monotonic() - began_s)
-    return min(waits_s)
-
-
-def test_a_silent_line_is_waited_for_no_longer_than_asked(silent_line: str) -> None:
-    port = open_port(silent_line, BAUDRATE)
-    assert 0.02 <= shortest_s(lambda: port.receive(0.02)) < 0.2
+    assert 0.02 <= min(waits_s) < 0.2
     port.closePort()
+    os.close(master)
+    os.close(slave)

@@ -84,32 +84,23 @@ def test_a_member_that_ends_starts_again_later_each_time(run: Callable[[str], ps
 def test_one_signal_ends_all_in_good_order(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
     supervisor = run("wait")
     until_ready(tmp_path)
+    # Members are out of reach of the terminal's Ctrl-C.
+    assert all(os.getsid(child.pid) == child.pid for child in supervisor.children())
     supervisor.send_signal(signal.SIGINT)
     wait_until(lambda: not supervisor.is_running() or supervisor.status() == psutil.STATUS_ZOMBIE)
     assert (tmp_path / "ended").exists()
 
 
-def test_a_member_that_does_not_listen_is_killed(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
-    supervisor = run("be_deaf")
+@pytest.mark.parametrize(("second", "number"), [("be_deaf", signal.SIGTERM), ("wait", signal.SIGKILL)])
+def test_members_end_though_one_does_not_listen_and_with_a_supervisor_that_is_killed(
+    run: Callable[[str], psutil.Process], tmp_path: Path, second: str, number: signal.Signals
+) -> None:
+    supervisor = run(second)
     until_ready(tmp_path)
     children = supervisor.children()
-    supervisor.send_signal(signal.SIGTERM)
-    wait_until(lambda: not any(child.is_running() for child in children))
-
-
-def test_members_end_with_a_supervisor_that_is_killed(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
-    supervisor = run("wait")
-    until_ready(tmp_path)
-    children = supervisor.children()
-    supervisor.kill()
+    supervisor.send_signal(number)
     wait_until(lambda: not any(child.is_running() for child in children))
     assert (tmp_path / "ended").exists()
-
-
-def test_members_are_out_of_reach_of_the_terminals_ctrl_c(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
-    supervisor = run("wait")
-    until_ready(tmp_path)
-    assert all(os.getsid(child.pid) == child.pid for child in supervisor.children())
 
 
 def test_a_member_without_a_start_is_retried(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:

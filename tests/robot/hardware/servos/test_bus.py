@@ -92,8 +92,7 @@ def test_a_sequence_gives_up_after_some_attempts(family: Family) -> None:
 
 def test_each_step_of_a_sequence_is_one_transaction(family: Family) -> None:
     bus = family.emulator().open_bus()
-    steps = write_verified(bus, 3, family.registers.Register.GOAL_POSITION, 300)
-    assert [bus.counters.sent for _ in steps] == [0, 1]
+    assert [bus.counters.sent for _ in write_verified(bus, 3, family.registers.Register.GOAL_POSITION, 300)] == [0, 1]
     assert bus.read(3, family.registers.Register.GOAL_POSITION) == 300
 
 

@@ -21,8 +21,7 @@ def surveyed(family: Family, emulator: Any, *, simulated: bool = False) -> dict[
 def test_servos_are_found_as_they_are(family: Family, emulator: Any) -> None:
     family.put(emulator, 3, "TORQUE_ENABLE", 1)
     found = surveyed(family, emulator)
-    torque = family.registers.Register.TORQUE_ENABLE
-    assert [each.values[torque] for each in found.values()] == [0, 0, 1, 0, 0, 0]
+    assert [each.values[family.registers.Register.TORQUE_ENABLE] for each in found.values()] == [0, 0, 1, 0, 0, 0]
     for joint in family.calibration.joints:
         servo = found[joint.servo_id]
         assert family.driver.position_limits_ticks(servo.values) == (joint.range_min, joint.range_max)

@@ -1,12 +1,13 @@
 """The service and the action ``/moveit_goal``: on the queue, and through the executor on a graph."""
 
+import math
 from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
 
 from harness.waiting import until
-from planners.problem import MoveItErrorCode, PlanningProblem
+from planners.problem import MoveItErrorCode
 from server.execution.goal import Answer, GoalPolicy
 from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
@@ -44,13 +45,6 @@ class Desk(ActionDesk):
         assert response.ok, response.values
         values: dict[str, Any] = response.values
         return values
-
-    def problem(self) -> PlanningProblem:
-        """The problem of the motion that was asked for."""
-        (motion,) = self.asked
-        problem = motion.steps[0].problem(HOME)
-        assert isinstance(problem, PlanningProblem)
-        return problem
 
 
 @pytest.fixture
@@ -107,16 +101,11 @@ async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_no_plan_is(d
     assert len(desk.asked) == 1
 
 
-GOALS: list[dict[str, Any]] = [
-    {"named": "ready"},
-    {"joints": ELBOW},
-    {"pose": POINT},
-    # Above the tip, wherever that is.
-    {"pose": {"header": {"frame_id": "gripper_frame_link"}}},
-]
-
-
-@pytest.mark.parametrize("goal", GOALS)
+# The last pose is that of the tip, wherever that is.
+@pytest.mark.parametrize(
+    "goal",
+    [{"named": "ready"}, {"joints": ELBOW}, {"pose": POINT}, {"pose": {"header": {"frame_id": "gripper_frame_link"}}}],
+)
 async def test_a_call_is_answered_when_its_motion_has_ended(desk: Desk, goal: dict[str, Any]) -> None:
     await desk.ask(**goal)
     assert desk.responses == []
@@ -126,41 +115,33 @@ async def test_a_call_is_answered_when_its_motion_has_ended(desk: Desk, goal: di
     assert (desk.answer["message"], desk.answer["goal_id"]) == (THERE.message, "1")
 
 
-@pytest.mark.parametrize(
-    ("request_", "got"),
-    [
-        ({}, "none"),
-        ({"pose": {"header": {"stamp": {"sec": 1}}}}, "none"),
-        ({"named": "ready", "joints": ELBOW}, "named and joints"),
-        ({"named": "ready", "joints": ELBOW, "pose": POINT}, "named and joints and pose"),
-        ({"joints": {"position": [0.3]}, "pose": POINT}, "joints and pose"),
-    ],
-)
-async def test_exactly_one_goal_must_be_given(desk: Desk, request_: dict[str, Any], got: str) -> None:
+EXACTLY_ONE = "exactly one of the fields named, joints and pose must be given, not "
+NOT_READ: list[tuple[dict[str, Any], int, str]] = [
+    ({}, -16, f"{EXACTLY_ONE}none"),
+    ({"pose": {"header": {"stamp": {"sec": 1}}}}, -16, f"{EXACTLY_ONE}none"),
+    ({"named": "ready", "joints": ELBOW, "pose": POINT}, -16, f"{EXACTLY_ONE}named and joints and pose"),
+    ({"joints": {"position": [0.3]}, "pose": POINT}, -16, f"{EXACTLY_ONE}joints and pose"),
+    ({"named": "ready", "velocity_scaling": 1.5}, -16, "velocity_scaling must be from 0 to 1"),
+    ({"named": "ready", "velocity_scaling": -0.1}, -16, "velocity_scaling must be from 0 to 1"),
+    ({"named": "ready", "acceleration_scaling": math.nan}, -16, "acceleration_scaling must be from 0 to 1"),
+    ({"named": "ready", "optimization": "worst"}, -16, "optimization: Input should be 'first', 'short' or 'best', not"),
+    ({"named": "ready", "optimization_time": 10.1}, -16, "optimization_time: Input should be less than or equal to 10"),
+    ({"named": "ready", "optimization_time": -1.0}, -16, "greater than or equal to 0, not -1.0"),
+    ({"named": "ready", "allowed_planning_time": math.nan}, -16, "allowed_planning_time: Input should be"),
+    ({"named": "ready", "allowed_planning_time": 61.0}, -16, "allowed_planning_time: Input should be less than or"),
+    ({"named": "ready", "group": "leg"}, -15, "there is no planning group 'leg'"),
+    ({"group": "gripper", "joints": ELBOW}, -16, "no joint of group gripper is named"),
+]
+
+
+@pytest.mark.parametrize(("request_", "code", "words"), NOT_READ)
+async def test_a_wrong_request_gets_its_code_and_moves_nothing(
+    desk: Desk, request_: dict[str, Any], code: int, words: str
+) -> None:
     await desk.ask(**request_)
-    assert desk.answer["code_name"] == "INVALID_GOAL_CONSTRAINTS"
-    assert desk.answer["message"].endswith(f"exactly one of the fields named, joints and pose must be given, not {got}")
-    assert desk.asked == []
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "code", "words"),
-    [
-        ("velocity_scaling", 1.5, -16, "velocity_scaling must be from 0 to 1"),
-        ("velocity_scaling", -0.1, -16, "velocity_scaling must be from 0 to 1"),
-        ("acceleration_scaling", float("nan"), -16, "acceleration_scaling must be from 0 to 1"),
-        ("optimization", "worst", -16, "optimization: Input should be 'first', 'short' or 'best', not 'worst'"),
-        ("optimization_time", 10.1, -16, "optimization_time: Input should be less than or equal to 10, not 10.1"),
-        ("optimization_time", -1.0, -16, "optimization_time: Input should be greater than or equal to 0, not -1.0"),
-        ("allowed_planning_time", float("nan"), -16, "allowed_planning_time: Input should be"),
-        ("allowed_planning_time", 61.0, -16, "allowed_planning_time: Input should be less than or equal to 60, not 61"),
-        ("group", "leg", -15, "there is no planning group 'leg'"),
-    ],
-)
-async def test_a_wrong_field_gets_its_code(desk: Desk, field: str, value: object, code: int, words: str) -> None:
-    await desk.ask(named="ready", **{field: value})
     assert (desk.answer["success"], desk.answer["code"]) == (False, code)
     assert words in desk.answer["message"]
+    assert desk.asked == []
 
 
 @pytest.mark.parametrize(
@@ -174,16 +155,11 @@ async def test_a_wrong_field_gets_its_code(desk: Desk, field: str, value: object
     ],
 )
 async def test_a_goal_chooses_the_time_of_its_planning(
-    desk: Desk, fields: dict[str, object], time_s: float, allowed_s: float
+    desk: Desk, fields: Any, time_s: float, allowed_s: float
 ) -> None:
     await desk.ask(named="ready", **fields)
-    problem = desk.problem()
+    problem = desk.asked[0].steps[0].problem(HOME)
     assert (problem.optimization_time_s, problem.allowed_time_s) == (time_s, allowed_s)
-
-
-async def test_joints_of_another_group_are_refused(desk: Desk) -> None:
-    await desk.ask(group="gripper", joints=ELBOW)
-    assert "no joint of group gripper is named" in desk.answer["message"]
 
 
 async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
@@ -196,9 +172,16 @@ async def test_a_call_whose_time_is_over_ends_its_motion(desk: Desk) -> None:
 
 @pytest.mark.parametrize("takes_along", [True, False])
 async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: Desk, takes_along: bool) -> None:
-    desk.client.takes_goals_along = takes_along
+    desk.client.takes_goals_along, first = takes_along, desk.client
     await desk.ask(named="ready")
+    # Another client that leaves ends its own goal alone.
+    desk.client = Node("other", remote=True, takes_goals_along=True)
+    await desk.ask(named="home")
+    assert desk.queue.waiting_count == 1
     desk.graph.remove(desk.client)
+    await settle()
+    assert (bool(desk.queue.busy()), desk.queue.waiting_count) == (True, 0)
+    desk.graph.remove(first)
     await settle()
     assert bool(desk.queue.busy()) is not takes_along
 
@@ -218,13 +201,3 @@ async def test_a_goal_that_fails_aborts_the_action(desk: Desk) -> None:
     desk.finish(Answer(MoveItErrorCode.CONTROL_FAILED, "stalled"))
     await settle()
     assert (desk.results[0].status, desk.results[0].values["code"]) == (GoalStatus.ABORTED, -4)
-
-
-async def test_a_goal_of_another_client_is_not_ended_by_one_that_leaves(desk: Desk) -> None:
-    other = Node("other", remote=True, takes_goals_along=True)
-    await desk.ask(named="ready")
-    desk.graph.services.call(other, NAME, {"named": "home"}, desk.responses.append)
-    desk.graph.remove(other)
-    await settle()
-    assert desk.queue.busy()
-    assert desk.queue.waiting_count == 0

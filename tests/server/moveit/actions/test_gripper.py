@@ -10,14 +10,15 @@ from harness.clients import ArmClient
 from harness.server import ServerOnBus
 from harness.waiting import TIMEOUT_S
 from robot.arm import Arm
+from robot.description.limits import within_calibration
 from robot.description.model import parse
 from robot.description.urdf import Joint
 from robot.hardware.config import SerialConfig
-from robot.messages import ArmConfig, MotionEnded, MotionProgress, Outcome
+from robot.messages import ArmConfig, Mode, MotionEnded, MotionProgress, Outcome
 from server.errors import RefusedError
 from server.execution.goal import TimeLimits
 from server.execution.player import BRAKING_TIMEOUT_S
-from server.graph.actions import ActionGoal, Result
+from server.graph.actions import Result
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -39,18 +40,9 @@ from tests.helpers.moveit import REGISTRY
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, nominal_calibration, so101
 from tests.server.conftest import JOINTS
 
-SUCCEEDED, CANCELED = 4, 5
-
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
-ABORTED = 6
-
-REFUSED: dict[str, tuple[str, str, dict[str, Any], str]] = {
-    "too far": (GRIPPER_ACTION, SIMPLE, {"position": 5.0}, "from -0.145 to 1.715 rad, not 5.0"),
-    "negative effort": (GRIPPER_ACTION, SIMPLE, {"position": 1.0, "max_effort": -1.0}, "effort .* not -1.0"),
-    "no position": (PARALLEL_ACTION, PARALLEL, {"name": ["gripper"]}, "one value, not 0"),
-    "another joint": (PARALLEL_ACTION, PARALLEL, {"name": ["elbow_flex"], "position": [0.1]}, "elbow_flex"),
-    "two efforts": (PARALLEL_ACTION, PARALLEL, {"position": [0.1], "effort": [0.1, 0.2]}, "command.effort .* not 2"),
-}
+JOINT = within_calibration(so101(), nominal_calibration()).joints["gripper"]
 
 
 async def send(client: ArmClient, position_rad: float, max_effort: float = 0.0) -> str:
@@ -62,61 +54,47 @@ async def move(client: ArmClient, position_rad: float, max_effort: float = 0.0) 
     return await client.result(await send(client, position_rad, max_effort))
 
 
-async def effort_of_gripper(client: ArmClient) -> float:
-    seen = len(client.topics["/joint_states"])
-    states = await client.until("/joint_states", lambda states: len(states) > seen)
-    return abs(float(states[-1]["effort"][-1]))
-
-
-async def test_the_gripper_opens_and_closes_with_feedback(client: ArmClient) -> None:
+async def test_the_gripper_opens_and_closes_by_both_actions_with_feedback(client: ArmClient) -> None:
     await move(client, 0.0)
     goal = await send(client, 1.2)
     ended = await client.result(goal)
-    assert ended["status"] == SUCCEEDED
-    assert ended["values"]["reached_goal"]
+    assert (ended["status"], ended["values"]["reached_goal"]) == (SUCCEEDED, True)
     assert ended["values"]["position"] == pytest.approx(1.2, abs=0.06)
     way = [feedback["position"] for feedback in client.feedback[goal]]
     assert way == sorted(way)
+    command = {"name": ["gripper"], "position": [0.8], "effort": [0.3], "velocity": [2.0]}
+    ended = await client.result(await client.send_goal(PARALLEL_ACTION, PARALLEL, {"command": command}))
+    assert (ended["status"], ended["values"]["reached_goal"]) == (SUCCEEDED, True)
+    assert ended["values"]["state"]["name"] == ["gripper"]
+    assert ended["values"]["state"]["position"][0] == pytest.approx(0.8, abs=0.06)
 
 
 async def test_an_object_in_the_jaws_is_gripped_gently_and_released(client: ArmClient, served: ServerOnBus) -> None:
     await move(client, 1.2)
     served.emulator.command(obstacle={"6": JOINTS["gripper"].ticks_from_rad(0.5)})
     ended = await move(client, 0.0, max_effort=0.4)
-    assert ended["status"] == SUCCEEDED
-    assert (ended["values"]["stalled"], ended["values"]["reached_goal"]) == (True, False)
-    assert ended["values"]["position"] == pytest.approx(0.5, abs=0.05)
-    assert await effort_of_gripper(client) <= 0.3
+    values = ended["values"]
+    assert (ended["status"], values["stalled"], values["reached_goal"]) == (SUCCEEDED, True, False)
+    assert values["position"] == pytest.approx(0.5, abs=0.05)
+    seen = len(client.topics["/joint_states"])
+    states = await client.until("/joint_states", lambda states: len(states) > seen)
+    assert abs(states[-1]["effort"][-1]) <= 0.3
     assert (await move(client, 1.2))["values"]["reached_goal"]
     await client.until_mode("holding")
 
 
-async def test_the_parallel_action_does_the_same(client: ArmClient) -> None:
-    await move(client, 0.2)
-    command = {"name": ["gripper"], "position": [0.8], "effort": [0.3], "velocity": [2.0]}
-    ended = await client.result(await client.send_goal(PARALLEL_ACTION, PARALLEL, {"command": command}))
-    assert ended["status"] == SUCCEEDED
-    assert ended["values"]["reached_goal"]
-    assert ended["values"]["state"]["name"] == ["gripper"]
-    assert ended["values"]["state"]["position"][0] == pytest.approx(0.8, abs=0.06)
-
-
-async def test_the_newest_of_several_goals_wins(client: ArmClient) -> None:
+async def test_the_newest_of_several_goals_wins_and_one_that_is_cancelled_stops_on_its_way(client: ArmClient) -> None:
     await move(client, 0.0)
     goals = [await send(client, position_rad) for position_rad in (1.5, 0.1, 0.9)]
     ends = [await client.result(goal) for goal in goals]
     assert [end["status"] for end in ends] == [CANCELED, CANCELED, SUCCEEDED]
     assert ends[-1]["values"]["position"] == pytest.approx(0.9, abs=0.06)
-
-
-async def test_a_goal_that_is_cancelled_stops_on_its_way(client: ArmClient) -> None:
-    await move(client, 0.0)
-    goal = await send(client, 1.7)
-    await client.until("/joint_states", lambda states: states[-1]["position"][-1] > 0.3)
+    goal = await send(client, 0.0)
+    await client.until("/joint_states", lambda states: states[-1]["position"][-1] < 0.7)
     await client.say("cancel_action_goal", action=GRIPPER_ACTION, id=goal)
     ended = await client.result(goal)
     assert ended["status"] == CANCELED
-    assert 0.3 < ended["values"]["position"] < 1.6
+    assert 0.05 < ended["values"]["position"] < 0.7
 
 
 async def test_gripper_and_arm_move_at_the_same_time(client: ArmClient) -> None:
@@ -130,10 +108,9 @@ async def test_gripper_and_arm_move_at_the_same_time(client: ArmClient) -> None:
 
 
 async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
-    robot = so101()
-    arm = Arm(ArmConfig(robot, SerialConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
+    arm = Arm(ArmConfig(so101(), SerialConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
     await arm.launch()
-    gripper = Gripper(arm, [robot.joints["gripper"]], GripperLimits(1.0, 1.0, 0.5, TimeLimits()))
+    gripper = Gripper(arm, [JOINT], GripperLimits(1.0, 1.0, 0.5, TimeLimits()))
     moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
     await settle()
     assert not moving.done()
@@ -176,18 +153,18 @@ class Grippers:
     def __init__(self, limits: TimeLimits | None = None, arm: SlowArm | None = None) -> None:
         self.arm, self.graph = arm or SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
-        joints, clock = [so101().joints["gripper"]], asyncio.get_running_loop().time
-        limits = limits or TimeLimits()
-        self.gripper = Gripper(self.arm.as_arm, joints, GripperLimits(1.0, 1.0, 0.5, limits), clock=clock)
+        limits_of_gripper = GripperLimits(1.0, 1.0, 0.5, limits or TimeLimits())
+        clock = asyncio.get_running_loop().time
+        self.gripper = Gripper(self.arm.as_arm, [JOINT], limits_of_gripper, clock=clock)
         offer_gripper(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
 
-    async def send(self, **command: Any) -> ActionGoal:
-        """Send a goal to the action that takes a velocity."""
-        client, told = Node("client", remote=True), {"name": ["gripper"], "position": [1.0], **command}
-        goal = self.graph.actions.send_goal(client, PARALLEL_ACTION, PARALLEL, {"command": told}, self.results.append)
+    async def send(self, action: str = PARALLEL_ACTION, **command: Any) -> Any:
+        """Send a goal, by default to the action that takes a velocity."""
+        told = command if "position" in command else {"name": ["gripper"], "position": [1.0], **command}
+        type_name, client = PARALLEL if action == PARALLEL_ACTION else SIMPLE, Node("client", remote=True)
+        goal = self.graph.actions.send_goal(client, action, type_name, {"command": told}, self.results.append)
         await settle()
-        assert goal is not None
         return goal
 
 
@@ -222,11 +199,13 @@ async def test_a_gripper_motion_that_takes_too_long_is_refused(velocity: float, 
     assert grippers.arm.played == []
 
 
-async def test_the_time_left_of_the_grippers_motion_is_known() -> None:
+async def test_the_end_of_the_grippers_motion_is_known_by_time_and_position() -> None:
     grippers = Grippers()
     assert grippers.gripper.remaining_s is None
     await grippers.send(velocity=[0.01])
     assert grippers.gripper.remaining_s == pytest.approx(100.0, abs=1.0)
+    in_progress = grippers.gripper._in_progress
+    assert in_progress.expected_rad({"gripper": 0.0}, frozenset(("elbow_flex",))) == {"gripper": 1.0}
     grippers.arm.end()
     await settle()
     assert grippers.gripper.remaining_s is None
@@ -288,25 +267,33 @@ async def test_a_grip_ends_when_its_goal_position_rests_by_the_arms_clock() -> N
     assert (await moving).outcome is Outcome.GRIPPED
 
 
-@pytest.mark.parametrize(("action", "type_name", "command", "words"), REFUSED.values(), ids=REFUSED.keys())
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    (GRIPPER_ACTION, {"position": 5.0}, "from -0.145 to 1.715 rad, not 5.0"),
+    (GRIPPER_ACTION, {"position": 1.0, "max_effort": -1.0}, "effort .* not -1.0"),
+    (PARALLEL_ACTION, {"name": ["gripper"], "position": []}, "one value, not 0"),
+    (PARALLEL_ACTION, {"name": ["elbow_flex"], "position": [0.1]}, "elbow_flex"),
+    (PARALLEL_ACTION, {"position": [0.1], "effort": [0.1, 0.2]}, "command.effort .* not 2"),
+]
+
+
+@pytest.mark.parametrize(("action", "command", "words"), REFUSED)
 async def test_an_invalid_command_is_rejected_with_field_limit_and_value(
-    client: ArmClient, action: str, type_name: str, command: dict[str, Any], words: str
+    action: str, command: dict[str, Any], words: str
 ) -> None:
-    ended = await client.result(await client.send_goal(action, type_name, {"command": command}))
-    assert (ended["result"], ended["status"]) == (False, ABORTED)
-    assert re.search(words, ended["values"])
+    grippers = Grippers()
+    await grippers.send(action, **command)
+    (result,) = grippers.results
+    assert (result.ok, result.status) == (False, ABORTED)
+    assert re.search(words, result.values)
 
 
-async def test_the_urdfs_limit_means_the_soft_limit(client: ArmClient) -> None:
-    goal = await client.send_goal(GRIPPER_ACTION, SIMPLE, {"command": {"position": -0.174533}})
-    assert (await client.result(goal))["values"]["reached_goal"]
-
-
-async def test_a_relaxed_gripper_names_the_service_that_enables_it(client: ArmClient) -> None:
-    await client.call("/arm/relax")
-    ended = await client.result(await client.send_goal(GRIPPER_ACTION, SIMPLE, {"command": {"position": 0.5}}))
-    assert (ended["result"], ended["status"]) == (False, ABORTED)
-    assert "/arm/enable" in ended["values"]
+async def test_a_relaxed_gripper_names_the_service_that_enables_it() -> None:
+    grippers = Grippers()
+    grippers.arm.state = replace(grippers.arm.state, mode=Mode.RELAXED)
+    await grippers.send()
+    (result,) = grippers.results
+    assert (result.ok, result.status) == (False, ABORTED)
+    assert "/arm/enable" in result.values
 
 
 LIFTED = parse(LIFTED_URDF, LIFTED_SRDF)
@@ -326,33 +313,25 @@ def simple_command(joints: list[Joint], position: float) -> GripperCommand:
     return GripperCommandMessages(joints).command({"position": position, "max_effort": 0.0})
 
 
-def test_the_position_of_two_sliding_fingers_is_the_gap_between_them() -> None:
+def test_the_urdfs_limit_means_the_soft_limit() -> None:
+    assert simple_command([JOINT], -0.174533).position == JOINT.lower > -0.17
+
+
+def test_the_position_of_two_sliding_fingers_is_the_gap_between_them_in_metres() -> None:
     assert simple_command(FINGERS, 0.06).position == pytest.approx(0.03)
     reading = GripperReading((0.02, 0.03), (0.0, 0.0), (0.1, -0.4))
     result = GripperCommandMessages(FINGERS).result(reading, stalled=False, reached=True)
     assert (result["position"], result["effort"]) == (pytest.approx(0.05), -0.4)
-
-
-def test_the_limits_of_sliding_fingers_are_told_in_metres() -> None:
     with pytest.raises(RefusedError, match=r"must be from 0\.000 to 0\.100 m, not 0\.2"):
         simple_command(FINGERS, 0.2)
 
 
-def joint_command(**fields: Any) -> GripperCommand:
-    message = {"name": [], "position": [], "velocity": [], "effort": [], **fields}
-    return ParallelGripperCommandMessages(FINGERS).command(message)
-
-
 def test_each_finger_may_be_named_with_the_same_position() -> None:
+    def command(**fields: Any) -> GripperCommand:
+        return ParallelGripperCommandMessages(FINGERS).command({"name": [], "velocity": [], "effort": [], **fields})
+
     names = [joint.name for joint in FINGERS]
-    assert joint_command(name=names, position=[0.02, 0.02], velocity=[0.05, 0.04]) == GripperCommand(0.02, 0.0, 0.04)
-    assert joint_command(position=[0.02]) == GripperCommand(0.02)
+    assert command(name=names, position=[0.02, 0.02], velocity=[0.05, 0.04]) == GripperCommand(0.02, 0.0, 0.04)
+    assert command(position=[0.02]) == GripperCommand(0.02)
     with pytest.raises(RefusedError, match="must be the same for all fingers"):
-        joint_command(name=names, position=[0.02, 0.03])
-
-
-async def test_a_motion_of_the_gripper_is_known_to_the_goals_of_the_arm() -> None:
-    grippers = Grippers()
-    await grippers.send()
-    in_progress = grippers.gripper._in_progress
-    assert in_progress.expected_rad({"gripper": 0.0}, frozenset(("elbow_flex",))) == {"gripper": 1.0}
+        command(name=names, position=[0.02, 0.03])

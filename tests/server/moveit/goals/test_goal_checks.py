@@ -7,85 +7,46 @@ import pytest
 from planners.goals import JointGoal
 from planners.problem import Deviation, IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
-from robot.description.forward_kinematics import ForwardPlacements
-from server.graph.services import Response
-from server.graph.topics import Graph
 from server.moveit.goals import goal_checks
-from server.moveit.goals.goal_checks import (
-    GOAL_TIME_S,
-    MAX_GOALS,
-    NOT_CHECKED,
-    SERVICE,
-    answers_in_time,
-    goal_check,
-    offer_goal_checks,
-)
 from server.moveit.messages import composed, pose_of
-from tests.helpers.fake_arm import FakeArm
-from tests.helpers.graph import called
-from tests.helpers.moveit import REGISTRY, TRANSLATOR, DirectPool, planning_of
-from tests.helpers.robots import so101
+from tests.helpers.fake_arm import HOME, FakeArm
+from tests.helpers.moveit import FORWARD, TIP, TRANSLATOR, ServiceRig, planning_of, point
 
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
-
-ROBOT = so101()
-HOME = {joint.name: 0.0 for joint in ROBOT.movable_joints}
 TURNED = {**HOME, "shoulder_pan": 0.5}
-TIP = "gripper_frame_link"
-FOUND_AT_HOME = IkAnswer((HOME,), (Deviation(),))
-FOUND = IkAnswer((TURNED,), (Deviation(0.002),))
+FOUND_AT_HOME, FOUND = IkAnswer((HOME,), (Deviation(),)), IkAnswer((TURNED,), (Deviation(0.002),))
 
 
-class Desk:
-    def __init__(self) -> None:
-        self.graph = Graph(REGISTRY)
-        self.arm = FakeArm()
-        planning = planning_of(self.arm, ROBOT, pool=DirectPool())
-        self.scene = planning.scene_state
-        offer_goal_checks(self.graph, TRANSLATOR, planning)
-
-    async def check(self, **request: Any) -> Response:
-        return await called(self.graph, SERVICE, **request)
+def goal_at(x: float, y: float, z: float, frame: str = "") -> dict[str, Any]:
+    return {"header": {"frame_id": frame}, "pose": point(x, y, z)}
 
 
-@pytest.fixture
-async def desk() -> Desk:
-    return Desk()
-
-
-def point(x: float, y: float, z: float, frame: str = "") -> dict[str, Any]:
-    return {"header": {"frame_id": frame}, "pose": {"position": {"x": x, "y": y, "z": z}}}
-
-
-async def test_poses_and_joint_goals_are_answered_in_their_order(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_goals_are_answered_in_their_order(rig: ServiceRig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(goal_checks, "GOAL_TIME_S", 10.0)
     monkeypatch.setattr(goal_checks, "WAITING_S", math.inf)
+    goal_checks.offer_goal_checks(rig.graph, TRANSLATOR, rig.context)
     wall = SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.3, 0.3)))
-    desk.scene.scene = Scene(version=77, objects=(wall,))
-    answer = await desk.check(
-        poses=[point(0.3, -0.1, 0.2), point(0.9, 0.0, 0.2), point(0.3, 0.3, 0.2), point(0.3, 0.0, 0.2, "moon")],
+    rig.scene_state.scene = Scene(version=77, objects=(wall,))
+    answer = await rig.call(
+        goal_checks.SERVICE,
+        poses=[goal_at(0.3, -0.1, 0.2), goal_at(0.9, 0.0, 0.2), goal_at(0.3, 0.3, 0.2), goal_at(0.3, 0.0, 0.2, "moon")],
         joints=[{"name": ["elbow_flex"], "position": [0.4]}, {"name": ["elbow_flex"], "position": [4.0]}],
     )
-    results = answer.values["results"]
+    results = answer["results"]
     assert [result["code"] for result in results] == [1, -31, -12, -21, 1, -16]
-    assert [(result["reachable"], result["free"]) for result in results] == [
-        (True, True),
-        (False, False),
-        (True, False),
-        (False, False),
-        (True, True),
-        (False, False),
-    ]
+    assert [result["reachable"] for result in results] == [True, False, True, False, True, False]
+    assert [result["free"] for result in results] == [True, False, False, False, True, False]
     assert results[1]["position_error_m"] > 0.3
 
 
-async def test_too_many_goals_and_an_unknown_position_of_the_arm_are_refused(desk: Desk) -> None:
-    many = await desk.check(poses=[point(0.3, 0.0, 0.2)] * MAX_GOALS, joints=[{}])
-    desk.arm.lose_positions()
-    lost = await desk.check(poses=[point(0.3, 0.0, 0.2)])
-    assert (many.ok, lost.ok) == (False, False)
-    assert f"{MAX_GOALS + 1} goals, the limit is {MAX_GOALS}" in many.values
-    assert "joint positions unknown" in lost.values
+async def test_too_many_goals_and_an_unknown_position_of_the_arm_are_refused(rig: ServiceRig) -> None:
+    goal_checks.offer_goal_checks(rig.graph, TRANSLATOR, rig.context)
+    many = await rig.outcome(goal_checks.SERVICE, poses=[goal_at(0.3, 0.0, 0.2)] * goal_checks.MAX_GOALS, joints=[{}])
+    rig.arm.lose_positions()
+    lost = await rig.outcome(goal_checks.SERVICE, poses=[goal_at(0.3, 0.0, 0.2)])
+    assert (many[0], lost[0]) == (False, False)
+    assert f"{goal_checks.MAX_GOALS + 1} goals, the limit is {goal_checks.MAX_GOALS}" in many[1]
+    assert "joint positions unknown" in lost[1]
 
 
 class Slow:
@@ -105,28 +66,26 @@ class Slow:
 
     async def answers(self, monkeypatch: pytest.MonkeyPatch, count: int) -> list[IkAnswer | PlanningFailure]:
         monkeypatch.setattr("server.moveit.goals.goal_checks.time.monotonic", lambda: self.now_s)
-        problems: list[PlanningProblem | PlanningFailure] = [
-            PlanningProblem("arm", HOME, JointGoal({"elbow_flex": at / count})) for at in range(count)
-        ]
-        return await answers_in_time(problems, self, EMPTY_SCENE)
+        problems = [PlanningProblem("arm", HOME, JointGoal({"elbow_flex": at / count})) for at in range(count)]
+        return await goal_checks.answers_in_time(problems, self, EMPTY_SCENE)
 
 
 async def test_hard_goals_alone_are_checked_once_within_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = Slow(lambda _asked: LATE)
     assert await pool.answers(monkeypatch, 100) == [LATE] * 100
     assert len(pool.asked) == 100
-    assert pool.now_s <= 100 * GOAL_TIME_S
+    assert pool.now_s <= 100 * goal_checks.GOAL_TIME_S
 
 
 async def test_the_wait_for_busy_planners_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = await Slow(lambda _asked: FOUND_AT_HOME, busy_s=1.0).answers(monkeypatch, 100)
     assert answers[0] is FOUND_AT_HOME
-    assert answers[-1] is NOT_CHECKED
+    assert answers[-1] is goal_checks.NOT_CHECKED
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 0.7, math.pi])
 def test_the_orientation_error_is_the_angle_to_the_goal_pose(turn_rad: float) -> None:
-    tip = pose_of(ForwardPlacements(ROBOT).transforms(TURNED)[TIP])
+    tip = pose_of(FORWARD.transforms(TURNED)[TIP])
     turn = Pose(orientation=(0.0, math.sin(turn_rad / 2), 0.0, math.cos(turn_rad / 2)))
-    told = goal_check(planning_of(FakeArm(), ROBOT), HOME, FOUND, TIP, composed(tip, turn))
+    told = goal_checks.goal_check(planning_of(FakeArm()), HOME, FOUND, TIP, composed(tip, turn))
     assert told["orientation_error_rad"] == pytest.approx(turn_rad, abs=1e-6)

@@ -18,41 +18,28 @@ from server import cli
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
-from server.graph.topics import Graph
 from server.moveit.goals.goal_history import GoalHistory
-from tests.helpers.fake_arm import JOINTS, FakeArm
-from tests.helpers.graph import called
-from tests.helpers.moveit import REGISTRY, planning_of
+from tests.helpers.fake_arm import HOME
+from tests.helpers.moveit import ServiceRig
 from tests.helpers.steps import StepOf
 
 HISTORY, RECORD = "/armbridge/goal_history", "/armbridge/goal_record"
-STOOD = dict.fromkeys(JOINTS, 0.0)
 NAMED = {"data": "ready"}
 
 STILL = np.zeros((2, 1))
 MOTION = Trajectory(("shoulder_pan",), np.array([0.0, 2.5]), np.array([[0.0], [0.4]]), STILL, STILL)
 
 
-class Records:
-    """A history on a graph of its own, and a client of its services."""
+class Records(ServiceRig):
+    """A history, and a client of its services."""
 
     def __init__(self) -> None:
-        self._graph = Graph(REGISTRY)
-        stamps, planning = itertools.count(1000), planning_of(FakeArm())
-        self.scene_state = planning.scene_state
-        self.history = GoalHistory(self._graph, planning, lambda: float(next(stamps)))
+        super().__init__()
+        stamps = itertools.count(1000)
+        self.history = GoalHistory(self.graph, self.context, lambda: float(next(stamps)))
 
-    async def call(self, service: str, **request: Any) -> dict[str, Any]:
-        response = await called(self._graph, service, **request)
-        assert response.ok, response.values
-        values: dict[str, Any] = response.values
-        return values
-
-    async def record(self, goal_id: str) -> dict[str, Any]:
+    async def record(self, goal_id: str) -> Any:
         return await self.call(RECORD, goal_id=goal_id)
-
-    async def ids(self) -> list[str]:
-        return [status["hardware_id"] for status in (await self.call(HISTORY))["goals"]]
 
 
 @pytest.fixture
@@ -70,32 +57,26 @@ def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
 def answer(
     *planned: Trajectory, code: MoveItErrorCode = MoveItErrorCode.SUCCESS, text: str = "the arm is there"
 ) -> Answer:
-    return Answer(code, text, performed=Performed(STOOD, planned, planning_time_s=0.012))
+    return Answer(code, text, performed=Performed(HOME, planned, planning_time_s=0.012))
 
 
 def take(records: Records, goal_id: str, *steps: float, ends: Answer | None = None, **options: Any) -> None:
     records.history.on_answer(goal(goal_id, *steps, **options), ends or answer(MOTION))
 
 
-async def test_the_history_tells_the_answered_goals_oldest_first_with_their_times(records: Records) -> None:
-    take(records, "1", 0.4)
-    take(records, "2", 0.4)
-    told = await records.call(HISTORY)
-    assert [status["hardware_id"] for status in told["goals"]] == ["1", "2"]
-    assert told["stamps"] == [1000.0, 1001.0]
-
-
-async def test_the_history_keeps_100_goals(records: Records) -> None:
+async def test_the_history_tells_the_last_100_goals_oldest_first_with_their_times(records: Records) -> None:
     for number in range(103):
         take(records, str(number), 0.4)
-    assert await records.ids() == [str(number) for number in range(3, 103)]
+    told = await records.call(HISTORY)
+    assert [status["hardware_id"] for status in told["goals"]] == [str(number) for number in range(3, 103)]
+    assert told["stamps"] == [1000.0 + number for number in range(3, 103)]
     assert not (await records.record("2"))["success"]
     assert (await records.record("3"))["success"]
 
 
 async def test_a_goal_that_is_answered_to_its_client_alone_has_no_record(records: Records) -> None:
     take(records, "1", 0.4, only_for=Node("client"))
-    assert await records.ids() == []
+    assert (await records.call(HISTORY))["goals"] == []
 
 
 async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None:
@@ -106,8 +87,7 @@ async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None
     told = await records.record("7")
     assert told["success"]
     assert json.loads(told["asked"]) == NAMED
-    assert told["duration_s"] == 2.5
-    assert told["planning_time_s"] == 0.012
+    assert (told["duration_s"], told["planning_time_s"]) == (2.5, 0.012)
     assert told["summary"] == "a motion of 2.5 s (rrt; planned in 12 ms)"
     assert [part["joint_trajectory"]["joint_names"] for part in told["planned"]] == [["shoulder_pan"]]
 

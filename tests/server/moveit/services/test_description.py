@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from planners.scene import Pose
-from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState, Mode
 from server import robot_files
 from server.actionlib import ActionlibBridge
@@ -18,42 +17,26 @@ from server.moveit.messages import matrix_of, pose_of
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import SceneState
 from server.moveit.services import description
-from server.moveit.services.description import (
-    ACTION,
-    FILE_SERVICE,
-    SERVICE,
-    SRDF_TOPIC,
-    STATIC_TRANSFORMS_TOPIC,
-    TRANSFORMS_TOPIC,
-    URDF_TOPIC,
-    TransformRepublisher,
-    TransformsTopics,
-    offer_description,
-)
 from server.robot_files import RobotFiles, with_package_urls
+from tests.helpers.fake_arm import JOINTS
 from tests.helpers.gateway import InProcess
 from tests.helpers.graph import called, listen
-from tests.helpers.moveit import REGISTRY, ROBOT
+from tests.helpers.moveit import FORWARD, REGISTRY, ROBOT
 
 PACKAGE = "so101_description"
 
 
-@pytest.mark.parametrize("topic", [URDF_TOPIC, SRDF_TOPIC])
-def test_the_description_is_latched_and_kept_as_a_parameter(topic: str) -> None:
+async def test_the_description_is_latched_and_a_parameter_and_its_meshes_are_served_by_name(files: Path) -> None:
     graph = Graph(REGISTRY)
     parameters: dict[str, str] = {}
-    offer_description(graph, ROBOT, parameters.__setitem__)
-    (kept,) = listen(graph, topic)
-    assert ET.fromstring(kept["data"]).tag == "robot"
-    name = topic.removeprefix("/")
-    for parameter in (topic, name, f"/robot_state_publisher:{name}", f"/move_group:{name}"):
-        assert json.loads(parameters[parameter]) == kept["data"]
-
-
-async def test_a_mesh_is_served_by_its_name_in_the_description(files: Path) -> None:
-    graph = Graph(REGISTRY)
-    offer_description(graph, replace(ROBOT, mesh_directory=files), lambda _name, _value: None)
-    response = await called(graph, FILE_SERVICE, name=f"package://{PACKAGE}/assets/base.stl")
+    description.offer_description(graph, replace(ROBOT, mesh_directory=files), parameters.__setitem__)
+    for topic in (description.URDF_TOPIC, description.SRDF_TOPIC):
+        (kept,) = listen(graph, topic)
+        assert ET.fromstring(kept["data"]).tag == "robot"
+        name = topic.removeprefix("/")
+        for parameter in (topic, name, f"/robot_state_publisher:{name}", f"/move_group:{name}"):
+            assert json.loads(parameters[parameter]) == kept["data"]
+    response = await called(graph, description.FILE_SERVICE, name=f"package://{PACKAGE}/assets/base.stl")
     assert base64.b64decode(response.values["value"]) == b"solid"
 
 
@@ -78,12 +61,8 @@ def files(tmp_path: Path) -> Path:
 
 def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> None:
     served = with_package_urls(urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"), PACKAGE)
-    names = [mesh.get("filename") for mesh in ET.fromstring(served).iter("mesh")]
-    assert names == [
-        f"package://{PACKAGE}/assets/base.stl",
-        f"package://{PACKAGE}/assets/arm.stl",
-        "package://other/a.stl",
-    ]
+    names = [str(mesh.get("filename")).replace(PACKAGE, "own") for mesh in ET.fromstring(served).iter("mesh")]
+    assert names == ["package://own/assets/base.stl", "package://own/assets/arm.stl", "package://other/a.stl"]
     assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
 
 
@@ -113,14 +92,9 @@ def test_files_too_large_or_of_no_description_are_refused(files: Path, monkeypat
         files_in(None).read("assets/base.stl")
 
 
-@pytest.mark.parametrize(
-    "name", ["assets/base.stl", f"package://{PACKAGE}/assets/base.stl", "package://robot/assets/base.stl"]
-)
-def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder(files: Path, name: str) -> None:
-    assert files_in(files).find(name) == files / "assets" / "base.stl"
-
-
-def test_a_folder_within_is_a_package_as_well(files: Path) -> None:
+def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder_or_of_one_within(files: Path) -> None:
+    for name in ("assets/base.stl", f"package://{PACKAGE}/assets/base.stl", "package://robot/assets/base.stl"):
+        assert files_in(files).find(name) == files / "assets" / "base.stl", name
     inner = files / PACKAGE / "base.stl"
     inner.parent.mkdir()
     inner.write_bytes(b"solid")
@@ -141,26 +115,16 @@ def packaged(tmp_path: Path) -> RobotFiles:
     return RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
 
 
-@pytest.mark.parametrize("name", ["base.dae", "skin.png"])
-def test_files_beside_the_meshes_of_a_package_are_served(packaged: RobotFiles, name: str) -> None:
-    assert packaged.read(f"package://arm_meshes/meshes/visual/{name}") == name.encode()
+def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(packaged: RobotFiles) -> None:
+    visual = "package://arm_meshes/meshes/visual"
+    for name in ("base.dae", "skin.png"):
+        assert packaged.read(f"{visual}/{name}") == name.encode()
+    elsewhere = "package://arm_meshes/secret.stl", f"{visual}/../../secret.stl"
+    for name in (*elsewhere, f"{visual}/notes.txt", "package://gone/a.stl"):
+        with pytest.raises(ServiceError, match="name: "):
+            packaged.read(name)
 
 
-ELSEWHERE = (
-    "package://arm_meshes/secret.stl",
-    "package://arm_meshes/meshes/visual/../../secret.stl",
-    "package://arm_meshes/meshes/visual/notes.txt",
-    "package://gone/a.stl",
-)
-
-
-@pytest.mark.parametrize("name", ELSEWHERE)
-def test_nothing_else_of_a_package_is_served(packaged: RobotFiles, name: str) -> None:
-    with pytest.raises(ServiceError, match="name: "):
-        packaged.read(name)
-
-
-JOINTS = tuple(joint.name for joint in ROBOT.movable_joints)
 # As roslib's clients ask by default.
 REQUEST = {
     "source_frames": ["gripper_link", "/shoulder_link", "nowhere"],
@@ -176,7 +140,7 @@ class World(InProcess):
 
     def __init__(self) -> None:
         super().__init__()
-        self.republisher = TransformRepublisher(self.graph, Frames(ROBOT, SceneState(ROBOT)), self.clock)
+        self.republisher = description.TransformRepublisher(self.graph, Frames(ROBOT, SceneState(ROBOT)), self.clock)
 
     def move(self, elbow_rad: float, seconds: float = 1.0) -> None:
         """Have the arm be at an angle after some time."""
@@ -184,10 +148,8 @@ class World(InProcess):
         positions_rad = np.array([elbow_rad if name == "elbow_flex" else 0.0 for name in JOINTS])
         self.republisher.take_state(ArmState(1.0, Mode.HOLDING, JOINTS, position_rad=positions_rad))
 
-    def send_goal(
-        self, client: str = "c", package: str = "tf2_web_republisher_interfaces", **thresholds: float
-    ) -> None:
-        fields = {"action": ACTION, "action_type": f"{package}/TFSubscription", "feedback": True}
+    def send_goal(self, client: str = "c", package: str = "tf2_web_republisher_msgs", **thresholds: float) -> None:
+        fields = {"action": description.ACTION, "action_type": f"{package}/TFSubscription", "feedback": True}
         self.say(client, op="send_action_goal", id="g", args={**REQUEST, **thresholds}, **fields)
 
     def moved(self, client: str = "c") -> list[str]:
@@ -210,7 +172,7 @@ def test_an_actions_feedback_has_the_transforms_of_the_known_frames(world: World
     assert (gripper["header"]["frame_id"], gripper["child_frame_id"]) == (ROBOT.root_link, "gripper_link")
     assert shoulder["child_frame_id"] == "shoulder_link"
     positions_rad = {name: 0.4 if name == "elbow_flex" else 0.0 for name in JOINTS}
-    pose = pose_of(ForwardPlacements(ROBOT).transforms(positions_rad)["gripper_link"])
+    pose = pose_of(FORWARD.transforms(positions_rad)["gripper_link"])
     assert list(gripper["transform"]["translation"].values()) == pytest.approx(pose.position_m)
     assert list(gripper["transform"]["rotation"].values()) == pytest.approx(pose.orientation)
 
@@ -218,7 +180,6 @@ def test_an_actions_feedback_has_the_transforms_of_the_known_frames(world: World
 @pytest.mark.parametrize(
     ("thresholds", "small_rad", "large_rad"),
     [({}, 0.001, 0.5), ({"trans_thres": 10.0}, np.radians(1.0), np.radians(3.0))],
-    ids=["distance", "angle in degrees"],
 )
 def test_only_transforms_beyond_the_thresholds_are_sent_again_at_the_rate(
     world: World, thresholds: dict[str, float], small_rad: float, large_rad: float
@@ -234,7 +195,7 @@ def test_only_transforms_beyond_the_thresholds_are_sent_again_at_the_rate(
 def test_a_goal_ends_when_it_is_cancelled_and_when_its_sender_leaves(world: World) -> None:
     world.send_goal("a")
     world.send_goal("b")
-    world.say("a", op="cancel_action_goal", id="g", action=ACTION)
+    world.say("a", op="cancel_action_goal", id="g", action=description.ACTION)
     (result,) = world.heard("a")
     assert (result["op"], result["status"]) == ("action_result", 5)
     world.client("b").leave()
@@ -243,7 +204,7 @@ def test_a_goal_ends_when_it_is_cancelled_and_when_its_sender_leaves(world: Worl
 
 
 def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(world: World) -> None:
-    world.say("c", op="call_service", service=SERVICE, args={**REQUEST, "timeout": {"sec": 2}})
+    world.say("c", op="call_service", service=description.SERVICE, args={**REQUEST, "timeout": {"sec": 2}})
     topic = world.heard("c")[0]["values"]["topic_name"]
     for _ in range(2):
         world.say("c", op="subscribe", topic=topic)
@@ -259,11 +220,11 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
 
 
 def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> None:
-    ActionlibBridge(world.graph, world.clock, world.clock.call_later).open([ACTION])
+    ActionlibBridge(world.graph, world.clock, world.clock.call_later).open([description.ACTION])
     goal_type = "tf2_web_republisher/TFSubscriptionActionGoal"
-    world.say("c", op="advertise", topic=f"{ACTION}/goal", type=goal_type)
-    world.say("c", op="subscribe", topic=f"{ACTION}/feedback")
-    world.say("c", op="publish", topic=f"{ACTION}/goal", msg={"goal_id": {"id": "g"}, "goal": REQUEST})
+    world.say("c", op="advertise", topic=f"{description.ACTION}/goal", type=goal_type)
+    world.say("c", op="subscribe", topic=f"{description.ACTION}/feedback")
+    world.say("c", op="publish", topic=f"{description.ACTION}/goal", msg={"goal_id": {"id": "g"}, "goal": REQUEST})
     world.move(0.4)
     (feedback,) = world.heard("c")
     assert feedback["msg"]["status"]["goal_id"]["id"] == "g"
@@ -275,7 +236,7 @@ def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> Non
 def test_the_number_of_subscriptions_is_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(description, "MAX_SUBSCRIPTIONS", 1)
     world.send_goal("a")
-    world.say("c", op="call_service", service=SERVICE, args=REQUEST)
+    world.say("c", op="call_service", service=description.SERVICE, args=REQUEST)
     world.send_goal("c")
     for answer in world.heard("c"):
         assert (answer["result"], answer["values"]) == (False, "there are 1 subscriptions already, the limit")
@@ -286,9 +247,9 @@ class Screen:
 
     def __init__(self, rate_hz: float = 50.0) -> None:
         self.graph = Graph(REGISTRY)
-        self.topics = TransformsTopics(self.graph, ROBOT, rate_hz)
-        self.heard = listen(self.graph, TRANSFORMS_TOPIC)
-        (self.static,) = listen(self.graph, STATIC_TRANSFORMS_TOPIC)
+        self.topics = description.TransformsTopics(self.graph, ROBOT, rate_hz)
+        self.heard = listen(self.graph, description.TRANSFORMS_TOPIC)
+        (self.static,) = listen(self.graph, description.STATIC_TRANSFORMS_TOPIC)
 
     def show(self, clock_s: float, position_rad: float = 0.0, stamp_s: float = 0.0) -> None:
         positions = np.full(len(JOINTS), position_rad)
@@ -311,7 +272,7 @@ def test_both_transform_topics_together_place_every_link_as_forward_kinematics_d
         translation, rotation = own["translation"], own["rotation"]
         pose = Pose(tuple(translation[axis] for axis in "xyz"), tuple(rotation[axis] for axis in "xyzw"))
         placed[link] = placed[parent] @ matrix_of(pose)
-    for link, transform in ForwardPlacements(ROBOT).transforms(dict.fromkeys(JOINTS, 0.4)).items():
+    for link, transform in FORWARD.transforms(dict.fromkeys(JOINTS, 0.4)).items():
         assert placed[link] == pytest.approx(transform, abs=1e-9)
 
 

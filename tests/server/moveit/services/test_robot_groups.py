@@ -44,12 +44,8 @@ LIFT_GROUPS = """<robot name="r">
 def test_groups_have_their_joints_tips_and_the_gripper_and_grippers_are_no_groups() -> None:
     robot = model.parse(LIFT, LIFT_GROUPS)
     document = groups_document(robot, {"": robot}, PARAMETERS)
-    assert {name: document["joints"][name] for name in ("lift", "turn", "bend")} == {
-        "lift": "prismatic",
-        "turn": "continuous",
-        "bend": "revolute",
-    }
-    assert "nail" not in document["joints"]
+    kinds = {"lift": "prismatic", "turn": "continuous", "bend": "revolute"}
+    assert document["joints"] == {**kinds, "left": "prismatic", "right": "prismatic"}
     assert [(each["name"], each["joints"], each["tip"]) for each in document["groups"]] == [
         ("upper", ("turn", "bend"), "hand"),
         ("whole", ("lift", "turn", "bend"), "hand"),
@@ -68,11 +64,8 @@ def test_of_several_arms_each_group_names_its_arm_and_a_group_of_both_has_none()
     arms = {name: prefixed(ROBOT, name) for name in ("left", "right")}
     document = groups_document(joined("both", {name: PlacedArm(arm) for name, arm in arms.items()}), arms, PARAMETERS)
     groups = {each["name"]: each for each in document["groups"]}
-    assert {name: each["namespace"] for name, each in groups.items()} == {
-        "left_arm": "/left",
-        "right_arm": "/right",
-        "both_arms": None,
-    }
+    namespaces = {name: each["namespace"] for name, each in groups.items()}
+    assert namespaces == {"left_arm": "/left", "right_arm": "/right", "both_arms": None}
     assert groups["right_arm"]["gripper"]["action"] == "/right/gripper_controller/gripper_cmd"
     assert groups["both_arms"]["gripper"] is None
     assert document["default_group"] == "left_arm"

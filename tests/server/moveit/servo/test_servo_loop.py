@@ -14,7 +14,6 @@ from harness.waiting import until
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from planners.servo.question import Anchor, JointVelocities, ServoAnswer, ServoLimits, ServoQuestion, ServoStatus
-from protocol.messages import Stamp, complete
 from robot.control.motion import SETPOINT_LASTS_S
 from robot.messages import MotionEnded, Outcome, Setpoint
 from server.errors import refused
@@ -23,24 +22,19 @@ from server.moveit.parameters import ServoParameters
 from server.moveit.servo import servo_loop
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm
-from tests.helpers.moveit import REGISTRY, outcome
+from tests.helpers.moveit import message, outcome
 
 UNITLESS = ServoParameters(linear_scale=0.2, rotational_scale=0.8, joint_scale=0.5)
 SPEEDS = ServoParameters(command_in_type="speed_units")
 STEERED_JOINTS = ("shoulder_pan", "elbow_flex")
 
 
-def message(type_name: str, values: dict[str, Any]) -> Any:
-    return complete(REGISTRY, type_name, values, Stamp(0, 0))
-
-
-def twist(linear: dict[str, float], frame_id: str = "", angular: dict[str, float] | None = None) -> Any:
-    values = {"header": {"frame_id": frame_id}, "twist": {"linear": linear, "angular": angular or {}}}
-    return message("geometry_msgs/TwistStamped", values)
+def twist(linear: dict[str, float], angular: dict[str, float] | None = None) -> Any:
+    return message("geometry_msgs/TwistStamped", twist={"linear": linear, "angular": angular or {}})
 
 
 def jog(names: list[str], velocities: list[float], **more: Any) -> Any:
-    return message("control_msgs/JointJog", {"joint_names": names, "velocities": velocities, **more})
+    return message("control_msgs/JointJog", joint_names=names, velocities=velocities, **more)
 
 
 def test_unitless_commands_are_scaled_to_speeds() -> None:
@@ -48,9 +42,8 @@ def test_unitless_commands_are_scaled_to_speeds() -> None:
     assert isinstance(read, servo_loop.TwistCommand)
     assert read.linear_m_s == pytest.approx((0.1, 0.0, 0.0))
     assert read.angular_rad_s == pytest.approx((0.0, 0.0, -0.8))
-    assert servo_loop.read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS) == JointVelocities(
-        {"elbow_flex": 0.25}
-    )
+    steered = servo_loop.read_joint_jog(jog(["elbow_flex"], [0.5]), STEERED_JOINTS, UNITLESS)
+    assert steered == JointVelocities({"elbow_flex": 0.25})
 
 
 ELBOW = ["elbow_flex"]

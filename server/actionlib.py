@@ -56,7 +56,6 @@ class Tracked:
     sent: ActionGoal | None = None
 
     def message(self) -> dict[str, Any]:
-        """Return the actionlib_msgs/GoalStatus."""
         return {"goal_id": self.goal_id, "status": int(self.status), "text": self.text}
 
 

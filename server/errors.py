@@ -32,10 +32,9 @@ class FileTooLargeError(ServiceError):
 class UnsuccessfulError(ServerError):
     """A service that has not succeeded, as its response says, which has no field for the reason."""
 
-    def __init__(self, response: Mapping[str, Any], reason: str, *, complete: bool = False) -> None:
+    def __init__(self, response: object, reason: str) -> None:
         super().__init__(reason)
         self.response = response
-        self.complete = complete
 
 
 class RefusedError(ServerError):

@@ -16,7 +16,6 @@ _PAGE_VERSION = re.compile(r'<meta name="version" content="([^"]+)">')
 
 
 def version_line(page_directory: Path = PAGE_DIRECTORY) -> str:
-    """Return the versions of the program and of its page, in words."""
     program = f"armbridge {metadata.version('armbridge')}"
     try:
         index = (page_directory / "index.html").read_text(encoding="utf-8")

@@ -96,9 +96,8 @@ class Together(Feature):
 class BackgroundTask(Feature):
     """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails."""
 
-    def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]], deadline_s: float = 0.1) -> None:
+    def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]]) -> None:
         self.name = name
-        self.deadline_s = deadline_s
         self._run = run
         self._task: asyncio.Task[None] | None = None
 
@@ -180,7 +179,7 @@ def toggle_debug() -> None:
 
 
 async def first_of(*events: asyncio.Event) -> None:
-    waiting = [asyncio.create_task(_until(event)) for event in events]
+    waiting = [asyncio.create_task(event.wait()) for event in events]
     await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
     for each in waiting:
         each.cancel()
@@ -188,7 +187,7 @@ async def first_of(*events: asyncio.Event) -> None:
 
 async def unless_ended(ending: asyncio.Event, starting: Coroutine[Any, Any, None]) -> bool:
     """Start, unless the end comes before that is done; says whether it is."""
-    started, ended = asyncio.create_task(starting), asyncio.create_task(_until(ending))
+    started, ended = asyncio.create_task(starting), asyncio.create_task(ending.wait())
     await asyncio.wait([started, ended], return_when=asyncio.FIRST_COMPLETED)
     if started.done():
         ended.cancel()
@@ -238,7 +237,7 @@ async def _stop(part: Part | Feature, allowed_s: float, hurry: asyncio.Event) ->
 
 async def _done_in_time(stopping: asyncio.Future[None], allowed_s: float, hurry: asyncio.Event) -> bool:
     """Wait for a stop; a hurry that comes meanwhile cuts its time short."""
-    hurried = asyncio.create_task(_until(hurry))
+    hurried: asyncio.Task[Any] = asyncio.create_task(hurry.wait())
     try:
         if not hurry.is_set():
             await asyncio.wait([stopping, hurried], timeout=allowed_s, return_when=asyncio.FIRST_COMPLETED)
@@ -247,10 +246,6 @@ async def _done_in_time(stopping: asyncio.Future[None], allowed_s: float, hurry:
         return stopping.done()
     finally:
         hurried.cancel()
-
-
-async def _until(event: asyncio.Event) -> None:
-    await event.wait()
 
 
 async def _stop_and_log(part: Part | Feature) -> None:

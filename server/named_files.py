@@ -162,7 +162,6 @@ class FileSeries:
         return path
 
     def paths(self) -> list[Path]:
-        """Return the files, the oldest first."""
         return sorted(self._directory.glob(f"{self._prefix}*{self._suffix}"))
 
 

@@ -18,7 +18,7 @@ from server.errors import ServiceError
 from server.graph.index import TypedNames
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, NameFilter
-from server.graph.services import Call, failure_told
+from server.graph.services import Call, CompleteResponse, failure_told
 from server.graph.topics import Graph
 
 NODE = Node("rosapi")
@@ -183,7 +183,7 @@ class RosApi:
 
     def _service_node(self, request: Request) -> dict[str, Any]:
         provider = self._services.provider(request.name("service"))
-        return {"node": "" if provider is None else node_name(provider)}
+        return {"node": "" if provider is None else node_name(provider.name)}
 
     def _service_host(self, request: Request) -> dict[str, Any]:
         """Return this host: every service is reached through this server."""
@@ -193,7 +193,7 @@ class RosApi:
     def _node_details(self, request: Request) -> dict[str, Any]:
         name, graph = request.values["node"], self._graph
         # Several clients may have one name as ROS spells it.
-        nodes = [node for node in graph.nodes() if node_name(node) == name]
+        nodes = [node for node in graph.nodes() if node_name(node.name) == name]
         return {
             "subscribing": _joined(map(graph.subscriptions.of, nodes)),
             "publishing": _joined(map(graph.publications.of, nodes)),
@@ -317,17 +317,13 @@ def _type_answer(names: TypedNames, field: str) -> Handler:
     return lambda request: {"type": names.type_of(request.name(field), request.dialect) or ""}
 
 
-def node_name(node: Node) -> str:
-    return _ros_name(node.name)
-
-
 @functools.lru_cache(MAX_NODE_NAMES)
-def _ros_name(name: str) -> str:
+def node_name(name: str) -> str:
     return "/" + re.sub(r"\W+", "_", name).strip("_")
 
 
 def _node_names(nodes: Iterable[Node]) -> list[str]:
-    return sorted({node_name(node) for node in nodes})
+    return sorted({node_name(node.name) for node in nodes})
 
 
 def _is_hidden(name: str) -> bool:
@@ -346,7 +342,7 @@ def _joined(lists: Iterable[list[str]]) -> list[str]:
 def _responder(handler: Handler) -> Callable[[Call], None]:
     def respond(call: Call) -> None:
         with failure_told(call):
-            call.succeed_prevalidated(handler(Request(call.request, call.dialect)))
+            call.succeed(CompleteResponse(handler(Request(call.request, call.dialect))))
 
     return respond
 

@@ -87,7 +87,6 @@ class ScanResult:
 
     @property
     def ids(self) -> frozenset[int]:
-        """Ids of all servos that answered."""
         return frozenset(servo.servo_id for servo in self.servos) | frozenset(self.unsteady_ids)
 
 

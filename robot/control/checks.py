@@ -1,7 +1,5 @@
 """Checks of the server's configuration and of every trajectory, whose numbers the arm process does not trust."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import fields, replace
 from typing import Any

@@ -5,8 +5,6 @@ where the arm holds; every goal is clamped to the soft limits and to a bounded s
 the guards check each, and a fault ends every motion and stays latched until it is reset.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -124,7 +122,6 @@ class ArmController:
 
     @property
     def progress(self) -> tuple[MotionProgress, ...]:
-        """Progress of every motion."""
         return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self.motions)
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
@@ -204,7 +201,6 @@ class ArmController:
 
     @property
     def commanded(self) -> list[Commanded]:
-        """Goals of each stream in progress."""
         return [motion.commanded for motion in self.motions if isinstance(motion, Streaming)]
 
     def stop(self, motion_id: int | None = None) -> None:
@@ -366,7 +362,6 @@ class ArmController:
         self._hold_rad = np.where(yielding, inside, self._hold_rad)
 
     def reset(self) -> None:
-        """Reset the fault."""
         self.fault = None
         self.guards.restart()
 

@@ -1,7 +1,5 @@
 """Control cycle of the arm (read, update, write, as in ros2_control's controller manager), and the reports on it."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

@@ -1,7 +1,5 @@
 """Guards: check every reading for faults, independently of the commands to the arm. Pure: time is passed in."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -119,7 +117,6 @@ class Persistence:
         return [now_s - since_s for since_s in self._since_s]
 
     def restart(self, joints: Collection[int]) -> None:
-        """Restart the timers of joints, by index."""
         self._since_s = [math.inf if joint in joints else since_s for joint, since_s in enumerate(self._since_s)]
 
 
@@ -144,7 +141,6 @@ class Guards:
         self.restart()
 
     def restart(self) -> None:
-        """Restart all timers."""
         joints = len(self._names)
         self._behind, self._pushing = Persistence(joints), Persistence(joints)
         self._low, self._flagged = Persistence(joints), Persistence(joints)
@@ -189,7 +185,6 @@ class Guards:
         return None
 
     def warnings(self, measured: Measured, joint: int) -> tuple[ServoWarning, ...]:
-        """Return the warnings about one joint."""
         warnings = []
         temperature_c, age_s = measured.temperature_c[joint], measured.age_s[joint]
         if temperature_c >= self.limits.slow_temperature_c:

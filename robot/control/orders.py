@@ -1,7 +1,5 @@
 """Orders to the arm: sequences that return a sentence or raise a RobotError."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -41,7 +39,6 @@ class Orders:
 
     @property
     def fault(self) -> Fault | None:
-        """Latched fault, or None."""
         return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
     def connect(self, *, may_enable: bool) -> Steps[str]:

@@ -5,8 +5,6 @@ time of a simulated arm passes tick by tick, by no more than :data:`MAX_TICK_S` 
 than real time without effect on its guards, timers and servos.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import logging

@@ -5,8 +5,6 @@ The arm process cannot plan. It keeps the parking trajectory that the server pla
 played backwards to where it began. Whatever cannot be parked is relaxed where it is. Pure: time is passed in.
 """
 
-from __future__ import annotations
-
 import logging
 from enum import Enum
 

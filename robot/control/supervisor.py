@@ -125,7 +125,6 @@ class Supervisor:
 
     @property
     def fault(self) -> Fault | None:
-        """Latched fault, or None."""
         return self._fault if self._orders is None else self._orders.fault
 
     @property
@@ -173,7 +172,6 @@ class Supervisor:
         self._send(ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s), True)
 
     def handle(self, message: object) -> None:
-        """Handle one message of the server."""
         self._heard_s = self._clock()
         if isinstance(message, Stop):
             self._last_stop = max(self._last_stop, message.epoch)

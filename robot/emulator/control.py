@@ -152,7 +152,6 @@ servos have the same id. Every line is answered by {"ok": true}, with the port's
 
 
 def answer(line: bytes, emulation: Emulation) -> bytes:
-    """Carry out one line of commands and return the line that answers it."""
     try:
         values = json_object(line)
         command = check(LiveCommand, values, emulation.bus.servos)
@@ -244,7 +243,6 @@ _OF_VALUES: Mapping[str, Callable[[FeetechServo, Any], None]] = {
 
 
 def carry_out(command: LiveCommand, names: Iterable[str], emulation: Emulation) -> None:
-    """Carry out some of the checked commands in their order."""
     faults, adapter, servos = emulation.bus.faults, emulation.adapter, emulation.bus.servos
     for name in names:
         value = getattr(command, name)

@@ -372,7 +372,6 @@ DYNAMIXEL = DynamixelCodec()
 def emulated_dynamixel_arm(
     robot: RobotModel, config: EmulatedConfig, bounds: JointBounds, limits: GuardLimits, clock: Callable[[], float]
 ) -> EmulatedArm[DynamixelServo]:
-    """Build the emulated Dynamixel servos of an arm."""
     joints = config.calibration.joints
     servos = [_servo(joint, start_rad) for joint, start_rad in zip(joints, start_pose_rad(config), strict=True)]
     return EmulatedArm(robot, config, Dynamixel(), servos, DYNAMIXEL, bounds, limits, clock, holds=config.driven)

@@ -164,7 +164,6 @@ class DrivenPlant(Plant):
     drive: Drive = RELAXED
 
     def step(self, duration_s: float, drive: Drive) -> None:  # noqa: ARG002 - the world's time passes for all joints
-        """Keep the drive for the world's next steps."""
         self.drive = drive
 
 

@@ -114,7 +114,6 @@ class Faults:
         return probability > 0.0 and self.random.random() < probability
 
     def id_of_reply(self, servo_id: int) -> int:
-        """Draw the id that a servo's reply bears."""
         if not self.happens(self.wrong_id):
             return servo_id
         return self.random.choice([other for other in SERVO_IDS if other != servo_id])
@@ -189,7 +188,6 @@ class InstructionParser:
         self._last_byte_s = 0.0
 
     def feed(self, data: bytes, now_s: float) -> list[Instruction]:
-        """Return the instructions completed by ``data``."""
         if now_s - self._last_byte_s > PARTIAL_PACKET_S:
             self._buffer = b""
         self._last_byte_s = now_s

@@ -1,7 +1,5 @@
 """MuJoCo's model of an arm, made from its URDF: links with masses and collision shapes, and joints with limits."""
 
-from __future__ import annotations
-
 import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping

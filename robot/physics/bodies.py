@@ -3,8 +3,6 @@
 Positions are in the frame of the arm's root link [m], orientations unit quaternions x, y, z, w.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias

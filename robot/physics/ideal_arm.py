@@ -1,7 +1,5 @@
 """Ideal arm in a physical world: joints that follow their goals by computed torque, and carry their own weight."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

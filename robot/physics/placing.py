@@ -1,7 +1,5 @@
 """Places of bodies at the start: checked for overlaps, and drawn at random."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Images of a simulated arm and the bodies around it, by MuJoCo's renderer off screen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import mujoco

@@ -5,8 +5,6 @@ weight, and the back-EMF brakes. The torque at the joint ends at the motor's sta
 a real one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

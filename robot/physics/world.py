@@ -1,7 +1,5 @@
 """Simulated world of one arm: its links and the bodies around them, in MuJoCo's time steps."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
@@ -81,7 +79,6 @@ class World:
 
     @property
     def position_rad(self) -> Vector:
-        """Positions of the joints."""
         return self._of_joints(self.data.qpos)
 
     @property

@@ -15,15 +15,8 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
 from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.serialization import (
-    Encoding,
-    NoEncryption,
-    PrivateFormat,
-    PublicFormat,
-    load_pem_private_key,
-)
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from robot.files import locked, replace
@@ -234,12 +227,7 @@ def _load(certificate: Path, key: Path) -> _Pair | None:
         return None
     if not isinstance(read_key, ec.EllipticCurvePrivateKey):
         return None
-    pair = _Pair(read, read_key)
-    return pair if _public(read_key.public_key()) == _public(read.public_key()) else None
-
-
-def _public(key: PublicKeyTypes) -> bytes:
-    return key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    return _Pair(read, read_key) if read_key.public_key() == read.public_key() else None
 
 
 def _pem(certificate: x509.Certificate) -> bytes:

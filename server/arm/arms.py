@@ -157,7 +157,6 @@ class ServedArm:
 
     @property
     def section(self) -> str:
-        """Section of its settings."""
         return f"arms.{self.name}" if self.name else "arm"
 
     @property

@@ -5,8 +5,6 @@ it begins, is followed up to the first contact, and takes the place of the chunk
 stick or leader takes over at any moment; the policy goes on when it is resumed.
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import math
@@ -177,7 +175,6 @@ class ChunkMotion:
 
     @property
     def motion(self) -> ExternalTrajectory:
-        """The motion, for the queue of goals."""
         return ExternalTrajectory(self._make, frozenset(self._joints), cut=self._cut)
 
     def _make(self, held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
@@ -199,7 +196,9 @@ class ChunkMotion:
             raise _invalid(reason)
         self.made += 1
         self._begins_s = at_s - (0.0 if point is None else point.lead.duration_s)
-        self.change_rad = max(self.chunk.moved_rad, self._change_rad(motion, at_s))
+        names = tuple(name for name in self._joints if name in self.chunk.targets.joint_names)
+        away_rad = deviation_rad(self.chunk.targets.of_joints(names), motion.of_joints(names), at_s)
+        self.change_rad = max(self.chunk.moved_rad, float(away_rad.max(initial=0.0)))
         self.positions_rad = dict(zip(self._joints, motion.positions_rad[-1].tolist(), strict=True))
         return motion
 
@@ -213,10 +212,6 @@ class ChunkMotion:
             for index, name in enumerate(self._joints)
         ]
         return Targets(self._joints, targets.time_s, np.stack(columns, axis=-1))
-
-    def _change_rad(self, motion: Trajectory, at_s: float) -> float:
-        names = tuple(name for name in self._joints if name in self.chunk.targets.joint_names)
-        return float(deviation_rad(self.chunk.targets.of_joints(names), motion.of_joints(names), at_s).max(initial=0.0))
 
     def _cut(self, failure: PlanningFailure) -> ExternalTrajectory | None:
         """Return the motion that ends before a contact; None where the failure is another, or no target is left."""
@@ -303,7 +298,6 @@ class ActionChunks:
         graph.offer(node, STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
 
     async def close(self) -> None:
-        """End the following of the gripper."""
         if self._gripper is not None:
             await self._gripper.close()
 

@@ -1,7 +1,5 @@
 """Targets of a gripper, which chunks have beside the arm's targets."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 
@@ -37,13 +35,11 @@ class GripperTargets:
             self._task = asyncio.create_task(self._run(), name="the gripper's targets")
 
     def end(self, reason: str) -> None:
-        """Hold."""
         if self._task is not None:
             self._task.cancel()
         self._following.end(reason)
 
     async def close(self) -> None:
-        """End at once."""
         self.end("the server is ending")
         await self._following.close()
 

@@ -66,7 +66,6 @@ class Targets:
         return Targets(self.joint_names, time_s, np.vstack((self.positions_rad[kept], self.at(np.array([end_s])))))
 
     def of_joints(self, joint_names: tuple[str, ...]) -> Targets:
-        """Return the targets of some of the joints, in their order."""
         columns = [self.joint_names.index(name) for name in joint_names]
         return Targets(joint_names, self.time_s, self.positions_rad[:, columns])
 

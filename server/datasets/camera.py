@@ -80,7 +80,6 @@ class TestPattern:
         self._number = 0
 
     def read(self) -> Pixels | None:
-        """Return the next image."""
         image = self._bars.copy()
         side = max(2, self._height // _SQUARE_SHARE)
         left = (self._width - side) * (self._number % _SQUARE_STEPS) // _SQUARE_STEPS
@@ -122,12 +121,10 @@ class OpenCvSource:
         return pixels
 
     def close(self) -> None:
-        """Give the device back."""
         self._capture.release()
 
 
 def open_source(device: str, width: int | None) -> ImageSource:
-    """Open a camera."""
     return TestPattern(width) if device == TEST_DEVICE else OpenCvSource(device, width)
 
 
@@ -156,14 +153,12 @@ class NewestImage:
         source: ImageSource,
         period_s: float,
         arrived: Callable[[], None],
-        clock: Callable[[], float] = time.monotonic,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.captured = 0
         self._source = source
         self._period_s = period_s
         self._arrived = arrived
-        self._clock = clock
         self._wall_clock_ns = wall_clock_ns
         self._newest: Captured | None = None
         self._ending = threading.Event()
@@ -176,7 +171,6 @@ class NewestImage:
         return self._ended.is_set()
 
     def start(self) -> None:
-        """Begin to read."""
         self._thread.start()
 
     def take(self) -> Captured | None:
@@ -190,15 +184,15 @@ class NewestImage:
         self._thread.join(CLOSE_TIMEOUT_S)
 
     def _run(self) -> None:
-        due_s = self._clock()
+        due_s = time.monotonic()
         try:
             while not self._ending.is_set() and (pixels := self._source.read()) is not None:
                 self._newest = Captured(self._wall_clock_ns(), pixels)
                 self.captured += 1
                 self._arrived()
                 if not self._source.paced:
-                    due_s = max(due_s + self._period_s, self._clock())
-                    self._ending.wait(due_s - self._clock())
+                    due_s = max(due_s + self._period_s, time.monotonic())
+                    self._ending.wait(due_s - time.monotonic())
         finally:
             self._source.close()
             self._ended.set()

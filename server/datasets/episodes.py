@@ -29,7 +29,6 @@ class Mark:
 
     @property
     def text(self) -> str:
-        """Text of the mark on the topic."""
         return f"{self.kind} {self.task}".rstrip()
 
 

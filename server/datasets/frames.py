@@ -33,7 +33,6 @@ class Tracks:
     action_name: str = ""
 
     def has_actions_in(self, episode: Episode) -> bool:
-        """Return True if an action was recorded in an episode."""
         times_s = self.action_times_s
         return times_s is not None and bool(((times_s >= episode.start_s) & (times_s <= episode.end_s)).any())
 
@@ -55,7 +54,6 @@ class EpisodeFrames:
 
     @property
     def count(self) -> int:
-        """Number of frames."""
         return len(self.states)
 
 

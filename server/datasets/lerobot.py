@@ -145,7 +145,6 @@ class ImageStatistics:
             self._histogram[channel] += times * np.bincount(image[:, :, channel].ravel(), minlength=LEVELS)
 
     def merge(self, other: ImageStatistics) -> None:
-        """Add the frames of others."""
         self.frames += other.frames
         self._histogram += other._histogram
 
@@ -216,7 +215,6 @@ class Dataset:
 
     @property
     def frames(self) -> int:
-        """Number of all frames."""
         return sum(episode.count for episode in self.episodes)
 
     @property
@@ -232,7 +230,6 @@ class Dataset:
 
 
 def video_file(root: Path, key: str) -> Path:
-    """Return the file of a camera's video."""
     return root / VIDEO_PATH.format(video_key=key, chunk_index=0, file_index=0)
 
 
@@ -387,6 +384,5 @@ _PANDAS_COLUMNS = [_described("task_index", "int64", "int64"), _described("task"
 
 
 def write_json(path: Path, contents: Mapping[str, Any]) -> None:
-    """Write a file of metadata."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(contents, indent=4, ensure_ascii=False), encoding="utf-8")

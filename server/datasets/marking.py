@@ -63,7 +63,6 @@ class Timing:
     latest_s: deque[float] = field(default_factory=lambda: deque(maxlen=LATEST))
 
     def take(self, now_s: float, delay_s: float) -> None:
-        """Take a message."""
         self.longest_s = max(self.longest_s, now_s - self.last_s)
         self.last_s, self.delay_s = now_s, delay_s
         self.latest_s.append(now_s)

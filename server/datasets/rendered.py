@@ -1,7 +1,5 @@
 """Rendered cameras: messages with images of a simulated arm and the objects of its planning scene."""
 
-from __future__ import annotations
-
 import base64
 import os
 from collections.abc import Collection, Mapping, Sequence
@@ -161,12 +159,7 @@ class RenderedCameras:
         if type_name == DEPTH_TYPE:
             return _depth_image(self._renderer.depth_m(published.topic))
         jpeg = to_jpeg(self._renderer.image(published.topic), None, published.quality)
-        return {"format": "jpeg", "data": _base64(jpeg)}
-
-
-def _base64(octets: bytes) -> str:
-    """Return octets as messages inside the server have them, and on the wire in JSON."""
-    return base64.b64encode(octets).decode()
+        return {"format": "jpeg", "data": base64.b64encode(jpeg).decode()}
 
 
 def camera_info(camera: Camera) -> Message:
@@ -189,7 +182,7 @@ def _depth_image(depth_m: np.ndarray) -> Message:
     pixels = np.where(depth_mm <= MAX_DEPTH_MM, depth_mm, 0.0).astype("<u2")
     height, width = pixels.shape
     size = {"height": height, "width": width, "step": pixels.itemsize * width}
-    return {**size, "encoding": "16UC1", "is_bigendian": 0, "data": _base64(pixels.tobytes())}
+    return {**size, "encoding": "16UC1", "is_bigendian": 0, "data": base64.b64encode(pixels.tobytes()).decode()}
 
 
 def color_of(message: Message) -> tuple[float, ...]:

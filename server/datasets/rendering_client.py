@@ -1,7 +1,5 @@
 """Client that renders the arm and the scene of a server elsewhere: ``armbridge camera physics``."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

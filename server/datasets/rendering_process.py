@@ -1,7 +1,5 @@
 """Process that renders cameras: it takes scenes, and sends the messages of their images back."""
 
-from __future__ import annotations
-
 import logging
 
 from robot.channel import Channel, channel_of_child

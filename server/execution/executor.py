@@ -353,7 +353,7 @@ class GoalExecutor:
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
-            planned = await plan_sequence(request.steps, start_rad, scene, self._context.pool.ask)
+            planned = await plan_sequence(request.steps, start_rad, scene, self._context.pool)
             if planned.failure is None:
                 self._in_progress.announce(request.joints, planned.end_rad)
             return planned, scene

@@ -43,7 +43,6 @@ class TimeLimits:
         return duration_s * self.scaling + self.margin_s
 
     def check_duration(self, duration_s: float, field: str, code: MoveItErrorCode, advice: str = "") -> None:
-        """Check the planned duration of a goal's motions."""
         if not duration_s <= self.trajectory_s:
             limit_s = self.trajectory_s
             text = f"{field} is {duration_s:.6g} s, longer than goals.max_trajectory_duration_s = {limit_s:g}{advice}"

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
+from planners.interface import Planners
 from planners.problem import (
     CartesianPlan,
     CartesianProblem,
@@ -91,10 +92,6 @@ class Performed:
     planning_time_s: float = 0.0
 
 
-# Has a planner answer, as `planners.interface.Planners.ask` does.
-AskPlanner: TypeAlias = Callable[[Problem, Scene], Awaitable[Plan | CartesianPlan | PlanningFailure]]
-
-
 @dataclass(frozen=True)
 class PlannedSequence:
     """Result of planning a sequence; the failure says why the next motion is missing."""
@@ -137,7 +134,7 @@ class PlannedSequence:
 
 
 async def plan_sequence(
-    steps: Sequence[MotionStep], start_rad: Positions, scene: Scene, ask: AskPlanner
+    steps: Sequence[MotionStep], start_rad: Positions, scene: Scene, planners: Planners
 ) -> PlannedSequence:
     """Plan all steps, or those before the first that cannot be planned."""
     now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
@@ -145,7 +142,7 @@ async def plan_sequence(
         problem = None
         try:
             problem = step.problem(now_rad)
-            plan = await _plan(problem, scene, ask)
+            plan = await _plan(problem, scene, planners)
         except RefusedError as error:
             failure = error.failure
             if len(steps) > 1:
@@ -162,8 +159,8 @@ def _end_positions(motion: Trajectory) -> dict[str, float]:
     return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
 
 
-async def _plan(problem: Problem, scene: Scene, ask: AskPlanner) -> Plan | CartesianPlan:
-    plan = await ask(problem, scene)
+async def _plan(problem: Problem, scene: Scene, planners: Planners) -> Plan | CartesianPlan:
+    plan = await planners.ask(problem, scene)
     if isinstance(plan, PlanningFailure):
         raise RefusedError(plan)
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:

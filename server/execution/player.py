@@ -262,7 +262,6 @@ class MotionInProgress:
 
     @property
     def title(self) -> str:
-        """Its joints, for people."""
         names = self.trajectory.joint_names
         return f"the motion of {names[0]}" + (f" to {names[-1]}" if len(names) > 1 else "")
 

@@ -31,22 +31,24 @@ class RunningGoal:
     waiting: int = 0
 
 
+class GoalListener:
+    """Part of the server that takes the news of all goals."""
+
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
+        """Take the progress of a goal."""
+
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
+        """Take the answer to a goal."""
+
+
 class GoalQueue:
     """Bounded queue before the executors; where its methods have joints, None stands for all."""
 
-    def __init__(
-        self,
-        executors: GoalExecutors,
-        policy: GoalPolicy,
-        capacity: int,
-        on_progress: Callable[[Goal, Progress], None],
-        on_answer: Callable[[Goal, Answer], None],
-    ) -> None:
+    def __init__(self, executors: GoalExecutors, policy: GoalPolicy, capacity: int) -> None:
         self._executors = executors
         self._policy = policy
         self._capacity = capacity
-        self._on_progress = on_progress
-        self._on_answer = on_answer
+        self.listeners: list[GoalListener] = []
         self._waiting: deque[Goal] = deque()
         # In the order of their start.
         self._active: dict[Goal, asyncio.Task[None]] = {}
@@ -137,8 +139,9 @@ class GoalQueue:
     def _goal(self, request: GoalRequest) -> Goal:
         def report(progress: Progress) -> None:
             goal.progress = progress
-            with _contained(goal):
-                self._on_progress(goal, progress)
+            for listener in self.listeners:
+                with _contained(goal):
+                    listener.on_progress(goal, progress)
             with _contained(goal):
                 goal.request.on_progress(progress)
 
@@ -218,8 +221,9 @@ class GoalQueue:
         self._begin_soon()
 
     def _finish(self, goal: Goal, answer: Answer) -> None:
-        with _contained(goal):
-            self._on_answer(goal, answer)
+        for listener in self.listeners:
+            with _contained(goal):
+                listener.on_answer(goal, answer)
         with _contained(goal):
             goal.request.on_answer(answer)
         goal.answered.set_result(answer)

@@ -99,11 +99,9 @@ class Cameras(Feature):
             services.offer(self._node, offered, type_name, serve, rule=WORKING)
 
     async def start(self) -> None:
-        """Publish the optical frames."""
         self._publish_frames(())
 
     async def stop(self) -> None:
-        """End the process."""
         self._over = True
         await end_task(self._process)
 

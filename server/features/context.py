@@ -5,7 +5,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from planners.interface import Planners
 from robot.arm import Arm
@@ -17,10 +16,10 @@ from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
-from server.execution.goal import Answer, Goal, GoalRequest, Progress, TimeLimits
+from server.execution.goal import Answer, Goal, GoalRequest, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
-from server.execution.queue import GoalQueue, RunningGoal
+from server.execution.queue import GoalListener, GoalQueue, RunningGoal
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -38,18 +37,8 @@ from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.rosapi import RosApi
 
 
-class GoalListener(Protocol):
-    """Feature that takes the news of goals."""
-
-    def on_progress(self, goal: Goal, progress: Progress) -> None:
-        """Take the progress of a goal."""
-
-    def on_answer(self, goal: Goal, answer: Answer) -> None:
-        """Take the answer to a goal."""
-
-
-class Goals:
-    """Way of goals to the arms."""
+class Goals(GoalListener):
+    """Way of goals to the arms, which counts their answers."""
 
     def __init__(self, graph: Graph, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
         moveit, goals, robot = settings.moveit, settings.goals, planning.robot
@@ -72,22 +61,14 @@ class Goals:
             self.confirmation.wait,
         )
         self.executors = GoalExecutors(arm, execution)
-        self.queue: GoalQueue = GoalQueue(
-            self.executors, goals.policy, goals.capacity, self._on_progress, self._on_answer
-        )
+        self.queue = GoalQueue(self.executors, goals.policy, goals.capacity)
+        self.queue.listeners.append(self)
         file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
         self.named_states = NamedStates(robot, planning.problems.group("").name, file)
         self.counters = GoalCounters()
-        self.listeners: list[GoalListener] = []
 
-    def _on_progress(self, goal: Goal, progress: Progress) -> None:
-        for listener in self.listeners:
-            listener.on_progress(goal, progress)
-
-    def _on_answer(self, goal: Goal, answer: Answer) -> None:
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
         self.counters.count(goal.request.source, answer)
-        for listener in self.listeners:
-            listener.on_answer(goal, answer)
 
 
 @dataclass(frozen=True, eq=False)

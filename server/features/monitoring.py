@@ -68,10 +68,8 @@ class Logs(Feature):
             self._fault_files.take_health(health)
 
 
-class Monitoring(Feature):
+class Monitoring(BackgroundTask):
     """Health of the server: over HTTP, as metrics, and for systemd."""
-
-    name = "the monitor"
 
     def __init__(
         self,
@@ -92,14 +90,8 @@ class Monitoring(Feature):
             zenoh=bridge,
         )
         self.monitor = Monitor(self._sources, notifier or SystemdNotifier())
-        self._watching = BackgroundTask("monitor", self.monitor.run)
+        super().__init__("the monitor", self.monitor.run)
         clients.routes.update(self.monitor.routes)
-
-    async def start(self) -> None:
-        await self._watching.start()
-
-    async def stop(self) -> None:
-        await self._watching.stop()
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         if not arm:

@@ -12,6 +12,7 @@ from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
 from server.config import Settings
 from server.execution.goal import Answer, Goal, Progress
+from server.execution.queue import GoalListener
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
@@ -102,7 +103,7 @@ class MoveGroup(Feature):
         offer_planning_actions(graph, planning, goals.queue)
         offer_execute_trajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
         offer_services(graph, planning)
-        goals.listeners.append(GoalHistory(graph, planning, time.time))
+        goals.queue.listeners.append(GoalHistory(graph, planning, time.time))
 
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
@@ -128,7 +129,7 @@ class ArmGoals(Feature):
         self._goals_of[arm].take_state(state)
 
 
-class _GoalsOfArm:
+class _GoalsOfArm(GoalListener):
     """Goals of one arm; goals of several arms are published by the names of each arm that they move as well."""
 
     def __init__(self, arm: ArmContext) -> None:
@@ -151,7 +152,7 @@ class _GoalsOfArm:
             offer_gripper(graph, arm.gripper)
         names = [name for each in self._controllers for name in each.actions]
         self.actions = tuple(map(graph.resolve, (*names, *(() if arm.gripper is None else GRIPPER_ACTIONS))))
-        goals.listeners.append(self)
+        goals.queue.listeners.append(self)
 
     def take_state(self, state: ArmState) -> None:
         for controller in self._controllers:

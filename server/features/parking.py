@@ -25,9 +25,9 @@ from server.arm.services import trigger_response
 from server.arrival import is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError
-from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import PlannedMotion, Positions
-from server.execution.queue import GoalQueue
+from server.execution.queue import GoalListener, GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
@@ -380,7 +380,7 @@ class LastClient:
         log.info("nobody who may drive is connected: %s", relaxed.message)
 
 
-class Parkings(Feature):
+class Parkings(Feature, GoalListener):
     """Parking of each arm. At the end of the server each arm that parks gets its way to the rest pose."""
 
     name = "the way to the rest pose"
@@ -403,7 +403,7 @@ class Parkings(Feature):
         self._kept = KeptWays(keeping, context)
         self._keeping = BackgroundTask("parking", self._kept.run)
         if self._several:
-            context.goals.listeners.append(self)
+            context.goals.queue.listeners.append(self)
             self.deadline_s = len(self._parkings) * (PREPARING_S + CLOSE_LIMIT_S)
             context.whole.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
 
@@ -424,9 +424,6 @@ class Parkings(Feature):
         """Forget the ways that were planned before a motion of one of several arms."""
         if progress.state is GoalState.EXECUTING:
             self._kept.forget()
-
-    def on_answer(self, _goal: Goal, _answer: Answer) -> None:
-        """Take the answer to a goal, which changes no way."""
 
     async def stop(self) -> None:
         await self._keeping.stop()

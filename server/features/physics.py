@@ -95,7 +95,6 @@ class ArmWorld:
 
     @property
     def gripper_goal_rad(self) -> list[float]:
-        """Goals of the gripper's joints."""
         if self.state is None or self.state.goal_rad is None:
             return []
         goals = dict(zip(self.state.joint_names, self.state.goal_rad.tolist(), strict=True))
@@ -107,7 +106,6 @@ class ArmWorld:
         return -1 if self.state is None or self.state.stepped_ticks is None else self.state.stepped_ticks
 
     def distance_m(self, pose: Pose) -> float:
-        """Return the distance from its foot."""
         return math.dist(self._foot.position_m, pose.position_m)
 
 

@@ -27,6 +27,7 @@ from protocol.operations import (
     UnadvertiseService,
     Unsubscribe,
 )
+from protocol.registry import Kind
 from protocol.session import Packed, Refusal
 from server.access.authorization import Authorizer, is_cancel, is_stop
 from server.errors import GraphError
@@ -195,7 +196,7 @@ class Client:
                 case CallService():
                     self.services.call_unanswered(operation)
                 case Publish():
-                    self.topics.publish(operation, _message_of(operation, 0, light=True))
+                    self.topics.publish(operation, self._message_of(operation, 0, light=True))
                 case _:
                     pass
 
@@ -205,7 +206,7 @@ class Client:
         if isinstance(item, Refusal):
             self._refuse(item)
         else:
-            self._carry_out(item, message or _message_of(item, size_bytes, light=light))
+            self._carry_out(item, size_bytes, message, light=light)
         if self.node.identity is None:
             self.inbox.close()
 
@@ -222,13 +223,17 @@ class Client:
             case _:
                 pass
 
-    def _carry_out(self, operation: Operation, message: ReceivedMessage) -> None:
+    def _carry_out(
+        self, operation: Operation, size_bytes: int, message: ReceivedMessage | None, *, light: bool
+    ) -> None:
         dialect = self.session.dialect
         try:
             refusal = self._authorizer.refusal(operation)
             if refusal is not None:
                 self.reject(operation, refusal)
                 return
+            self._detect_dialect(operation)
+            message = message or self._message_of(operation, size_bytes, light=light)
             _HANDLERS[type(operation)](self, operation, message)
         except (ProtocolError, GraphError) as error:
             self.status.refuse_error(operation.op, error, operation.id)
@@ -242,6 +247,23 @@ class Client:
             self.status.tell(
                 "info", operation, "its type exists only in ROS 1, whose spelling this client gets from now on"
             )
+
+    def _detect_dialect(self, operation: Operation) -> None:
+        """Set the dialect to ROS 1 when the client names a type that exists only there."""
+        field, kind = _TYPE_FIELDS.get(type(operation), ("", "msg"))
+        name = getattr(operation, field, None)
+        # Clients of both generations call rosapi's types so.
+        if not isinstance(name, str) or name.startswith("rosapi/"):
+            return
+        if self._graph.message_types.registry.exists_only_in_ros1(name, kind):
+            self.session.dialect = "ros1"
+
+    def _message_of(self, operation: Operation, size_bytes: int, *, light: bool) -> ReceivedMessage:
+        field = _MESSAGE_FIELDS.get(type(operation), "")
+        message = getattr(operation, field, None)
+        if message is None and field == "values":
+            message = {}
+        return ReceivedMessage(message, size_bytes, self.session.dialect, light=light)
 
     def _refuse(self, refusal: Refusal) -> None:
         """Report an operation that cannot be read; clients that wait for it, or for its answer, get a failure."""
@@ -289,13 +311,12 @@ _MESSAGE_FIELDS: Mapping[type[Operation], str] = {
     ActionFeedback: "values",
 }
 
-
-def _message_of(operation: Operation, size_bytes: int, *, light: bool) -> ReceivedMessage:
-    field = _MESSAGE_FIELDS.get(type(operation))
-    if field is None:
-        return _NO_MESSAGE
-    message = getattr(operation, field)
-    return ReceivedMessage({} if message is None and field == "values" else message, size_bytes, light=light)
-
-
-_NO_MESSAGE = ReceivedMessage({}, 0)
+# Field of an operation with its type, and what that is a type of.
+_TYPE_FIELDS: Mapping[type[Operation], tuple[str, Kind]] = {
+    Subscribe: ("type", "msg"),
+    Advertise: ("type", "msg"),
+    CallService: ("type", "srv"),
+    AdvertiseService: ("type", "srv"),
+    SendActionGoal: ("action_type", "action"),
+    AdvertiseAction: ("type", "action"),
+}

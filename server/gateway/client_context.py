@@ -32,7 +32,6 @@ from protocol.operations import (
     Unsubscribe,
 )
 from protocol.publication import LARGE_BYTES
-from protocol.registry import Kind
 from protocol.send_queue import SendBudget
 from protocol.session import LaterFields, Refusal, Session
 from robot.logs import LogLimiter
@@ -40,7 +39,6 @@ from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.errors import GraphError
 from server.gateway.turns import ClientScheduling
-from server.graph.message_types import ReceivedMessage
 from server.graph.node import Node
 from server.graph.topics import Graph
 
@@ -64,9 +62,6 @@ LOG_LINES_PER_S = 1.0
 MAX_UNASKED_ERRORS = 10
 
 _LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging.WARNING, "info": logging.INFO}
-
-# Clients of both generations call rosapi's types so.
-_ROSAPI = "rosapi/"
 
 
 # Field with the name, and words of success, of operations without an answer in rosbridge; publish has no
@@ -214,20 +209,6 @@ class ClientContext:
     def wake(self) -> None:
         if not self.left:
             self.connection.wake()
-
-    def detect_dialect(self, type_name: object, kind: Kind) -> None:
-        """Set the dialect to ROS 1 when the client names a type that exists only there."""
-        if (
-            isinstance(type_name, str)
-            and not type_name.startswith(_ROSAPI)
-            and self.graph.message_types.registry.exists_only_in_ros1(type_name, kind)
-        ):
-            self.session.dialect = "ros1"
-
-    def from_client(self, message: ReceivedMessage) -> ReceivedMessage:
-        """Note the dialect of a message of the client, to be translated when it is completed."""
-        message.dialect = self.session.dialect
-        return message
 
     def to_client(self, type_name: str, msg: Mapping[str, Any]) -> Mapping[str, Any]:
         """Translate a complete message for the client, as part of a reply."""

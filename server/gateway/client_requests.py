@@ -80,7 +80,6 @@ class ClientServices(_Offers):
         self._planning_calls = 0
 
     def advertise(self, operation: AdvertiseService) -> None:
-        self._client.detect_dialect(operation.type, "srv")
 
         def start(call: Call) -> None:
             self._request(operation.service, call)
@@ -109,7 +108,7 @@ class ClientServices(_Offers):
             raise OperationError(operation.op, "id", "no call of this id waits for a response")
         # rosbridge_library passes on any values that are an object, whatever `result` says (service_response.py).
         if operation.result or isinstance(operation.values, dict):
-            call.succeed(self._client.from_client(message))
+            call.succeed(message)
         else:
             call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
 
@@ -130,7 +129,6 @@ class ClientServices(_Offers):
     def call(self, operation: CallService, message: ReceivedMessage) -> None:
         """Call a service, or raise PostponedError while its request is completed in the background."""
         name, id_ = name_and_id(operation)
-        self._client.detect_dialect(operation.type, "srv")
         type_name, plans = self._services.names.type_of(name), self._services.rules.get(name, WORKING).plans
         values, ended = 0, False
 
@@ -150,9 +148,9 @@ class ClientServices(_Offers):
             return
         self._calls_in_flight += 1
         self._planning_calls += plans
-        arguments, spelling = self._client.from_client(message), self._client.session.dialect
+        spelling = self._client.session.dialect
         try:
-            self._services.call(self._node, name, arguments, end, operation.timeout, spelling)
+            self._services.call(self._node, name, message, end, operation.timeout, spelling)
         except PostponedError:
             self._calls_in_flight -= 1
             self._planning_calls -= plans
@@ -198,7 +196,6 @@ class ClientActions(_Offers):
         self._sent: dict[ActionGoal, tuple[str, Mark]] = {}
 
     def advertise(self, operation: AdvertiseAction) -> None:
-        self._client.detect_dialect(operation.type, "action")
 
         def start(goal: ActionGoal) -> None:
             self._request(operation, goal)
@@ -227,13 +224,13 @@ class ClientActions(_Offers):
         goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": offer.action}))
 
     def report_feedback(self, operation: ActionFeedback, message: ReceivedMessage) -> None:
-        self._goal(operation).feedback(self._client.from_client(message))
+        self._goal(operation).feedback(message)
 
     def finish(self, operation: ActionResult, message: ReceivedMessage) -> None:
         goal = self._goal(operation)
         if operation.result:
             status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
-            goal.finish(status, self._client.from_client(message))
+            goal.finish(status, message)
         else:
             values = f"Action {goal.action} failed" if operation.values is None else operation.values
             goal.fail(values, operation.status)
@@ -251,7 +248,6 @@ class ClientActions(_Offers):
             goal.fail(f"Action {goal.action} gave a result that cannot be read: {problem}")
 
     def send_goal(self, operation: SendActionGoal, message: ReceivedMessage) -> None:
-        self._client.detect_dialect(operation.action_type, "action")
         name = qualify(operation.action)
         type_name = self._actions.names.type_of(name)
 
@@ -270,9 +266,8 @@ class ClientActions(_Offers):
             problem = f"goals of this client with {self._values_in_flight} values are on their way, {VALUES_LIMIT}"
             self.reject_goal(operation.action, operation.id, problem)
             return
-        arguments = self._client.from_client(message)
         listener = on_feedback if operation.feedback else None
-        goal = self._actions.send_goal(self._node, name, operation.action_type, arguments, on_result, listener)
+        goal = self._actions.send_goal(self._node, name, operation.action_type, message, on_result, listener)
         if goal is not None and not goal.ended:
             goal.sender_id = operation.id
             self._sent[goal] = name, operation.id

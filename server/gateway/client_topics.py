@@ -59,7 +59,6 @@ class ClientTopics:
 
     def advertise(self, operation: Advertise) -> None:
         topic = qualify(operation.topic)
-        self._client.detect_dialect(operation.type, "msg")
         self._graph.advertise(self._node, topic, operation.type, latch=self._latches(operation))
         try:
             self._session.publications.add(operation)
@@ -87,10 +86,9 @@ class ClientTopics:
             self._graph.unadvertise(self._node, topic)
 
     def publish(self, operation: Publish, message: ReceivedMessage) -> None:
-        received = self._client.from_client(message)
         topic = qualify(operation.topic)
         latch = self._latches(operation)
-        lost = self._graph.publish(self._node, topic, received, latch=latch, lifespan_s=LIFESPAN_S)
+        lost = self._graph.publish(self._node, topic, message, latch=latch, lifespan_s=LIFESPAN_S)
         if operation.latch and not latch:
             lost = NO_LATCH
         lost = lost or self._graph.remarks.get(topic)
@@ -130,7 +128,7 @@ class ClientTopics:
 
     def reject(self, operation: Publish, problem: str) -> None:
         """Have the topic's owner answer a message that the client may not publish."""
-        received = self._client.from_client(ReceivedMessage(operation.msg, 0))
+        received = ReceivedMessage(operation.msg, 0, self._session.dialect)
         topic = qualify(operation.topic)
         try:
             self._graph.reject_unauthorized(self._node, topic, received, problem)
@@ -145,7 +143,6 @@ class ClientTopics:
         (rosbridge_library/internal/subscribers.py, MultiSubscriber.subscribe).
         """
         topic = qualify(operation.topic)
-        self._client.detect_dialect(operation.type, "msg")
         earlier = self._graph.subscribe(self._node, topic, operation.type, self.subscriber)
         try:
             first = self._session.subscriptions.add(operation)

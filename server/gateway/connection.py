@@ -296,7 +296,6 @@ class Traffic:
         self._ended = _sum([self._ended, connection.counts()])
 
     def counts(self) -> TrafficCounts:
-        """Return the traffic of all connections, from the first on."""
         return _sum([self._ended, *(connection.counts() for connection in self._open)])
 
     def queued_bytes(self) -> tuple[int, int]:

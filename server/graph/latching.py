@@ -119,7 +119,6 @@ class LatchedMessages:
         self._histories.setdefault(published.topic, deque(maxlen=depth)).append(published)
 
     def latched(self, topic: str, now: float) -> PublishedMessage | None:
-        """Return the latched message of a topic; None where there is none."""
         kept = self._latched.get(topic)
         return None if kept is None or kept.until_s < now else kept.published
 

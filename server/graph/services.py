@@ -69,20 +69,19 @@ class Call(PendingRequest[Response]):
         self._message_types = message_types
 
     def succeed(self, values: object, reason: str = "") -> None:
-        """Answer with a response message; what it leaves out gets its default.
+        """Answer with a response message; what it leaves out gets its default, unless it is a `CompleteResponse`.
 
         Raises MessageError for values that do not fit: the call has failed, and its caller knows.
         """
+        if isinstance(values, CompleteResponse):
+            self._end(Response(ok=True, values=values.message, reason=reason))
+            return
         try:
             completed = self._message_types.complete(f"{self.type_name}_Response", values)
         except MessageError as error:
             self.fail(f"Service {self.service} gave a response that does not fit {self.type_name}: {error}")
             raise
         self._end(Response(ok=True, values=completed, reason=reason))
-
-    def succeed_prevalidated(self, response: Mapping[str, Any], reason: str = "") -> None:
-        """Answer with a large message of the server's own, complete and valid; nobody may change it any more."""
-        self._end(Response(ok=True, values=response, reason=reason))
 
     def fail(self, values: object) -> None:
         """Answer that it failed, with a sentence or with what the provider gave."""
@@ -98,19 +97,12 @@ def answer(call: Call, function: ServiceFunction) -> None:
             # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
             call.when_ended(lambda _response: task.cancel())
         else:
-            _succeed(call, values)
+            call.succeed(values)
 
 
 async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
     with failure_told(call):
-        _succeed(call, await values)
-
-
-def _succeed(call: Call, values: Answered, reason: str = "") -> None:
-    if isinstance(values, CompleteResponse):
-        call.succeed_prevalidated(values.message, reason)
-    else:
-        call.succeed(values, reason)
+        call.succeed(await values)
 
 
 @contextlib.contextmanager
@@ -121,7 +113,7 @@ def failure_told(call: Call) -> Iterator[None]:
     except ServiceError as error:
         call.fail(str(error))
     except UnsuccessfulError as error:
-        _succeed(call, CompleteResponse(error.response) if error.complete else error.response, str(error))
+        call.succeed(error.response, str(error))
     except Exception:  # a bug in a service must not leave its caller waiting
         log.exception("service %s failed", call.service)
         call.fail(f"Service {call.service} failed inside the server")

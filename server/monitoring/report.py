@@ -121,7 +121,6 @@ class Report:
             self.note(f"{name}: {str(error) or type(error).__name__}")
 
     def archive(self) -> bytes:
-        """Return the archive of all members, with a list of them."""
         if self._problems:
             self.add(PROBLEMS, "".join(f"{problem}\n" for problem in self._problems))
         there = [

@@ -40,7 +40,6 @@ def read_pose(message: Message, where: str) -> Pose:
 
 
 def write_pose(pose: Pose) -> dict[str, Any]:
-    """Return the geometry_msgs/Pose of a pose."""
     return {
         "position": dict(zip("xyz", pose.position_m, strict=True)),
         "orientation": dict(zip("xyzw", pose.orientation, strict=True)),
@@ -48,7 +47,6 @@ def write_pose(pose: Pose) -> dict[str, Any]:
 
 
 def write_transform(pose: Pose) -> dict[str, Any]:
-    """Return the geometry_msgs/Transform of a pose."""
     written = write_pose(pose)
     return {"translation": written["position"], "rotation": written["orientation"]}
 

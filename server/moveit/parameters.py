@@ -180,7 +180,6 @@ class PlannerParameters:
         return self.configured.changed(known)
 
     def texts(self, group: str, planner: str) -> Mapping[str, str]:
-        """Return every parameter as text."""
         texts = {key: str(getattr(self.configured, key)) for key in KNOWN_KEYS}
         for scope in (("", ""), (group, ""), (group, planner)):
             texts |= self._set.get(scope, {})

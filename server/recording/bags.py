@@ -43,7 +43,6 @@ def messages(path: Path) -> Iterator[RecordedMessage]:
 
 
 def _files(bag: Path) -> list[Path]:
-    """Return the files of a bag in their order."""
     try:
         described: Any = yaml.safe_load((bag / METADATA_FILE).read_text())["rosbag2_bagfile_information"]
         # Early releases name the folder as well.

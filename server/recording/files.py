@@ -1,7 +1,5 @@
 """MCAP files that are being written: ROS 2 messages as CDR, in one file or a series of them."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """Recording of every message that is published on the graph, written to files by a thread."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import threading
@@ -84,7 +82,6 @@ class Recorder:
 
     @property
     def queued(self) -> int:
-        """Messages that wait to be written."""
         return self._writer.queued
 
     @property
@@ -124,9 +121,8 @@ class WriterThread:
     An error ends the recording, and nothing else.
     """
 
-    def __init__(self, registry: Registry, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, registry: Registry) -> None:
         self._registry = registry
-        self._clock = clock
         self._queue: deque[QueuedMessage] = deque()
         # Each is changed by one thread only; their difference is the size of the queue.
         self._put_bytes = 0
@@ -140,7 +136,6 @@ class WriterThread:
 
     @property
     def queued(self) -> int:
-        """Messages that wait to be written."""
         return len(self._queue)
 
     @property
@@ -186,7 +181,7 @@ class WriterThread:
             self._queue.clear()
 
     def _write_until_stopped(self, files: RecordingSeries) -> None:
-        flush_at_s = self._clock() + FLUSH_PERIOD_S
+        flush_at_s = time.monotonic() + FLUSH_PERIOD_S
         stopping = False
         # Once more after the stop, for messages that came until then.
         while not stopping:
@@ -202,10 +197,10 @@ class WriterThread:
                 times = message.log_time_ns, publish_time_ns
                 files.add(RecordedMessage(published.topic, published.type_name, message.latched, *times, octets))
                 self._written_bytes += message.size_bytes
-            if self._clock() >= flush_at_s:
+            now_s = time.monotonic()
+            if now_s >= flush_at_s:
                 files.flush()
-                flush_at_s = self._clock() + FLUSH_PERIOD_S
-            now_s = self._clock()
+                flush_at_s = now_s + FLUSH_PERIOD_S
             if self.dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
                 log.warning(
                     "recording: %d messages were dropped, the disk or the processor is too slow",

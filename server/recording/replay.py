@@ -3,8 +3,6 @@
 Files of ROS 2 messages are read also when they were not ended or are damaged.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -155,7 +155,6 @@ class Teaching(Feature):
 
     @property
     def observes_states(self) -> bool:
-        """True while a motion is recorded."""
         return self._recorder is not None
 
     def on_state(self, arm: str, state: ArmState) -> None:

@@ -131,7 +131,6 @@ class TaughtMotion:
         )
 
     def problem(self, before_rad: Positions, speed: float, allowed_time_s: float) -> JointPathProblem:
-        """Return the problem for planners to time and to check it."""
         return JointPathProblem(
             before_rad, self.joint_names, self.time_s, self.positions_rad, speed, allowed_time_s=allowed_time_s
         )

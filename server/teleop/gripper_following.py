@@ -41,7 +41,6 @@ class GripperFollowing:
         self._task = asyncio.create_task(self._steer(self._claim), name="the gripper's following")
 
     def end(self, reason: str) -> None:
-        """Hold."""
         if self._claim is not None:
             self._claim.cancel(reason)
         self._left_at = None

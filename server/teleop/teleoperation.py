@@ -185,7 +185,6 @@ class Teleoperation(Feature):
 
     @property
     def observes_states(self) -> bool:
-        """True while a leader is listened to."""
         return bool(self._followings)
 
     def on_state(self, arm: str, state: ArmState) -> None:

@@ -142,7 +142,7 @@ async def play(case: dict[str, Any], player: Player) -> None:
         elif any(key.startswith("expect") for key in step):
             await expect(step, player, where)
         else:
-            await player.send(step["client"], _frame(step))
+            await player.send(step["client"], frame_of(step))
 
 
 async def expect(step: dict[str, Any], player: Player, where: str) -> None:
@@ -180,7 +180,8 @@ async def expect(step: dict[str, Any], player: Player, where: str) -> None:
         assert_matches(step[key], decode(frame), where)
 
 
-def _frame(step: dict[str, Any]) -> str | bytes:
+def frame_of(step: dict[str, Any]) -> str | bytes:
+    """The frame of a step that sends one."""
     if "send_text" in step:
         return str(step["send_text"])
     if "send_binary" in step:

@@ -23,7 +23,7 @@ from server.errors import RefusedError
 from server.execution import goal as execution
 from server.execution.goal import Answer, GoalPolicy
 from server.execution.monitors import CurrentState
-from server.execution.queue import GoalQueue
+from server.execution.queue import GoalListener, GoalQueue
 from server.graph.actions import ActionGoal, Result
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -258,19 +258,20 @@ class ServiceRig:
         return listen(self.graph, topic, type_name)
 
 
-class ActionDesk(ServiceRig, GoalRunner):
+class ActionDesk(ServiceRig, GoalRunner, GoalListener):
     """A queue, its runner, and a client that sends goals."""
 
     def __init__(self) -> None:
         ServiceRig.__init__(self)
         GoalRunner.__init__(self)
         self.refused: list[str] = []
-        self.queue: GoalQueue = GoalQueue(self, GoalPolicy.QUEUE, 4, lambda _goal, _news: None, self._answered)
+        self.queue = GoalQueue(self, GoalPolicy.QUEUE, 4)
+        self.queue.listeners.append(self)
         self.queue.start()
         self.feedback: list[dict[str, Any]] = []
         self.results: list[Result] = []
 
-    def _answered(self, goal: execution.Goal, answer: Answer) -> None:
+    def on_answer(self, goal: execution.Goal, answer: Answer) -> None:
         if goal.request.motion is None:
             self.refused.append(answer.message)
 

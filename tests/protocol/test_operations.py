@@ -5,7 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import OperationError
-from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS, OPERATIONS, parse
+from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS, OPERATIONS, parse, qualify
+
+
+@given(st.text(min_size=1))
+def test_a_qualified_name_stays_as_it_is(name):
+    assert qualify(qualify(name)) == qualify(name)
+
 
 MINIMAL = {
     "advertise": {"topic": "/a", "type": "std_msgs/String"},

@@ -27,6 +27,7 @@ async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
     app = App(Settings(server=server, zenoh=ZenohSettings(mode="peer")))
     assert app.graph._unregister_timeout_s == 3.0
     assert app.bridge is not None
+    assert App(Settings()).bridge is None
     assert app.bridge._max_message_bytes == 70_000
 
 

@@ -135,7 +135,6 @@ class ServoFamily(ABC):
         return Actuation.unprotected(free_speed_rad_s, np.full(len(joints), self.jump_rad))
 
     def settings(self, values: Values) -> dict[str, int]:
-        """Return the settings to report, by name."""
         return {}
 
     def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:

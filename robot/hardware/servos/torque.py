@@ -175,7 +175,6 @@ class ServoTorque:
         return found is not None and self._family.has_watchdog(self._servos.by_id[servo_id], found.values)
 
     def goal_limits_ticks(self, servo_id: int) -> tuple[int, int]:
-        """Return the lowest and highest goal that a servo takes [ticks]."""
         return self._family.goal_limits_ticks(self._found[servo_id].values, self._servos.certain_ticks(servo_id))
 
     def reachable(self, servo_id: int, ticks: int) -> int:

@@ -46,7 +46,6 @@ def submit_goal(
 
 
 def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
-    """Return the answer of a planning task that is done, failed or cancelled."""
     if done.cancelled():
         return Answer(MoveItErrorCode.PREEMPTED, "cancelled while planning")
     error = done.exception()

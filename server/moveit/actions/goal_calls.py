@@ -26,7 +26,14 @@ from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.moveit.actions.goal_bridge import answer_of_task, cancel_with_goal, goal_status
 from server.moveit.actions.move_group import plan_steps
-from server.moveit.goals.goal_messages import GoalTranslator, suggestion
+from server.moveit.goals.goal_messages import (
+    JOINTS_TOPIC,
+    NAMED_TOPIC,
+    POSE_TOPIC,
+    TARGET_FIELDS,
+    GoalTranslator,
+    suggestion,
+)
 from server.moveit.goals.goal_topics import Confirmation, details_as_json
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
@@ -111,8 +118,8 @@ class GoalCalls:
                     f"{first.title} {state}; one proposed goal is taken at a time: wait for its answer, or cancel it"
                 )
                 raise refused(MoveItErrorCode.CONTROL_FAILED, sentence)
-            message, translate = self._goal_of(request)
-            motion = translate(message, self._translator.options(request))
+            topic, message = _goal_of(request)
+            motion = self._translator.motion(topic, message, self._translator.options(request))
         except RefusedError as error:
             rejected = self._queue.reject(GoalRequest(self._name, message=message), error.failure)
             end(self._result(message, Answer.of(error.failure), rejected.goal_id))
@@ -134,20 +141,6 @@ class GoalCalls:
             lambda answered: end(self._result(message, answered.result(), queued.goal_id))
         )
         return functools.partial(self._queue.cancel, queued.goal_id)
-
-    def _goal_of(self, request: Message) -> tuple[Message, Callable[..., PlannedMotion]]:
-        """Return the one goal of a request as the message of its topic, and its translation."""
-        given: dict[str, tuple[Message, Callable[..., PlannedMotion]]] = {}
-        if request["named"]:
-            given["named"] = {"data": request["named"]}, self._translator.named
-        if request["joints"]["name"] or request["joints"]["position"]:
-            given["joints"] = request["joints"], self._translator.joints
-        if _is_given(request["pose"]):
-            given["pose"] = request["pose"], self._translator.pose
-        if len(given) != 1:
-            got = " and ".join(given) or "none"
-            raise invalid(f"exactly one of the fields named, joints and pose must be given, not {got}")
-        return next(iter(given.values()))
 
     async def _plan(self, motion: PlannedMotion, client: Node) -> Answer:
         """Plan from where the arm is, whatever it does meanwhile."""
@@ -173,6 +166,21 @@ class GoalCalls:
             "suggested": {} if instead is None else instead.as_target(),
             "details": key_values(details_as_json(answer)),
         }
+
+
+def _goal_of(request: Message) -> tuple[str, Message]:
+    """Return the one goal of a request: a topic, and its message."""
+    given: dict[str, Message] = {}
+    if request["named"]:
+        given[NAMED_TOPIC] = {"data": request["named"]}
+    if request["joints"]["name"] or request["joints"]["position"]:
+        given[JOINTS_TOPIC] = request["joints"]
+    if _is_given(request["pose"]):
+        given[POSE_TOPIC] = request["pose"]
+    if len(given) != 1:
+        got = " and ".join(TARGET_FIELDS[topic] for topic in given) or "none"
+        raise invalid(f"exactly one of the fields named, joints and pose must be given, not {got}")
+    return next(iter(given.items()))
 
 
 def _is_given(pose: Message) -> bool:

@@ -236,7 +236,7 @@ async def plan_steps(
     warnings: Sequence[str] = (),
 ) -> Answer:
     """Plan motions one after the other, without moving, and show them."""
-    planned = await plan_sequence(steps, start.start_rad, scene, context.pool.ask)
+    planned = await plan_sequence(steps, start.start_rad, scene, context.pool)
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)
         failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)

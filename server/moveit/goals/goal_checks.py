@@ -5,7 +5,7 @@ import contextlib
 import itertools
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,12 @@ from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFail
 from planners.scene import Pose, Scene
 from robot.trajectory import rest_to_rest
 from server.errors import RefusedError, ServiceError
-from server.execution.motions import PlannedMotion, Positions
+from server.execution.motions import Positions
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.permissions import PLANNING
 from server.graph.topics import Graph
-from server.moveit.goals.goal_messages import GoalTranslator
+from server.moveit.goals.goal_messages import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator
 from server.moveit.messages import Message, matrix_of
 from server.moveit.requests.planning_context import PlanningContext
 
@@ -64,10 +64,10 @@ def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: Planni
         problems, results, tip = [], [], translator.tip
         # Each goal takes part of a millisecond; others have their turn in between, and other calls theirs afterwards.
         async with turn:
-            for translate, messages in ((translator.pose, poses), (translator.joints, joints)):
+            for topic, messages in ((POSE_TOPIC, poses), (JOINTS_TOPIC, joints)):
                 for each in messages:
                     await asyncio.sleep(0)
-                    problems.append(_problem(translate, each, present_rad))
+                    problems.append(_problem(translator, topic, each, present_rad))
         await planning.scene_state.settled()
         answers = await answers_in_time(problems, planning.pool, planning.scene_state.scene)
         async with turn:
@@ -87,10 +87,10 @@ def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: Planni
 
 
 def _problem(
-    translate: Callable[[Message], PlannedMotion], message: Message, present_rad: Positions
+    translator: GoalTranslator, topic: str, message: Message, present_rad: Positions
 ) -> PlanningProblem | PlanningFailure:
     try:
-        problem = translate(message).steps[0].problem(present_rad)
+        problem = translator.motion(topic, message).steps[0].problem(present_rad)
     except RefusedError as error:
         return error.failure
     match problem:

@@ -14,6 +14,7 @@ from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.motions import Motion, Performed, PlannedMotion
+from server.execution.queue import GoalListener
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
@@ -46,7 +47,7 @@ class GoalRecord:
     scene: Scene | None  # in which it was planned; None once it is forgotten
 
 
-class GoalHistory:
+class GoalHistory(GoalListener):
     """Records of the last goals, and the services that tell them; contacts for which goals failed are displayed."""
 
     def __init__(self, graph: Graph, planning: PlanningContext, wall_clock: Callable[[], float]) -> None:

@@ -94,6 +94,12 @@ class GoalTranslator:
         except ValueError as error:
             raise invalid(str(error)) from error
 
+    def motion(self, topic: str, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
+        """Translate a message of one of the three goal topics, or raise RefusedError."""
+        if topic == NAMED_TOPIC:
+            return self.named(message, options)
+        return self.joints(message, options) if topic == JOINTS_TOPIC else self.pose(message, options)
+
     def named(self, message: Message, options: GoalOptions = AS_SELECTED) -> PlannedMotion:
         """Translate a std_msgs/String with the name of a state; case and blanks do not matter."""
         group = options.group or self.group
@@ -219,7 +225,6 @@ class Suggestion:
         return {TARGET_FIELDS[self.topic]: self.msg["data"] if self.topic == NAMED_TOPIC else self.msg}
 
     def added_to(self, message: str) -> str:
-        """Return the sentence of an answer with the suggestion."""
         return f"{message}; what would work: {self.words}"
 
 

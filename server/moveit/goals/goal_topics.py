@@ -3,9 +3,9 @@
 import asyncio
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.errors import MessageError, shorten
@@ -45,8 +45,6 @@ APPROVAL_TOPIC = "/moveit_goal_approval"
 CONFIRM_MODE_SERVICE = "/moveit_goal_confirm_mode"
 STOP_TOPIC = "/stop"
 EVENT_TOPIC = "/trajectory_execution_event"
-
-Translate: TypeAlias = Callable[[Message], PlannedMotion]
 
 
 class Confirmation:
@@ -218,7 +216,6 @@ def _status(goal: Goal, progress: Progress, level: int, details: Mapping[str, st
 
 
 def details_as_json(answer: Answer) -> dict[str, str]:
-    """Return the diagnostic details of an answer, each value as JSON text."""
     return {name: json.dumps(value, default=str) for name, value in answer.details.items()}
 
 
@@ -240,9 +237,8 @@ class GoalTopics:
         self._translator = translator
         self._confirmation = confirmation
         self._joints = joints
-        self._take_goals(NAMED_TOPIC, NAMED_TYPE, self._translator.named)
-        self._take_goals(JOINTS_TOPIC, JOINTS_TYPE, self._translator.joints)
-        self._take_goals(POSE_TOPIC, POSE_TYPE, self._translator.pose)
+        for goal_topic, type_name in ((NAMED_TOPIC, NAMED_TYPE), (JOINTS_TOPIC, JOINTS_TYPE), (POSE_TOPIC, POSE_TYPE)):
+            self._take_goals(goal_topic, type_name)
         self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
         self._publish_group()
         # The driving client chooses the group.
@@ -251,13 +247,13 @@ class GoalTopics:
         self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
         self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
 
-    def _take_goals(self, topic: str, type_name: str, translate: Translate) -> None:
+    def _take_goals(self, topic: str, type_name: str) -> None:
         source = self._graph.resolve(topic)
 
         def deliver(published: PublishedMessage) -> None:
             message = published.msg
             try:
-                motion = translate(message)
+                motion = self._translator.motion(topic, message)
             except RefusedError as error:
                 self._queue.reject(GoalRequest(source, message=message), error.failure)
                 return

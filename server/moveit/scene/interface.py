@@ -16,7 +16,7 @@ from server.execution.monitors import CurrentState, state_message
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.permissions import LOOKING, WORKING
-from server.graph.services import Call
+from server.graph.services import Call, CompleteResponse
 from server.graph.topics import Graph, Subscriber
 from server.moveit.messages import Message, write_pose, write_transform
 from server.moveit.parameters import MoveItParameters
@@ -221,7 +221,6 @@ class MonitoredScenePublisher:
         state.on_change(self._schedule)
 
     def close(self) -> None:
-        """Publish no more."""
         if self._timer is not None:
             self._timer.cancel()
 
@@ -246,16 +245,22 @@ class MonitoredScenePublisher:
         )
 
 
-class SceneServices:
-    """``/get_planning_scene``, ``/apply_planning_scene`` and ``/clear_octomap``."""
+class SceneInterface:
+    """All topics and services of the planning scene."""
 
     def __init__(
-        self, graph: Graph, node: Node, state: SceneState, assumed: AssumedStates, current: CurrentState
+        self,
+        graph: Graph,
+        state: SceneState,
+        assumed: AssumedStates,
+        current: CurrentState,
+        parameters: MoveItParameters,
     ) -> None:
         self._state = state
         self._assumed = assumed
         self._current = current
-        services = graph.services
+        node, services = Node("planning_scene"), graph.services
+        _subscribe_to_scene_topics(graph, node, state, current)
         services.offer_calls(
             node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS, rule=LOOKING
         )
@@ -264,6 +269,14 @@ class SceneServices:
         )
         # The scene has no octomap, so there is nothing to clear.
         services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
+        offer_geometry_files(graph, node, state, current, parameters.geometry_directory)
+        rate_hz = parameters.publish_planning_scene_hz
+        self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
+
+    def close(self) -> None:
+        """Publish no more, and apply no more changes."""
+        self._publisher.close()
+        self._state.close()
 
     def _get(self, call: Call) -> None:
         async def get_settled() -> None:
@@ -283,7 +296,8 @@ class SceneServices:
         assumed.note_sent(call.caller, positions_rad)
         state = state_message(positions_rad, self._state.robot.root_link, self._current.stamp_s)
         components = call.request["components"]["components"]
-        call.succeed_prevalidated({"scene": scene_message(self._state.contents, self._state.robot, state, components)})
+        scene = scene_message(self._state.contents, self._state.robot, state, components)
+        call.succeed(CompleteResponse({"scene": scene}))
 
     def _apply(self, call: Call) -> None:
         scene, caller, assumed = call.request["scene"], call.caller, self._assumed
@@ -307,28 +321,3 @@ class SceneServices:
         positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
         # A client that has left got no failure as an answer: its change is made all the same.
         self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
-
-
-class SceneInterface:
-    """All topics and services of the planning scene."""
-
-    def __init__(
-        self,
-        graph: Graph,
-        state: SceneState,
-        assumed: AssumedStates,
-        current: CurrentState,
-        parameters: MoveItParameters,
-    ) -> None:
-        node = Node("planning_scene")
-        self._state = state
-        _subscribe_to_scene_topics(graph, node, state, current)
-        SceneServices(graph, node, state, assumed, current)
-        offer_geometry_files(graph, node, state, current, parameters.geometry_directory)
-        rate_hz = parameters.publish_planning_scene_hz
-        self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
-
-    def close(self) -> None:
-        """Publish no more, and apply no more changes."""
-        self._publisher.close()
-        self._state.close()

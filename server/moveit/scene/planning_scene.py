@@ -81,7 +81,6 @@ class SceneContents:
     fixed_frames: Mapping[str, Pose] = field(default_factory=dict)
 
     def looks_same(self, other: SceneContents) -> bool:
-        """Compare all that matters to planners."""
         return (
             self.objects == other.objects
             and self.attached == other.attached
@@ -137,7 +136,6 @@ class SceneDraft:
         return frame_id in ("", self.root)
 
     def in_planning_frame(self, collision_object: CollisionObject) -> CollisionObject:
-        """Return an object with its pose in the planning frame."""
         pose = self.object_pose(collision_object.name, collision_object.frame, collision_object.pose)
         if collision_object.frame == self.root:
             return collision_object

@@ -131,7 +131,7 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
     reasons = [problem.message for problem in (*state.problems, *filter(None, unmet))]
     for reason in reasons:
         log.info("/check_state_validity: %s", reason)
-    raise UnsuccessfulError(response, "; ".join(reasons), complete=True)
+    raise UnsuccessfulError(CompleteResponse(response), "; ".join(reasons))
 
 
 def _constraint_result(unmet: PlanningFailure | None) -> dict[str, Any]:
@@ -208,7 +208,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     requests = sequence_requests(request["request"])
     steps = [RequestStep(context.problems, item) for item in requests]
     start = context.start(requests[0]["start_state"], caller)
-    planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool.ask)
+    planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
     root, performed, failure = context.robot.root_link, planned.performed, planned.failure
     if failure is not None:
         failure = await explained(failure, planned.problem, start.scene, context)

@@ -41,7 +41,8 @@ def test_what_is_decoded_or_refused_in_pieces_is_so_at_once(
         assert decode_in_pieces(text, plain, 64, piece_bytes) == wanted
 
 
-LONG = {"op": "publish", "msg": {"points": [{"x": number, "y": [0.5, None], "z": "},{["} for number in range(20_000)]}}
+POINTS = [{"x": number, "y": [0.5, None], "z": '"},{["\\'} for number in range(20_000)]
+LONG = {"op": "publish", "msg": {"points": POINTS}}
 
 
 def test_no_piece_is_much_longer_than_it_has_to_be() -> None:
@@ -52,7 +53,7 @@ def test_no_piece_is_much_longer_than_it_has_to_be() -> None:
         return orjson.loads(piece)
 
     text = json.dumps(LONG).encode()
-    decode_in_pieces(text, note, 64, 1000)
+    assert decode_in_pieces(text, note, 64, 1000) == LONG
     assert max(lengths) < 1200
     assert sum(lengths) > len(text) - 2 * len(lengths)
 

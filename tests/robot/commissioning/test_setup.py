@@ -86,23 +86,16 @@ def test_of_two_servos_none_is_taken_and_how_to_part_them_is_told(kit, fourth, f
         find(kit, GRIPPER)
 
 
-def test_replies_that_nobody_can_read_are_refused(kit):
+def test_silence_and_replies_that_nobody_can_read_are_explained_and_a_disturbed_servo_is_not_taken_for_two(kit):
+    with pytest.raises(StartupError, match="supply"):
+        find(kit, GRIPPER)
     set_registers(kit.servos[5], {Register.ID: 77})
     kit.plug(5)
     kit.emulator.command(corrupt=1.0)
     with pytest.raises(StartupError, match=r"garbled: several servos with the same id.*unplug all servos but one"):
         find(kit, GRIPPER)
-
-
-def test_one_servo_is_not_taken_for_two_though_some_replies_are_disturbed(kit):
-    kit.plug(5)
     kit.emulator.command(corrupt=0.1)
-    assert [find(kit, GRIPPER).servo_id for _ in range(10)] == [1] * 10
-
-
-def test_silence_is_explained(kit):
-    with pytest.raises(StartupError, match="supply"):
-        find(kit, GRIPPER)
+    assert [find(kit, GRIPPER).servo_id for _ in range(10)] == [77] * 10
 
 
 def test_a_calibrated_joint_is_never_offered_for_another(kit):
@@ -124,22 +117,18 @@ def test_limits_that_are_missing_and_an_open_lock_are_mended_though_nothing_else
     assert kit.servos[0].value(Register.LOCK) == 1
 
 
-def test_an_unknown_model_is_refused_with_the_way_round(kit):
+def test_an_unknown_model_is_refused_with_the_way_round_and_a_supply_that_the_servo_is_not_made_for_is_said(kit):
     kit.plug(5)
     servo = find(kit, GRIPPER)
     setup.check_model(servo, GRIPPER)
     unknown = replace(servo, registers={**servo.registers, Register.MODEL_NUMBER: 1234})
     with pytest.raises(StartupError, match=r"model 1234.*--any-model"):
         setup.check_model(unknown, GRIPPER)
-
-
-@pytest.mark.parametrize(("supply_v", "said"), [(5.0, ""), (12.1, "burn out"), (3.5, "too weak")])
-def test_a_supply_that_the_servo_is_not_made_for_is_said(kit, supply_v, said):
-    kit.plug(5)
-    kit.emulator.command(supply=supply_v)
-    complaint = setup.supply_complaint(find(kit, GRIPPER))
-    assert said in complaint
-    assert bool(said) == bool(complaint)
+    for supply_v, words in ((5.0, ""), (12.1, "burn out"), (3.5, "too weak")):
+        kit.emulator.command(supply=supply_v)
+        complaint = setup.supply_complaint(find(kit, GRIPPER))
+        assert words in complaint
+        assert bool(words) == bool(complaint)
 
 
 class Broken(BaseException):
@@ -222,24 +211,24 @@ def test_an_interrupted_write_leaves_the_eprom_locked(kit):
     assert kit.servos[5].value(Register.LOCK) == 1
 
 
-def saved(kit, place, joint):
-    kit.plug(place)
-    servo = find(kit, joint)
-    ids = {"servo_id": servo.servo_id, "new_id": joint.servo_id}
-    return setup.SavedServo(joint=joint.joint, **ids, baudrate=servo.baudrate, registers=dict(servo.registers))
+def saved(kit):
+    kit.plug(5)
+    found = find(kit, GRIPPER)
+    ids = {"servo_id": found.servo_id, "new_id": GRIPPER.servo_id}
+    return setup.SavedServo(joint="gripper", **ids, baudrate=found.baudrate, registers=dict(found.registers))
 
 
 def test_a_servo_alone_gets_back_all_that_it_had(kit):
     set_registers(kit.servos[5], {Register.BAUD_RATE: 1, Register.HOMING_OFFSET: 77})
     before = kit.held(5)
-    entry = saved(kit, 5, GRIPPER)
+    entry = saved(kit)
     after = set_up(kit, GRIPPER)
     setup.write(kit.line(), after, setup.changes_back(after, entry, alone=True))
     assert kit.held(5) == before
 
 
 def test_neither_the_id_among_others_nor_a_baud_rate_that_makes_a_servo_unreachable_is_restored(kit):
-    entry = saved(kit, 5, GRIPPER)
+    entry = saved(kit)
     after = set_up(kit, GRIPPER)
     changed = [change.register for change in setup.changes_back(after, entry, alone=False)]
     assert Register.RETURN_DELAY in changed

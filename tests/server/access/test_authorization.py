@@ -6,7 +6,7 @@ import pytest
 
 from harness.clients import ArmClient
 from harness.server import ROOT
-from protocol.operations import Auth, CallService, Publish, SendActionGoal, parse
+from protocol.operations import Auth, CallService, Operation, Publish, SendActionGoal, parse
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
 from server.access.settings import AccessSettings
@@ -352,36 +352,24 @@ def test_a_goal_may_only_ask_for_a_plan() -> None:
         assert [motion for motion in motions if authorization.plans_only(rule, motion)] == []
 
 
-AT_ONCE = (
-    Publish(topic="/stop"),
-    Publish(topic="stop"),
-    Publish(topic="/emergency_stop"),
-    Publish(topic="/trajectory_execution_event", msg={"data": "stop"}),
-    CallService(service="/arm/stop#7"),
-    CallService(service="/arm/emergency_stop"),
-    CallService(service="/servo_node/stop_servo"),
-)
-
-IN_TURN = (
-    Publish(topic="/trajectory_execution_event", msg={"data": "go"}),
-    Publish(topic="/trajectory_execution_event"),
-    Publish(topic="/moveit_goal_cancel"),
-    Publish(topic="/move_group/cancel"),
-    CallService(service="/move_action/_action/cancel_goal"),
-    CallService(service="/arm/pause"),
-    SendActionGoal(action="/stop", action_type="std_msgs/Empty"),
-)
+EVENT = "/trajectory_execution_event"
 
 
 def test_what_stops_the_arm_goes_ahead_of_everything_that_waits_and_what_ends_single_goals_does_not() -> None:
-    assert [operation for operation in AT_ONCE + IN_TURN if authorization.is_stop(operation, SERVER)] == list(AT_ONCE)
+    at_once: list[Operation] = [Publish(topic=topic) for topic in ("/stop", "stop", "/emergency_stop")]
+    at_once += [Publish(topic=EVENT, msg={"data": "stop"})]
+    services = ("/arm/stop#7", "/arm/emergency_stop", "/servo_node/stop_servo")
+    at_once += [CallService(service=service) for service in services]
+    in_turn: list[Operation] = [Publish(topic=topic) for topic in (EVENT, "/moveit_goal_cancel", "/move_group/cancel")]
+    in_turn += [Publish(topic=EVENT, msg={"data": "go"}), SendActionGoal(action="/stop", action_type="std_msgs/Empty")]
+    in_turn += [CallService(service=service) for service in ("/move_action/_action/cancel_goal", "/arm/pause")]
+    assert [operation for operation in at_once + in_turn if authorization.is_stop(operation, SERVER)] == at_once
 
 
 def test_services_that_plan_are_known() -> None:
     planning = ["/check_goals", "/compute_ik", "/plan_kinematic_path"]
-    assert [
-        name for name in (*planning, "/compute_fk") if authorization.rule_of_service(name, SERVER).plans
-    ] == planning
+    rules = {name: authorization.rule_of_service(name, SERVER) for name in (*planning, "/compute_fk")}
+    assert [name for name, rule in rules.items() if rule.plans] == planning
 
 
 ENABLE, ENABLE_LEFT, ENABLE_RIGHT = (f"{prefix}/arm/enable" for prefix in ("", "/left", "/right"))

@@ -42,8 +42,8 @@ class Planning:
 
 
 async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
-    planning = Planning()
-    planned = await motions.plan_sequence([to(0.3), to(0.7)], START, EMPTY_SCENE, planning.ask)
+    planning: Any = Planning()
+    planned = await motions.plan_sequence([to(0.3), to(0.7)], START, EMPTY_SCENE, planning)
     assert planning.starts == [START, {"a": 0.3, "b": 0.5}]
     assert planned.failure is None
     assert len(planned.performed.planned) == 2
@@ -52,19 +52,20 @@ async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
 
 
 async def test_the_motions_before_a_failure_are_kept_and_the_item_is_named() -> None:
-    planned = await motions.plan_sequence([to(0.3), to(2.0), to(0.1)], START, EMPTY_SCENE, Planning().ask)
+    planning: Any = Planning()
+    planned = await motions.plan_sequence([to(0.3), to(2.0), to(0.1)], START, EMPTY_SCENE, planning)
     assert len(planned.performed.planned) == 1
     assert planned.failure == replace(WALL, message="items[1]: there is a wall", details={"pairs": [], "item": 1})
     assert planned.problem is not None
 
 
 async def test_a_step_without_a_problem_is_not_planned() -> None:
-    planning = Planning()
+    planning: Any = Planning()
 
     def refusing(_start_rad: motions.Positions) -> PlanningProblem:
         raise RefusedError(WALL)
 
-    planned = await motions.plan_sequence([StepOf(refusing)], START, EMPTY_SCENE, planning.ask)
+    planned = await motions.plan_sequence([StepOf(refusing)], START, EMPTY_SCENE, planning)
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress, TimeLimits
-from server.execution.queue import GoalQueue, RunningGoal
+from server.execution.queue import GoalListener, GoalQueue, RunningGoal
 from tests.helpers.fake_arm import settle
 from tests.helpers.goal_runner import GoalRunner
 
@@ -47,7 +47,7 @@ class DeafRunner(ScriptedRunner):
         self.stopped.append(reason)
 
 
-class Desk:
+class Desk(GoalListener):
     """A queue of two arms, their executors, and all that it told."""
 
     time_limits = TimeLimits()
@@ -57,14 +57,15 @@ class Desk:
         self.stopped: list[Any] = []
         self.states: list[tuple[str, GoalState]] = []
         self.answers: list[tuple[str, Answer]] = []
-        self.queue: GoalQueue = GoalQueue(
-            self,
-            policy,
-            3,
-            lambda goal, progress: self.states.append((goal.goal_id, progress.state)),
-            lambda goal, answer: self.answers.append((goal.goal_id, answer)),
-        )
+        self.queue = GoalQueue(self, policy, 3)
+        self.queue.listeners.append(self)
         self.queue.start()
+
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
+        self.states.append((goal.goal_id, progress.state))
+
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
+        self.answers.append((goal.goal_id, answer))
 
     def last_stop(self, _joints: frozenset[str]) -> int:
         return 0

@@ -27,7 +27,7 @@ from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.queue import GoalQueue
+from server.execution.queue import GoalListener, GoalQueue
 from server.features.context import ArmContext, ServerContext
 from server.features.parking import CHECK_S, ArmParking, LastClient, Parkings, rest_pose
 from server.graph.local_graph import LocalGraph
@@ -102,7 +102,8 @@ class World:
             scene_state=self,
             current=CurrentState(whole, self.robot),
         )
-        self.goals = SimpleNamespace(queue=self, listeners=[])
+        self.listeners: list[GoalListener] = []
+        self.goals = SimpleNamespace(queue=self)
         self.access = SimpleNamespace(drivers=set())
         graph = Graph(REGISTRY)
         self.whole = SimpleNamespace(served=SimpleNamespace(arm=whole), graph=LocalGraph(graph))
@@ -256,7 +257,7 @@ def left_is_elsewhere(two_arms: World) -> None:
 
 
 def a_goal_begins(two_arms: World) -> None:
-    (listener,) = two_arms.goals.listeners
+    (listener,) = two_arms.goals.queue.listeners
     listener.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
 
 

@@ -21,7 +21,7 @@ from websockets.http11 import Request
 
 from harness.waiting import TIMEOUT_S
 from server import robot_files
-from server.errors import FileTooLargeError, ServiceError
+from server.errors import ServiceError
 from server.gateway import http as gate
 from server.gateway.http import FileCache, HttpHandler, HttpResponse, StoredFile
 from tests.helpers.gateway import listening
@@ -198,11 +198,14 @@ async def test_a_file_that_is_too_large_is_told_once_with_the_limit(
     site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
-    for _ in range(2):
-        got, body = await site.ask(f"/robot/{PACKAGE}/assets/base.stl")
-        assert got.status == 413
-        assert body.startswith(f"'package://{PACKAGE}/assets/base.stl' has {len(MESH)} bytes, the limit is 4".encode())
-    assert caplog.text.count("the limit is 4") == 1
+    monkeypatch.setattr(gate, "MAX_PAGE_FILE_BYTES", 3)
+    mesh = f"'package://{PACKAGE}/assets/base.stl' has {len(MESH)} bytes, the limit is 4"
+    for path, sentence in ((f"/robot/{PACKAGE}/assets/base.stl", mesh), ("/assets/vendor.js", "bytes, the limit is 3")):
+        for _ in range(2):
+            got, body = await site.ask(path)
+            assert got.status == 413, path
+            assert sentence.encode() in body
+        assert caplog.text.count(sentence) == 1
 
 
 async def test_a_file_that_cannot_be_read_is_an_error_of_the_server(
@@ -384,12 +387,6 @@ async def test_files_are_read_by_one_thread_beside_the_event_loop(path: Path) ->
 
     cache = FileCache()
     await asyncio.gather(*(cache.read(find, gzipped=True) for _ in range(5)))
-
-
-def test_a_page_file_too_large_is_refused_with_the_limit(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "MAX_PAGE_FILE_BYTES", 3)
-    with pytest.raises(FileTooLargeError, match="bytes, the limit is 3"):
-        gate.find_page_file(folders / "dist", "")
 
 
 def test_a_file_is_what_its_name_ends_in() -> None:

@@ -212,13 +212,6 @@ async def test_a_client_that_goes_on_sending_is_told_why_it_is_closed(listener: 
         assert await asyncio.wait_for(client.reader.read(), TIMEOUT_S) == b""
 
 
-async def test_a_client_that_never_closes_is_closed(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transport, "END_TIMEOUT_S", 0.05)
-    async with await RawClient.connect(port_of(listener)) as client:
-        client.write(b"####")
-        await until_empty(listener)
-
-
 async def test_a_client_that_closes_its_side_is_let_go(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "END_TIMEOUT_S", 10 * TIMEOUT_S)
     async with attended(listener) as (client, stream):
@@ -247,14 +240,12 @@ async def test_a_client_that_leaves_is_taken_out_of_the_graph_and_counted(graph:
     client = await RawClient.connect(port_of(listener))
     client.send(op="subscribe", topic="/t")
     await client.receive()
-    assert listener.traffic.clients == 1
     client.writer.transport.abort()
     await client.close()
     await until_empty(listener)
     assert not graph.subscribers("/t")
     sent_bytes = len(b'{"op":"publish","topic":"/t","msg":{"data":"hello"}}')
     assert listener.traffic.counts()[:4] == (1, client.sent_bytes, 1, sent_bytes)
-    assert listener.traffic.clients == 0
 
 
 async def test_connections_of_both_ports_count_together() -> None:

@@ -36,7 +36,7 @@ def context_of(arm: FakeArm, pool: Any, clock: Callable[[], float], **planning: 
         return goal
 
     # The queue is never started: no ramp is played.
-    queue: GoalQueue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1, lambda *_: None, lambda *_: None)
+    queue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
     return FollowingContext(planning_of(arm, pool=pool, **planning), queue, go_to, clock)
 
 

@@ -117,6 +117,7 @@ async def test_a_ros_2_machine_sends_a_goal_hears_of_it_until_its_result_and_can
         # Who asks late gets it too.
         assert (await client.result()).status == SUCCEEDED
         await until(lambda: statuses[-1][0].status_list[-1].status == SUCCEEDED)
+        status = statuses[-1][0].status_list[-1]
         # Another goal is cancelled by the id that the machine chose.
         other = ActionClient(machine)
         assert await other.send()
@@ -125,7 +126,7 @@ async def test_a_ros_2_machine_sends_a_goal_hears_of_it_until_its_result_and_can
         assert (await other.result()).status == CANCELED
     told = read("FeedbackMessage", feedback[0])
     assert (told.position, bytes(told.goal_id)) == (0.25, bytes(client.goal_id))
-    assert bytes(statuses[-1][0].status_list[0].goal_info.goal_id.uuid) == bytes(client.goal_id)
+    assert bytes(status.goal_info.goal_id.uuid) == bytes(client.goal_id)
 
 
 async def test_an_action_that_fits_no_pattern_takes_no_goals() -> None:

@@ -7,15 +7,13 @@ import pytest
 
 from harness.server import ROOT
 from harness.waiting import TIMEOUT_S, until
-from server.access.authorization import unlimited
-from server.graph.topics import Graph
 from server.zenoh import bridge
-from server.zenoh.bridge import FULL_REFRESH_PERIOD_S, Bridge, Discovery, Sharing, bridge_of
+from server.zenoh.bridge import FULL_REFRESH_PERIOD_S, Discovery, Sharing
 from server.zenoh.rmw import Endpoint, Entity, EntityKind, LivelinessTokens
 from server.zenoh.settings import ZenohSettings
 from server.zenoh.topics import OutgoingTopics
 from tests.helpers.resources import Pair, make_pair, make_signed_pair
-from tests.helpers.zenoh_network import REGISTRY, RosMachine, Site, free_port, networked
+from tests.helpers.zenoh_network import RosMachine, Site, free_port, networked
 from tests.test_readme import blocks
 
 STRING, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"
@@ -190,12 +188,6 @@ async def test_the_sharing_outlives_an_error(monkeypatch: pytest.MonkeyPatch, ca
         site.graph.advertise(site.part, "/news", STRING)
         await until(lambda: machine.has_token("%news"))
     assert "zenoh: a refresh failed" in caplog.text
-
-
-def test_only_a_server_that_takes_part_has_a_bridge() -> None:
-    modes: list[dict[str, Any]] = [{}, {"mode": "peer"}]
-    made = [bridge_of(ZenohSettings(**mode), Graph(REGISTRY), unlimited(), 10_000_000) for mode in modes]
-    assert [type(each) for each in made] == [type(None), Bridge]
 
 
 CHATTER = Endpoint("/chatter", "std_msgs/msg/String", "RIHS01_0")

@@ -318,8 +318,7 @@ def test_a_cut_reply_does_not_swallow_the_start_of_its_neighbour():
     body = bytes([1, LENGTH + 2, 0]) + bytes(14)
     missing = next(byte for byte in range(256) if checksum(body[:-1] + bytes([byte, 0xFF])) == 0xFF)
     cut = b"\xff\xff" + body[:-1] + bytes([missing])
-    neighbour = FEETECH.status_packet(2, 0, bytes(LENGTH))
-    assert frames_of(cut + neighbour) == {2: StatusFrame(2, 0, bytes(LENGTH))}
+    assert frames_of(cut + FEETECH.status_packet(2, 0, bytes(LENGTH))) == {2: StatusFrame(2, 0, bytes(LENGTH))}
 
 
 def reply(servo_id, data=None):

@@ -123,8 +123,7 @@ def test_goals_are_written_with_acceleration_and_velocity_cap(emulator: SteppedE
     servos = FeetechsInUse(emulator)
     servos.hardware.write_goals(np.zeros(6))
     ticks, cap = CALIBRATION.joints[0].ticks_from_rad(0.0), servos.hardware.servos.speed_ticks_s[1]
-    block = servos.hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data
-    assert block == goal_block(ticks, int(np.ceil(cap)))
+    assert servos.hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data == goal_block(ticks, int(np.ceil(cap)))
 
 
 def test_torque_limits_that_servos_have_lost_are_written_again(emulator: SteppedEmulator) -> None:

@@ -154,8 +154,7 @@ def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
 
 
 def test_a_cycle_is_one_block_read_and_one_goal_write_and_now_and_then_a_register_is_read_back(family: Family) -> None:
-    rig = family.rig(family.emulator()).started()
-    arm = rig.supervisor.arm
+    arm = family.rig(family.emulator()).started().supervisor.arm
     before = arm.hardware.counters.sent
     for _ in range(CYCLES_BETWEEN):
         arm.tick()
@@ -304,8 +303,7 @@ def test_a_silent_servo_hardly_silences_the_others(family: Family, tracker: Serv
         behind = asked[asked.index(2) :] if blinded and 2 in asked else [2]
         told = {servo: family.frame(servo, 2048) for servo in asked if servo not in behind}
         tracker.take(asked, told, 0.01 * cycle)
-        others = np.delete(tracker.measured(0.01 * cycle, 0.0).age_s, 1)
-        assert others.max() <= 0.01 * MISSES_UNTIL_LAST + 1e-9
+        assert np.delete(tracker.measured(0.01 * cycle, 0.0).age_s, 1).max() <= 0.01 * MISSES_UNTIL_LAST + 1e-9
     assert tracker.is_silent(2)
     assert not any(tracker.is_silent(servo) for servo in IDS if servo != 2)
 
@@ -400,8 +398,7 @@ def test_goals_are_written_as_the_calibration_turns_them_into_ticks(family: Fami
     servos = family.servo_map
     blocks = servos.goal_blocks(np.array(goal_rad), {servos.ids[0]: TICKS_PER_TURN})
     for joint, goal in zip(family.calibration.joints, goal_rad, strict=True):
-        turns = TICKS_PER_TURN if joint.servo_id == servos.ids[0] else 0
-        ticks = joint.ticks_from_rad(goal) - turns
+        ticks = joint.ticks_from_rad(goal) - (TICKS_PER_TURN if joint.servo_id == servos.ids[0] else 0)
         # A goal halfway between two ticks may be rounded to either.
         assert blocks[joint.servo_id] in [servos.goal_block(joint.servo_id, ticks + off) for off in (-1, 0, 1)]
 

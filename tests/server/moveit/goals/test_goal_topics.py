@@ -11,7 +11,7 @@ from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion, PlannedSequence
-from server.execution.queue import GoalQueue
+from server.execution.queue import GoalListener, GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -38,21 +38,26 @@ class Obedient(GoalRunner):
         return await running
 
 
-class Desk:
+class Desk(GoalListener):
     def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
         self.runner = Obedient()
         self.confirmation = goal_topics.Confirmation(self.graph, enabled=False, timeout_s=60.0)
         node = Node("moveit")
-        status = goal_topics.GoalStatusTopics(LocalGraph(self.graph), node, so101())
-        self.queue: GoalQueue = GoalQueue(
-            self.runner, GoalPolicy.QUEUE, 4, status.publish_progress, status.publish_answer
-        )
+        self.status = goal_topics.GoalStatusTopics(LocalGraph(self.graph), node, so101())
+        self.queue = GoalQueue(self.runner, GoalPolicy.QUEUE, 4)
+        self.queue.listeners.append(self)
         self.queue.start()
         goal_topics.GoalTopics(LocalGraph(self.graph), node, self.queue, translator(), self.confirmation)
         self.heard = {
             topic: listen(self.graph, topic) for topic in (goal_topics.RESULT_TOPIC, goal_topics.STATUS_TOPIC)
         }
+
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
+        self.status.publish_progress(goal, progress)
+
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
+        self.status.publish_answer(goal, answer)
 
     async def publish(self, topic: str, message: dict[str, Any]) -> None:
         self.graph.publish(CLIENT, topic, message)

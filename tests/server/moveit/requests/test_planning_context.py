@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from planners.problem import MoveItErrorCode
 from server.graph.node import Node
 from server.moveit.requests.planning_context import MAX_START_BOUNDS_ERROR_RAD, start_positions
-from server.moveit.requests.planning_problems import RequestStep
 from tests.helpers.fake_arm import HOME
-from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, box, diff, held, joint, message, rejection
+from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, box, diff, held, message, rejection
 
 ELBOW = ROBOT.joints["elbow_flex"]
 
@@ -70,10 +69,3 @@ def test_attached_objects_of_a_start_state_count_for_its_request_alone_and_a_who
     rig.scene_state.apply_diff(diff(robot_state={"attached_collision_objects": [HELD]}), HOME)
     assert rig.context.start(state(), rig.client).scene.attached
     assert not rig.context.start(state(HOME, is_diff=False), rig.client).scene.attached
-
-
-def test_a_step_makes_its_problem_for_any_start(rig: ServiceRig) -> None:
-    goal = {"joint_constraints": [joint("elbow_flex", 0.5)]}
-    step = RequestStep(rig.context.problems, message("MotionPlanRequest", goal_constraints=[goal]))
-    for start_rad in (HOME, HOME | {"wrist_roll": 0.3}):
-        assert step.problem(start_rad).start_rad == start_rad

@@ -75,7 +75,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        interface.SceneServices(self.graph, Node("scene"), self.state, self.assumed, current_state())
+        interface.SceneInterface(self.graph, self.state, self.assumed, current_state(), MoveItParameters())
 
     def call(self, service, **request):
         response = answered(self.graph, service, self.node, **request)
@@ -97,7 +97,7 @@ def state_of(position_rad):
     return {"is_diff": True, "joint_state": {"name": list(JOINTS), "position": [position_rad] * len(JOINTS)}}
 
 
-def test_the_answer_is_a_complete_message():
+async def test_the_answer_is_a_complete_message():
     client = Client()
     assert client.apply(world={"collision_objects": [box("cup", at=pose(0.3))]})
     for components in (0, 8, 671):
@@ -171,7 +171,7 @@ def test_an_assumed_state_is_given_back_to_the_client_that_set_it_and_a_scene_se
     assert client.joints() == pytest.approx(BENT)
 
 
-def test_moving_frames_are_where_the_client_assumes_the_arm():
+async def test_moving_frames_are_where_the_client_assumes_the_arm():
     client = Client()
     lid = box("lid", frame="gripper_link")
     assert client.apply(robot_state=state_of(0.5), world={"collision_objects": [lid]})
@@ -186,7 +186,7 @@ def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
     assert client.state.contents.objects == {}
 
 
-def test_an_object_attached_again_as_by_compas_fab_stays_attached():
+async def test_an_object_attached_again_as_by_compas_fab_stays_attached():
     """Put everything down, assume a state, move the thing to the hand, take it by its name alone."""
     client = Client()
     assert client.apply(world={"collision_objects": [box("tool")]})

@@ -108,7 +108,9 @@ def test_one_bad_object_and_nothing_is_changed(names):
     contents, scene = state.contents, state.scene
     objects = [box(name, frame="nowhere" if name == "bad" else "") for name in names]
     changed = diff(world={"collision_objects": [{"id": "cup", "operation": 1}, *objects]})
-    assert rejection(state.apply_diff, changed, BENT).details["object"] == "bad"
+    failure = rejection(state.apply_diff, changed, BENT)
+    assert failure.code is MoveItErrorCode.FRAME_TRANSFORM_FAILURE
+    assert (failure.details["object"], failure.details["frame"]) == ("bad", "nowhere")
     assert (state.contents, state.scene) == (contents, scene)
 
 

@@ -10,8 +10,6 @@ counts itself (bsonspec.org, version 1.1), and a JSON object ends with the brace
 the two from its first byte to its last, as rosbridge_server's TCP handler has it (``bson_only_mode``).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 

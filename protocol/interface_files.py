@@ -7,8 +7,6 @@ A file is read to its end; each line that cannot be read becomes a `Flaw`. The c
 which knows all files, resolves the types that the file refers to.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ A folder is a package, or has packages in it at any depth, as a workspace's ``sr
 All problems of all files are reported at once.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Limits on the resources of one client."""
 
-from __future__ import annotations
-
 from pydantic import BaseModel, ConfigDict, Field
 
 # Pieces of one message, in and out: the largest message in pieces of a kilobyte, which is as small as clients cut. The

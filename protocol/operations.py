@@ -4,8 +4,6 @@ A row of `OPERATIONS` is all that an op needs to be understood. A field's descri
 refusals quote it. Fields that are not listed are ignored, as rosbridge ignores them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 

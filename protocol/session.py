@@ -5,8 +5,6 @@ topics in `Session.publications` or `Session.subscriptions`, answers with `Sessi
 `Session.data_to_send` returns.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Mapping

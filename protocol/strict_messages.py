@@ -5,8 +5,6 @@ is left to :mod:`protocol.messages`, which forgives more and names the problem. 
 alike, except that the general way also fills in and converts.
 """
 
-from __future__ import annotations
-
 import functools
 import operator
 from collections.abc import Callable

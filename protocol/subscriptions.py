@@ -6,8 +6,6 @@ early are dropped; with a queue they wait, and when it is full the oldest goes. 
 and of advertisements alike, count against one limit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass

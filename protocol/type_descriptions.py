@@ -8,8 +8,6 @@ it; comments, constants and defaults do not count. How it is written, to the bla
 (rosidl_generator_type_description).
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

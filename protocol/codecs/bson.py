@@ -4,8 +4,6 @@ Inside of the server binary data is base64 text, as in JSON; the one exception a
 `protocol.codecs.cbor` puts into messages on their way out.
 """
 
-from __future__ import annotations
-
 import struct
 from binascii import b2a_base64
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ Outbound, NaN and infinities become ``null`` as in rosbridge, and the text is pu
 read it as ASCII.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any, AnyStr

@@ -7,8 +7,6 @@ other threads have their turn. ``{"a":[1,2],"b":[3`` and ``4,5]}`` are decoded a
 ``{KEY:[4,5]}``.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import Any

@@ -5,8 +5,6 @@ more than a piece is taken apart: short members go together, and long ones are t
 threads have their turn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain

@@ -5,8 +5,6 @@ It is written here, without the filters that PNG has for the rows of photographs
 better without, and trying them all on every row costs more time than the compression.
 """
 
-from __future__ import annotations
-
 import binascii
 import io
 import math

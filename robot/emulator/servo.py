@@ -78,9 +78,9 @@ class Thresholds:
 class Protection:
     """Timers and latches of one servo's protection; errors are bits of ``StatusFlag``."""
 
-    def __init__(self, *, latches: bool = False) -> None:
+    def __init__(self) -> None:
         # True if only a power cycle clears latched errors; otherwise switching torque off clears them too.
-        self.latches = latches
+        self.latches = False
         self.forced = 0  # errors forced by a command
         self.status = 0  # present errors
         self.latched = 0  # errors that outlast their cause

@@ -1,4 +1,4 @@
-"""roslibpy's own tests, from its source distribution, against the server in both dialects and by both its transports.
+"""roslibpy's own tests, from its source distribution, against the server in both dialects, by a transport of it each.
 
 They are unchanged but for the port. The other libraries' packages have no tests in them: roslibjs (npm) and compas_fab
 (PyPI) run by scenarios of the same calls, in test_roslib.py and test_compas_fab.py. None of the three speaks raw TCP.
@@ -76,8 +76,7 @@ def fibonacci(url: str) -> Iterator[None]:
     thread.join()
 
 
-@pytest.mark.parametrize("transport", ["twisted", "asyncio"])
-@pytest.mark.parametrize("version", ["1", "2"])
+@pytest.mark.parametrize(("version", "transport"), [("1", "twisted"), ("2", "asyncio")])
 def test_the_tests_of_roslibpy_pass(source: Path, version: str, transport: str, tmp_path: Path) -> None:
     with RunningServer(settings={"ARMBRIDGE_SERVER__ROS_VERSION": version}) as server, fibonacci(server.url):
         for path in (source / "conftest.py", *(source / f"ros{version}").glob("*.py")):

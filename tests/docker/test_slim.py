@@ -83,6 +83,7 @@ def test_of_scipy_nothing_goes_that_the_planners_load_or_ours_import() -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=TIMEOUT_S, check=True
     )
     loaded = {name.split(".")[1] for name in done.stdout.split() if name.startswith("scipy.")}
+    assert {"spatial", "sparse"} <= loaded
     assert loaded & set(slim.SCIPY) == set()
     of_ours = [imports(path) for room in ROOMS for path in paths(room)]
     names = {name for each in of_ours for name in each.names | each.sources if name.startswith("scipy.")}

@@ -74,13 +74,18 @@ SEVEN_JOINT_URDF = """
 </robot>
 """
 
-SEVEN_JOINT_SRDF = """
+
+def _state(name: str, group: str, positions: dict[str, float]) -> str:
+    joints = "".join(f'<joint name="{joint}" value="{value}"/>' for joint, value in positions.items())
+    return f'<group_state name="{name}" group="{group}">{joints}</group_state>'
+
+
+_BENT = {"a1": 0.0, "a2": 0.5, "a3": 0.0, "a4": 1.2, "a5": 0.0, "a6": 0.8, "a7": 0.0}
+
+SEVEN_JOINT_SRDF = f"""
 <robot name="seven">
   <group name="arm"><chain base_link="pedestal" tip_link="tool"/></group>
-  <group_state name="bent" group="arm">
-    <joint name="a1" value="0"/><joint name="a2" value="0.5"/><joint name="a3" value="0"/>
-    <joint name="a4" value="1.2"/><joint name="a5" value="0"/><joint name="a6" value="0.8"/><joint name="a7" value="0"/>
-  </group_state>
+  {_state("bent", "arm", _BENT)}
   <disable_collisions link1="pedestal" link2="upper"/>
   <disable_collisions link1="upper" link2="fore"/>
   <disable_collisions link1="fore" link2="wrist"/>
@@ -149,18 +154,9 @@ LIFTED_SRDF = f"""
   <group name="arm"><chain base_link="pedestal" tip_link="tool"/></group>
   <group name="arm_with_torso"><chain base_link="base" tip_link="tool"/></group>
   <group name="gripper"><joint name="left_finger_joint"/><joint name="right_finger_joint"/></group>
-  <group_state name="bent" group="arm">
-    <joint name="a1" value="0"/><joint name="a2" value="0.5"/><joint name="a3" value="0"/>
-    <joint name="a4" value="1.2"/><joint name="a5" value="0"/><joint name="a6" value="0.8"/><joint name="a7" value="0"/>
-  </group_state>
-  <group_state name="raised" group="arm_with_torso">
-    <joint name="lift" value="0.2"/><joint name="a1" value="0"/><joint name="a2" value="0.5"/>
-    <joint name="a3" value="0"/><joint name="a4" value="1.2"/><joint name="a5" value="0"/>
-    <joint name="a6" value="0.8"/><joint name="a7" value="0"/>
-  </group_state>
-  <group_state name="open" group="gripper">
-    <joint name="left_finger_joint" value="0.05"/><joint name="right_finger_joint" value="0.05"/>
-  </group_state>
+  {_state("bent", "arm", _BENT)}
+  {_state("raised", "arm_with_torso", {"lift": 0.2, **_BENT})}
+  {_state("open", "gripper", {"left_finger_joint": 0.05, "right_finger_joint": 0.05})}
   {_chain(_LIFTED_LINKS)}
   {_chain(("left_finger", "right_finger", "hand"))}
   <disable_collisions link1="wrist" link2="left_finger"/><disable_collisions link1="wrist" link2="right_finger"/>
@@ -181,12 +177,7 @@ PAIR_URDF = f"""
 """
 
 
-def _arm_states(side: str) -> str:
-    joints = {"a1": 0.0, "a2": 0.5, "a3": 0.0, "a4": 1.2, "a5": 0.0, "a6": 0.8, "a7": 0.0}
-    bent = "".join(f'<joint name="{side}_{name}" value="{value}"/>' for name, value in joints.items())
-    return f'<group_state name="bent" group="{side}_arm">{bent}</group_state>'
-
-
+_SIDES = ("left", "right")
 _SEVEN_LINKS = ("pedestal", "turret", "upper", "upper_roll", "fore", "fore_roll", "wrist", "hand")
 
 PAIR_SRDF = f"""
@@ -194,26 +185,17 @@ PAIR_SRDF = f"""
   <group name="left_arm"><chain base_link="left_pedestal" tip_link="left_tool"/></group>
   <group name="right_arm"><chain base_link="right_pedestal" tip_link="right_tool"/></group>
   <group name="both_arms">
-    {"".join(f'<joint name="{side}_a{number}"/>' for side in ("left", "right") for number in range(1, 8))}
+    {"".join(f'<joint name="{side}_a{number}"/>' for side in _SIDES for number in range(1, 8))}
   </group>
-  {_arm_states("left")}{_arm_states("right")}
-  {_chain(f"left_{link}" for link in _SEVEN_LINKS)}
-  {_chain(f"right_{link}" for link in _SEVEN_LINKS)}
+  {"".join(_state("bent", f"{side}_arm", {f"{side}_{a}": at for a, at in _BENT.items()}) for side in _SIDES)}
+  {"".join(_chain(f"{side}_{link}" for link in _SEVEN_LINKS) for side in _SIDES)}
 </robot>
 """
 
 
-LIFTED_GRIPPER = """
-[gripper]
-joints = ["left_finger_joint", "right_finger_joint"]
-open = 0.05
-closed = 0.0
-"""
-
-
-def folder_arguments(folder: Path, urdf: str, srdf: str, tables: str = "") -> str:
-    """Write an arm's folder, with some more tables of its robot.toml; returns the arguments of a server with it."""
+def folder_arguments(folder: Path, urdf: str, srdf: str) -> str:
+    """Write an arm's folder; returns the arguments of a server with it."""
     (folder / "arm.urdf").write_text(urdf)
     (folder / "arm.srdf").write_text(srdf)
-    (folder / "robot.toml").write_text(f'[robot]\ntitle = "test arm"\nurdf = "arm.urdf"\nsrdf = "arm.srdf"\n{tables}')
+    (folder / "robot.toml").write_text('[robot]\ntitle = "test arm"\nurdf = "arm.urdf"\nsrdf = "arm.srdf"\n')
     return f"--robot {folder}"

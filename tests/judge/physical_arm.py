@@ -1,7 +1,5 @@
 """The arm process in a physical world, in a time of its own: the controller's path from a trajectory to the links."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,8 +34,7 @@ class ArmInWorld(ArmRig):
     """A supervisor whose emulated servos move a physical arm from zero, or, without physics, the light emulation's."""
 
     def __init__(self, *bodies: Body, physics: bool = True, **start_rad: float) -> None:
-        config = EmulatedConfig(CALIBRATION, physics=physics, start_rad=start_rad, driven=True)
-        super().__init__(hardware=config)
+        super().__init__(hardware=EmulatedConfig(CALIBRATION, physics=physics, start_rad=start_rad, driven=True))
         if bodies:
             self.supervisor.handle(SetBodies(1, bodies))
         while self.mode is not Mode.HOLDING:
@@ -50,15 +47,12 @@ class ArmInWorld(ArmRig):
 
     @property
     def world(self) -> World:
-        assert self.hardware.world is not None
         return self.hardware.world
 
     @property
     def goals_rad(self) -> dict[str, float]:
         """Positions that the arm holds, by joint."""
-        goal_rad = self.state.goal_rad
-        assert goal_rad is not None
-        return dict(zip(NAMES, goal_rad.tolist(), strict=True))
+        return dict(zip(NAMES, self.state.goal_rad.tolist(), strict=True))
 
     def play(self, trajectory: Trajectory, stop_after_s: float = MAX_MOTION_S, **options: Any) -> Played:
         """Play a trajectory to its end, or stop it after a time, and wait for rest."""
@@ -80,7 +74,6 @@ class ArmInWorld(ArmRig):
     def _record(self, played: Played) -> None:
         self.tick()
         state = self.state
-        assert state.position_rad is not None
         played.position_rad.append(state.position_rad)
         played.goal_rad.append(state.position_rad if state.goal_rad is None else state.goal_rad)
         if self.hardware.world is not None:

@@ -1,7 +1,5 @@
 """The controller's motions, stops and grips in physics beside the light emulation, whose claims they confirm."""
 
-from __future__ import annotations
-
 import itertools
 from functools import cache, partial
 
@@ -12,13 +10,12 @@ from planners.goals import JointGoal
 from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from robot.messages import GuardLimits, Outcome
-from robot.physics.bodies import Body, BodyShape
 from robot.trajectory import Trajectory
 from tests.helpers.arm_rig import NAMES, ROBOT
 from tests.helpers.motions import smooth_move
 from tests.judge.physical_arm import ArmInWorld, Played
+from tests.robot.physics.test_world import AROUND, BLOCK
 
-LEVEL = (0.0, 0.0, 0.0, 1.0)
 GRIPPER = NAMES.index("gripper")
 
 # Targets: far, loaded by the whole stretched arm, and back.
@@ -26,17 +23,6 @@ TARGETS = (
     {"shoulder_pan": 1.0, "shoulder_lift": 0.8, "elbow_flex": -0.5},
     {"shoulder_pan": -0.5, "shoulder_lift": -1.0, "elbow_flex": 0.8, "wrist_flex": 0.5},
     {"shoulder_lift": 0.9, "elbow_flex": -0.9, "wrist_roll": 1.0},
-)
-
-# Pointing down around a block, the fingers open.
-AROUND = {"shoulder_lift": -0.184, "elbow_flex": 0.628, "wrist_flex": 1.128, "wrist_roll": -1.52, "gripper": 1.0}
-BLOCK = Body(
-    "block",
-    (BodyShape("box", (0.0125, 0.0125, 0.025), (0.0, 0.0, 0.0), LEVEL),),
-    (0.2, -0.009, 0.025),
-    LEVEL,
-    True,
-    0.02,
 )
 
 
@@ -79,11 +65,8 @@ def test_a_stop_ends_where_the_light_emulation_stops(after_s: float, speed: floa
     way_rad = [np.subtract(each.position_rad[-1], each.position_rad[stop]) for each in motions]
     assert abs(way_rad[0]).max() > 0.02 * speed
     assert way_rad[1] == pytest.approx(way_rad[0], abs=0.03)
-    past_rad = [
-        np.ptp(np.array(each.position_rad[stop:]), axis=0) - abs(way)
-        for each, way in zip(motions, way_rad, strict=True)
-    ]
-    assert np.max(past_rad) < 0.02, "an overshoot"
+    for each, way in zip(motions, way_rad, strict=True):
+        assert (np.ptp(np.array(each.position_rad[stop:]), axis=0) - abs(way)).max() < 0.02, "an overshoot"
 
 
 def test_a_grip_ends_well_holds_the_block_and_is_as_strong_as_it_is_allowed_to_be() -> None:
@@ -93,11 +76,8 @@ def test_a_grip_ends_well_holds_the_block_and_is_as_strong_as_it_is_allowed_to_b
         closing = smooth_move({"gripper": (arm.goals_rad["gripper"], -0.1)}, 2.0)
         motion = arm.play(closing, gripping=True, torque_share=share)
         assert motion.outcome is Outcome.GRIPPED, motion.message
-        states = arm.world.moved_bodies(every=True)
-        assert states is not None
-        assert states.bodies[0].held
+        assert arm.world.moved_bodies(every=True).bodies[0].held
         depth_m.append(max(depth for pair, depth in motion.depth_m.items() if "object/block" in pair))
-        assert arm.state.load is not None
         load.append(abs(float(arm.state.load[GRIPPER])))
     # Of 25 mm between the fingers, whose contacts are as soft as rubber.
     assert depth_m[0] < depth_m[1] < 0.004, "a block that is crushed"

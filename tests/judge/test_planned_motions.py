@@ -1,18 +1,10 @@
 """Planned motions in random scenes, played in physics: no link touches anything where the plan is free of collisions.
 
-``JUDGE_SCENES`` sets the number of scenes: ``make judge`` plays 1,000 motions. The arm leaves its path, so
-plans keep :data:`FOLLOWING_M` from objects. Without it one of 160 motions touched something.
-
-A joint at v rad/s lags by about 30 ms, which is common to all and leaves the path as it is, and by v / 2A, which is
-not: a servo plans to stop at each goal with its ACCELERATION A of 39 rad/s^2. At 2.5 rad/s that is 32 ms. In 30 motions
-of the light emulation at full speed the tip was 4.1 mm (p50) and up to 11.2 mm beside its path, without the links'
-weight 1.7 mm and up to 8.8 mm; at rest the weight takes it 2.0 mm and up to 6.5 mm away. Setpoints ahead by
-v |v| / 2A left 0.5 mm and up to 0.8 mm without the weight, but with it 3.3 mm and up to 6.5 mm, in physics 3.5 mm and
-up to 7.0 mm in place of 4.3 mm and 8.2 mm: most is droop, and the setpoints lead nowhere. Setpoints ahead by the common
-lag change nothing.
+``JUDGE_SCENES`` sets the number of scenes: ``make judge`` plays 1,000 motions. The arm leaves its path by lag and by
+droop, so plans keep :data:`FOLLOWING_M` from objects. Without it one of 160 motions touched something. Setpoints ahead
+by v |v| / 2A, as a servo plans to stop at each goal, left the tip 3.5 mm (p50) and up to 7.0 mm beside its path in
+physics in place of 4.3 mm and 8.2 mm. Most of it is droop, and the setpoints lead nowhere.
 """
-
-from __future__ import annotations
 
 import itertools
 import os
@@ -31,6 +23,7 @@ from robot.physics.bodies import Body, BodyShape
 from tests.helpers.arm_rig import ROBOT
 from tests.judge.physical_arm import ArmInWorld, Played
 from tests.planners.scenes import VERSIONS
+from tests.robot.physics.test_world import LEVEL
 
 SCENES = int(os.environ.get("JUDGE_SCENES", "6"))
 MOTIONS_A_SCENE = 4
@@ -41,8 +34,6 @@ MAX_DEPTH_M = 0.002
 
 # The tip was 4.4 mm (p50) and up to 10.5 mm beside its path in 40 motions, at 30 % of the speed up to 6.3 mm in 12.
 FOLLOWING_M = 0.01
-
-LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 # The floor of the physics, which the fingers touch. The SO-101 stands on it.
 FLOOR = SceneObject("floor", ((Box((2.0, 2.0, 0.1)), Pose()),), Pose((0.0, 0.0, -0.051)))

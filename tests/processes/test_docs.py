@@ -3,7 +3,6 @@
 import json
 import re
 import shlex
-import subprocess
 import sys
 
 import pytest
@@ -11,11 +10,11 @@ from websockets.sync.client import connect
 
 from harness.server import CLIENT_ENVIRONMENT, ROOT, RunningServer
 from harness.waiting import TIMEOUT_S
+from tests.helpers.programs import run
 from tests.test_docs import EXAMPLES, PAGES
 from tests.test_readme import blocks
 
 SERVER_PORT = "9090"
-
 
 # Pages whose JSON blocks hold only messages to the server; the page of the protocol also shows answers.
 SENT = ("engines.md", "goals.md", "operations.md")
@@ -23,22 +22,11 @@ SENT = ("engines.md", "goals.md", "operations.md")
 PROGRAMS = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
 
 
-def run_python(arguments: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=ROOT,
-        env=CLIENT_ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-
-
 @pytest.mark.parametrize("program", [block for _, block in PROGRAMS], ids=[page for page, _ in PROGRAMS])
 def test_a_python_program_of_the_docs_runs(program: str, simulated_server: RunningServer) -> None:
     assert SERVER_PORT in program
-    done = run_python(["-c", program.replace(SERVER_PORT, str(simulated_server.port))])
+    program = program.replace(SERVER_PORT, str(simulated_server.port))
+    done = run(sys.executable, "-c", program, env=CLIENT_ENVIRONMENT)
     assert done.returncode == 0, done.stderr
     assert done.stdout
 
@@ -47,7 +35,7 @@ def test_a_python_program_of_the_docs_runs(program: str, simulated_server: Runni
 def test_a_command_with_an_example_succeeds(command: str, simulated_server: RunningServer) -> None:
     _, *arguments = shlex.split(command)
     # The last of an option that is given twice counts.
-    done = run_python([*arguments, "--url", simulated_server.url])
+    done = run(sys.executable, *arguments, "--url", simulated_server.url, env=CLIENT_ENVIRONMENT)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -56,38 +44,28 @@ CURL = [line for line in "".join(blocks(ROOT / "docs" / "protocol.md", "sh")).sp
 
 @pytest.mark.parametrize("command", CURL)
 def test_a_goal_of_the_page_about_http_is_carried_out(command: str, simulated_server: RunningServer) -> None:
-    token = "the-token-of-the-controller"
-    words = shlex.split(command.replace(SERVER_PORT, str(simulated_server.port)).replace("$TOKEN", token))
-    assert words[0] == "curl"
-    done = subprocess.run(
-        [*words, "--silent", "--show-error", "--fail-with-body"],
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
+    words = shlex.split(command.replace(SERVER_PORT, str(simulated_server.port)).replace("$TOKEN", "any-token"))
+    done = run(*words, "--silent", "--show-error", "--fail-with-body")
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads(done.stdout)["success"]
 
 
-def messages_of_roslib_page() -> list[str]:
-    """Operations that roslib sends for the topics of the example."""
-    text = (ROOT / "examples" / "roslib_page.html").read_text()
-    found = re.findall(r"name: \"(/\w+)\", messageType: \"([\w/]+)\"", text)
-    assert found
-    return [
-        json.dumps({"op": op, "topic": name, "type": type_name})
-        for name, type_name in found
-        for op in ("advertise", "subscribe")
-    ]
+# What roslib sends for the topics of its example.
+OF_ROSLIB = [
+    json.dumps({"op": op, "topic": name, "type": type_name})
+    for name, type_name in re.findall(
+        r"name: \"(/\w+)\", messageType: \"([\w/]+)\"", (ROOT / "examples" / "roslib_page.html").read_text()
+    )
+    for op in ("advertise", "subscribe")
+]
 
 
 @pytest.mark.parametrize("page", SENT)
 def test_the_messages_of_a_page_are_taken_without_complaint(page: str, simulated_server: RunningServer) -> None:
     frames = [line for block in blocks(ROOT / "docs" / page, "json") for line in block.splitlines()]
     assert frames
-    if page == "engines.md":
-        frames += messages_of_roslib_page()
+    assert OF_ROSLIB
+    frames += OF_ROSLIB if page == "engines.md" else []
     calls = {frame["id"] for frame in map(json.loads, frames) if frame["op"] == "call_service"}
     complaints = []
     with connect(f"ws://127.0.0.1:{simulated_server.port}") as client:

@@ -3,21 +3,19 @@
 import asyncio
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
-from harness.server import EmulatorControl, RunningServer
+from harness.server import RunningServer
 from harness.waiting import TIMEOUT_S
+from tests.helpers.programs import run
 from tests.helpers.robots import so101
 
-RESULT, ERROR_CODES = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
+RESULT = "/moveit_goal_result"
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
 SUCCESS, INVALID_GROUP, CONTROL_FAILED = 1, -15, -4
 
@@ -31,38 +29,29 @@ max_acceleration_scaling = 1.0
 [arms.left]
 on_exit = "park"
 base_xyz_m = [0.0, 0.25, 0.0]
-emulator.control = "{folder}/left"
 [arms.right]
 on_exit = "park"
 base_xyz_m = [0.0, -0.25, 0.0]
-emulator.control = "{folder}/right"
 """
-
-
-@asynccontextmanager
-async def connected(server: RunningServer) -> AsyncIterator[ArmClient]:
-    async with arm_client(server.url) as client:
-        await client.say("subscribe", topic="/joint_states", type="sensor_msgs/JointState")
-        for arm in ("left", "right"):
-            await client.say("subscribe", topic=f"/{arm}{RESULT}", type=ERROR_CODES)
-            await client.say("subscribe", topic=f"/{arm}/arm/state", type="diagnostic_msgs/DiagnosticStatus")
-        yield client
 
 
 @pytest.fixture
 async def client(server: RunningServer) -> AsyncIterator[ArmClient]:
-    async with connected(server) as one:
+    async with arm_client(server.url) as one:
+        for arm in ("left", "right"):
+            await one.subscribe(f"/{arm}{RESULT}", "moveit_msgs/MoveItErrorCodes")
+            await one.subscribe(f"/{arm}/arm/state", "diagnostic_msgs/DiagnosticStatus")
         yield one
-        assert (await one.call("/arm/stop"))["success"]
-        await one.call("/arm/release_control")
+        if server.process.poll() is None:
+            assert (await one.call("/arm/stop"))["success"]
+            await one.call("/arm/release_control")
 
 
 async def moved(client: ArmClient, arm: str, topic: str, type_name: str, msg: dict[str, Any]) -> dict[str, Any]:
     """Send a goal to an arm by its name; returns the result."""
-    heard = len(client.topics.get(f"/{arm}{RESULT}", ()))
+    heard = len(client.messages(f"/{arm}{RESULT}"))
     await client.goal(f"/{arm}{topic}", type_name, msg)
-    results = await client.until(f"/{arm}{RESULT}", lambda results: len(results) > heard)
-    return results[-1]
+    return (await client.until(f"/{arm}{RESULT}", lambda results: len(results) > heard))[-1]
 
 
 async def to_named(client: ArmClient, arm: str, name: str) -> dict[str, Any]:
@@ -74,21 +63,21 @@ async def to_joints(client: ArmClient, arm: str, **positions: float) -> dict[str
     return await moved(client, arm, "/moveit_goal_joints", "sensor_msgs/JointState", msg)
 
 
-async def go(client: ArmClient, group: str, **target: Any) -> dict[str, Any]:
-    """Send a goal to a group of the whole; returns its answer."""
-    goal = await client.send_goal("/moveit_goal", "armbridge_msgs/action/MoveitGoal", {"group": group, **target})
-    values: dict[str, Any] = (await asyncio.wait_for(client.result(goal), TIMEOUT_S))["values"]
-    return values
+async def both_go(client: ArmClient, name: str) -> dict[str, Any]:
+    """Send a goal to the group of both arms; returns its answer."""
+    return await client.call("/moveit_goal", group="both_arms", named=name)
 
 
-async def both_are(client: ArmClient, mode: str) -> None:
-    for arm in ("left", "right"):
-        await client.until(f"/{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == mode)
+async def until_mode(client: ArmClient, mode: str, *arms: str) -> str:
+    """Wait until arms are in a mode; returns the sentence of the last."""
+    for arm in arms:
+        states = await client.until(f"{arm}/arm/state", lambda states: values_of(states[-1])["mode"] == mode)
+    return str(states[-1]["message"])
 
 
 async def test_joint_states_have_all_joints_in_one_message_and_each_arm_its_own(client: ArmClient) -> None:
     assert set(await client.positions()) == {f"{arm}_{joint}" for arm in ("left", "right") for joint in JOINTS}
-    await client.say("subscribe", topic="/left/joint_states", type="sensor_msgs/JointState")
+    await client.subscribe("/left/joint_states", "sensor_msgs/JointState")
     assert (await client.until("/left/joint_states", bool))[-1]["name"] == [f"left_{joint}" for joint in JOINTS]
 
 
@@ -97,18 +86,14 @@ async def test_an_arm_is_moved_by_its_name_and_the_other_stays(client: ArmClient
     assert (await to_named(client, "left", "ready"))["val"] == SUCCESS
     assert (await to_joints(client, "left", elbow_flex=0.3))["val"] == SUCCESS
     after = await client.positions()
-    assert after["left_elbow_flex"] == pytest.approx(0.3, abs=0.06)
-    assert after["left_shoulder_lift"] == pytest.approx(-0.5, abs=0.06)
+    assert (after["left_elbow_flex"], after["left_shoulder_lift"]) == pytest.approx((0.3, -0.5), abs=0.06)
     assert all(after[f"right_{joint}"] == pytest.approx(before[f"right_{joint}"], abs=0.02) for joint in JOINTS)
-
-
-async def test_the_joints_of_another_arm_cannot_be_moved_by_the_name_of_one(client: ArmClient) -> None:
     result = await to_joints(client, "left", right_shoulder_pan=0.2)
     assert (result["val"], result["message"]) == (INVALID_GROUP, "group right_arm moves other arms than left")
 
 
 async def test_both_arms_move_together_as_one_group(client: ArmClient) -> None:
-    answer = await go(client, "both_arms", named="rest")
+    answer = await both_go(client, "rest")
     assert (answer["code_name"], answer["message"]) == ("SUCCESS", "the arm is there")
     rest = so101().named_states["arm"]["rest"]
     now = await client.positions()
@@ -118,17 +103,16 @@ async def test_both_arms_move_together_as_one_group(client: ArmClient) -> None:
 
 async def test_a_motion_of_both_arms_is_refused_by_the_name_of_the_relaxed_one(client: ArmClient) -> None:
     assert (await client.call("/right/arm/relax"))["success"]
-    answer = await go(client, "both_arms", named="home")
+    answer = await both_go(client, "home")
     sentence = "the arm right is relaxed: enable it by the service /right/arm/enable first"
     assert (answer["code_name"], answer["message"]) == ("CONTROL_FAILED", sentence)
-    states = await client.until("/right/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed")
-    assert states[-1]["message"] == "the arm is relaxed; /right/arm/enable makes it hold"
-    whole = await client.until("/arm/state", lambda states: values_of(states[-1])["mode"] == "relaxed")
-    assert whole[-1]["message"] == "the arm is relaxed; /arm/enable makes it hold: right: relaxed"
+    relaxed = "the arm is relaxed; {}/arm/enable makes it hold"
+    assert await until_mode(client, "relaxed", "/right") == relaxed.format("/right")
+    assert await until_mode(client, "relaxed", "") == relaxed.format("") + ": right: relaxed"
     # The other arm moves, and is paused, meanwhile.
     await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1})
     left = asyncio.create_task(to_joints(client, "left", wrist_roll=0.7))
-    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "moving")
+    await until_mode(client, "moving", "/left")
     paused = await client.call("/left/arm/pause")
     assert paused["message"] == "the arm comes to rest on its path; /left/arm/resume lets it go on"
     assert (await client.call("/arm/resume"))["success"]
@@ -138,80 +122,67 @@ async def test_a_motion_of_both_arms_is_refused_by_the_name_of_the_relaxed_one(c
 
 
 async def test_all_arms_are_parked_one_after_the_other(client: ArmClient) -> None:
-    await go(client, "both_arms", named="home")
-    parked = await client.call("/arm/park")
+    await both_go(client, "home")
     there = "the arm is at its rest pose 'rest', and relaxed"
-    assert parked == {"success": True, "message": f"left: {there}; right: {there}"}
+    assert await client.call("/arm/park") == {"success": True, "message": f"left: {there}; right: {there}"}
     assert (await client.call("/arm/enable"))["success"]
 
 
 async def test_a_stop_of_one_arm_lets_the_other_go_on(client: ArmClient) -> None:
-    await go(client, "both_arms", named="home")
-    await both_are(client, "holding")
+    await both_go(client, "home")
+    await until_mode(client, "holding", "/left", "/right")
     await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1})
     left = asyncio.create_task(to_joints(client, "left", wrist_roll=-1.5))
     right = asyncio.create_task(to_joints(client, "right", wrist_roll=-0.8))
-    await both_are(client, "moving")
+    await until_mode(client, "moving", "/left", "/right")
     assert (await client.call("/left/arm/stop"))["success"]
-    stopped = await left
-    assert stopped["message"].startswith("stopped by /left/arm/stop")
+    assert (await left)["message"].startswith("stopped by /left/arm/stop")
     await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
     assert (await right)["val"] == SUCCESS
 
 
-async def test_a_fault_of_one_arm_is_named_and_the_other_moves_on(client: ArmClient, folder: Path) -> None:
-    control = EmulatorControl(folder / "left")
+async def test_a_fault_of_one_arm_is_named_and_the_other_moves_on(client: ArmClient) -> None:
     assert (await client.call("/left/arm/emergency_stop"))["success"]
-    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "fault")
-    refused = await to_named(client, "left", "ready")
-    assert refused["val"] == CONTROL_FAILED
+    await until_mode(client, "fault", "/left")
+    assert (await to_named(client, "left", "ready"))["val"] == CONTROL_FAILED
     assert (await to_named(client, "right", "ready"))["val"] == SUCCESS
     assert (await client.call("/left/arm/reset_fault"))["success"]
     assert (await client.call("/left/arm/enable"))["success"]
     assert (await to_named(client, "left", "ready"))["val"] == SUCCESS
-    control.command(online=[1, 2, 3, 4, 5, 6])
 
 
 async def test_an_emergency_stop_means_all_arms(client: ArmClient) -> None:
     await client.goal("/emergency_stop", "std_msgs/Empty", {})
-    await both_are(client, "fault")
+    await until_mode(client, "fault", "/left", "/right")
     # Each arm first sees that its torque is off.
     async with asyncio.timeout(TIMEOUT_S):
         while not (await client.call("/arm/reset_fault"))["success"]:
             await asyncio.sleep(0.05)
     assert (await client.call("/arm/enable"))["success"]
-    await both_are(client, "holding")
-
-
-def test_the_lines_of_an_arm_process_name_its_arm(server: RunningServer) -> None:
-    for name in ("left", "right"):
-        assert any(f" armbridge.arm: {name}: the simulated arm is ready" in line for line in server.lines), server.lines
+    await until_mode(client, "holding", "/left", "/right")
 
 
 async def test_an_arm_process_that_dies_leaves_the_other_arm_moving(server: RunningServer, client: ArmClient) -> None:
+    for name in ("left", "right"):
+        assert any(f" armbridge.arm: {name}: the simulated arm is ready" in line for line in server.lines), server.lines
     ready = next(line for line in server.lines if "armbridge is ready" in line)
-    pid = int(ready.split("left arm simulated (process ")[1].split(",")[0])
-    os.kill(pid, signal.SIGKILL)
-    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "disconnected")
+    os.kill(int(ready.split("left arm simulated (process ")[1].split(",")[0]), signal.SIGKILL)
+    await until_mode(client, "disconnected", "/left")
     assert (await to_joints(client, "right", wrist_roll=0.5))["val"] == SUCCESS
-    await client.until("/left/arm/state", lambda states: values_of(states[-1])["mode"] == "holding")
+    await until_mode(client, "holding", "/left")
     assert (await to_joints(client, "left", wrist_roll=0.5))["val"] == SUCCESS
 
 
 def test_one_of_several_arms_is_verified_at_a_terminal(server: RunningServer) -> None:
-    command = [sys.executable, "-m", "server.cli", "verify", "--url", server.url]
-    without_name, named = (
-        subprocess.run([*command, *arm], input="", capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-        for arm in ((), ("--arm", "left"))
-    )
-    assert "by the service of its name: /left/arm/commissioning/begin, /right/arm/" in without_name.stderr
+    named = run(sys.executable, "-m", "server.cli", "verify", "--url", server.url, "--arm", "left", input="")
     assert "Move? Enter: move." in named.stderr
 
 
-async def test_arms_that_are_parked_at_the_end_go_to_rest_one_after_the_other(server: RunningServer) -> None:
-    async with connected(server) as client:
-        for arm in ("left", "right"):
-            assert (await to_named(client, arm, "ready"))["val"] == SUCCESS
+async def test_arms_that_are_parked_at_the_end_go_to_rest_one_after_the_other(
+    server: RunningServer, client: ArmClient
+) -> None:
+    for arm in ("left", "right"):
+        assert (await to_named(client, arm, "ready"))["val"] == SUCCESS
     code, _ = await asyncio.to_thread(server.end, signal.SIGTERM)
     assert code == 0
     parking = [line.split("armbridge.arm: ")[1].split(", in ")[0] for line in server.lines if ": parking: " in line]

@@ -4,40 +4,33 @@ import asyncio
 import json
 import os
 import signal
-import socket
 import subprocess
 from pathlib import Path
 
 import psutil
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import connect
 
-from harness.clients import FrameClient, frame_client, goal_is
+from harness.clients import frame_client, goal_is
 from harness.server import ROOT, RunningServer, free_port, run_command
 from harness.waiting import TIMEOUT_S, running, until
+from tests.helpers.resources import is_open
 
 RESULT = "/moveit_goal_result"
 STATE = "/arm/state"
-FAR = {"name": ["shoulder_pan"], "position": [1.5]}
 NEAR = {"name": ["shoulder_pan"], "position": [0.2]}
-
-
-async def moving(client: FrameClient) -> None:
-    await client.publish("/moveit_goal_joints", FAR)
-    await client.until("/moveit_goal_status", goal_is("executing"))
-
-
-async def reaches(client: FrameClient) -> None:
-    result = await client.reach("/moveit_goal_joints", NEAR)
-    assert result["val"] == 1, result
 
 
 async def test_neither_a_hung_arm_nor_hung_planners_nor_a_deaf_client_hold_up_the_end() -> None:
     with RunningServer() as server:
         children = psutil.Process(server.process.pid).children(recursive=True)
-        deaf = await deaf_client(server.url)
+        # A client that subscribes and never reads.
+        deaf = await connect(server.url)
+        await deaf.send(json.dumps({"op": "subscribe", "topic": "/joint_states"}))
+        deaf.transport.pause_reading()
         async with frame_client(server.url) as client:
             await client.open_goals()
-            await moving(client)
+            await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
+            await client.until("/moveit_goal_status", goal_is("executing"))
             for child in children:
                 child.suspend()
             code, seconds = await asyncio.to_thread(server.end, signal.SIGTERM)
@@ -50,14 +43,6 @@ async def test_neither_a_hung_arm_nor_hung_planners_nor_a_deaf_client_hold_up_th
     _, alive = await asyncio.to_thread(psutil.wait_procs, children, timeout=TIMEOUT_S)
     assert not alive
     assert server.has_logged("the arm process does not end and is killed")
-
-
-async def deaf_client(url: str) -> ClientConnection:
-    """A client that subscribes and never reads."""
-    deaf = await connect(url)
-    await deaf.send(json.dumps({"op": "subscribe", "topic": "/joint_states"}))
-    deaf.transport.pause_reading()
-    return deaf
 
 
 # Python runs a module of this name at its start: the arm process waits there for a file.
@@ -73,7 +58,8 @@ async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it(
     port = free_port()
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     with running(run_command(f"--port {port}"), cwd=ROOT, stderr=subprocess.DEVNULL, env=environment) as process:
-        async with frame_client(await until_open(port)) as client:
+        await until(lambda: is_open(port))
+        async with frame_client(f"ws://127.0.0.1:{port}") as client:
             await client.open_goals()
             await client.subscribe(STATE, "diagnostic_msgs/DiagnosticStatus")
             first = (await client.until(STATE, bool))[0]
@@ -84,23 +70,3 @@ async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it(
             assert (await client.until(RESULT, bool))[0]["val"] == 1
         process.terminate()
         assert await asyncio.to_thread(process.wait, 30.0) == 0
-
-
-async def test_a_server_that_was_killed_can_be_started_again_at_once() -> None:
-    with RunningServer() as server:
-        server.end(signal.SIGKILL)
-    with RunningServer(f"--port {server.port}") as restarted:
-        async with frame_client(restarted.url) as client:
-            await client.open_goals()
-            await reaches(client)
-
-
-async def until_open(port: int) -> str:
-    """The URL of a server that is starting, once its port is there."""
-
-    def is_open() -> bool:
-        with socket.socket() as probe:
-            return probe.connect_ex(("127.0.0.1", port)) == 0
-
-    await until(is_open)
-    return f"ws://127.0.0.1:{port}"

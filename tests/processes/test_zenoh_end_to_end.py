@@ -7,13 +7,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import pytest
 from websockets.asyncio.client import connect
 
 from harness.clients import frame_client
-from harness.server import RunningServer
+from harness.server import FAST_ARMS, RunningServer
 from harness.waiting import TIMEOUT_S, running, until, wait_until
 from protocol.codecs import json
 from tests.helpers.zenoh_network import RosMachine, free_port
@@ -34,11 +33,7 @@ signal.pause()
 
 
 def zenoh_settings(**settings: str) -> dict[str, str]:
-    shared = {"MODE": "peer", **settings}
-    return {f"ARMBRIDGE_ZENOH__{name}": value for name, value in shared.items()} | {
-        "ARMBRIDGE_MOVEIT__MAX_VELOCITY_SCALING": "1.0",
-        "ARMBRIDGE_MOVEIT__MAX_ACCELERATION_SCALING": "1.0",
-    }
+    return {f"ARMBRIDGE_ZENOH__{name}": value for name, value in {"MODE": "peer", **settings}.items()} | FAST_ARMS
 
 
 @dataclass
@@ -108,12 +103,6 @@ async def test_a_client_of_another_server_sees_the_arm_and_moves_it(ready_arm: L
     assert results[0]["val"] == SUCCESS, results[0]
 
 
-async def call(url: str, service: str) -> Any:
-    async with connect(url) as websocket, asyncio.timeout(TIMEOUT_S):
-        await websocket.send(f'{{"op": "call_service", "service": "{service}"}}')
-        return json.decode(await websocket.recv())
-
-
 async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(lab: Lab) -> None:
     # A machine that has asked for joint states, and then reads nothing any more.
     with running([sys.executable, "-c", DEAF, str(lab.port)], stdout=subprocess.PIPE) as deaf:
@@ -124,14 +113,12 @@ async def test_a_machine_that_does_not_read_holds_up_neither_others_nor_the_end(
         await until(lambda: len(heard) >= 100)
         code, _ = await asyncio.to_thread(lab.arm.end, signal.SIGTERM)
     assert code == 0
-    await gone(lab)
-
-
-async def gone(lab: Lab) -> None:
-    """What the arm's server shared is nowhere any more, and the other server goes on."""
+    # What the arm's server shared is nowhere any more, and the other server goes on.
     wait_until(lambda: not lab.machine.has_token("%arm1%joint_states/sensor_msgs::msg::dds_::JointState_"))
-    async with asyncio.timeout(TIMEOUT_S):
-        while (await call(lab.viewer.url, "/arm1/arm/stop"))["result"]:
-            await asyncio.sleep(0.05)
+    async with connect(lab.viewer.url) as websocket, asyncio.timeout(TIMEOUT_S):
+        answer = {"result": True}
+        while answer["result"]:
+            await websocket.send('{"op": "call_service", "service": "/arm1/arm/stop"}')
+            answer = json.decode(await websocket.recv())
     code, _ = await asyncio.to_thread(lab.viewer.end, signal.SIGTERM)
     assert code == 0

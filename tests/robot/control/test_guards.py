@@ -190,8 +190,7 @@ def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measure
     ],
 )
 def test_warnings_come_before_faults(told: dict[str, float], warnings: list[tuple[ServoAlert, str]]) -> None:
-    checked = guards()
-    assert checked.warnings(reading(GOAL, **told), 0) == tuple(ServoWarning(*warning) for warning in warnings)
+    assert guards().warnings(reading(GOAL, **told), 0) == tuple(ServoWarning(*warning) for warning in warnings)
 
 
 FULL_OF_TWO = np.array([0.8, 0.5])

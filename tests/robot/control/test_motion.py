@@ -147,8 +147,7 @@ def test_joints_outside_the_motion_do_not_count() -> None:
 def test_a_gripper_that_stays_short_of_its_goal_has_gripped() -> None:
     motion, goal = at_its_end(gripping=True)
     motion.end(goal, goal - 0.1, 0.0)
-    end = motion.end(goal, goal - 0.1, LIMITS.settle_timeout_s)
-    assert end.outcome is Outcome.GRIPPED
+    assert motion.end(goal, goal - 0.1, LIMITS.settle_timeout_s).outcome is Outcome.GRIPPED
 
 
 def test_how_near_and_how_soon_can_be_set() -> None:

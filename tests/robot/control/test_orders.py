@@ -36,15 +36,13 @@ def rig(emulator: SteppedEmulator) -> ArmRig:
 
 def latch(rig: ArmRig, code: FaultCode) -> None:
     """Have the arm in a fault that it found some time ago."""
-    arm = rig.supervisor.arm
-    arm.controller.latch(Fault(code, "it was found"))
+    rig.supervisor.arm.controller.latch(Fault(code, "it was found"))
 
 
 def test_the_guards_bear_what_is_configured(emulator: SteppedEmulator) -> None:
     rig = ArmRig(emulator, guard_limits=GuardLimits(min_voltage_v=9.0, torque_limit=0.4))
     rig.until_mode(Mode.FAULT)
-    fault = rig.supervisor.fault
-    assert "it needs 9 V at least" in fault.message
+    assert "it needs 9 V at least" in rig.supervisor.fault.message
     assert rig.bus.read(1, Register.TORQUE_LIMIT) == 400
 
 
@@ -294,8 +292,7 @@ def test_an_arm_of_each_population_is_enabled_where_it_stands(population):
     rig = rig_on(population).started()
     before = [servo.plant.position_ticks for servo in rig.emulator.servo_bus.servos]
     rig.run(1.0)
-    after = [servo.plant.position_ticks for servo in rig.emulator.servo_bus.servos]
-    assert after == pytest.approx(before, abs=30.0)
+    assert [servo.plant.position_ticks for servo in rig.emulator.servo_bus.servos] == pytest.approx(before, abs=30.0)
 
 
 def test_a_kit_is_no_arm_yet():

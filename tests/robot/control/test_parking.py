@@ -22,6 +22,7 @@ from tests.helpers.arm_rig import NAMES, ArmRig
 from tests.helpers.motions import smooth_move
 
 REST = built_in("so101").model.named_states["arm"]["rest"]
+PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, 2.0)
 
 # A relaxed elbow sinks until its stop holds it.
 SINK_RAD = 0.1
@@ -33,14 +34,18 @@ def way_to_rest(duration_s: float = 3.0) -> ParkingPlan:
     return ParkingPlan(trajectory, dict.fromkeys(NAMES, 0.0))
 
 
-def pan(duration_s: float = 2.0) -> Trajectory:
-    return smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s)
-
-
 @pytest.fixture
 def rig() -> ArmRig:
     rig = ArmRig(on_server_lost=EndState.PARK, on_exit=EndState.PARK).started()
     rig.supervisor.handle(KeepParking(way_to_rest()))
+    return rig
+
+
+@pytest.fixture
+def moving(rig: ArmRig) -> ArmRig:
+    """In the middle of a motion."""
+    rig.execute(PAN)
+    rig.run(1.0)
     return rig
 
 
@@ -71,18 +76,14 @@ def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(rig: A
     assert distance_to_rest(rig) < SINK_RAD
 
 
-def test_a_server_that_is_gone_in_mid_motion_sends_the_arm_back_before_it_parks(rig: ArmRig) -> None:
-    rig.execute(pan())
-    rig.run(1.0)
-    assert rig.state.goal_rad[0] > 0.3
-    goals: list[float] = []
-    lose_server(rig)
-    rig.until(lambda: bool(goals.append(float(rig.state.goal_rad[0]))) or abs(goals[-1]) < 1e-6)  # type: ignore[index]
-    others = rig.state.goal_rad[1:]
-    assert np.allclose(others, 0.0, atol=0.02), "the arm parks before it is back"
-    until_ended(rig)
-    assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED, Outcome.REACHED]
-    assert distance_to_rest(rig) < SINK_RAD
+def test_a_server_that_is_gone_in_mid_motion_sends_the_arm_back_before_it_parks(moving: ArmRig) -> None:
+    assert moving.state.goal_rad[0] > 0.3
+    lose_server(moving)
+    moving.until(lambda: abs(moving.state.goal_rad[0]) < 1e-6)
+    assert np.allclose(moving.state.goal_rad[1:], 0.0, atol=0.02), "the arm parks before it is back"
+    until_ended(moving)
+    assert moving.outcomes == [Outcome.STOPPED, Outcome.REACHED]
+    assert distance_to_rest(moving) < SINK_RAD
 
 
 def sinks(rig: ArmRig) -> bool:
@@ -131,13 +132,11 @@ def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixtur
     assert words in caplog.text
 
 
-def test_a_paused_motion_is_not_set_going_by_the_end(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.execute(pan())
-    rig.run(1.0)
-    rig.supervisor.handle(ChangePace(direction=PlaybackDirection.PAUSED))
-    rig.run(0.5)
-    lose_server(rig)
-    assert sinks(rig)
+def test_a_paused_motion_is_not_set_going_by_the_end(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
+    moving.supervisor.handle(ChangePace(direction=PlaybackDirection.PAUSED))
+    moving.run(0.5)
+    lose_server(moving)
+    assert sinks(moving)
     assert "the motion is paused" in caplog.text
 
 
@@ -176,7 +175,7 @@ def test_a_server_that_is_silent_at_rest_is_waited_for_before_the_arm_parks(rig:
 @pytest.mark.parametrize("braking", [True, False], ids=["brakes", "parks"])
 def test_a_server_that_comes_back_while_the_arm_brakes_or_parks_finds_it_holding(rig: ArmRig, braking: bool) -> None:
     if braking:
-        rig.execute(pan())
+        rig.execute(PAN)
         rig.run(1.0)
     rig.alive = False
     if braking:
@@ -187,7 +186,7 @@ def test_a_server_that_comes_back_while_the_arm_brakes_or_parks_finds_it_holding
     rig.alive = True
     rig.until_mode(Mode.HOLDING)
     if braking:
-        assert [ended.outcome for ended in rig.ended] == [Outcome.STOPPED]
+        assert rig.outcomes == [Outcome.STOPPED]
     rig.run(8.0)
     assert rig.mode is Mode.HOLDING
     assert distance_to_rest(rig) > 0.3

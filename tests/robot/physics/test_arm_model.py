@@ -1,7 +1,3 @@
-"""The model of an arm that MuJoCo has from its URDF."""
-
-from __future__ import annotations
-
 import logging
 import re
 from pathlib import Path
@@ -41,7 +37,7 @@ def test_links_without_a_mass_have_one_from_their_shapes_which_is_said_once(capl
         # An arm that cannot be opened is tried again every two seconds.
         arm_model(light)
         built = compiled(arm_model(light))
-    assert [record.message for record in caplog.records] == [
+    assert caplog.messages == [
         "physics: the URDF has no mass of base_link, shoulder_link, upper_arm_link, lower_arm_link, wrist_link, "
         "gripper_link, moving_jaw_so101_v1_link; estimated from the collision shapes at 600 kg/m^3"
     ]
@@ -49,8 +45,7 @@ def test_links_without_a_mass_have_one_from_their_shapes_which_is_said_once(capl
 
 
 def test_a_link_without_mass_and_shape_weighs_next_to_nothing() -> None:
-    robot = model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)
-    built = compiled(arm_model(robot))
+    built = compiled(arm_model(model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)))
     (turret_kg,) = built.body("turret").mass
     assert 0.0 < turret_kg < 1e-5
     assert float(built.body_mass.sum()) > 0.1
@@ -62,7 +57,6 @@ def test_a_link_without_mass_and_shape_weighs_next_to_nothing() -> None:
         ("base.dae", "<COLLADA/>", r"base\.dae cannot be loaded by physics, only \.stl, \.obj, \.msh"),
         ("base.stl", "nothing", r"cannot be loaded by MuJoCo: .*base\.stl"),
     ],
-    ids=["of another kind", "damaged"],
 )
 def test_a_mesh_that_mujoco_cannot_read_is_named(tmp_path: Path, name: str, text: str, words: str) -> None:
     mesh = tmp_path / name

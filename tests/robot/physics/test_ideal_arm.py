@@ -1,7 +1,3 @@
-"""The ideal arm in a physical world."""
-
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,8 +14,7 @@ from tests.helpers.emulator import SteppedClock
 
 
 def opened(name: str, clock: SteppedClock, **settings: Any) -> HardwareInterface:
-    robot = robot_folder.built_in(name).model
-    return hardware_opener(ArmConfig(robot, IdealConfig(**settings)), clock)()
+    return hardware_opener(ArmConfig(robot_folder.built_in(name).model, IdealConfig(**settings)), clock)()
 
 
 @pytest.mark.parametrize("name", ["fetch", "so101"])
@@ -30,17 +25,13 @@ def test_joints_follow_their_goals_as_without_physics(name: str) -> None:
     count = len(light.joint_names)
     joints = robot_folder.built_in(name).model.joints
     upper = np.array([joints[each].upper for each in light.joint_names])
-    goals = {}
-    for arm in (light, physical):
-        goals[arm] = run_to_end(arm.enable(range(count)), clock.advance).copy()
+    goals = {arm: run_to_end(arm.enable(range(count)), clock.advance).copy() for arm in (light, physical)}
     for tick in range(400):
         clock.advance(0.01)
         for arm in (light, physical):
             arm.write_goals(np.minimum(goals[arm] + min(tick, 100) * 0.002, upper))
             arm.read()
     expected, measured = light.read(), physical.read()
-    assert expected is not None
-    assert measured is not None
     assert measured.position_rad == pytest.approx(expected.position_rad, abs=0.01)
     assert np.abs(measured.velocity_rad_s) == pytest.approx(0.0, abs=0.02)
 
@@ -51,5 +42,4 @@ def test_relaxed_joints_stay_since_the_arm_carries_its_weight() -> None:
     for _ in range(200):
         clock.advance(0.01)
         measured = arm.read()
-    assert measured is not None
     assert measured.position_rad[1] == pytest.approx(0.9, abs=0.01)

@@ -1,7 +1,5 @@
 """Pictures of the physics for the documentation: ``make pictures`` copies them to docs/pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image

@@ -1,7 +1,3 @@
-"""Rendered images: a camera moves with its link, sees bodies where they are, and measures distances."""
-
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco
@@ -10,21 +6,17 @@ import pytest
 
 from robot.description.camera import Camera
 from robot.errors import DescriptionError
-from robot.physics.bodies import Body, BodyShape, Point
+from robot.physics.bodies import Body
 from robot.physics.renderer import ArmRenderer, RenderingError
 from tests.helpers.rendering import needs_egl, red_pixels
 from tests.helpers.robots import so101
+from tests.robot.physics.test_world import box
 
-LEVEL = (0.0, 0.0, 0.0, 1.0)
 RED = {"cube": (1.0, 0.0, 0.0, 1.0)}
 CAMERAS = {
     "above": Camera(frame="base_link", view=(0.3, 0.4, 0.6, 0.3, 0.4, 0.0), width=160, height=120),
     "wrist": Camera(frame="gripper_link", view=(0.0, 0.2, -0.1, 0.0, 0.0, -0.1)),
 }
-
-
-def box(name: str, at: Point, half_m: float = 0.02) -> Body:
-    return Body(name, (BodyShape("box", (half_m,) * 3, (0.0, 0.0, 0.0), LEVEL),), at, LEVEL, movable=True)
 
 
 def held_cube(renderer: ArmRenderer) -> Body:
@@ -33,7 +25,7 @@ def held_cube(renderer: ArmRenderer) -> Body:
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, [qw, qx, qy, qz])
     x, y, z = (np.array(position_m) + rotation.reshape(3, 3) @ (0.0, 0.0, -0.1)).tolist()
-    return replace(box("cube", (x, y, z)), orientation=(qx, qy, qz, qw))
+    return replace(box("cube", (x, y, z), 0.02), orientation=(qx, qy, qz, qw))
 
 
 @needs_egl

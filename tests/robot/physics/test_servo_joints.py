@@ -1,7 +1,5 @@
 """Emulated servos in a physical world: they droop, follow, stall and relax as the light emulation's do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,15 +8,11 @@ import pinocchio as pin
 import pytest
 
 from robot.emulator.arm import EmulatedArm
-from robot.emulator.dynamixel import emulated_dynamixel_arm
-from robot.emulator.feetech import emulated_feetech_arm
 from robot.errors import PortLost
-from robot.hardware.config import EmulatedConfig
 from robot.hardware.interface import HardwareInterface, Measured, StatusFlag, run_to_end
-from robot.messages import GuardLimits
 from robot.physics.bodies import Body, BodyShape, SetBodies
 from robot.physics.world import World
-from tests.helpers import arm_rig, dynamixel
+from tests.helpers.dynamixel import emulated_arm
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import so101
 
@@ -42,7 +36,6 @@ class Driven:
             self.clock.advance(TICK_S)
             self.hardware.write_goals(self.goal_rad)
             measured = self.hardware.read()
-            assert measured is not None
         return measured
 
     def move(self, joint: int, to_rad: float, ticks: int) -> np.ndarray:
@@ -54,23 +47,15 @@ class Driven:
         return np.array(errors)
 
 
-def driven(*, physics: bool, koch: bool = False, **settings: Any) -> Driven:
-    clock, start_rad = SteppedClock(), settings.pop("start_rad", RAISED if koch else STRETCHED)
-    if koch:
-        config = EmulatedConfig(dynamixel.CALIBRATION, kind="dynamixel", physics=physics, start_rad=start_rad)
-        source: Any = emulated_dynamixel_arm(dynamixel.ROBOT, config, dynamixel.BOUNDS, GuardLimits(), clock)
-    else:
-        config = EmulatedConfig(arm_rig.CALIBRATION, physics=physics, start_rad=start_rad, **settings)
-        source = emulated_feetech_arm(so101(), config, arm_rig.BOUNDS, GuardLimits(), clock)
+def driven(kind: str = "feetech", **settings: Any) -> Driven:
+    clock = SteppedClock()
+    source = emulated_arm(kind, clock, **{"start_rad": RAISED if kind == "dynamixel" else STRETCHED, **settings})
     hardware = source.open()
     run_to_end(hardware.survey())
-    goal_rad = run_to_end(hardware.enable(range(6)), clock.advance).copy()
-    return Driven(source, hardware, clock, goal_rad)
+    return Driven(source, hardware, clock, run_to_end(hardware.enable(range(6)), clock.advance).copy())
 
 
-@pytest.mark.parametrize(
-    "settings", [{}, {"population": "lerobot"}, {"koch": True}], ids=["factory", "lerobot", "koch"]
-)
+@pytest.mark.parametrize("settings", [{}, {"population": "lerobot"}, {"kind": "dynamixel"}])
 def test_droop_and_following_error_are_near_the_light_emulators(settings: dict[str, Any]) -> None:
     light, physical = (driven(physics=physics, **settings) for physics in (False, True))
     assert physical.tick(100).position_rad == pytest.approx(light.tick(100).position_rad, abs=0.004)
@@ -145,9 +130,9 @@ def test_a_relaxed_arm_sinks_slowly_and_a_push_moves_it() -> None:
     assert turned[0] > 0.3
 
 
-def test_a_hand_moves_a_joint_and_a_jump_places_it() -> None:
+def test_a_hand_moves_a_joint_a_jump_places_it_and_a_mirrored_horn_leaves_it_where_it_is() -> None:
     arm = driven(physics=True, start_rad={})
-    servo = arm.source.bus.servos[4]
+    servo, world = arm.source.bus.servos[4], world_of(arm)
     start_ticks = servo.plant.position_ticks
     servo.plant.hand_ticks = start_ticks + 400.0
     arm.tick(60)
@@ -156,20 +141,14 @@ def test_a_hand_moves_a_joint_and_a_jump_places_it() -> None:
     servo.plant.position_ticks = start_ticks
     arm.tick()
     assert servo.plant.position_ticks == pytest.approx(start_ticks, abs=20.0)
-
-
-def test_a_mirrored_horn_leaves_the_joint_where_it_is() -> None:
-    arm = driven(physics=True, start_rad={})
-    world = world_of(arm)
     run_to_end(arm.hardware.switch_off(), arm.clock.advance)
     before = world.position_rad.copy()
-    arm.source.bus.servos[0].mirror()
+    servo.mirror()
     arm.tick()
     assert world.position_rad == pytest.approx(before, abs=0.002)
 
 
 def world_of(arm: Driven) -> World:
-    assert arm.source.world is not None
     return arm.source.world
 
 
@@ -192,6 +171,5 @@ def test_a_starved_loop_makes_the_world_slow_and_never_faulty() -> None:
     before = arm.tick(50)
     arm.clock.advance(30.0)
     after = arm.hardware.read()
-    assert after is not None
     assert after.position_rad == pytest.approx(before.position_rad, abs=0.01)
     assert not after.status.any()

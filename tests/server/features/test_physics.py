@@ -93,7 +93,7 @@ class Stage:
         *bodies: BodyState,
         arm: str = "",
         after_s: float = 0.2,
-        gripper_rad: float = 0.0,
+        gripper_rad: float | None = 0.0,
         version: int | None = None,
         ticks: int | None = None,
         mode: Mode = Mode.HOLDING,
@@ -105,7 +105,7 @@ class Stage:
             STAMP_S,
             mode,
             ("shoulder_pan", "gripper"),
-            goal_rad=np.array([0.0, gripper_rad]),
+            goal_rad=None if gripper_rad is None else np.array([0.0, gripper_rad]),
             clock_s=self.clock_s,
             bodies=moved,
             stepped_ticks=ticks,
@@ -380,7 +380,7 @@ async def test_an_object_moves_in_the_world_of_the_nearest_arm_alone_and_follows
     two.call("/simulation/set_body", id="cube", movable=True)
     assert two.movers() == {"left": True, "right": False}
     sent = len(two.arms["left"].sent)
-    two.report(BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False), arm="left")
+    two.report(BodyState("cube", (0.0, -0.1, 0.08), LEVEL, held=False), arm="left", gripper_rad=None)
     two.report(BodyState("cube", (0.0, 0.0, 0.5), LEVEL, held=False), arm="right")
     assert two.position("cube") == pytest.approx((0.0, 0.1, 0.08))
     assert two.seen()[1] == (0.3, 0.0, 0.08)

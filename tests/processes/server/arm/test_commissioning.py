@@ -1,4 +1,4 @@
-"""Commissioning by a client, on the emulated arm: the sweep of a hand, the new start, and the comparison of poses."""
+"""Commissioning by a client, on the emulated arm: the sweep of a hand, and the new start."""
 
 import asyncio
 from collections.abc import AsyncIterator, Iterator
@@ -10,7 +10,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import ServerOnBus, server_on_bus
-from harness.waiting import TIMEOUT_S
+from harness.waiting import TIMEOUT_S, until
 from robot.calibration import Calibration, save
 from server.arm.commissioning import ANSWER, BEGIN, CANCEL, STATE_TOPIC
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
@@ -70,10 +70,6 @@ async def move_by_hand(client: ArmClient, arm: ServerOnBus, ticks: dict[int, int
     await client.until(STATE_TOPIC, there)
 
 
-def is_at(states: dict[str, Any], joint: str, position_rad: float) -> bool:
-    return abs(states["position"][states["name"].index(joint)] - position_rad) < 0.02
-
-
 async def begin_sweep(client: ArmClient) -> None:
     assert (await client.call(BEGIN, procedure="calibrate", name=""))["success"]
     await until_step(client, "hold")
@@ -91,53 +87,31 @@ async def cancelled(client: ArmClient) -> None:
     assert "cancelled" in await ended(client)
 
 
-async def test_the_state_says_that_nothing_is_in_progress(arm: ServerOnBus) -> None:
-    async with admin(arm) as client:
-        assert (await client.until(STATE_TOPIC, bool))[-1]["procedure"] == ""
-        refused = await client.call(ANSWER, step="sweep", answer="done")
-        assert not refused["success"]
-        assert BEGIN in refused["message"]
+async def refused(client: ArmClient, service: str, says: str, **request: str) -> None:
+    answer = await client.call(service, **request)
+    assert (answer["success"], says in answer["message"]) == (False, True), answer
 
 
 async def test_one_procedure_is_in_progress_at_a_time_and_outlives_its_client(arm: ServerOnBus) -> None:
     async with admin(arm) as client:
+        assert (await client.until(STATE_TOPIC, bool))[-1]["procedure"] == ""
+        await refused(client, ANSWER, BEGIN, step="sweep", answer="done")
+        await refused(client, BEGIN, "no procedure 'dance'", procedure="dance", name="")
+        await refused(client, BEGIN, "is no name", procedure="calibrate", name="../../etc/passwd")
         assert (await client.call(BEGIN, procedure="verify", name=""))["success"]
     async with admin(arm) as other:
         await until_step(other, "torque")
-        refused = await other.call(BEGIN, procedure="calibrate", name="")
-        assert not refused["success"]
-        assert "verify is in progress" in refused["message"]
+        await refused(other, BEGIN, "verify is in progress", procedure="calibrate", name="")
         await cancelled(other)
 
 
-@pytest.mark.parametrize(
-    ("procedure", "name", "says"),
-    [
-        ("dance", "", "no procedure 'dance'"),
-        ("calibrate", "../../etc/passwd", "is no name"),
-        ("calibrate", "a.json", "is no name"),
-    ],
-)
-async def test_what_cannot_begin_is_refused(arm: ServerOnBus, procedure: str, name: str, says: str) -> None:
-    async with admin(arm) as client:
-        refused = await client.call(BEGIN, procedure=procedure, name=name)
-        assert not refused["success"]
-        assert says in refused["message"]
-
-
-async def test_a_late_click_answers_nothing_else(arm: ServerOnBus) -> None:
+async def test_a_late_click_answers_nothing_else_and_an_arm_that_is_switched_on_ends_it(arm: ServerOnBus) -> None:
     async with admin(arm) as client:
         await begin_sweep(client)
-        refused = await client.call(ANSWER, step="hold", answer="relax the arm")
-        assert not refused["success"]
-        assert "the present one is 'sweep'" in refused["message"]
+        await refused(client, ANSWER, "the present one is 'sweep'", step="hold", answer="relax the arm")
         assert not (await answer(client, "write"))["success"]
         await cancelled(client)
         assert values_of((await client.until("/arm/state", bool))[-1])["mode"] == "relaxed"
-
-
-async def test_an_arm_that_is_switched_on_meanwhile_ends_the_calibration(arm: ServerOnBus) -> None:
-    async with admin(arm) as client:
         await begin_sweep(client)
         assert (await client.call("/arm/enable"))["success"]
         assert "switched on meanwhile" in await ended(client)
@@ -173,9 +147,7 @@ async def test_the_calibration_of_a_swept_arm_is_used_at_once(arm: ServerOnBus, 
     assert elbow.range_max - elbow.range_min == pytest.approx(STOPS[3][1] - STOPS[3][0] - 200, abs=3)
     assert elbow.homing_offset == pytest.approx(100, abs=3)
     assert gripper.drive_mode == 1
-    async with asyncio.timeout(TIMEOUT_S):
-        while sum("armbridge is ready" in line for line in arm.server.lines) < 2:
-            await asyncio.sleep(0.05)
+    await until(lambda: sum("armbridge is ready" in line for line in arm.server.lines) == 2)
     # Systemd ends a service that says that it stops, and one that falls silent.
     assert systemd.has_heard("READY=1", times=2)
     assert "STOPPING=1" not in systemd.heard
@@ -186,8 +158,9 @@ async def test_the_calibration_of_a_swept_arm_is_used_at_once(arm: ServerOnBus, 
         # By its weight the elbow sinks until it is held again.
         arm.emulator.command(hand={"3": MIDDLE - elbow.homing_offset})
         elbow_rad = elbow.rad_from_ticks(MIDDLE - elbow.homing_offset)
-        at = (await client.until("/joint_states", lambda states: is_at(states[-1], "elbow_flex", elbow_rad)))[-1]
-        positions = dict(zip(at["name"], at["position"], strict=True))
+        async with asyncio.timeout(TIMEOUT_S):
+            while abs((positions := await client.positions())["elbow_flex"] - elbow_rad) > 0.02:
+                pass
         assert positions["gripper"] == pytest.approx(
             gripper.rad_from_ticks(MIDDLE - 400 - gripper.homing_offset), abs=0.02
         )
@@ -195,22 +168,3 @@ async def test_the_calibration_of_a_swept_arm_is_used_at_once(arm: ServerOnBus, 
         upper = next(each["max_position"] for each in limits if each["joint_name"] == "elbow_flex")
         assert upper < elbow.upper_rad
         arm.emulator.command(hand={"3": None})
-
-
-async def test_nothing_moves_before_yes_and_a_verified_arm_says_how_far_it_hangs(arm: ServerOnBus) -> None:
-    async with admin(arm) as client:
-        assert (await client.call("/arm/relax"))["success"]
-        assert (await client.call(BEGIN, procedure="verify", name=""))["success"]
-        await until_step(client, "torque")
-        await client.until_mode("relaxed")
-        assert (await answer(client, "move"))["success"]
-        for pose in ("zero", "first pose beside zero", "second pose beside zero"):
-            state = await until_step(client, f"compare {pose}")
-            assert all(abs(each["droop_rad"]) < 0.06 for each in state["joints"])
-            assert (await answer(client, "yes"))["success"]
-        await until_step(client, "compare open gripper")
-        assert (await answer(client, "no"))["success"]
-        await until_step(client, "which joint")
-        assert (await answer(client, "gripper"))["success"]
-        assert "4 poses, with 1 findings" in await ended(client)
-        assert "drive_mode" in latest(client)["findings"][0]

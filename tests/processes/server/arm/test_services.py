@@ -18,11 +18,10 @@ from tests.server.conftest import FAST
 
 async def test_an_emergency_stop_gets_through_a_flood(client: ArmClient, served: ServerOnBus) -> None:
     await begin_to_move(client)
-    points = [{"positions": [0.1] * 6} for _ in range(200)]
-    frame = json.dumps(
-        {"op": "publish", "topic": "/flood", "type": "trajectory_msgs/JointTrajectory", "msg": {"points": points}}
-    )
-    await client.say("advertise", topic="/flood", type="trajectory_msgs/JointTrajectory")
+    flood_type = "trajectory_msgs/JointTrajectory"
+    message = {"points": [{"positions": [0.1] * 6} for _ in range(200)]}
+    frame = json.dumps({"op": "publish", "topic": "/flood", "type": flood_type, "msg": message})
+    await client.say("advertise", topic="/flood", type=flood_type)
     flooding = asyncio.Event()
 
     async def flood() -> None:
@@ -36,12 +35,10 @@ async def test_an_emergency_stop_gets_through_a_flood(client: ArmClient, served:
 
     floods = [asyncio.create_task(flood()) for _ in range(3)]
     await until(flooding.is_set)
-    try:
-        stopped = await client.call("/arm/emergency_stop")
-    finally:
-        for task in floods:
-            task.cancel()
-        await asyncio.gather(*floods, return_exceptions=True)
+    stopped = await client.call("/arm/emergency_stop")
+    for task in floods:
+        task.cancel()
+    await asyncio.gather(*floods, return_exceptions=True)
     assert stopped["success"]
 
 

@@ -67,20 +67,17 @@ def test_on_a_machine_where_nothing_runs_there_is_a_report_of_what_there_is(
     assert stat.S_IMODE(output.stat().st_mode) == 0o600
 
 
-def test_settings_that_are_refused_are_reported_with_the_reason(tmp_path: Path) -> None:
+def test_settings_that_are_refused_are_reported_and_a_file_that_is_there_is_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     output = tmp_path / "report.zip"
     assert cli.main(["report", "--output", str(output), "--set", "goals.capacity=0"]) == ExitCode.DONE
     told = members(output)
     assert "settings: goals.capacity: " in told["problems.txt"]
     assert json.loads(told["settings.json"])["settings"]["goals"]["capacity"] == 16
-
-
-def test_a_file_that_is_there_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / "report.zip"
-    output.write_text("mine")
     assert cli.main(["report", "--output", str(output)]) == ExitCode.FAILED
     assert "--output" in capsys.readouterr().err
-    assert output.read_text() == "mine"
+    assert members(output) == told
 
 
 def test_without_a_server_servos_are_only_read(armbridge: Run, file: Path, tmp_path: Path, write_log: Path) -> None:

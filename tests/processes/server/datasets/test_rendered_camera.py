@@ -8,9 +8,7 @@ import contextlib
 import io
 import os
 import signal
-import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +17,13 @@ from PIL import Image
 
 from harness.clients import arm_client, call
 from harness.server import ROOT, RunningServer
-from harness.waiting import TIMEOUT_S, until
+from harness.waiting import until
 from robot.description.camera import Camera
+from server import cli
 from server.commands.publish import RENDERED
 from server.datasets.camera import IMAGE_TYPE
 from server.datasets.rendered import DEPTH_TYPE, INFO_TYPE
+from tests.helpers.programs import run
 from tests.helpers.rendering import needs_egl, red_pixels
 
 TOPIC, INFO, DEPTH = "/camera/image/compressed", "/camera/camera_info", "/camera/depth/image"
@@ -31,11 +31,7 @@ VIEW = (0.6, -0.4, 0.4, 0.15, 0.0, 0.05)
 RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
 AT = (0.3, 0.15, 0.02)
 
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[RunningServer]:
-    with RunningServer("--port 0 --simulation physics") as running:
-        yield running
+ARGUMENTS = "--port 0 --simulation physics"
 
 
 def camera_command(url: str, *options: str) -> list[str]:
@@ -114,37 +110,25 @@ async def test_the_arms_own_cameras_are_published_and_come_back_when_their_proce
         assert process_of_cameras(server) == restarted
 
 
-async def test_a_server_that_ends_takes_its_cameras_along() -> None:
-    with RunningServer("--port 0 --simulation physics") as running:
-        async with arm_client(running.url) as client:
-            await client.subscribe("/front/image/compressed", IMAGE_TYPE)
-            await until(lambda: process_of_cameras(running) is not None)
-            pid = process_of_cameras(running)
-    await until(lambda: not Path(f"/proc/{pid}").exists())
-
-
 def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> None:
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    done = subprocess.run(
-        camera_command(server.url),
-        env={**environment, "MUJOCO_GL": "glfw"},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
+    done = run(*camera_command(server.url), env={**environment, "MUJOCO_GL": "glfw"})
     assert done.returncode == 1
     assert "images need OpenGL off screen: EGL (Debian: libegl1), or OSMesa" in done.stderr
 
 
 @pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f", "1,2,3,4,5,nan"])
-def test_a_view_is_six_numbers(view: str) -> None:
-    done = subprocess.run(
-        camera_command("ws://localhost:1", "--view", view),
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert f"must be six numbers with commas, not {view!r}" in done.stderr
+def test_a_view_is_six_numbers(view: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["camera", RENDERED, "--connect", "ws://localhost:1", "--view", view])
+    assert f"must be six numbers with commas, not {view!r}" in capsys.readouterr().err
+
+
+@needs_egl
+async def test_a_server_that_ends_takes_its_cameras_along(server: RunningServer) -> None:
+    async with arm_client(server.url) as client:
+        await client.subscribe("/front/image/compressed", IMAGE_TYPE)
+        await until(lambda: process_of_cameras(server) is not None)
+        pid = process_of_cameras(server)
+    server.end(signal.SIGTERM)
+    await until(lambda: not Path(f"/proc/{pid}").exists())

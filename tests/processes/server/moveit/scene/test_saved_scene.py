@@ -1,10 +1,7 @@
 """The scene of a server that was ended or killed is there at its next start."""
 
-import os
 import signal
 from pathlib import Path
-
-import pytest
 
 from harness.clients import arm_client
 from harness.server import RunningServer
@@ -12,29 +9,31 @@ from harness.waiting import until
 from tests.helpers.moveit import box, pose
 
 
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
-async def test_a_killed_server_starts_with_its_scene_though_it_touches(tmp_path: Path, end: signal.Signals) -> None:
-    settings = {"ARMBRIDGE_SCENE__FILE": str(tmp_path / "scene.json")}
-    around = {"collision_objects": [box("around the arm", at=pose(z=0.1))]}
-    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": around}
+async def objects_of(server: RunningServer) -> list[str]:
+    async with arm_client(server.url) as client:
+        shown = (await client.call("/get_planning_scene"))["scene"]["world"]["collision_objects"]
+    return [each["id"] for each in shown]
+
+
+async def test_a_server_starts_with_the_scene_of_the_one_before_which_was_killed_or_ended(tmp_path: Path) -> None:
+    file = tmp_path / "scene.json"
+    settings = {"ARMBRIDGE_SCENE__FILE": str(file)}
     with RunningServer(settings=settings) as first:
         async with arm_client(first.url) as client:
-            assert (await client.call("/apply_planning_scene", scene=scene))["success"]
-        if end is signal.SIGKILL:
-            await until((tmp_path / "scene.json").exists)
-        first.end(end)
-    with RunningServer(settings=settings) as second:
+            # It touches the arm.
+            await client.change_scene(box("around the arm", at=pose(z=0.1)))
+        await until(file.exists)
+        first.end(signal.SIGKILL)
+    # The port of a server that was killed is free at once.
+    with RunningServer(f"--port {first.port}", settings) as second:
         assert second.has_logged("the planning scene is restored from")
+        assert await objects_of(second) == ["around the arm"]
         async with arm_client(second.url) as client:
-            shown = (await client.call("/get_planning_scene"))["scene"]
-        assert [each["id"] for each in shown["world"]["collision_objects"]] == ["around the arm"]
-
-
-async def test_a_server_that_keeps_no_scene_writes_none(tmp_path: Path) -> None:
-    settings = {"ARMBRIDGE_SCENE__FILE": str(tmp_path / "scene.json"), "ARMBRIDGE_SCENE__KEEP": "false"}
-    scene = {"is_diff": True, "robot_state": {"is_diff": True}, "world": {"collision_objects": [box("wall")]}}
-    with RunningServer(settings=settings) as server:
-        async with arm_client(server.url) as client:
-            assert (await client.call("/apply_planning_scene", scene=scene))["success"]
-        server.end(signal.SIGTERM)
-    assert os.listdir(tmp_path) == []  # noqa: PTH208
+            await client.change_scene(box("wall", at=pose(x=0.5)))
+        second.end(signal.SIGTERM)
+    kept = file.read_text()
+    assert '"wall"' in kept
+    with RunningServer(settings=settings | {"ARMBRIDGE_SCENE__KEEP": "false"}) as third:
+        assert await objects_of(third) == []
+        third.end(signal.SIGTERM)
+    assert file.read_text() == kept

@@ -80,7 +80,7 @@ async def test_a_stop_of_a_paused_arm_ends_its_goal_as_soon_as_time_passes(
     assert await result(client) == -7
 
 
-async def test_stops_of_a_paused_arm_are_answered_while_time_stands_still(
+async def test_a_stop_of_a_paused_arm_is_answered_while_time_stands_still(
     client: FrameClient, caller: ArmClient
 ) -> None:
     await on_its_way(client, "home")
@@ -91,6 +91,9 @@ async def test_stops_of_a_paused_arm_are_answered_while_time_stands_still(
     await caller.call("/simulation/pause", data=False)
     assert await result(client) == -7
     assert (await caller.call("/arm/stop"))["message"] == "the arm does not move"
+
+
+async def test_an_emergency_stop_of_a_paused_arm_is_answered(caller: ArmClient) -> None:
     await caller.call("/simulation/pause", data=True)
     stopped = await caller.call("/arm/emergency_stop")
     assert stopped == {"success": True, "message": "torque is off at every servo"}

@@ -52,7 +52,8 @@ def sentence(answer: Answer) -> str:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[RunningServer]:
-    with RunningServer(settings=FAST) as running:
+    # The agents of the tests move the arm in turns, without waiting until another has let go of it.
+    with RunningServer(settings={**FAST, "ARMBRIDGE_ACCESS__CONTROL": "shared"}) as running:
         yield running
 
 

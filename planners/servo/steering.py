@@ -48,7 +48,7 @@ EXCESS_COST = 30.0  # cost of exceeding an inequality, in changes of the joints'
 
 # Share of the way to another arm that this arm may use to brake, as the other arm may come as far: Wang, Ames and
 # Egerstedt, "Safety barrier certificates for collisions-free multirobot systems", 2017. With the whole way, two
-# followers at a latency of 0.095 s came into contact (test_two_followers.py, seed 18).
+# followers at a latency of 0.095 s came into contact (test_latency.py, seed 18).
 ROOM_SHARE = 0.5
 
 # Speed of the retreat from another arm that is too near, by the room that is missing [1/s]: two arms that only stop

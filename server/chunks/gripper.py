@@ -35,6 +35,7 @@ class GripperTargets:
             self._task = asyncio.create_task(self._run(), name="the gripper's targets")
 
     def end(self, reason: str) -> None:
+        """Follow no more targets; the gripper holds."""
         if self._task is not None:
             self._task.cancel()
         self._following.end(reason)

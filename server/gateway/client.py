@@ -250,8 +250,10 @@ class Client:
 
     def _detect_dialect(self, operation: Operation) -> None:
         """Set the dialect to ROS 1 when the client names a type that exists only there."""
-        field, kind = _TYPE_FIELDS.get(type(operation), ("", "msg"))
-        name = getattr(operation, field, None)
+        if type(operation) not in _TYPE_FIELDS:
+            return
+        field, kind = _TYPE_FIELDS[type(operation)]
+        name = getattr(operation, field)
         # Clients of both generations call rosapi's types so.
         if not isinstance(name, str) or name.startswith("rosapi/"):
             return
@@ -259,8 +261,8 @@ class Client:
             self.session.dialect = "ros1"
 
     def _message_of(self, operation: Operation, size_bytes: int, *, light: bool) -> ReceivedMessage:
-        field = _MESSAGE_FIELDS.get(type(operation), "")
-        message = getattr(operation, field, None)
+        field = _MESSAGE_FIELDS.get(type(operation))
+        message = {} if field is None else getattr(operation, field)
         if message is None and field == "values":
             message = {}
         return ReceivedMessage(message, size_bytes, self.session.dialect, light=light)

@@ -80,7 +80,6 @@ class ClientServices(_Offers):
         self._planning_calls = 0
 
     def advertise(self, operation: AdvertiseService) -> None:
-
         def start(call: Call) -> None:
             self._request(operation.service, call)
 
@@ -196,7 +195,6 @@ class ClientActions(_Offers):
         self._sent: dict[ActionGoal, tuple[str, Mark]] = {}
 
     def advertise(self, operation: AdvertiseAction) -> None:
-
         def start(goal: ActionGoal) -> None:
             self._request(operation, goal)
 

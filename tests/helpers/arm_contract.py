@@ -149,11 +149,10 @@ class ArmContract:
 
     async def test_a_motion_arrives_and_its_end_is_reported_once_by_states_that_hold(self, place: Place) -> None:
         start, before, seen = place.held(), len(place.arm.ended), len(place.arm.states)
-        for way_rad in (REACH_RAD, -REACH_RAD, REACH_RAD, -REACH_RAD):
+        for way_rad, end_rad in [(REACH_RAD, start + REACH_RAD), (-REACH_RAD, start)] * 2:
             assert await place.outcome(place.move(way_rad)) is Outcome.REACHED
             assert place.arm.state.mode is Mode.HOLDING
-            await until(lambda: abs(place.at() - place.held()) < WITHIN_RAD)
-        assert abs(place.at() - start) < WITHIN_RAD
+            await until(lambda end_rad=end_rad: abs(place.at() - end_rad) < WITHIN_RAD)
         numbers = [ended.motion_id for ended in place.arm.ended[before:]]
         assert len(numbers) == len(set(numbers)) == 4
         states = place.arm.states[seen:]

@@ -90,7 +90,10 @@ def refusal_of(**arms: dict[str, object]) -> str:
 
 
 REFUSED_ARMS: list[tuple[dict[str, dict[str, object]], str]] = [
-    *(({name: {}}, "must be a to z, 0 to 9 and _") for name in ("Left", "2nd", "le ft", "", "a" * 40, "le/ft")),
+    *(
+        ({name: {}}, "the name of an arm must be a to z, 0 to 9 and _")
+        for name in ("Left", "2nd", "le ft", "", "a" * 40, "le/ft")
+    ),
     *(
         ({name: {}}, f"an arm cannot have the name {name!r}")
         for name in ("arm", "moveit", "rosapi", "servo_node", "teleop", "world")

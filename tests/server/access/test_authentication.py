@@ -85,7 +85,7 @@ class TestFile:
             ("view_tokens = 3", "view_tokens: "),
             (
                 'insecure = "my-secret"',
-                "has insecure; it may have admin_tokens, operate_tokens, propose_tokens, token, view_",
+                "has insecure; it may have admin_tokens, operate_tokens, propose_tokens, token, view_tokens",
             ),
             ('token = "my-secret', "is not TOML"),
         ],

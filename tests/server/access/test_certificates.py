@@ -52,6 +52,7 @@ def test_the_authority_signs_servers_alone_and_keys_are_of_the_user_alone(files:
     assert constraints.critical
     assert constraints.value == x509.BasicConstraints(ca=True, path_length=0)
     kept = {files.authority_key: 0o600, files.key: 0o600, files.directory: 0o700}
+    assert [path.name for path in kept][:2] == ["armbridge-authority.key", "server.key"]
     assert {path: stat.S_IMODE(path.stat().st_mode) for path in kept} == kept
 
 

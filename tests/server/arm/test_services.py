@@ -154,8 +154,10 @@ async def test_a_speed_factor_is_passed_on_if_it_is_a_share(desk: Desk, caplog: 
     for factor in (-0.1, 1.5, float("nan")):
         desk.set_factor(factor)
         assert f"must be 0 to 1, a share of the planned speed, not {factor}" in caplog.text
+    caplog.clear()
     with pytest.raises(MessageError):
         desk.set_factor("fast")
+    assert SPEED_FACTOR_TOPIC in caplog.text
     assert desk.arm.changes == [ChangePace(speed_factor=factor) for factor in shares]
 
 

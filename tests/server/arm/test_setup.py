@@ -166,7 +166,9 @@ def test_an_option_that_the_emulated_arm_has_not_is_refused(ideal: dict[str, Pat
     with pytest.raises(ConfigurationError, match=rf"emulator\.{name}: the ideal arm .* has no servo bus"):
         hardware_of(arm=ArmSettings(**ideal), emulator=emulator)
     if name in ("write_log", "control", "population"):
-        with pytest.raises(ConfigurationError, match=rf"emulator\.{name}: emulated Dynamixel servos have nothing that"):
+        with pytest.raises(
+            ConfigurationError, match=rf"emulator\.{name}: emulated Dynamixel servos have nothing that '"
+        ):
             hardware_of(arm=ArmSettings(robot="koch_v1_1"), emulator=emulator)
 
 

@@ -18,7 +18,7 @@ from server.errors import ConfigurationError
         ({"server": {"tcp_port": 9091}}, [], "server.tcp_port: the servers of a classroom have one port each"),
         ({"arm": {"robot": "no such arm"}}, [], "no such arm"),
         ({"server": {"port": 65_535}}, [], "there are none above 65535"),
-        ({}, ["student01", "student03"], "there is no 'student03': the students are student01 to student02"),
+        ({}, ["student01", "student03"], "--physics: there is no 'student03': the students are student01 to student02"),
     ],
 )
 def test_a_bad_classroom_is_refused_before_it_is_made(

@@ -45,6 +45,7 @@ def test_an_examination_writes_nothing_and_lists_problems_with_what_to_do(emulat
     emulator.command(temperature={"2": 70})
     answer = armbridge("doctor", "--calibration", str(tmp_path / "arm.json"), "--cycles", "20")
     assert answer.returncode == ExitCode.PROBLEMS
+    assert "verdict" in answer.stdout
     assert "problem  temperature" in answer.stdout
     assert "* temperature: Let the arm cool without torque" in answer.stdout
     assert "the servos hold what the file says" in answer.stdout

@@ -59,6 +59,10 @@ class Person(Terminal):
             os.close(self._write_end)
             self._write_end = -1
 
+    def leave(self) -> None:
+        self.hang_up()
+        os.close(self._input)
+
     @property
     def said(self) -> str:
         return "\n".join(self.heard)
@@ -81,9 +85,10 @@ def run_setup(kit, monkeypatch, tmp_path):
     def run(*options: str, **reactions: Callable[[str], str] | str) -> tuple[int, Person]:
         person = Person({PATTERNS[name]: react for name, react in reactions.items()})
         monkeypatch.setattr(command_options, "Terminal", lambda: person)
-        code = cli.main(["setup", "--serial", "/dev/stepped", *options])
-        person.hang_up()
-        return code, person
+        try:
+            return cli.main(["setup", "--serial", "/dev/stepped", *options]), person
+        finally:
+            person.leave()
 
     return run
 
@@ -273,13 +278,13 @@ def test_of_an_arm_with_its_ids_only_the_settings_are_brought_into_order_and_wha
     assert "no answer from servo 6 (gripper)" in person.said
     assert "12.0 V and is made for 4.0 to 8.0 V" in person.said
     assert [kit.held(place)[Register.RETURN_DELAY] for place in range(6)] == [0] * 5 + [250]
+    assert "5 of 5: wrist_roll (id 5): written and read back RETURN_DELAY" in person.said
     kit.plug(*range(6))
     kit.emulator.command(supply=6.0)
     code, person = run_setup(confirm=AGREE)
     assert code == ExitCode.DONE
     assert "gripper (id 6): written and read back RETURN_DELAY" in person.said
     assert all(kit.held(place).items() >= FINISHED.items() for place in range(6))
-
     # There is nothing left to ask.
     for options in ((), ("--registers",)):
         assert run_setup(*options)[0] == ExitCode.DONE

@@ -109,6 +109,8 @@ def test_an_option_out_of_range_is_refused_with_the_range(
 
 @pytest.mark.skipif(importlib.util.find_spec("cv2") is None, reason="the extra [camera] is not installed: no OpenCV")
 def test_a_video_file_is_read_to_its_end_and_a_device_that_cannot_be_opened_is_said(tmp_path: Path) -> None:
+    with pytest.raises(CameraError, match="OpenCV cannot open it; is it a camera or a video, and free"):
+        OpenCvSource(str(tmp_path / "none.mp4"), None)
     pytest.importorskip("av", reason="the extra [datasets] is not installed: no av")
     from server.datasets.lerobot import VideoWriter
 
@@ -125,5 +127,3 @@ def test_a_video_file_is_read_to_its_end_and_a_device_that_cannot_be_opened_is_s
         reds.append(pixels[:, :, 0].mean())
     source.close()
     assert reds == pytest.approx([50, 200], abs=6)
-    with pytest.raises(CameraError, match="OpenCV cannot open it; is it a camera or a video, and free"):
-        OpenCvSource(str(tmp_path / "none.mp4"), None)

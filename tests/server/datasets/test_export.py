@@ -305,7 +305,7 @@ REFUSED: list[tuple[list[RecordedMessage], dict[str, str], str]] = [
     (
         [*states(1.0, topic="/left/joint_states"), *states(1.0, topic="/right/joint_states")],
         {},
-        "messages of .* on /joint_states: --state-topic must be one of /left/joint_states, /right/joint_states",
+        "no messages of .* on /joint_states: --state-topic must be one of /left/joint_states, /right/joint_states",
     ),
     (
         with_images(lambda n: image(n / 10, 9, width=31)),

@@ -63,7 +63,7 @@ def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:
     assert after["right"] is arms["right"]
 
 
-def test_a_calibration_file_has_the_names_of_an_arm_alone(tmp_path: Path) -> None:
+def test_a_calibration_without_its_prefix_has_the_names_of_an_arm_alone(tmp_path: Path) -> None:
     save(nominal_calibration(), tmp_path / "plain.json")
     plain = Description.read(ArmSettings(calibration=tmp_path / "plain.json"))
     for prefix, description in (("", plain), ("left_", with_prefix(plain, "left"))):

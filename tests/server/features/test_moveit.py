@@ -110,7 +110,6 @@ async def test_a_saved_state_is_a_named_goal_and_moves_after_its_confirmation(cl
     try:
         await client.say("subscribe", topic=STATUS, type="diagnostic_msgs/DiagnosticStatus")
         await client.say("subscribe", topic="/display_planned_path", type="moveit_msgs/DisplayTrajectory")
-
         await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "beside the mug"})
         await client.until(STATUS, lambda all_: values_of(all_[-1])["state"] == "planned")
         await client.until("/display_planned_path", lambda shown: abs(last_pan_rad(shown[-1]) - 0.3) < ARRIVED_RAD)

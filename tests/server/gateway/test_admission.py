@@ -169,6 +169,7 @@ def test_the_server_has_its_addresses_and_the_names_of_its_machine() -> None:
     names = own_names("robot.lab")
     assert [text for text in (*ours, *others) if is_server(authority_of(text), names)] == ours
     assert own_names("Robot.lab.example") == ("robot.lab.example", "robot", "robot.local")
+    assert own_names("robot") == ("robot", "robot", "robot.local")
     assert own_names("") == ()
     assert own_names()
 

@@ -135,6 +135,7 @@ def test_a_status_from_a_client_is_logged_at_its_level_and_shortened(
         assert caplog.records[-1].levelname == level.upper()
         assert caplog.records[-1].getMessage().startswith("x says: yyy")
         assert len(caplog.records[-1].getMessage()) < 200
+    assert len(caplog.records) == 3
 
 
 def test_no_client_writes_lines_of_its_own_into_the_log(world: InProcess, caplog: pytest.LogCaptureFixture) -> None:

@@ -292,11 +292,17 @@ async def answered(listener: Listener, sent: bytes, *, ended: bool) -> str:
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
+    """A server that waits for no end of a client."""
     monkeypatch.setattr(transport, "END_TIMEOUT_S", LOWEST_S)
 
 
-@pytest.mark.usefixtures("impatient")
+@pytest.fixture
+def hasty(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that waits for no request, either."""
+    monkeypatch.setattr(websocket, "REQUEST_TIMEOUT_S", LOWEST_S)
+
+
+@pytest.mark.usefixtures("hasty")
 @pytest.mark.parametrize(
     ("ended", "reason"),
     [
@@ -317,7 +323,7 @@ async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_dis
             assert reason in answer, sent
 
 
-@pytest.mark.usefixtures("impatient")
+@pytest.mark.usefixtures("hasty")
 async def test_a_client_that_sends_its_request_by_letters_is_disconnected() -> None:
     async with listening() as listener, connected(listener.port) as (reader, writer), asyncio.timeout(TIMEOUT_S):
         ended = asyncio.create_task(read_to_end(reader))

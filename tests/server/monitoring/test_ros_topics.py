@@ -93,6 +93,7 @@ def test_arm_and_servo_tell_how_they_are_and_how_simulated_time_passes(case: str
     state, changes, age_s, levels, of_arm, of_servo = LEVELS[case]
     arm, servo = statuses(state, replace(HEALTH, **changes), health_age_s=age_s)
     assert (arm["level"], servo["level"]) == levels
+    assert arm["message"].startswith(str(state.fault or ""))
     assert of_arm in arm["message"]
     assert of_servo in servo["message"]
     assert values_of(arm)["real_time_factor"] == f"{changes.get('real_time_factor', HEALTH.real_time_factor):.2f}"

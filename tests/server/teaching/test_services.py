@@ -159,8 +159,9 @@ async def test_a_motion_comes_back_edited_from_a_client_and_motions_are_renamed_
     await lesson.teach("wave")
     trajectory = (await lesson.call("/teach/get", name="wave"))["trajectory"]
     trajectory["points"][-1]["positions"][0] = 0.65
-    await lesson.done("save", name="wave", trajectory=trajectory)
-    await lesson.done("rename", name="wave", new_name="greet")
+    await lesson.done("save", name="mine", trajectory=trajectory)
+    await lesson.done("delete", name="wave")
+    await lesson.done("rename", name="mine", new_name="greet")
     again = (await lesson.call("/teach/get", name="greet"))["trajectory"]
     assert again["points"][-1]["positions"][0] == 0.65
     for service, more in (("get", {}), ("delete", {}), ("rename", {"new_name": "mine"})):

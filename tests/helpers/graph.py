@@ -24,9 +24,9 @@ def answered(graph: Graph, service: str, caller: Node | None = None, **request: 
     return response
 
 
-def listen(graph: Graph, topic: str, type_name: str | None = None) -> list[Any]:
-    """Return the messages of a topic: the latched one, and those that come from now on."""
+def listen(graph: Graph, topic: str, type_name: str | None = None, node: Node | None = None) -> list[Any]:
+    """Return the messages that a node hears on a topic: the latched one, and those that come from now on."""
     heard: list[Any] = []
     subscriber = Subscriber(lambda published: heard.append(published.msg))
-    heard += [latched.msg for latched in graph.subscribe(Node("viewer"), topic, type_name, subscriber)]
+    heard += [latched.msg for latched in graph.subscribe(node or Node("viewer"), topic, type_name, subscriber)]
     return heard

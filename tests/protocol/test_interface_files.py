@@ -78,6 +78,7 @@ def test_constants_and_defaults_have_the_values_of_their_types() -> None:
         "string<=2[<=2] a ['ab']": ("ab",),
         "int32[] a [1, 2,3 ] # c": (1, 2, 3),
         "int32[] a []": (),
+        "string[] a []": (),
         "float64[2] a [1, 0.5]": (1.0, 0.5),
         "bool[<=3] a [true, False, 1]": (True, False, True),
         "string[] a [\"a, # b\", 'c]', d]": ("a, # b", "c]", "d"),

@@ -43,11 +43,9 @@ def problem(*folders: Path) -> str:
     return only
 
 
-FILES = ("msg/A.msg", "int32 a"), ("srv/B.srv", "A a\n---\n"), ("action/C.action", "---\nA a\n---\n")
-
-
 def test_a_package_is_read_with_messages_services_and_actions(tmp_path: Path) -> None:
-    interfaces = read_packages([package(tmp_path / "my_msgs", *FILES)])
+    files = ("msg/A.msg", "int32 a"), ("srv/B.srv", "A a\n---\n"), ("action/C.action", "---\nA a\n---\n")
+    interfaces = read_packages([package(tmp_path / "my_msgs", *files)])
     assert list(interfaces.ros2) == ["my_msgs/msg/A", "my_msgs/srv/B", "my_msgs/action/C"]
     assert interfaces.packages == ("my_msgs",)
     registry = interfaces.registry()
@@ -57,8 +55,7 @@ def test_a_package_is_read_with_messages_services_and_actions(tmp_path: Path) ->
 
 
 def test_files_are_read_from_folders_by_other_usual_names_and_the_rest_is_named(tmp_path: Path) -> None:
-    usual = {"msg": "messages", "srv": "services", "action": "actions"}
-    files = ((path.replace(path.split("/")[0], usual[path.split("/")[0]], 1), text) for path, text in FILES)
+    files = ("messages/A.msg", "int32 a"), ("services/B.srv", "---\n"), ("actions/C.action", "---\n---\n")
     folder = package(tmp_path / "my_msgs", *files, ("more/D.msg", "int32 a"))
     interfaces = read_packages([folder])
     assert list(interfaces.ros2) == ["my_msgs/msg/A", "my_msgs/srv/B", "my_msgs/action/C"]
@@ -97,8 +94,12 @@ def test_files_that_an_install_has_beside_them_are_left_alone(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("tools", "text", "ros1"),
     [
-        *((["catkin"], "int32 a", True), (["ament_cmake"], "int32 a", False), (["ament_cmake_ros"], "int32 a", False)),
-        *(([], "int32 a", False), ([], "time a", True), ([], "Header a", True)),
+        (["catkin"], "int32 a", True),
+        (["ament_cmake"], "int32 a", False),
+        (["ament_cmake_ros"], "int32 a", False),
+        ([], "int32 a", False),
+        ([], "time a", True),
+        ([], "Header a", True),
         (["catkin", "ament_cmake"], "time a", True),
     ],
 )
@@ -126,8 +127,10 @@ def test_all_problems_of_all_packages_are_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "meant"),
     [
-        *(("geometry_msgs/Pont a", "geometry_msgs/Point"), ("std_msgs/Point a", "geometry_msgs/Point")),
-        *(("Pose a", "geometry_msgs/Pose"), ("Thingy a", "my_msgs/Thing")),
+        ("geometry_msgs/Pont a", "geometry_msgs/Point"),
+        ("std_msgs/Point a", "geometry_msgs/Point"),
+        ("Pose a", "geometry_msgs/Pose"),
+        ("Thingy a", "my_msgs/Thing"),
     ],
 )
 def test_a_type_that_does_not_exist_is_told_with_the_nearest(tmp_path: Path, line: str, meant: str) -> None:

@@ -135,8 +135,14 @@ def test_what_clients_send_along_is_taken_and_an_operation_with_anything_else_is
     for more in ({}, {"id": "a"}, {"id": 7}, {"id": None}, {"latch": False, "queue_size": 100}):
         assert read("std_msgs/String", frame(EMPTY, **more)) == b'{"data":""}'
     for field, value in (
-        *(("latch", True), ("latch", 0), ("queue_size", -1), ("id", "x" * 513), ("id", 1.5)),
-        *(("type", ""), ("fragment_size", 10), ("anything", 1)),
+        ("latch", True),
+        ("latch", 0),
+        ("queue_size", -1),
+        ("id", "x" * 513),
+        ("id", 1.5),
+        ("type", ""),
+        ("fragment_size", 10),
+        ("anything", 1),
     ):
         assert read("std_msgs/String", frame(EMPTY, **{field: value})) is None, field
     raw = '{"op":"publish","topic":"/t","msg":{"data":"\ud800"}}'

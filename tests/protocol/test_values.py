@@ -30,7 +30,6 @@ def test_each_type_refuses_what_is_of_another_kind_or_too_large():
     assert values.converter("string")("a") == values.converter("wstring")("a") == "a"
     for name, others in {
         "float64": (True, "1.0", [], {}, 10**400),
-        "float32": (1e39,),
         "int32": (True, 1.5, math.nan, math.inf, "1", None, []),
         "bool": (0, 1, 1.0, "true", None),
         "string": (0, True, None, ["a"]),
@@ -38,6 +37,7 @@ def test_each_type_refuses_what_is_of_another_kind_or_too_large():
     }.items():
         for value in others:
             assert f"wanted {name}" in str(refusal(values.converter(name), value)), value
+    assert "wanted float32, got 1e+39" in str(refusal(values.converter("float32"), 1e39))
     assert values.to_float32(math.inf) == math.inf
     assert values.list_converter("float32")([0.0, 1e39]) is None
     assert values.list_converter("float32")([0.0, math.inf]) == [0.0, math.inf]

@@ -269,7 +269,7 @@ REFUSED: list[tuple[Callable[[Stage], object], Motion, PlanningFailure]] = [
 
 
 @pytest.mark.parametrize(("prepare", "motion", "failure"), REFUSED)
-async def test_a_motion_is_checked_before_it_begins_in_the_scene_as_it_is_then(
+async def test_a_motion_that_scene_or_arm_forbid_as_they_are_then_does_not_begin(
     stage: Stage, prepare: Callable[[Stage], object], motion: Motion, failure: PlanningFailure
 ) -> None:
     prepare(stage)

@@ -1,3 +1,4 @@
+from base64 import b64encode
 from typing import Any
 
 import pytest
@@ -7,6 +8,7 @@ from server.graph.actions import MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
+from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
 
 SERVER, SENDER = Node("server"), Node("sender", remote=True)
@@ -53,6 +55,16 @@ def test_only_the_first_end_counts_and_nothing_is_heard_or_cancelled_afterwards(
     goals[1].forget_sender()
     goals[1].feedback({})
     assert world.feedback == []
+
+
+def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:
+    _, goals = world.offer()
+    for _ in range(2):
+        world.send()
+    goal_id = {"uuid": b64encode(goals[1].goal_id).decode()}
+    answer = answered(world.graph, "/grip/_action/cancel_goal", SENDER, goal_info={"goal_id": goal_id})
+    assert [goal.cancel_requested for goal in goals] == [False, True]
+    assert len(answer.values["goals_canceling"]) == 1
 
 
 def test_a_late_listener_is_told_of_a_cancel_at_once(world: World) -> None:

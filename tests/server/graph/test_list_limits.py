@@ -44,19 +44,24 @@ ITEM_VALUES = 43
 
 
 @pytest.mark.parametrize(
-    ("limits", "item", "most", "words"),
+    ("limits", "item", "most", "sentence"),
     [
         (ListLimits({ITEMS: 2}), {}, 2, "field request.items: wanted at most 2 elements in all, got 3"),
         # A limit is for all lists of the field together, and others count by the values that they stand for.
         (CONSTRAINTS, BLENDED, 1, f"field {FIELD}: wanted at most 3 elements in all, got 4"),
-        (ListLimits(max_values=10 * ITEM_VALUES), {}, 10, "request.items: wanted at most 430 values"),
+        (
+            ListLimits(max_values=10 * ITEM_VALUES),
+            {},
+            10,
+            "field request.items: wanted at most 430 values in all lists, as they are complete, got more",
+        ),
     ],
 )
 def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value(
-    limits: ListLimits, item: dict[str, Any], most: int, words: str
+    limits: ListLimits, item: dict[str, Any], most: int, sentence: str
 ) -> None:
     assert refusal(limits, {"request": {"items": [item] * most}}) == ""
-    assert words in refusal(limits, {"request": {"items": [item] * (most + 1)}})
+    assert refusal(limits, {"request": {"items": [item] * (most + 1)}}) == sentence
     # In order of declaration, fields count as well.
     assert "request.items" in refusal(limits, [{"items": [item] * (most + 1)}])
 

@@ -77,8 +77,6 @@ def test_the_chosen_optimization_has_its_time_and_the_best_motion_all_that_is_al
 
 CORNER = {"max_corner": {"y": math.nan}}
 NO_VALUES = [
-    *(({f"max_{kind}_scaling_factor": -0.1}, f"max_{kind}_scaling_factor") for kind in ("velocity", "acceleration")),
-    ({"max_velocity_scaling_factor": math.nan}, "nan"),
     ({"allowed_planning_time": -1.0}, "allowed_planning_time must be 0 s or more"),
     ({"allowed_planning_time": math.nan}, "allowed_planning_time must be 0 s or more"),
     ({"num_planning_attempts": -1}, "num_planning_attempts must be 0 or more"),
@@ -90,6 +88,12 @@ NO_VALUES = [
 @pytest.mark.parametrize(("fields", "words"), NO_VALUES)
 def test_values_that_mean_nothing_are_refused_by_name(fields, words: str) -> None:
     assert_refused(asked(**fields), INVALID, words)
+
+
+@pytest.mark.parametrize("field", ["max_velocity_scaling_factor", "max_acceleration_scaling_factor"])
+def test_a_senseless_scaling_is_refused_by_field_and_value(field: str) -> None:
+    for value in (-0.1, math.nan):
+        assert_refused(asked(**{field: value}), INVALID, field, f"not {value:g}")
 
 
 def test_speed_time_and_attempts_are_bounded_with_a_warning() -> None:

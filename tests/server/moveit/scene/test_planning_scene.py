@@ -71,6 +71,7 @@ LISTED = {"is_diff": False, "joint_state": {"name": ["gripper"], "position": [0.
 @pytest.mark.parametrize(
     ("scene", "still_held"),
     [
+        # A whole scene whose state is a diff keeps them.
         (message("PlanningScene", robot_state={"is_diff": True}), ["cup"]),
         (diff(robot_state={"is_diff": False}), ["cup"]),
         (diff(robot_state={**LISTED, "is_diff": True}), ["cup"]),

@@ -244,6 +244,7 @@ async def test_a_scene_comes_back_with_what_is_held_and_without_what_was_added_s
 
 async def test_scenes_are_listed_by_name_and_deleted(tmp_path):
     scenes = Scenes(tmp_path / "new", box("cup"))
+    assert await scenes.call("list") == {"names": []}
     for service, name, names in (("save", "b", ["b"]), ("save", "a", ["a", "b"]), ("delete", "b", ["a"])):
         assert (await scenes.call(service, name=name))["success"]
         assert await scenes.call("list") == {"names": names}

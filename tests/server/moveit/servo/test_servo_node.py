@@ -146,7 +146,8 @@ async def test_a_pause_ends_the_steering_until_it_is_lifted(rig: Rig, pause: Any
 
 
 def test_humble_gets_its_own_numbers() -> None:
-    topic = servo_node.StatusPublisher(graph := Graph(REGISTRY), Node("servo_node"), servo_node.INT8)
+    graph = Graph(REGISTRY)
+    topic = servo_node.StatusPublisher(graph, Node("servo_node"), servo_node.INT8)
     heard = listen(graph, servo_node.STATUS_TOPIC)
     for status in (ServoStatus.JOINT_BOUND, ServoStatus.HALT_FOR_COLLISION, ServoStatus.HALT_FOR_SINGULARITY):
         topic.publish(status, "")
@@ -170,7 +171,7 @@ def test_a_repeated_rejection_is_logged_once(caplog: pytest.LogCaptureFixture) -
 
 TIMEOUT_S = 0.25
 ONE, OTHER = Node("one"), Node("other")
-TWIST, JOG = servo_node.CommandType.TWIST, servo_node.CommandType.JOINT_JOG
+TWIST = servo_node.CommandType.TWIST
 
 
 class GateRig:

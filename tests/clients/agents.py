@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.waiting import running
+from harness.waiting import TIMEOUT_S, running
 
 PROGRAM = Path(__file__).with_name("agent_scenario.py")
 
@@ -90,10 +90,10 @@ def agent_of(python: Path, mode: str, *target: str, cwd: Path | None = None, **e
     """Run a program in an environment; the target is a program of the same environment with its options, or an URL."""
     if not target[0].startswith("http"):
         target = (str(python.with_name(target[0])), *target[1:])
-    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     command = [python, PROGRAM, mode, *target]
     with running(command, cwd=cwd, env={**os.environ, **environment}, **pipes) as process:
         yield Agent(process)
         assert process.stdin is not None
         process.stdin.close()
-        process.wait()
+        assert process.wait(TIMEOUT_S) == 0

@@ -4,7 +4,6 @@ import asyncio
 import base64
 import json
 import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from harness.server import ROOT, RunningServer
 from harness.waiting import TIMEOUT_S
-from tests.helpers.programs import install_with_npm
+from tests.helpers.programs import install_with_npm, run
 
 HERE = Path(__file__).parent / "foxglove"
 LAYOUT = json.loads((ROOT / "examples" / "foxglove_layout.json").read_text())
@@ -88,9 +87,7 @@ def decoded(heard: Heard, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     shutil.copytree(HERE, folder, dirs_exist_ok=True)
     install_with_npm(folder)
     told = json.dumps(heard.messages)
-    done = subprocess.run(
-        ["node", "decode.mjs"], cwd=folder, input=told, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
-    )
+    done = run("node", "decode.mjs", cwd=folder, input=told)
     assert done.returncode == 0, done.stderr
     messages: dict[str, Any] = json.loads(done.stdout)
     return messages

@@ -1,15 +1,13 @@
 """clients/js: the declarations are those of the type tables, and roslib's users can write with them."""
 
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from clients.js.generate_types import TARGET, generated
 from harness.server import ROOT
-from harness.waiting import TIMEOUT_S
-from tests.helpers.programs import install_with_npm
+from tests.helpers.programs import install_with_npm, run
 from tests.test_readme import blocks
 
 TSC = ROOT / "server" / "page" / "node_modules" / ".bin" / "tsc"
@@ -30,12 +28,5 @@ def test_the_program_of_the_readme_is_well_typed_with_roslib(tmp_path: Path) -> 
     options += ["--moduleResolution", "bundler"]
     for source, right in ((program, True), (program.replace("position[0]", "positions[0]"), False)):
         (tmp_path / "program.ts").write_text(source)
-        done = subprocess.run(
-            [str(TSC), *options, "program.ts"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=TIMEOUT_S,
-            check=False,
-        )
+        done = run(TSC, *options, "program.ts", cwd=tmp_path)
         assert (done.returncode == 0) is right, done.stdout

@@ -92,7 +92,8 @@ def message(socket: ClientConnection) -> Any:
 
 def test_every_tool_is_called_here(agent: Agent) -> None:
     tools = {tool["name"] for tool in agent.end(agent.begin("list_tools"))["tools"]}
-    assert tools - set(re.findall(r'"(\w+)"', Path(__file__).read_text())) == set()
+    calls = re.findall(r'(?:ask\(|object_of\(agent, )"(\w+)"', Path(__file__).read_text())
+    assert tools == set(calls)
 
 
 def test_the_robot_is_found_and_its_release_known(ask: Ask, connected: Any, server: RunningServer) -> None:
@@ -248,12 +249,14 @@ def test_a_goal_that_outlasts_its_tool_is_told_and_cancelled_from_another_connec
 
 
 def test_the_resources_tell_everything_at_once(agent: Agent, ask: Ask) -> None:
-    def resource(name: str) -> Any:
-        (content,) = agent.end(agent.begin("read_resource", f"ros-mcp://ros-metadata/{name}"))["contents"]
+    def read(uri: str) -> Any:
+        (content,) = agent.end(agent.begin("read_resource", uri))["contents"]
         return json.loads(content["text"])
 
-    metadata = resource("all")
+    listed = agent.end(agent.begin("list_resources"))["resources"]
+    resources = {each["uri"].removeprefix("ros-mcp://ros-metadata/"): read(each["uri"]) for each in listed}
+    metadata = resources["all"]
     assert metadata["errors"] == []
     assert metadata["summary"]["total_topics"] == len(ask("get_topics")["topics"])
-    assert resource("services/all")["services"]["/arm/stop"]["type"] == TRIGGER
-    assert resource("actions/all")["actions"].keys() == set(ask("get_actions")["actions"])
+    assert resources["services/all"]["services"]["/arm/stop"]["type"] == TRIGGER
+    assert resources["actions/all"]["actions"].keys() == set(ask("get_actions")["actions"])

@@ -13,6 +13,7 @@ from websockets.sync.client import ClientConnection, connect
 from harness.server import ROOT, RunningServer
 from harness.waiting import TIMEOUT_S
 from tests.clients.engines import Answers, connects_as_documented, goes_round, refuses_a_cut_stl, turns_coordinates
+from tests.helpers.programs import run
 
 PLUGIN = ROOT / "clients" / "unreal" / "Armbridge"
 MODULE = PLUGIN / "Source" / "Armbridge"
@@ -20,7 +21,6 @@ TESTS = ROOT / "clients" / "unreal" / "Tests"
 AXES = np.diag([1.0, -1.0, 1.0])
 # Unreal builds modules without exceptions and run-time types.
 COMPILE = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "-fno-rtti"]
-COMPILE_TIMEOUT_S = 300
 
 pytestmark = pytest.mark.skipif(
     shutil.which("g++") is None or not Path("/usr/include/rapidjson").exists(),
@@ -29,9 +29,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def compiled(*arguments: str) -> None:
-    done = subprocess.run(
-        [*COMPILE, *arguments], capture_output=True, text=True, timeout=COMPILE_TIMEOUT_S, check=False
-    )
+    done = run(*COMPILE, *arguments)
     assert done.returncode == 0, done.stderr
 
 
@@ -92,7 +90,8 @@ def test_the_arm_is_moved_by_name_by_joint_by_tip_and_stopped(arm: Game) -> None
 def answers(driver: Path) -> Answers:
     def of(*lines: str) -> list[str]:
         text = "\n".join(lines) + "\n"
-        done = subprocess.run([str(driver)], input=text, capture_output=True, text=True, timeout=TIMEOUT_S, check=True)
+        done = run(driver, input=text)
+        assert done.returncode == 0, done.stderr
         return [line for line in done.stdout.splitlines() if line != "end"]
 
     return of

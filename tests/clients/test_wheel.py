@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from harness.waiting import TIMEOUT_S
-from tests.helpers.programs import UV
+from tests.helpers.programs import UV, run
 
 ROOT = Path(__file__).parents[2]
 
@@ -66,8 +66,7 @@ def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def build(checkout: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    command = [UV, "build", "--out-dir", out, checkout]
-    return subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    return run(UV, "build", "--out-dir", out, checkout)
 
 
 def names_in(wheel: Path) -> set[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from harness.server import CLIENT_ENVIRONMENT, FAST, ROOT, RunningServer
+from tests.helpers.programs import run
 
 EXAMPLES = ROOT / "examples"
 EXAMPLE_TIMEOUT_S = 300  # the physics of a busy machine is slow
@@ -26,14 +27,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
 def run_example() -> RunExample:
     """Runs an example to its end."""
 
-    def run(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, str(EXAMPLES / name), *arguments],
-            env=CLIENT_ENVIRONMENT,
-            capture_output=True,
-            text=True,
-            timeout=EXAMPLE_TIMEOUT_S,
-            check=False,
-        )
+    def run_one(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return run(sys.executable, EXAMPLES / name, *arguments, env=CLIENT_ENVIRONMENT, timeout_s=EXAMPLE_TIMEOUT_S)
 
-    return run
+    return run_one

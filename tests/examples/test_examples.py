@@ -22,6 +22,7 @@ from harness.server import CLIENT_ENVIRONMENT, FAST, FAST_ARMS, RunningServer, f
 from harness.waiting import running
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
+from tests.helpers.programs import run
 
 SCREEN_LINES = 100
 
@@ -154,15 +155,8 @@ def test_an_example_moves_what_it_touches(
     ],
 )
 def test_an_example_that_fails_by_the_physics_ends_with_1(fault: str, told: str, physical: RunningServer) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", f"{fault}; it.main()", "--url", physical.url],
-        cwd=EXAMPLES,
-        env=CLIENT_ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        timeout=EXAMPLE_TIMEOUT_S,
-        check=False,
-    )
+    command = [sys.executable, "-c", f"{fault}; it.main()", "--url", physical.url]
+    done = run(*command, cwd=EXAMPLES, env=CLIENT_ENVIRONMENT, timeout_s=EXAMPLE_TIMEOUT_S)
     assert (done.returncode, done.stderr) == (1, told)
 
 

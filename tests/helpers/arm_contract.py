@@ -1,10 +1,10 @@
-"""The contract of an arm: what a server may rely on, whatever is at the other end of the bus.
+"""The contract of an arm: what a server may rely on, whatever hardware the arm has.
 
-tests/robot tries it on the ideal arm and on emulated servos in the arm process; tests/processes/robot on those of
-Dynamixel as well, on Feetech's on a pseudo terminal, in every state in which they may be found
-(:mod:`robot.emulator.populations`), and, with ``--arm PORT,CALIBRATION``, on a real arm. The tests
-turn the wrist by ``REACH_RAD`` from where the arm is found, and move the gripper by as much; nothing else moves.
-Emergency stops hold, and torque is taken off only where nothing falls; at the end the arm holds.
+tests/robot runs it on the ideal arm and on emulated Feetech servos. tests/processes/robot runs it on emulated Dynamixel
+servos, on Feetech servos at a pseudo terminal, and, with ``--arm PORT,CALIBRATION``, on a real arm. Between them the
+Feetech servos come from every population of :mod:`robot.emulator.populations` but the kit, which gets no torque. The
+tests turn the wrist by ``REACH_RAD`` from where they find the arm, and move the gripper by as much; no other joint
+moves. Emergency stops hold the arm, and torque is taken off only where nothing can fall. At the end the arm holds.
 """
 
 import asyncio

@@ -2,8 +2,6 @@
 
 import json
 import math
-import socket
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +15,8 @@ from armbridge_client.messages import ActionChunkAnswer
 from harness.server import RunningServer, free_port
 from harness.waiting import running, wait_until
 from server.chunks.action_chunks import PAUSE_S
+from tests.helpers.programs import run
+from tests.helpers.resources import is_open
 from tests.lerobot.test_robot import ANSWERS, BIN, OFFLINE, arm, camera, pytestmark, robot, server
 
 __all__ = ["arm", "pytestmark", "server"]
@@ -43,7 +43,7 @@ def policy_server(folder: Path, kind: str) -> Iterator[Stub]:
     port, lines = free_port(), folder / "observations"
     with lines.open("w") as out, running([BIN / "python", STUB, str(port), kind], cwd=folder, stdout=out) as process:
         stub = Stub(port, lines)
-        wait_until(lambda: process.poll() is not None or listens(port))
+        wait_until(lambda: process.poll() is not None or is_open(port))
         yield stub
 
 
@@ -53,11 +53,6 @@ def followed(arm: Arm) -> Iterator[ActionChunkAnswer]:
     return (answer for answer in answers if answer.error_code.val == 1)
 
 
-def listens(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
-
-
 def options(stub: Stub, server: RunningServer, *more: str, with_camera: bool = False) -> list[str | Path]:
     robot_options = robot(server.port, with_camera=with_camera)
     return [BIN / "armbridge-policy", *robot_options, f"--openpi.url={stub.url}", "--openpi.radians=true", *more]
@@ -65,9 +60,7 @@ def options(stub: Stub, server: RunningServer, *more: str, with_camera: bool = F
 
 def ended(stub: Stub, server: RunningServer, folder: Path, *more: str) -> str:
     """Run a policy to its end, and return its last line."""
-    done = subprocess.run(
-        options(stub, server, *more), capture_output=True, text=True, timeout=240, check=False, env=OFFLINE, cwd=folder
-    )
+    done = run(*options(stub, server, *more), timeout_s=240, env=OFFLINE, cwd=folder)
     assert done.returncode != 0
     return done.stderr.strip().splitlines()[-1]
 

@@ -11,8 +11,8 @@ from playwright.sync_api import Browser
 
 from harness.clients import call, goal
 from harness.page import DESKTOP, OpenPage, opened
-from harness.server import FAST, ROOT, RunningServer
-from harness.waiting import TIMEOUT_S
+from harness.server import FAST, RunningServer
+from tests.helpers.programs import run
 
 SETTINGS = FAST
 
@@ -136,8 +136,7 @@ def _ids(server: RunningServer) -> list[str]:
 
 
 def _plan(problem: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "server.cli", "plan", str(problem)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    return run(sys.executable, "-m", "server.cli", "plan", problem)
 
 
 def test_the_log_opens_with_the_lines_of_before(tab: OpenPage, server: RunningServer) -> None:

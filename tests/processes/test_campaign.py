@@ -4,6 +4,7 @@
 """
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -33,3 +34,9 @@ async def test_a_seed_of_the_campaign_finds_no_violation(happening: Happening, p
     assert result.writes > 0 or population != "factory"
     assert result.states
     assert not result.violations, result
+
+
+def test_the_seed_draws_the_servos_and_nothing_else_depends_on_them() -> None:
+    drawn = [scenario_of(seed) for seed in range(200)]
+    assert {scenario.population for scenario in drawn} == set(POPULATIONS)
+    assert replace(drawn[7], population="kit") == scenario_of(7, "kit")

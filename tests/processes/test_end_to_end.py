@@ -63,7 +63,8 @@ async def test_the_unreal_client_moves_the_arm(server: RunningServer, folder: Pa
 
 
 def test_the_log_names_the_page_or_how_to_get_it(server: RunningServer) -> None:
-    assert server.has_logged("/ (page)" if page_is_built(PAGE_DIRECTORY) else HOW_TO_BUILD_PAGE)
+    page = f"http://127.0.0.1:{server.port}/ (page)"
+    assert server.has_logged(page if page_is_built(PAGE_DIRECTORY) else HOW_TO_BUILD_PAGE)
 
 
 def writes(folder: Path) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The contract of an arm on servos within the arm process; tests/processes/robot has it on every kind of arm."""
+"""The contract of an arm, on the ideal arm and on emulated servos; tests/processes/robot runs it on other kinds."""
 
 from collections.abc import AsyncIterator
 

@@ -9,7 +9,7 @@ import pytest
 
 from harness.server import ROOT, RunningServer
 from harness.waiting import TIMEOUT_S
-from tests.helpers.programs import UV, environment_with
+from tests.helpers.programs import UV, environment_with, run
 
 PYENV = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
 MOST_BYTES = 5_000_000
@@ -51,8 +51,7 @@ def test_the_wheel_moves_the_arm(version: str, wheel: Path, server: RunningServe
     if interpreter is None:
         pytest.skip(f"this machine has no Python {version}")
     installed = environment_with(interpreter, tmp_path / "venv", wheel)
-    command = [installed, "-W", "error", "-X", "dev", "-c", PROGRAM, server.url]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    done = run(installed, "-W", "error", "-X", "dev", "-c", PROGRAM, server.url)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout in ("holding\n", "moving\n")
     (packages,) = tmp_path.glob("venv/lib/python*/site-packages")

@@ -180,6 +180,7 @@ async def test_an_arm_process_that_cannot_be_started_is_tried_again_until_it_can
     assert starts.failed == len(others) + 10 * RESTART_LINES
     for reason in ("temporarily unavailable", "MemoryError", "no new thread", "Too many open files"):
         assert any("cannot be started" in state.reason and reason in state.reason for state in rig.states)
+        assert reason in caplog.text
     assert caplog.text.count("Too many open files") == RESTART_LINES
     await rig.arm.close()
 

@@ -1,4 +1,4 @@
-"""The contract on the kinds of arms that tests/robot leaves out; an arm process may be killed or closed."""
+"""The contract on the kinds of arms that tests/robot leaves out, and for arm processes that are killed or closed."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ from harness.waiting import until
 from robot.messages import Mode
 from tests.helpers.arm_contract import STILL_RAD, ArmContract, Place, place_of
 
-# Feetech's servos as they may be found that get torque, or get it once they are calibrated.
+# Populations of Feetech servos: tests/robot has lerobot, and a kit gets no torque before its ids are set.
 FOUND = ("factory", "ros2_driver", "clone")
 KINDS = ["emulated Dynamixel servos", *(f"pseudo terminal, {name}" for name in FOUND), "real arm"]
 

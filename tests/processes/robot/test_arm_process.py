@@ -56,11 +56,14 @@ async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first(
     rig = ProcessRig(started)
     await rig.process.launch()
     assert rig.process.pid == started.process.pid
-    # One that was never configured ends at once.
-    await asyncio.wait_for(rig.process.kill(), TIMEOUT_S)
+    rig.process.configure(CONFIG, Stop())
+    await rig.until_message(ArmState)
+    await rig.process.kill()
     await rig.process.launch()
     assert (rig.exits, rig.process.pid != started.process.pid) == (1, True)
-    await rig.process.kill()
+    # One that was never configured ends as well.
+    await asyncio.wait_for(rig.process.kill(), TIMEOUT_S)
+    assert rig.exits == 2
 
 
 async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:

@@ -1,7 +1,6 @@
 import configparser
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 from server import cli
 from server.commands.config import server_command, unit
 from server.commands.terminal import ExitCode
+from tests.helpers.programs import run
 
 
 @pytest.fixture
@@ -87,7 +87,5 @@ def test_systemd_has_nothing_to_say_against_it(tmp_path: Path) -> None:
         pytest.skip("systemd-analyze is not installed")
     file = tmp_path / "armbridge.service"
     file.write_text(unit(server_command(Path(sys.executable)), None, None, "dialout"))
-    done = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", str(file)], capture_output=True, text=True, timeout=30, check=False
-    )
+    done = run("systemd-analyze", "verify", "--man=no", file)
     assert (done.returncode, done.stderr) == (0, "")

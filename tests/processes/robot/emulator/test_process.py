@@ -82,9 +82,9 @@ def test_without_a_controller_live_commands_come_on_standard_input(tmp_path: Pat
 
 
 def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_ends_with_ctrl_c(tmp_path: Path) -> None:
-    script = tmp_path / "script.jsonl"
+    script, link = tmp_path / "script.jsonl", tmp_path / "arm"
     script.write_text('{"at_s": 2.0, "offline": [6]}\n')
-    with standalone("--script", str(script)) as (process, port):
+    with standalone("--script", str(script), "--link", str(link)) as (process, port):
         # Longer than the script waits, which begins with the first byte.
         time.sleep(2.1)
         with contextlib.closing(Bus.open(port)) as bus:
@@ -97,6 +97,7 @@ def test_a_process_plays_a_script_from_the_first_byte_of_a_host_on_and_ends_with
         _, shown = process.communicate(timeout=TIMEOUT_S)
         assert shown == '2.0 s: {"offline": [6]} {"ok": true}\n'
         assert process.returncode == 0
+    assert not link.is_symlink()
 
 
 def test_a_wrong_script_leaves_the_port_of_another_emulator_alone(tmp_path: Path) -> None:

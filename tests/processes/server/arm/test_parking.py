@@ -4,89 +4,93 @@ import asyncio
 import re
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from harness.clients import ArmClient, arm_client
-from harness.server import RunningServer, ServerOnBus, read_write_log, server_on_bus
+from harness.server import FAST_ARMS, RunningServer, read_write_log
 from harness.waiting import TIMEOUT_S, wait_until
 from robot.description.robot_folder import built_in
+from tests.helpers.moveit import box
 from tests.helpers.resources import runs
-from tests.server.conftest import FAST, JOINTS
+from tests.server.conftest import JOINTS
 
 REST = built_in("so101").model.named_states["arm"]["rest"]
 
 # A relaxed elbow sinks until its stop holds it.
 SINK_RAD = 0.1
 
+CONFIG = """
+[arm]
+on_exit = "park"
+on_server_lost = "park"
+[emulator]
+write_log = "{folder}/arm.jsonl"
+"""
+TWO_ARMS = """
+[arms.left]
+on_server_lost = "park"
+base_xyz_m = [0.0, 0.25, 0.0]
+emulator.write_log = "{folder}/left.jsonl"
+[arms.right]
+on_server_lost = "park"
+base_xyz_m = [0.0, -0.25, 0.0]
+emulator.write_log = "{folder}/right.jsonl"
+"""
 
-PARKS = {"ARM__ON_EXIT": "park", "ARM__ON_SERVER_LOST": "park"}
 
-
+@dataclass
 class Parked:
-    """A server whose arm is to be parked, and the log of its servos."""
+    """A server whose arms are to be parked, and the folder of their servos' logs."""
 
-    def __init__(self, made: ServerOnBus, log: Path) -> None:
-        self.server: RunningServer = made.server
-        self.log = log
-
-    @property
-    def arm_pid(self) -> int:
-        return int(re.findall(r"\(process (\d+), 100 Hz", self.text)[0])
+    server: RunningServer
+    folder: Path
 
     @property
     def text(self) -> str:
         return "\n".join(list(self.server.lines))
 
-    def kill(self) -> None:
-        """Kill the server, and wait for the end of its arm process."""
-        pid = self.arm_pid
-        self.server.process.kill()
-        self.server.process.wait(TIMEOUT_S)
-        wait_until(lambda: not runs(pid))
-
     def until_known(self, count: int = 1) -> None:
-        """Wait until the arm process knows so many ways to the rest pose, one after the other."""
+        """Wait until the arm processes know so many ways to the rest pose, one after the other."""
         wait_until(lambda: self.text.count("the way to the rest pose is known") >= count)
 
-    @property
-    def relaxed(self) -> bool:
-        return set(read_write_log(self.log)[-1]["torque"].values()) == {0}
+    def until_arms_end(self) -> None:
+        """Wait for the end of the server, and of its arm processes."""
+        self.server.process.wait(TIMEOUT_S)
+        for pid in re.findall(r"process (\d+), 100 Hz", self.text):
+            wait_until(lambda pid=int(pid): not runs(pid))
 
-    @property
-    def distance_to_rest(self) -> float:
-        """Greatest distance of a joint from the rest pose at the servos' last write [rad]."""
-        present = read_write_log(self.log)[-1]["present"]
-        return max(
-            abs(present[str(JOINTS[name].servo_id)] - JOINTS[name].ticks_from_rad(position)) * 2.0 * 3.1416 / 4096
+    def kill(self) -> None:
+        self.server.process.kill()
+        self.until_arms_end()
+
+    def last_write(self, arm: str) -> dict[str, Any]:
+        return read_write_log(self.folder / f"{arm}.jsonl")[-1]
+
+    def relaxed(self, arm: str = "arm") -> bool:
+        return set(self.last_write(arm)["torque"].values()) == {0}
+
+    def rests(self, arm: str = "arm") -> bool:
+        """Tell whether an arm was relaxed near its rest pose; elsewhere is far away."""
+        present = self.last_write(arm)["present"]
+        away_rad = max(
+            abs(JOINTS[name].rad_from_ticks(present[str(JOINTS[name].servo_id)]) - position)
             for name, position in REST.items()
         )
-
-    @property
-    def parked(self) -> bool:
-        return self.relaxed and self.distance_to_rest < SINK_RAD
-
-    @property
-    def sunk(self) -> bool:
-        """The arm was relaxed elsewhere."""
-        return self.relaxed and self.distance_to_rest > 0.3
-
-
-@contextmanager
-def parked_server(folder: Path, **settings: str) -> Iterator[Parked]:
-    log = folder / "writes.jsonl"
-    level = {"SERVER__LOG_LEVEL": "debug"}
-    with server_on_bus(EMULATOR__WRITE_LOG=str(log), **{**FAST, **PARKS, **level, **settings}) as made:
-        yield Parked(made, log)
+        assert away_rad < SINK_RAD or away_rad > 0.3
+        return self.relaxed(arm) and away_rad < SINK_RAD
 
 
 @pytest.fixture
-def parking(tmp_path: Path) -> Iterator[Parked]:
-    with parked_server(tmp_path) as parked:
-        yield parked
+def parking(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Parked]:
+    """A server with the configuration that a test names, or with one arm."""
+    config = tmp_path / "arms.toml"
+    config.write_text(getattr(request, "param", CONFIG).format(folder=tmp_path))
+    with RunningServer(f"--port 0 --log-level debug --config {config}", FAST_ARMS) as server:
+        yield Parked(server, tmp_path)
 
 
 async def begin_to_move(client: ArmClient) -> None:
@@ -95,96 +99,59 @@ async def begin_to_move(client: ArmClient) -> None:
     await client.until("/joint_states", lambda states: states[-1]["position"][0] > 0.3)
 
 
-def box(z_m: float, **fields: Any) -> dict[str, Any]:
-    """A box of the planning scene in the way of the rest pose."""
-    pose = {"position": {"x": 0.12, "y": 0.0, "z": z_m}, "orientation": {"w": 1.0}}
-    shape = {"type": 1, "dimensions": [0.1, 0.1, 0.1]}
-    return {
-        "header": {"frame_id": "base_link"},
-        "id": "box",
-        "primitives": [shape],
-        "primitive_poses": [pose],
-        **fields,
-    }
-
-
 async def test_a_server_that_is_killed_in_mid_motion_leaves_a_parked_arm(parking: Parked) -> None:
     parking.until_known()
     async with arm_client(parking.server.url) as client:
         await begin_to_move(client)
         parking.kill()
     assert "goes back along its path" in parking.text
-    assert parking.parked
-
-
-async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(parking: Parked) -> None:
-    parking.until_known()
-    async with arm_client(parking.server.url) as client:
-        await client.change_scene(box(0.06))
-        assert parking.server.has_logged("no way to the rest pose")
-    parking.kill()
-    assert parking.sunk
+    assert parking.rests()
 
 
 async def test_an_orderly_end_parks_from_wherever_the_arm_comes_to_rest(parking: Parked) -> None:
     async with arm_client(parking.server.url) as client:
         await begin_to_move(client)
     assert parking.server.end(signal.SIGTERM)[0] == 0
-    assert parking.parked
+    assert parking.rests()
 
 
 def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     parking.until_known()
-    pid = parking.arm_pid
     parking.server.process.send_signal(signal.SIGINT)
     assert parking.server.has_logged("the arm moves to its rest pose")
-    parking.server.process.send_signal(signal.SIGINT)
-    assert parking.server.process.wait(TIMEOUT_S) == 0
-    wait_until(lambda: not runs(pid))
+    assert parking.server.end(signal.SIGINT)[0] == 0
+    parking.until_arms_end()
     assert "must not wait" in parking.text
-    assert parking.relaxed
+    assert parking.relaxed()
 
 
-async def test_the_service_answers_why_it_cannot_and_the_arm_goes_on_holding(parking: Parked) -> None:
-    async with arm_client(parking.server.url) as client:
-        await client.change_scene(box(0.06))
+async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(parking: Parked) -> None:
+    parking.until_known()
+    async with arm_client(parking.server.url) as client, arm_client(parking.server.url) as other:
+        # A stop keeps the arm from being relaxed.
+        call = asyncio.create_task(client.call("/arm/park"))
+        await client.until_mode("moving")
+        await other.call("/arm/stop")
+        assert not (await call)["success"]
+        await client.until_mode("holding")
+        await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "home"})
+        await client.until("/moveit_goal_result", lambda results: results[-1]["val"] == 1)
+        # A box in the way of the rest pose: the service answers why it cannot, and the arm goes on holding.
+        at = {"position": {"x": 0.12, "y": 0.0, "z": 0.06}, "orientation": {"w": 1.0}}
+        await client.change_scene(box("box", at=at, primitives=[{"type": 1, "dimensions": [0.1, 0.1, 0.1]}]))
+        assert parking.server.has_logged("no way to the rest pose")
         answer = await client.call("/arm/park")
         assert not answer["success"]
         assert answer["message"].startswith("the arm is not parked: ")
         await client.until_mode("holding")
+    parking.kill()
+    assert parking.relaxed()
+    assert not parking.rests()
 
 
-async def test_a_stop_keeps_the_arm_from_being_relaxed(parking: Parked) -> None:
-    async with arm_client(parking.server.url) as client:
-        call = asyncio.create_task(client.call("/arm/park"))
-        await client.until_mode("moving")
-        async with arm_client(parking.server.url) as other:
-            await other.call("/arm/stop")
-        answer = await call
-        assert not answer["success"]
-        await client.until_mode("holding")
-
-
-def test_several_arms_go_to_rest_without_the_server(tmp_path: Path) -> None:
+@pytest.mark.parametrize("parking", [TWO_ARMS], indirect=True, ids=["two arms"])
+def test_several_arms_go_to_rest_without_the_server(parking: Parked) -> None:
     """Each by its own way, once the ways of all are known to keep clear of each other."""
-    logs = {arm: tmp_path / f"{arm}.jsonl" for arm in ("left", "right")}
-    feet = {"left": 0.25, "right": -0.25}
-    config = tmp_path / "arms.toml"
-    config.write_text(
-        '[server]\nlog_level = "debug"\n'
-        + "".join(
-            f'[arms.{arm}]\non_server_lost = "park"\nbase_xyz_m = [0.0, {feet[arm]}, 0.0]\n'
-            f'emulator.write_log = "{log}"\n'
-            for arm, log in logs.items()
-        )
-    )
-    with RunningServer(f"--port 0 --config {config}", FAST) as server:
-        both = [Parked(ServerOnBus(server, None), log) for log in logs.values()]  # type: ignore[arg-type]
-        both[0].until_known(2)
-        pids = [int(pid) for pid in re.findall(r"process (\d+), 100 Hz", both[0].text)]
-        assert len(pids) == 2
-        server.process.kill()
-        server.process.wait(TIMEOUT_S)
-        for pid in pids:
-            wait_until(lambda pid=pid: not runs(pid))
-        assert [each.parked for each in both] == [True, True], both[0].text
+    parking.until_known(2)
+    parking.kill()
+    assert [parking.rests(arm) for arm in ("left", "right")] == [True, True], parking.text

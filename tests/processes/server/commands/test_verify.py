@@ -1,5 +1,6 @@
 """``armbridge verify`` against a running server."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +32,9 @@ def test_a_person_at_a_terminal_compares_the_arm_pose_by_pose(tmp_path: Path) ->
         answer = verify(server.url, "\ny\ny\ny\nno\ngripper\n", "--token-file", str(file))
     assert answer.returncode == ExitCode.PROBLEMS, answer.stderr
     assert "deg from its goal" in answer.stderr
+    droops_deg = [float(each) for each in re.findall(r"^\w+ +(\d+\.\d)$", answer.stderr, re.MULTILINE)]
+    assert droops_deg
+    assert max(droops_deg) < 3.5
     assert "* gripper looks otherwise than the model" in answer.stdout
     assert "compared in 4 poses" in answer.stdout
 

@@ -119,7 +119,7 @@ def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> No
 
 @pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f", "1,2,3,4,5,nan"])
 def test_a_view_is_six_numbers(view: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit, match="2"):
         cli.main(["camera", RENDERED, "--connect", "ws://localhost:1", "--view", view])
     assert f"must be six numbers with commas, not {view!r}" in capsys.readouterr().err
 

@@ -58,6 +58,7 @@ def test_a_viewer_gets_all_but_the_log_and_without_a_token_there_is_the_health_a
     told = told_by(port, None)
     assert [name for name in told if name.startswith("server/")] == ["server/health.json", "server/metrics.txt"]
     assert "armbridge_" not in told["server/metrics.txt"]
+    assert RunningServer(settings(port), None).add_to(Report(Redactor([], Path("/nobody")))) == set()
     assert "server/diagnostics.json" in told["problems.txt"]
 
 

@@ -1,22 +1,16 @@
 """Teaching by hand on the emulated arm, and replays of what was taught."""
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
-import pytest
 
-from harness.clients import ArmClient, arm_client
-from harness.server import ServerOnBus, server_on_bus
+from harness.clients import ArmClient
+from harness.server import ServerOnBus
 from harness.waiting import TIMEOUT_S
-from robot.trajectory import Vector
 from tests.helpers.moveit import box, pose
 from tests.helpers.robots import nominal_calibration
-from tests.server.conftest import FAST
 
-STATE, STATE_TYPE = "/teach/state", "armbridge_msgs/TeachState"
 REPLAY, REPLAY_TYPE = "/replay_motion", "armbridge_msgs/action/ReplayMotion"
 SERVOS = {joint.joint: joint for joint in nominal_calibration().joints}
 JOINTS = tuple(SERVOS)
@@ -28,53 +22,19 @@ WAY = (
     {"shoulder_pan": -0.3, "elbow_flex": 0.2, "gripper": 0.8},
 )
 
-
 # The smoothing's tolerance, play of gears, and what a servo lags behind.
 PATH_TOLERANCE_RAD = 0.06
 
 
-@pytest.fixture(scope="module")
-def arm() -> Iterator[ServerOnBus]:
-    with server_on_bus(**FAST) as running:
-        yield running
-
-
-@asynccontextmanager
-async def teacher(arm: ServerOnBus) -> AsyncIterator[ArmClient]:
-    async with arm_client(arm.server.url) as client:
-        await client.say("subscribe", topic=STATE, type=STATE_TYPE)
-        yield client
-
-
-def positions(state: dict[str, Any]) -> dict[str, float]:
-    return dict(zip(state["name"], state["position"], strict=True))
-
-
 async def lead(client: ArmClient, arm: ServerOnBus, to_rad: dict[str, float]) -> None:
     """Lead the relaxed arm by hand, and wait until it is there."""
-    ticks = {str(SERVOS[name].servo_id): round(SERVOS[name].ticks_from_rad(at)) for name, at in to_rad.items()}
-    arm.emulator.command(hand=ticks)
-
-    def there(states: list[dict[str, Any]]) -> bool:
-        now = positions(states[-1])
-        return all(abs(now[name] - at) < 0.02 for name, at in to_rad.items())
-
-    await client.until("/joint_states", there)
-
-
-async def taught(client: ArmClient, arm: ServerOnBus, name: str) -> dict[str, Any]:
-    """Teach a motion by hand; returns the answer to the end."""
-    assert (await client.call("/arm/relax"))["success"]
-    await client.until_mode("relaxed")
-    await lead(client, arm, {"shoulder_pan": 0.0, "elbow_flex": 0.0, "gripper": 0.2})
-    begun = await client.call("/teach/begin", name=name, group="")
-    assert begun["success"], begun
-    assert "hold it" in begun["message"]
-    for to_rad in WAY:
-        await lead(client, arm, to_rad)
-    ended = await client.call("/teach/end")
-    assert ended["success"], ended
-    return ended
+    arm.emulator.command(
+        hand={str(SERVOS[name].servo_id): SERVOS[name].ticks_from_rad(to_rad[name]) for name in to_rad}
+    )
+    async with asyncio.timeout(TIMEOUT_S):
+        now = await client.positions()
+        while any(abs(now[name] - at) > 0.02 for name, at in to_rad.items()):
+            now = await client.positions()
 
 
 async def ready(client: ArmClient, arm: ServerOnBus) -> None:
@@ -84,72 +44,54 @@ async def ready(client: ArmClient, arm: ServerOnBus) -> None:
     arm.emulator.command(hand={str(joint.servo_id): None for joint in SERVOS.values()})
 
 
-async def replayed(client: ArmClient, arm: ServerOnBus, name: str, **goal: Any) -> dict[str, Any]:
-    """Replay a motion; returns the result."""
-    await ready(client, arm)
-    sent = await client.send_goal(REPLAY, REPLAY_TYPE, {"name": name, "speed": 2.0, **goal})
-    values: dict[str, Any] = (await asyncio.wait_for(client.result(sent), TIMEOUT_S))["values"]
-    return values
+async def replay(client: ArmClient, speed: float) -> str:
+    return await client.send_goal(REPLAY, REPLAY_TYPE, {"name": "wave", "speed": speed})
 
 
-def path_of(message: dict[str, Any], joints: tuple[str, ...]) -> Vector:
-    """Points of a trajectory_msgs/JointTrajectory, shape (n, joints) [rad]."""
-    columns = [message["joint_names"].index(name) for name in joints]
-    return np.array([point["positions"] for point in message["points"]])[:, columns]
+async def test_an_arm_that_was_led_by_hand_follows_the_same_path_again_and_brakes_for_what_comes_into_its_way(
+    client: ArmClient, served: ServerOnBus
+) -> None:
+    assert (await client.call("/arm/relax"))["success"]
+    await client.until_mode("relaxed")
+    await lead(client, served, {"shoulder_pan": 0.0, "elbow_flex": 0.0, "gripper": 0.2})
+    assert "hold it" in (await client.call("/teach/begin", name="wave", group=""))["message"]
+    for to_rad in WAY:
+        await lead(client, served, to_rad)
+    ended = await client.call("/teach/end")
+    assert "touches nothing" in ended["message"]
+    trajectory = (await client.call("/teach/get", name="wave"))["trajectory"]
+    columns = [trajectory["joint_names"].index(name) for name in JOINTS]
+    path = np.array([point["positions"] for point in trajectory["points"]])[:, columns]
+    assert len(path) == ended["points"]
 
+    await ready(client, served)
+    client.topics["/joint_states"].clear()
+    done = (await client.result(await replay(client, 2.0)))["values"]
+    assert done["error_code"]["val"] == 1, done
+    assert_passed(client.messages("/joint_states"), path)
 
-async def test_an_arm_that_was_led_by_hand_follows_the_same_path_again(arm: ServerOnBus) -> None:
-    async with teacher(arm) as client:
-        ended = await taught(client, arm, "wave")
-        assert "touches nothing" in ended["message"]
-        got = await client.call("/teach/get", name="wave")
-        path = path_of(got["trajectory"], JOINTS)
-        assert len(path) == ended["points"]
-        client.topics["/joint_states"].clear()
-        done = await replayed(client, arm, "wave")
-        assert done["error_code"]["val"] == 1, done
-        seen = np.array([[positions(state)[name] for name in JOINTS] for state in client.topics["/joint_states"]])
-        # Every place that was taught is passed, in the taught order.
-        after = 0
-        for point in path[:: max(1, len(path) // 20)]:
-            away = np.max(np.abs(seen[after:] - point), axis=1)
-            assert away.min() < PATH_TOLERANCE_RAD, point
-            after += int(np.argmax(away < PATH_TOLERANCE_RAD))
-
-
-async def put_crate(client: ArmClient, name: str) -> None:
-    """Put a crate where the tip is half-way on a motion."""
-    trajectory = (await client.call("/teach/get", name=name))["trajectory"]
-    points = trajectory["points"]
-    state = {"joint_state": {"name": trajectory["joint_names"], "position": points[len(points) // 2]["positions"]}}
-    tip = await client.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state=state)
-    place = tip["pose_stamped"][0]["pose"]["position"]
-    await client.change_scene(box("crate", at=pose(place["x"], place["y"], place["z"]), frame="base_link"))
-
-
-async def remove_crate(client: ArmClient) -> None:
-    await client.change_scene({"id": "crate", "operation": 1})
-
-
-async def test_a_replay_brakes_when_something_comes_into_its_way(arm: ServerOnBus) -> None:
-    async with teacher(arm) as client:
-        ended = await taught(client, arm, "surprised")
-        sent = await begun_slowly(client, arm, "surprised", ended["duration_s"])
-        await put_crate(client, "surprised")
-        values = (await asyncio.wait_for(client.result(sent), TIMEOUT_S))["values"]
-        assert values["error_code"]["val"] == -3
-        assert "crate" in values["message"]
-        await remove_crate(client)
-
-
-async def begun_slowly(client: ArmClient, arm: ServerOnBus, name: str, duration_s: float) -> str:
-    """Begin a replay at a tenth of its speed; returns its goal when it follows the taught path."""
-    await ready(client, arm)
-    sent = await client.send_goal(REPLAY, REPLAY_TYPE, {"name": name, "speed": 0.1})
-
-    async def follows() -> None:
-        while not any(0.0 < each["remaining_s"] < 9.9 * duration_s for each in client.feedback.get(sent, ())):
+    # Slowly: a crate comes to where the tip is half-way.
+    sent = await replay(client, 0.1)
+    async with asyncio.timeout(TIMEOUT_S):
+        while not any(0 < each["remaining_s"] < 9.9 * ended["duration_s"] for each in client.feedback.get(sent, ())):
             await asyncio.sleep(0.02)
+    half_way = {"name": list(JOINTS), "position": path[len(path) // 2].tolist()}
+    tip = await client.call("/compute_fk", fk_link_names=["gripper_frame_link"], robot_state={"joint_state": half_way})
+    at = tip["pose_stamped"][0]["pose"]["position"]
+    await client.change_scene(box("crate", at=pose(at["x"], at["y"], at["z"]), frame="base_link"))
+    braked = (await client.result(sent))["values"]
+    await client.change_scene({"id": "crate", "operation": 1})
+    assert braked["error_code"]["val"] == -3
+    assert "crate" in braked["message"]
 
-    await asyncio.wait_for(follows(), TIMEOUT_S)
-    return sent
+
+def assert_passed(states: list[dict[str, Any]], path: np.ndarray) -> None:
+    """Assert that every place that was taught is passed, in the taught order."""
+    seen = np.array(
+        [[dict(zip(each["name"], each["position"], strict=True))[name] for name in JOINTS] for each in states]
+    )
+    after = 0
+    for point in path[:: max(1, len(path) // 20)]:
+        away = np.max(np.abs(seen[after:] - point), axis=1)
+        assert away.min() < PATH_TOLERANCE_RAD, point
+        after += int(np.argmax(away < PATH_TOLERANCE_RAD))

@@ -116,6 +116,15 @@ def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator) -> None:
         assert motion.steps[0].problem(LIFTED_HOME).group == group, names
 
 
+def test_a_named_target_and_a_pose_are_of_the_selected_group(lifted: GoalTranslator) -> None:
+    for group, named in (("arm", "bent"), ("arm_with_torso", "raised")):
+        lifted.select_group(group)
+        for motion in (lifted.named({"data": named}), lifted.pose(pose_stamped("base", TURNED, x=0.4, z=0.9))):
+            assert motion.steps[0].problem(LIFTED_HOME).group == group
+    lifted.select_group("arm")
+    assert_refused(rejection(lifted.named, {"data": "raised"}), INVALID, "there is no named target 'raised'")
+
+
 def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:
     told: Any = suggestion(pose_stamped("base", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
     assert told.msg["pose"]["orientation"] == TURNED

@@ -35,5 +35,7 @@ async def test_a_server_starts_with_the_scene_of_the_one_before_which_was_killed
     assert '"wall"' in kept
     with RunningServer(settings=settings | {"ARMBRIDGE_SCENE__KEEP": "false"}) as third:
         assert await objects_of(third) == []
+        async with arm_client(third.url) as client:
+            await client.change_scene(box("crate", at=pose(x=0.5)))
         third.end(signal.SIGTERM)
     assert file.read_text() == kept

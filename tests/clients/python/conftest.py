@@ -18,11 +18,11 @@ def package_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running
 
 @pytest.fixture(scope="module")
 def server(package_server: RunningServer) -> RunningServer:
-    """The server with an empty scene, the gripper closed and no confirm mode, whatever the module before has left."""
+    """The server with confirm mode off, an empty scene and the gripper closed, whatever the module before has left."""
     with connect(package_server.url) as arm:
+        arm.set_confirm_mode(on=False)
         arm.scene.clear()
         arm.gripper.close()
-        arm.set_confirm_mode(on=False)
     return package_server
 
 

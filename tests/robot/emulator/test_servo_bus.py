@@ -233,8 +233,8 @@ def said(bus, data, now_s=0.0, baudrate=1_000_000):
 
 
 def test_replies_are_due_when_their_last_byte_has_passed_the_wire_the_return_delay_and_those_before_it(bus):
-    due_s = [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)]
-    assert due_s == pytest.approx([5.0 + 14 * 10e-6 + (k + 1) * (21 * 10e-6 + 20e-6) for k in range(6)])
+    due_s = [reply.due_s - 5.0 for reply in bus.receive(BLOCK_READ, 5.0)]
+    assert due_s == pytest.approx([14 * 10e-6 + (k + 1) * (21 * 10e-6 + 20e-6) for k in range(6)])
     (at_once,) = bus.receive(packet(1, PING), 6.0)
     first, second = bus.receive(packet(1, PING) + packet(2, PING), 7.0)
     assert second.due_s - first.due_s == pytest.approx(12 * 10e-6 + 20e-6)

@@ -66,8 +66,10 @@ def surveyed(dynamixels: SteppedDynamixels) -> dict[int, ServoFound]:
     ("servo", "register", "value", "words"),
     [
         (3, Register.MODEL_NUMBER, 1060, r"elbow_flex \(id 3\) is model 1060, not xl330-m288 \(1200\)"),
-        *((1, Register.OPERATING_MODE, mode, rf"mode {mode}.*OPERATING_MODE \(11\) to 4") for mode in (1, 5)),
-        *((3, Register.OPERATING_MODE, mode, rf"mode {mode}.*OPERATING_MODE \(11\) to 4") for mode in (0, 16)),
+        *(
+            (servo, Register.OPERATING_MODE, mode, rf"operating mode {mode}.*OPERATING_MODE \(11\) to 4")
+            for servo, mode in ((1, 1), (1, 5), (3, 0), (3, 16))
+        ),
         # Of -1700 ticks: its zero would be 150 deg wrong.
         (3, Register.OPERATING_MODE, OperatingMode.POSITION, "ignores its homing offset of -1700 ticks"),
         *((3, Register.DRIVE_MODE, mode, rf"drive mode {mode}.*DRIVE_MODE \(10\) to 0") for mode in (1, 4, 8)),

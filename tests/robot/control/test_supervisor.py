@@ -196,7 +196,7 @@ def test_a_silent_server_stops_the_arm_which_goes_on_when_it_is_back(moving: Arm
         ({"watchdog_s": 0.7}, 0.7),
         *(({"hardware": hardware, "watchdog_s": 0.5}, 5.0) for hardware in SIMULATED),
         ({"hardware": SIMULATED[0], "watchdog_s": 8.0}, 8.0),
-        # By a clock twice as fast as the server's.
+        # Its clock runs twice as fast as the server's.
         ({"hardware": replace(SIMULATED[0], rate=2.0)}, 10.0),
     ],
 )
@@ -296,7 +296,7 @@ def test_emulated_servos_that_lose_replies_have_every_other_tick(start_rig: Star
 
 
 def tick_by(rig: ArmRig, ticks: int, times: int) -> list[object]:
-    """Let some ticks be skipped each time; returns what is sent meanwhile."""
+    """Tick a number of times, so many periods apart; return what is sent."""
     rig.sent.clear()
     for _ in range(times):
         rig.clock.advance(ticks * PERIOD_S)

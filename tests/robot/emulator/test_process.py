@@ -214,7 +214,7 @@ def bus_of(calibration: Calibration = NOMINAL) -> EmulatedBus[FeetechServo]:
 def played(
     commands: Sequence[TimedCommand], calibration: Calibration, elbow_ticks: int | None = None
 ) -> Iterator[tuple[float, tuple[FeetechServo, ...]]]:
-    """Play commands to servos, of which the elbow may hold at a goal, in a time of their own; yields it with them."""
+    """Play commands to servos, whose elbow may hold a goal, on a clock of their own; yield its time and the servos."""
     bus = bus_of(calibration)
     emulation = Emulation(bus, InProcessPort(bus, lambda: 0.0))
     rehearsal = Rehearsal(commands)

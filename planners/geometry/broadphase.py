@@ -61,18 +61,6 @@ class NearPair:
     by_another_arm: bool = False  # whether one of the two is moved by joints that move without the present ones
 
 
-def distance_gradient(model: pin.Model, data: pin.Data, nearest: Nearest, first: int, second: int) -> Vector:
-    """Return the gradient of the distance of shapes of two joints, 0 for the root link, by joint, (nv,) [m/rad]."""
-    gradient = np.zeros(model.nv)
-    second_m = nearest.point_m + nearest.distance_m * nearest.normal
-    for joint, point_m, sign in ((first, nearest.point_m, -1.0), (second, second_m, 1.0)):
-        if joint:
-            rows = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-            arm_m = point_m - data.oMi[joint].translation
-            gradient += sign * (nearest.normal @ rows[:3] + np.cross(arm_m, nearest.normal) @ rows[3:])
-    return gradient
-
-
 class Broadphase:
     """Shapes, and pairs of shapes that must not touch, which are indices (pairs, 2), the smaller first.
 
@@ -98,7 +86,12 @@ class Broadphase:
         # They come out in the order of `pairs`: row by row.
         self._geometry.setCollisionPairs(checked, True)
         self._pairs, self._apart_m = pairs, apart_m
-        self._carriers = [shape.parentJoint for shape in shapes]
+        moved = np.zeros((model.njoints, model.nv))
+        for joint, above in enumerate(model.supports):
+            moved[joint, [model.joints[other].idx_v for other in above if other]] = 1.0
+        first, second = (moved[[shape.parentJoint for shape in shapes]][pairs[:, side]] for side in (0, 1))
+        # By pair and joint: 1 for a joint that moves the second shape only, -1 for the first only.
+        self._sides = second - first
         self._shapes = shapes
         self._margins_m = np.zeros((len(shapes), len(shapes)))
         # Managers and callbacks keep references to the models. Margins change for near pairs only. A check that ends
@@ -159,13 +152,19 @@ class Broadphase:
         found = self._distance(pair)
         return Nearest(float(found.min_distance), np.array(found.getNearestPoint1()), np.array(found.normal))
 
-    def distance_gradient(self, pair: int, nearest: Nearest) -> Vector:
-        """Return the gradient of a pair's distance by joint at the last :meth:`turn`, shape (n,) [m/rad]."""
-        first, second = (self._carriers[i] for i in self._pairs[pair])
-        return self._joints.by_joint(distance_gradient(self._model, self._data, nearest, first, second))
+    def distance_gradients(self, pairs: Sequence[int], nearest: Sequence[Nearest]) -> Vector:
+        """Return the gradients of pairs' distances by joint at the last :meth:`turn`, shape (pairs, n) [m/rad].
+
+        The points of a pair lie on the line of its normal, so a joint moves both along it at one rate: the joint's
+        twist times the line's Plücker coordinates.
+        """
+        normals = np.array([each.normal for each in nearest]).reshape(-1, 3)
+        points_m = np.array([each.point_m for each in nearest]).reshape(-1, 3)
+        lines = np.hstack((normals, np.cross(points_m, normals)))
+        return self._joints.by_joint(lines @ self._data.J * self._sides[pairs])
 
     def turn(self, q: Vector) -> None:
-        """As :meth:`place`, and make ready for :meth:`distance_gradient`."""
+        """As :meth:`place`, and make ready for :meth:`distance_gradients`."""
         self.place(q)
         pin.computeJointJacobians(self._model, self._data, self._joints.positions(q))
 

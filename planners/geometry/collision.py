@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.broadphase import Broadphase, NearPair
+from planners.geometry.broadphase import Broadphase, Nearest, NearPair
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.parts import PartPair, Parts, RobotParts, parts_of
 from planners.geometry.shapes import (
@@ -278,23 +278,33 @@ class CollisionModel:
 
     def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
         """Return the pairs nearer than a distance beyond their clearance [m], with gradients, for ``moving`` joints."""
+        found: dict[int, Nearest] = {}
         candidates = self._broadphase.near(q, np.full(len(self._pairs), within_m))
         self._broadphase.turn(q)
-        columns = [self.joint_names.index(name) for name in moving]
-        near = []
         for pair in candidates:
             nearest = self._broadphase.nearest(pair)
             # Only the hulls may be in the way.
             if nearest.distance_m <= HULL_EXCESS_M and self._has_convex_parts(pair):
                 nearest = self._parts_of_pair(pair).nearest()
-            distance_m = nearest.distance_m - float(self._apart_m[pair])
-            if distance_m < within_m:
-                first, second = (self._bodies[i] for i in self._pairs[pair])
-                by_object = not (first.is_link and second.is_link)
-                gradient = self._broadphase.distance_gradient(pair, nearest)
-                carried = self._carried[self._pairs[pair]]
-                by_another_arm = any(joints.any() and not joints[columns].any() for joints in carried)
-                near.append(NearPair(first.name, second.name, by_object, distance_m, gradient, by_another_arm))
+            if nearest.distance_m - self._apart_m[pair] < within_m:
+                found[pair] = nearest
+        pairs = list(found)
+        gradients = self._broadphase.distance_gradients(pairs, list(found.values()))
+        columns = [self.joint_names.index(name) for name in moving]
+        by_others = np.logical_and(self._carried.any(axis=1), ~self._carried[:, columns].any(axis=1))
+        near = []
+        for pair, gradient in zip(pairs, gradients, strict=True):
+            first, second = (self._bodies[i] for i in self._pairs[pair])
+            near.append(
+                NearPair(
+                    first.name,
+                    second.name,
+                    not (first.is_link and second.is_link),
+                    found[pair].distance_m - float(self._apart_m[pair]),
+                    gradient,
+                    bool(by_others[self._pairs[pair]].any()),
+                )
+            )
         return near
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:

@@ -14,7 +14,9 @@ def test_a_budget_and_its_shares_last_until_the_allowed_time_is_spent_or_they_ar
     clock.advance(0.75)
     assert (part.used_up(), budget.used_up()) == (True, False)
     assert budget.left_s == pytest.approx(0.25)
-    clock.advance(0.25)
+    clock.advance(0.249)
+    assert not budget.used_up()
+    clock.advance(0.001)
     assert budget.used_up()
     assert budget.spent_s == pytest.approx(2.0)
     assert budget.failure().code is MoveItErrorCode.TIMED_OUT

@@ -33,7 +33,7 @@ def judged(name: str):
 
 
 def planned(path: Path, ids: tuple[str, ...] = ()):
-    """Plan problems of a file, which are answered as it expects; return each answer as the command writes it."""
+    """Plan problems of a file and check that each ends as the file expects; return the answers as JSON."""
     file = problem_file.read(path, so101())
     outcomes = list(plan_command.plan_all(file, plan_command.chosen(file, Options([path], ids=ids))))
     assert {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected} == {}

@@ -17,7 +17,7 @@ IN_CONTACT, TIMED_OUT = MoveItErrorCode.GOAL_IN_COLLISION, MoveItErrorCode.TIMED
 
 @pytest.fixture
 def beside_a_wall(setting, put):
-    """Beside a wall at which half a turn of the pan brings the arm in contact."""
+    """Put a wall beside the arm: half a turn of the pan brings the arm into it."""
     put(setting.planner, thing(Box((0.6, 0.1, 0.6)), 0.3, 0.25, 0.3))
     return setting
 
@@ -33,7 +33,7 @@ def beside_a_plate(setting, put):
 
 
 def nearest(setting, problem, code=None, allowed_time_s=5.0):
-    """Return the nearest goal for a problem that has no plan, for the reason that is given."""
+    """Return the nearest goal for a problem that cannot be planned, and why it cannot."""
     failure = setting.planner.answer(problem)
     assert isinstance(failure, PlanningFailure), failure
     assert code in (None, failure.code)
@@ -157,7 +157,7 @@ def test_for_a_goal_that_cannot_be_read_or_is_of_another_kind_and_without_time_t
     ):
         assert nearest(setting, setting.problem(asked))[0] is None, asked
     assert nearest(setting, setting.problem(in_contact), allowed_time_s=1e-9)[0] is None
-    # None that takes longer to plan than the problem allows.
+    # A goal is not offered where planning it would take longer than the problem allows.
     short = setting.problem(JointGoal({"shoulder_pan": 0.5}), allowed_time_s=1e-9)
     assert nearest(setting, short, TIMED_OUT)[0] is None
 

@@ -206,7 +206,7 @@ async def test_a_hard_problem_is_left_to_one_worker_where_a_race_helps_nobody(
     pool: PlannerPool, farm: Farm, cores: Callable[[int], None], number_of_cores: int, scene: Scene
 ) -> None:
     cores(number_of_cores)
-    # Though another is idle and would find a plan.
+    # A second worker would find a plan, but does not join.
     assert await pool.ask(searched(IN_VAIN, HARD, allowed_time_s=10.0 * SEARCH_S), scene) is TIMED_OUT
     assert sorted(len(worker.asked) for worker in farm.workers) == [0, 1]
 

@@ -203,7 +203,7 @@ def test_the_tip_turns_in_place_by_two_radians():
 # Seeds 18 to 57 have exact paths that were refused, and 45 is stopped by a singularity.
 @pytest.mark.parametrize("seed", [0, 1, 2, 18, 24, 31, 33, 35, 42, 45, 54, 57])
 def test_a_path_is_followed_on_the_branch_of_its_start_or_not_to_its_end(seed):
-    # Turned in place, moved, or both, by turns.
+    # By the seed the tip turns in place, moves, or does both.
     rng = np.random.default_rng(seed)
     q = ur5().state(rng)
     start, way_m, turn = placement(q), rng.normal(size=3), rng.normal(size=3)

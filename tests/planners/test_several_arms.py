@@ -74,7 +74,9 @@ def test_the_arm_that_sags_does_not_move_out_of_a_deep_contact_which_a_question_
         goal_rad = dict.fromkeys(PAIR.groups[group].joints, 0.1)
         found = planner.answer(PlanningProblem(group, START_RAD, JointGoal(goal_rad)))
         assert found.code is Code.START_STATE_IN_COLLISION
-    assert not planner.answer(StateQuestion("left_arm", START_RAD)).valid
+    state = planner.answer(StateQuestion("left_arm", START_RAD))
+    assert not state.valid
+    assert "right_base_link and right_wrist_link by 51" in state.problems[0].message
 
 
 def test_a_goal_in_which_the_other_arm_would_touch_itself_is_refused(planner: Planner) -> None:

@@ -147,7 +147,7 @@ def test_a_scene_that_is_refused_is_the_answer_to_every_request_in_it(server: Se
     assert answers == [Answered(1, planning.refusal), Answered(2, planning.refusal)]
     planning.refusal = None
     assert server.sends(NewScene(Scene(4)), Ask(3, STATE)) == [Answered(3, SOUND)]
-    # One that cannot be set up is tried again.
+    # A scene that cannot be set up is tried again.
     planning.set_scene = lambda _scene: 1 / 0
     for number, scenes in ((4, [NewScene(Scene(5))]), (5, [])):
         (answered,) = server.sends(*scenes, Ask(number, STATE))

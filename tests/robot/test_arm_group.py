@@ -94,7 +94,7 @@ def test_the_stamp_of_all_is_that_of_the_latest_reading_though_the_machines_cloc
 
 
 def test_the_mode_of_all_is_what_most_keeps_them_from_moving() -> None:
-    # The second of each pair gives way.
+    # The first of each pair is the mode of both.
     for both, other in (
         (Mode.MOVING, Mode.HOLDING),
         (Mode.MOVING, Mode.RELAXED),
@@ -131,7 +131,7 @@ async def test_an_arm_that_is_lost_is_left_out_of_what_is_read_and_stays_where_i
     state = pair.both.state
     assert state.mode is Mode.DISCONNECTED
     assert state.position_rad.tolist() == [1.0] * 4
-    # Before every arm was read nobody knows where all joints are.
+    # Joint positions are unknown until every arm was read.
     never = Pair()
     never.left.state = LOST
     assert never.both.state.position_rad is None

@@ -92,7 +92,7 @@ NAME = "armbridge.test_log_levels"
 
 
 class Child:
-    """It takes no messages."""
+    """A child process that drops every message."""
 
     def send(self, message: object) -> None:
         return

@@ -49,12 +49,14 @@ class JointModel:
 
 class Data:
     oMi: Sequence[SE3]
+    J: _Vector
 
 class Model:
     names: Sequence[str]
     frames: Sequence[Frame]
     joints: Sequence[JointModel]
     parents: Sequence[int]
+    supports: Sequence[Sequence[int]]
     jointPlacements: Sequence[SE3]
     njoints: int
     nv: int
@@ -151,5 +153,4 @@ class ReferenceFrame(Enum):
 
 def computeJointJacobians(model: Model, data: Data, q: _Vector) -> _Vector: ...
 def SE3ToXYZQUAT(place: SE3) -> _Vector: ...
-def getJointJacobian(model: Model, data: Data, joint_id: int, reference_frame: ReferenceFrame) -> _Vector: ...
 def getFrameJacobian(model: Model, data: Data, frame_id: int, reference_frame: ReferenceFrame) -> _Vector: ...

@@ -41,7 +41,7 @@ def found(contacts):
 
 
 def test_links_are_adjacent_touch_never_or_always_and_those_that_touch_in_some_states_are_checked(found):
-    # Over links without shape, too.
+    # Links without a shape are skipped: those before and behind them are adjacent.
     adjacent = {(pair.first, pair.second) for pair in found if pair.reason == "Adjacent"}
     assert adjacent == {("flag", "post"), ("bar", "flag"), ("bar", "far")}
     assert UncheckedPair("post", "far", "Never") in found

@@ -110,7 +110,7 @@ def test_corners_of_waypoints_are_passed_without_a_stop(follower):
 
 
 def test_paths_of_whole_steps_and_of_hardly_any_length_are_planned(follower):
-    # A length of whole steps leaves no rest by rounding that cannot be timed.
+    # Rounding leaves no last piece that is too short to be timed.
     for z_m in (0.017, 0.037, 0.042):
         plan = planned(follower, 0.0, 0.0, z_m)
         assert plan.fraction == 1.0
@@ -147,7 +147,7 @@ def test_the_nearest_orientation_is_taken_unless_it_must_be_kept(follower):
     assert 0.0 < strict.fraction < 1.0
     assert strict.deviation.orientation_rad <= 0.101
     assert (strict.stopped_by.details["reason"], strict.stopped_by.code) == ("orientation", Code.NO_IK_SOLUTION)
-    # Five joints keep it in the plane of the arm.
+    # Five joints can keep an orientation within the plane of the arm.
     kept = planned(follower, 0.0, 0.0, -0.05, keep_orientation=True)
     assert kept.fraction == 1.0
     assert kept.deviation.orientation_rad < 0.02
@@ -165,7 +165,7 @@ def put_wall(follower, put):
 
 
 def test_a_path_ends_only_at_a_contact_that_counts(follower, put_wall):
-    # Within the last step.
+    # The wall stands within the last step of the path.
     put_wall(0.1288)
     plan = planned(follower, 0.0, 0.12, 0.0)
     assert 0.9 <= plan.fraction <= 0.99

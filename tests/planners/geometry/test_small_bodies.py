@@ -86,7 +86,7 @@ def test_a_sphere_outside_of_every_link_is_free(changing, links, radius_m) -> No
 
 
 def place_in_the_material(surface: surfaces.TriangleSurface, place, random: np.random.Generator) -> list[float]:
-    """A place inside a surface, further from its vertices than a sphere of 2 mm reaches [m]."""
+    """Draw a place inside a surface, more than 2 mm from its vertices [m]."""
     while True:
         point_m = drawn(surface, random)
         clear_m = np.linalg.norm(surface._vertices_m - point_m, axis=1).min()
@@ -128,7 +128,7 @@ def test_no_motion_is_certified_along_which_a_small_body_stays_inside_a_link(arm
 def test_a_winding_number_is_one_inside_of_a_ball_and_none_outside() -> None:
     vertices_m, triangles = ball(0.05, 60)
     half = len(triangles) // 2
-    # All face outwards.
+    # Turn the half that faces inwards.
     triangles[half:] = triangles[half:, ::-1]
     vertices, packed = surfaces.packed(vertices_m, triangles)
     surface = surfaces.TriangleSurface(surfaces.UNIT_M * vertices, packed)
@@ -176,7 +176,7 @@ def test_a_file_that_is_none_of_surfaces_is_named(tmp_path, robot) -> None:
         assert str(path) in str(error.value)
 
 
-# Every so manieth problem of the file: all of them are the benchmark's.
+# One in so many problems of the file; the benchmark takes all of them.
 SHARE = 8
 NEAR_CONTACTS = Path(__file__).parents[3] / "benchmarks" / "scenes" / "near_contacts.json"
 

@@ -28,7 +28,7 @@ class Bench:
         self.kinematics = Kinematics(robot, self.forward, self.collision.joint_names)
 
     def descent(self, **constraints):
-        """A descent to constraints, and a test of them."""
+        """Return a descent to constraints, and the test whether they hold."""
         wanted = GoalConditions(conditions(Constraints(**constraints), self.collision))
         return Descent(self.kinematics, self.arm, wanted), ConditionSet(self.forward, wanted.required).holds
 

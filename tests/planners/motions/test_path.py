@@ -78,7 +78,7 @@ def test_a_curve_or_a_line_that_is_looked_at_sparsely_is_blocked_by_the_arm_itse
         assert not curve_free(joint_space, line(start, goal, LIMITS), STEP_M)
         assert not curve_free(joint_space, polyline(np.array([READY, start, goal]), LIMITS), STEP_M)
         assert not paths.line_free_sparsely(joint_space, start, goal, STEP_M)
-    # One that leaves a joint's range is not free either.
+    # Nor is a curve free that leaves a joint's range.
     beyond = READY.copy()
     beyond[0] = joint_space.upper_rad[0] + 0.01
     assert not curve_free(joint_space, line(READY, beyond, LIMITS), STEP_M)

@@ -111,7 +111,7 @@ OUT = np.cumsum(0.03 ** np.arange(7))[:, np.newaxis] * np.array([1.0, 0.5, -0.2]
 
 def test_a_path_without_any_timing_or_that_toppra_cannot_time_has_none(monkeypatch):
     assert toppra_profile(NaturalSpline(np.array([0.0, 1.0, 2.0]), np.zeros((3, 3))), LIMITS) is None
-    # It has a bend that the arm could not get away from.
+    # The arm could not leave the bend of this path.
     assert toppra_profile(spline(np.vstack((OUT, OUT[-2::-1]))), LIMITS) is None
     line = spline(straight(1.0, 1.0, 1.0, points=2))
     assert toppra_profile(line, RateLimits(np.ones(3), np.full(3, np.nan))) is None

@@ -24,8 +24,8 @@ HOLD_S, TRIAL_S = 0.4, 3.2
 FETCH_RAD = {"shoulder_lift_joint": 0.3, "elbow_flex_joint": 0.8, "wrist_flex_joint": 0.6, "torso_lift_joint": 0.2}
 # An arm with its tip, where it starts [rad], how high the table is [m], and seeds of sticks.
 OTHERS = {
-    # Its joints speed up twice as fast as the SO-101's. If acceleration took 0.06 s to its limit, these would drive it
-    # into the table.
+    # Its joints speed up twice as fast as the SO-101's. If acceleration took 0.06 s to its limit, these seeds would
+    # drive it into the table.
     "koch": (built_in("koch_v1_1").model, "gripper_frame_link", {}, -0.01, (4, 37)),
     "seven": (model.parse(SEVEN_JOINT_URDF, SEVEN_JOINT_SRDF), "tool", {"a2": 0.5, "a4": 1.2, "a6": 0.8}, 0.0, (4,)),
     "fetch": (built_in("fetch").model, "gripper_link", FETCH_RAD, 0.12, (4,)),

@@ -23,7 +23,7 @@ SOUND = {
     Register.STATUS: 0,
     Register.LOCK: 1,
 }
-SETUP, WRITE_BACK = "armbridge setup --registers", "armbridge calibrate NAME --write-back"
+SETUP, CALIBRATE = "armbridge setup --registers", "armbridge calibrate NAME --write-back"
 DOCS = "".join((ROOT / f"docs/{page}.md").read_text() for page in ("troubleshooting", "arm"))
 TIMES = CycleTimes(300, 0.002, 0.0021, 0.0003, 0, 1800)
 
@@ -59,7 +59,7 @@ def findings(changes=()):
         ({Register.PHASE: 28}, "phase bit 4", Verdict.PROBLEM, "servos 3 count", SETUP),
         ({Register.RETURN_DELAY: 250}, "return delay", Verdict.NOTE, "servo 3: 500 us", SETUP),
         ({Register.LOCK: 0}, "EPROM lock", Verdict.NOTE, "servos 3 are unlocked", SETUP),
-        ({Register.HOMING_OFFSET: 5}, "calibration", Verdict.PROBLEM, "HOMING_OFFSET 5 instead of 0", WRITE_BACK),
+        ({Register.HOMING_OFFSET: 5}, "calibration", Verdict.PROBLEM, "elbow_flex HOMING_OFFSET 5 instead", CALIBRATE),
     ],
 )
 def test_what_is_wrong_is_found_named_and_given_the_remedy_of_the_docs(changes, check, verdict, words, command):

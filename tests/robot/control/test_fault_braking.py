@@ -12,7 +12,6 @@ from tests.helpers.motions import smooth_move
 
 PAN, WRIST = 0, 3
 PAN_END_RAD, WRIST_END_RAD, DURATION_S = 1.8, -1.2, 2.0
-FASTEST_S = 0.9
 OBSTACLE_RAD = 0.3
 
 # Over the limit by rounding in ticks of the loop.
@@ -59,7 +58,7 @@ class Moving:
 def moving_into_fault(code: FaultCode, command: dict[str, object], **settings: Any) -> Moving:
     """Let a fault come while both joints are fast."""
     moving = Moving(**settings)
-    moving.run(FASTEST_S)
+    moving.run(0.9)
     moving.rig.emulator.command(**command)
     moving.until_fault(code)
     return moving

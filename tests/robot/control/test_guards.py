@@ -239,7 +239,7 @@ def test_a_joint_holds_with_less_torque_and_current_than_its_protection_permits(
     made = assumed(overload_current_a=0.27)
     assert made.sustained_torque == pytest.approx(MARGIN * 0.1)
     assert made.stall_current_a == pytest.approx(MARGIN * 0.27)
-    # A quick protection makes stalls be reported sooner.
+    # Stalls are reported sooner where the servo's own protection acts quickly.
     made = assumed(overload_time_s=0.4, overload_torque=0.25)
     assert made.stall_time_s == pytest.approx(0.1)
     assert (made.stall_time_s < made.relieve_after_s).all()

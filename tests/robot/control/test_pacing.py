@@ -41,7 +41,7 @@ def test_a_skipped_tick_puts_off_the_next_and_one_that_is_needed_meanwhile_is_du
     pacer.start_tick(pacer.deadline_s)
     assert pacer.latest(1) == pytest.approx((0.0,))
     assert pacer.deadline_s == pytest.approx(3 * PERIOD_S)
-    # Before the time of a skipped tick, and behind it.
+    # Cancelled before and after the time of a skipped tick.
     for skipped, now_s, due_s in ((2, 0.004, PERIOD_S), (1, 0.013, 0.013)):
         pacer = Pacer(0.0)
         pacer.skip(skipped)

@@ -43,7 +43,7 @@ def rig() -> ArmRig:
 
 @pytest.fixture
 def moving(rig: ArmRig) -> ArmRig:
-    """In the middle of a motion."""
+    """An arm in the middle of a motion."""
     rig.execute(PAN)
     rig.run(1.0)
     return rig

@@ -1,7 +1,6 @@
 import itertools
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -37,19 +36,17 @@ def limits(joint: Joint) -> tuple[float, ...]:
     return joint.lower, joint.upper, joint.max_velocity, joint.max_acceleration
 
 
-def plain(names: Iterable[str]) -> set[str]:
-    """Names without the arm's own."""
-    return {name.removeprefix("left_") for name in names}
-
-
 def test_limits_states_hulls_and_unchecked_pairs_are_those_of_the_arm() -> None:
     for joint in ONE.movable_joints:
         assert limits(LEFT.joints[f"left_{joint.name}"]) == limits(joint)
-    assert (plain(LEFT.hulls), plain(LEFT.parts)) == (set(ONE.hulls), set(ONE.parts))
-    assert {frozenset(plain(each)) for each in LEFT.disabled_pairs} == ONE.disabled_pairs
+    whole = pair()
+    for kind in ("hulls", "parts", "surfaces"):
+        assert getattr(LEFT, kind).keys() == {f"left_{link}" for link in getattr(ONE, kind)}
+        assert getattr(whole, kind) == getattr(LEFT, kind) | getattr(RIGHT, kind)
+    assert LEFT.disabled_pairs == {frozenset(f"left_{link}" for link in each) for each in ONE.disabled_pairs}
     for group, states in ONE.named_states.items():
-        for name, state in LEFT.named_states[f"left_{group}"].items():
-            assert {joint.removeprefix("left_"): value for joint, value in state.items()} == states[name]
+        same = {name: {f"left_{joint}": at for joint, at in state.items()} for name, state in states.items()}
+        assert LEFT.named_states[f"left_{group}"] == whole.named_states[f"left_{group}"] == same
 
 
 def test_each_arm_stands_at_its_place() -> None:

@@ -63,7 +63,7 @@ def test_the_namespace_of_xacro_alone_is_no_xacro() -> None:
 
 
 BROKEN = {
-    "velocity zero": (HAND.replace('velocity="0.2"', 'velocity="0"'), "velocity must be above 0, not 0: "),
+    "velocity zero": (HAND.replace('"0.2"', '"0"'), "not 0: correct it, or set max_velocity in [joints.grip] of robot"),
     "no velocity": (HAND.replace(' velocity="0.2"', ""), "max_velocity in [joints.grip] of robot.toml"),
     "unknown leader": (HAND.replace('mimic joint="grip"', 'mimic joint="grap"'), "names the joint 'grap'"),
     "ring of mimics": (HAND.replace('mimic joint="grip"', 'mimic joint="last"'), "leads back to the joint itself"),

@@ -190,7 +190,7 @@ class Controller:
 
 
 class Controlled:
-    """Servos with a control socket, read cycle by cycle, and those who control them."""
+    """Servos with a control socket, read cycle by cycle, and the clients that control them."""
 
     def __init__(self, path: Path, resources: contextlib.ExitStack) -> None:
         self._path, self._resources, self._clock = path, resources, SteppedClock()

@@ -146,7 +146,7 @@ def test_an_overloaded_servo_switches_itself_off_until_it_reboots_but_not_by_oth
     servo.power_up()
     assert servo.error == 0
     assert write(servo, "TORQUE_ENABLE", 1) == 0
-    # An error that is not in SHUTDOWN.
+    # SHUTDOWN does not list this error, so torque stays on.
     other = holding(model="xl430-w250")
     other.fail(0x01)
     assert (read(other, "TORQUE_ENABLE"), other.error) == (1, ALERT)

@@ -1,5 +1,6 @@
 import contextlib
 import json
+import os
 import random
 import re
 from collections.abc import Iterator, Sequence
@@ -37,16 +38,19 @@ def client(adapter):
         yield line
 
 
-def test_every_byte_passes_unaltered_and_those_that_are_not_read_are_lost_without_a_wait(adapter, client):
+def test_every_byte_passes_unaltered_and_those_that_are_not_read_are_lost_without_a_wait(adapter):
+    # Opened without any settings: the terminal itself must be raw.
+    client = os.open(adapter.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     every_byte = bytes(range(256))
     adapter.take([reply(1.0, every_byte)])
     adapter.deliver(1.0)
-    assert client.read(512) == every_byte
-    client.write(every_byte)
+    assert os.read(client, 512) == every_byte
+    os.write(client, every_byte)
     assert (adapter.read(), adapter.read()) == (every_byte, b"")
     for at_s in range(2, 100):
         adapter.take([reply(at_s, bytes(4096))])
         adapter.deliver(at_s)
+    os.close(client)
 
 
 @pytest.mark.parametrize(("set_to", "seen"), [(1_000_000, 1_000_000), (115_200, 115_200), (9600, 0)])
@@ -166,19 +170,19 @@ def test_servos_and_bus_are_as_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("arguments", "sentence", "error"),
     [
-        (["--start=a"], "not a list of numbers"),
-        (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0"),
-        (["--supply", "nan"], "supply: must be a finite number, not nan"),
-        (["--start=0,0,0"], "needs 6 positions, not 3"),
-        (["--start=0,9,0,0,0,0"], "shoulder_lift cannot start at 9 rad"),
-        (["--calibration", "/nowhere.json"], "/nowhere.json: cannot be read"),
-        (["--write-log", "/nowhere/log"], "/nowhere/log"),
+        (["--start=a"], "not a list of numbers", SystemExit),
+        (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0", SystemExit),
+        (["--supply", "nan"], "supply: must be a finite number, not nan", SystemExit),
+        (["--start=0,0,0"], "needs 6 positions, not 3", ValueError),
+        (["--start=0,9,0,0,0,0"], "shoulder_lift cannot start at 9 rad", ValueError),
+        (["--calibration", "/nowhere.json"], "/nowhere.json: cannot be read", CalibrationError),
+        (["--write-log", "/nowhere/log"], "/nowhere/log", OSError),
     ],
 )
-def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence):
-    with pytest.raises((SystemExit, CalibrationError, ValueError, OSError)) as refused:
+def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence, error):
+    with pytest.raises(error) as refused:
         process.run(options_parser().parse_args(arguments))
     assert sentence in capsys.readouterr().err + str(refused.value)
 
@@ -210,7 +214,7 @@ def bus_of(calibration: Calibration = NOMINAL) -> EmulatedBus[FeetechServo]:
 def played(
     commands: Sequence[TimedCommand], calibration: Calibration, elbow_ticks: int | None = None
 ) -> Iterator[tuple[float, tuple[FeetechServo, ...]]]:
-    """Play commands to servos, of which the elbow may hold at a goal, in a time of their own; yields it with them."""
+    """Play commands to servos, whose elbow may hold a goal, on a clock of their own; yield its time and the servos."""
     bus = bus_of(calibration)
     emulation = Emulation(bus, InProcessPort(bus, lambda: 0.0))
     rehearsal = Rehearsal(commands)

@@ -176,10 +176,6 @@ def test_a_damaged_instruction_is_not_carried_out(family: Family, wire: Wire, at
 INSTRUCTIONS = st.builds(Instruction, st.integers(0, ALL), st.integers(1, 0x83), st.binary(max_size=60))
 
 
-def bytes_of(family: Family, instruction: Instruction) -> bytes:
-    return family.build_packet(instruction.servo_id, instruction.code, instruction.parameters)
-
-
 @OF_BOTH_FAMILIES
 @given(
     st.lists(st.integers(0, 0xFE), max_size=60).map(bytes),
@@ -189,7 +185,7 @@ def bytes_of(family: Family, instruction: Instruction) -> bytes:
 def test_instructions_may_come_in_pieces_and_behind_noise(
     family: Family, noise: bytes, instructions: list[Instruction], cuts: list[int]
 ) -> None:
-    stream = noise + b"".join(bytes_of(family, instruction) for instruction in instructions)
+    stream = noise + b"".join(family.build_packet(each.servo_id, each.code, each.parameters) for each in instructions)
     parser, parsed = InstructionParser(family.codec), []
     for count in [*cuts, len(stream)]:
         parsed += parser.feed(stream[:count], 0.0)
@@ -233,8 +229,8 @@ def said(bus, data, now_s=0.0, baudrate=1_000_000):
 
 
 def test_replies_are_due_when_their_last_byte_has_passed_the_wire_the_return_delay_and_those_before_it(bus):
-    due_s = [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)]
-    assert due_s == pytest.approx([5.0 + 14 * 10e-6 + (k + 1) * (21 * 10e-6 + 20e-6) for k in range(6)])
+    due_s = [reply.due_s - 5.0 for reply in bus.receive(BLOCK_READ, 5.0)]
+    assert due_s == pytest.approx([14 * 10e-6 + (k + 1) * (21 * 10e-6 + 20e-6) for k in range(6)])
     (at_once,) = bus.receive(packet(1, PING), 6.0)
     first, second = bus.receive(packet(1, PING) + packet(2, PING), 7.0)
     assert second.due_s - first.due_s == pytest.approx(12 * 10e-6 + 20e-6)

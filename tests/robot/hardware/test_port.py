@@ -224,8 +224,9 @@ def test_two_boards_without_serial_numbers_differ_by_sockets(plugged_in: list[Li
 
 def test_a_board_has_the_name_that_stays(plugged_in: list[ListPortInfo], tmp_path: Path) -> None:
     names, path = tmp_path / "NAMES_BY_DEVICE", tmp_path / "ttyACM0"
-    link(names / "usb-other", tmp_path / "ttyACM9")
     link(names / "usb-arm", path)
+    # A name before the arm's whose device is gone.
+    (names / "usb-absent").symlink_to(tmp_path / "ttyACM9")
     plugged_in += [device(str(path), CERTAIN[0])]
     assert resolve_port("auto") == str(names / "usb-arm")
 

@@ -21,7 +21,7 @@ def box(name: str, at: Point, half_m: float = 0.0125, *, movable: bool = True) -
 BLOCK_SHAPE = BodyShape("box", (0.0125, 0.0125, 0.025), (0.0, 0.0, 0.0), LEVEL)
 BLOCK = replace(box("block", (0.2, -0.009, 0.025)), shapes=(BLOCK_SHAPE,), mass_kg=0.02)
 
-# Which MuJoCo refuses.
+# MuJoCo refuses a flat body.
 FLAT = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.1, 0.1, 0.0))
 SHEET = Body("sheet", (BodyShape("hull", (), (0.0, 0.0, 0.0), LEVEL, FLAT),), FAR, LEVEL, movable=True)
 

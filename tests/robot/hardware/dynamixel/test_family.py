@@ -47,7 +47,6 @@ from tests.robot.hardware.feetech.test_bus import ScriptedPort
 
 FAMILY = Dynamixel()
 SERVOS = ServoMap(FAMILY, CALIBRATION, BOUNDS)
-IDS = (1, 2, 3, 4, 5, 6)
 
 # By its weight and its gear's friction a joint sinks less than this (0.5 deg).
 DROOP_TICKS = 6
@@ -66,9 +65,11 @@ def surveyed(dynamixels: SteppedDynamixels) -> dict[int, ServoFound]:
     ("servo", "register", "value", "words"),
     [
         (3, Register.MODEL_NUMBER, 1060, r"elbow_flex \(id 3\) is model 1060, not xl330-m288 \(1200\)"),
-        *((1, Register.OPERATING_MODE, mode, rf"mode {mode}.*OPERATING_MODE \(11\) to 4") for mode in (1, 5)),
-        *((3, Register.OPERATING_MODE, mode, rf"mode {mode}.*OPERATING_MODE \(11\) to 4") for mode in (0, 16)),
-        # Of -1700 ticks: its zero would be 150 deg wrong.
+        *(
+            (servo, Register.OPERATING_MODE, mode, rf"operating mode {mode}.*OPERATING_MODE \(11\) to 4")
+            for servo, mode in ((1, 1), (1, 5), (3, 0), (3, 16))
+        ),
+        # Without its offset of -1700 ticks the joint's zero would be 150 deg wrong.
         (3, Register.OPERATING_MODE, OperatingMode.POSITION, "ignores its homing offset of -1700 ticks"),
         *((3, Register.DRIVE_MODE, mode, rf"drive mode {mode}.*DRIVE_MODE \(10\) to 0") for mode in (1, 4, 8)),
     ],
@@ -138,7 +139,7 @@ def test_servos_that_hold_have_watchdog_profile_and_limits(dynamixels: SteppedDy
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 735
     assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
     assert min(dynamixels.registers(Register.PROFILE_ACCELERATION)) > 0
-    for servo, velocity in zip(IDS, dynamixels.registers(Register.PROFILE_VELOCITY), strict=True):
+    for servo, velocity in enumerate(dynamixels.registers(Register.PROFILE_VELOCITY), 1):
         assert velocity == math.ceil(SERVOS.speed_ticks_s[servo] / TICKS_S_PER_VELOCITY_UNIT)
 
 

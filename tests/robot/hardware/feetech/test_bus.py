@@ -131,7 +131,7 @@ def honest(instruction: Instruction) -> list[tuple[float, bytes]]:
 
 
 def replying(pause_s: float = 0.0, error: int = 0) -> Script:
-    """Servos that answer a sync read, and stop once in between."""
+    """Servos that answer a sync read, with a pause after the first reply."""
 
     def reply(instruction: Instruction) -> list[tuple[float, bytes]]:
         length, *ids = instruction.parameters[1:]

@@ -345,6 +345,7 @@ def test_readings_are_complete_with_supply_and_temperature_and_in_the_controller
     dynamixels.take(IDS, dynamixel_replies(whole=False), 0.0)
     assert not dynamixels.complete
     dynamixels.take(IDS, dynamixel_replies(), 0.0)
+    assert dynamixels.complete
     measured = dynamixels.measured(0.25, 7.0)
     ticks_rad = [joint.rad_from_ticks(2048) for joint in DYNAMIXEL.calibration.joints]
     assert measured.position_rad == pytest.approx(ticks_rad)

@@ -18,7 +18,7 @@ AT_RAD = 0.2
 
 
 class ThirdArm(ServosInUse):
-    """An arm of such servos that was surveyed and read."""
+    """An arm with servos of the third family."""
 
     def __init__(self) -> None:
         clock = SteppedClock()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -152,16 +152,16 @@ class Broadphase:
         found = self._distance(pair)
         return Nearest(float(found.min_distance), np.array(found.getNearestPoint1()), np.array(found.normal))
 
-    def distance_gradients(self, pairs: Sequence[int], nearest: Sequence[Nearest]) -> Vector:
+    def distance_gradients(self, pairs: Mapping[int, Nearest]) -> Vector:
         """Return the gradients of pairs' distances by joint at the last :meth:`turn`, shape (pairs, n) [m/rad].
 
         The points of a pair lie on the line of its normal, so a joint moves both along it at one rate: the joint's
         twist times the line's Plücker coordinates.
         """
-        normals = np.array([each.normal for each in nearest]).reshape(-1, 3)
-        points_m = np.array([each.point_m for each in nearest]).reshape(-1, 3)
+        normals = np.array([each.normal for each in pairs.values()]).reshape(-1, 3)
+        points_m = np.array([each.point_m for each in pairs.values()]).reshape(-1, 3)
         lines = np.hstack((normals, np.cross(points_m, normals)))
-        return self._joints.by_joint(lines @ self._data.J * self._sides[pairs])
+        return self._joints.by_joint(lines @ self._data.J * self._sides[list(pairs)])
 
     def turn(self, q: Vector) -> None:
         """As :meth:`place`, and make ready for :meth:`distance_gradients`."""

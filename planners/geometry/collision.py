@@ -288,23 +288,15 @@ class CollisionModel:
                 nearest = self._parts_of_pair(pair).nearest()
             if nearest.distance_m - self._apart_m[pair] < within_m:
                 found[pair] = nearest
-        pairs = list(found)
-        gradients = self._broadphase.distance_gradients(pairs, list(found.values()))
         columns = [self.joint_names.index(name) for name in moving]
         by_others = np.logical_and(self._carried.any(axis=1), ~self._carried[:, columns].any(axis=1))
         near = []
-        for pair, gradient in zip(pairs, gradients, strict=True):
+        for (pair, nearest), gradient in zip(found.items(), self._broadphase.distance_gradients(found), strict=True):
             first, second = (self._bodies[i] for i in self._pairs[pair])
-            near.append(
-                NearPair(
-                    first.name,
-                    second.name,
-                    not (first.is_link and second.is_link),
-                    found[pair].distance_m - float(self._apart_m[pair]),
-                    gradient,
-                    bool(by_others[self._pairs[pair]].any()),
-                )
-            )
+            by_object = not (first.is_link and second.is_link)
+            distance_m = nearest.distance_m - float(self._apart_m[pair])
+            by_another_arm = bool(by_others[self._pairs[pair]].any())
+            near.append(NearPair(first.name, second.name, by_object, distance_m, gradient, by_another_arm))
         return near
 
     def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:

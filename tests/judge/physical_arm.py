@@ -1,8 +1,11 @@
 """The arm process in a physical world, in a time of its own: the controller's path from a trajectory to the links."""
 
+import itertools
 from dataclasses import dataclass, field
+from functools import cache, partial
 from typing import Any
 
+from planners.pipeline import Planner
 from robot.control.loop import hardware_opener
 from robot.control.pacing import PERIOD_S
 from robot.hardware.config import EmulatedConfig
@@ -11,12 +14,18 @@ from robot.messages import Execute, Mode, Outcome, Stop
 from robot.physics.bodies import Body, SetBodies
 from robot.physics.world import World
 from robot.trajectory import Trajectory, Vector
-from tests.helpers.arm_rig import CALIBRATION, NAMES, ArmRig
+from tests.helpers.arm_rig import CALIBRATION, NAMES, ROBOT, ArmRig
 
 MAX_MOTION_S = 30.0
 REST_S = 1.0
 
 Pair = tuple[str, str]
+
+
+@cache
+def planner() -> Planner:
+    """A planner whose searches get as far on every machine."""
+    return Planner(ROBOT, partial(next, itertools.count(0.0, 0.002)))
 
 
 @dataclass

@@ -1,34 +1,24 @@
 """The controller's motions, stops and grips in physics beside the light emulation, whose claims they confirm."""
 
-import itertools
-from functools import cache, partial
-
 import numpy as np
 import pytest
 
 from planners.goals import JointGoal
-from planners.pipeline import Planner
 from planners.problem import Plan, PlanningProblem
 from robot.messages import GuardLimits, Outcome
 from robot.trajectory import Trajectory
-from tests.helpers.arm_rig import NAMES, ROBOT
+from tests.helpers.arm_rig import NAMES
 from tests.helpers.motions import smooth_move
-from tests.judge.physical_arm import ArmInWorld, Played
+from tests.judge.physical_arm import ArmInWorld, Played, planner
 from tests.robot.physics.test_world import AROUND, BLOCK
 
 GRIPPER = NAMES.index("gripper")
 
-# Targets: far, loaded by the whole stretched arm, and back.
+# Targets: far, and loaded by the whole stretched arm.
 TARGETS = (
     {"shoulder_pan": 1.0, "shoulder_lift": 0.8, "elbow_flex": -0.5},
-    {"shoulder_pan": -0.5, "shoulder_lift": -1.0, "elbow_flex": 0.8, "wrist_flex": 0.5},
     {"shoulder_lift": 0.9, "elbow_flex": -0.9, "wrist_roll": 1.0},
 )
-
-
-@cache
-def planner() -> Planner:
-    return Planner(ROBOT, partial(next, itertools.count(0.0, 0.002)))
 
 
 def planned(start_rad: dict[str, float], speed: float = 1.0, **goal_rad: float) -> Trajectory:
@@ -42,7 +32,7 @@ def error_rad(motion: Played) -> np.ndarray:
     return np.subtract(motion.goal_rad, motion.position_rad)
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=["far", "back", "stretched"])
+@pytest.mark.parametrize("target", TARGETS, ids=["far", "stretched"])
 def test_following_error_droop_and_settling_are_near_the_light_emulations(target: dict[str, float]) -> None:
     light, physical = (ArmInWorld(physics=physics) for physics in (False, True))
     trajectory = planned(light.goals_rad, **target)
@@ -55,7 +45,7 @@ def test_following_error_droop_and_settling_are_near_the_light_emulations(target
     assert ticks[1] == pytest.approx(ticks[0], abs=30)
 
 
-@pytest.mark.parametrize(("after_s", "speed"), [(0.3, 1.0), (0.6, 1.0), (0.6, 0.5), (0.6, 0.2)])
+@pytest.mark.parametrize(("after_s", "speed"), [(0.3, 1.0), (0.6, 0.2)])
 def test_a_stop_ends_where_the_light_emulation_stops(after_s: float, speed: float) -> None:
     light, physical = (ArmInWorld(physics=physics) for physics in (False, True))
     trajectory = planned(light.goals_rad, speed, shoulder_pan=1.5, shoulder_lift=0.6)

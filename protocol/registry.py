@@ -240,11 +240,12 @@ class Registry:
 
     def message(self, name: str) -> MessageType:
         """Look a message type up, ``std_msgs/String``, ``std_msgs/msg/String`` or ``std_srvs/srv/SetBool_Request``."""
-        canonical, definition = self._look_up(name, "msg")
-        message_type = self._messages.get(canonical)
-        # Parsed when first asked for: a server uses a few dozen of the types, and start-up does not pay for the rest.
+        message_type = self._messages.get(name)
         if message_type is None:
-            message_type = self._messages[canonical] = self._read(canonical, definition)
+            canonical, definition = self._look_up(name, "msg")
+            # Parsed when first asked for: a server uses a few dozen of the types, and start-up does not pay for others.
+            message_type = self._messages.get(canonical) or self._read(canonical, definition)
+            self._messages[canonical] = message_type
         return message_type
 
     def service(self, name: str) -> ServiceType:

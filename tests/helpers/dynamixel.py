@@ -5,6 +5,7 @@ from typing import Any, cast
 from robot.calibration import Calibration, JointCalibration
 from robot.description import robot_folder
 from robot.description.limits import JointBounds, within_calibration
+from robot.description.model import RobotModel
 from robot.emulator.arm import EmulatedArm
 from robot.emulator.dynamixel import DynamixelServo, emulated_dynamixel_arm
 from robot.emulator.feetech import emulated_feetech_arm
@@ -43,13 +44,13 @@ BOUNDS = JointBounds.of(ROBOT, NAMES)
 METAL = SerialConfig(CALIBRATION, "/dev/arm", "dynamixel")
 
 
-def emulated_arm(kind: str, clock: SteppedClock, **settings: Any) -> EmulatedArm[Any]:
+def emulated_arm(kind: str, clock: SteppedClock, robot: RobotModel | None = None, **settings: Any) -> EmulatedArm[Any]:
     """Build the emulated servos of a Koch, or those of an SO-101 for the kind "feetech"."""
     if kind == "dynamixel":
         config = EmulatedConfig(CALIBRATION, kind=kind, **settings)
         return emulated_dynamixel_arm(ROBOT, config, BOUNDS, GuardLimits(), clock)
     config = EmulatedConfig(arm_rig.CALIBRATION, **settings)
-    return emulated_feetech_arm(so101(), config, arm_rig.BOUNDS, GuardLimits(), clock)
+    return emulated_feetech_arm(robot or so101(), config, arm_rig.BOUNDS, GuardLimits(), clock)
 
 
 class SteppedDynamixels:

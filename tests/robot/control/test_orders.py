@@ -229,7 +229,7 @@ def test_an_emergency_stop_at_any_step_of_a_write_leaves_servos_that_are_locked_
         assert held_by(rig) in (OLD, NEW), steps
         assert rig.bus.read(3, Register.LOCK) == 1, steps
         was_written = held_by(rig) == NEW
-        rig.run(0.5)
+        rig.run(0.1)
         rig.order(Order.RESET_FAULT)
         assert rig.order(Order.ENABLE).done is not was_written, steps
     assert steps > len(IDS) * len(CALIBRATED)

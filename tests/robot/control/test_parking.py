@@ -72,7 +72,7 @@ def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(rig: A
         lose_server(rig)
     until_ended(rig)
     assert rig.torque() == [0] * 6
-    rig.run(10.0)
+    rig.run(5.0)
     assert distance_to_rest(rig) < SINK_RAD
 
 
@@ -187,7 +187,7 @@ def test_a_server_that_comes_back_while_the_arm_brakes_or_parks_finds_it_holding
     rig.until_mode(Mode.HOLDING)
     if braking:
         assert rig.outcomes == [Outcome.STOPPED]
-    rig.run(8.0)
+    rig.run(6.0)
     assert rig.mode is Mode.HOLDING
     assert distance_to_rest(rig) > 0.3
 

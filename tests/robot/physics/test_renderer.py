@@ -10,6 +10,7 @@ from robot.physics.bodies import Body
 from robot.physics.renderer import ArmRenderer, RenderingError
 from tests.helpers.rendering import needs_egl, red_pixels
 from tests.helpers.robots import so101
+from tests.robot.physics.test_servo_joints import BARE
 from tests.robot.physics.test_world import box
 
 RED = {"cube": (1.0, 0.0, 0.0, 1.0)}
@@ -47,7 +48,7 @@ def test_a_cube_in_the_gripper_keeps_its_pixels_and_a_cube_that_stays_behind_doe
 
 @needs_egl
 def test_depth_is_the_distance_along_the_view_and_infinite_beyond_the_floor() -> None:
-    renderer = ArmRenderer(so101(), CAMERAS | {"up": Camera(frame="base_link", view=(0.3, 0.0, 0.6, 0.3, 0.0, 2.0))})
+    renderer = ArmRenderer(BARE, CAMERAS | {"up": Camera(frame="base_link", view=(0.3, 0.0, 0.6, 0.3, 0.0, 2.0))})
     renderer.set_bodies((box("cube", (0.3, 0.4, 0.05), 0.05),), {})
     depth_m = renderer.depth_m("above")
     assert depth_m.shape == (120, 160)
@@ -61,12 +62,12 @@ def test_depth_is_the_distance_along_the_view_and_infinite_beyond_the_floor() ->
 @needs_egl
 def test_images_may_be_larger_than_mujocos_frame_buffer_by_default() -> None:
     large = Camera(frame="base_link", view=(0.6, 0.0, 0.4, 0.0, 0.0, 0.0), width=1280, height=960)
-    assert ArmRenderer(so101(), {"large": large}).image("large").shape == (960, 1280, 3)
+    assert ArmRenderer(BARE, {"large": large}).image("large").shape == (960, 1280, 3)
 
 
 def test_a_camera_on_no_link_is_refused() -> None:
     with pytest.raises(DescriptionError, match="camera 'top' is on the link 'hand', which the arm does not have"):
-        ArmRenderer(so101(), {"top": Camera(frame="hand", view=(0.1, 0.1, 0.1, 0.0, 0.0, 0.0))})
+        ArmRenderer(BARE, {"top": Camera(frame="hand", view=(0.1, 0.1, 0.1, 0.0, 0.0, 0.0))})
 
 
 def test_a_machine_without_opengl_gets_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,4 +76,4 @@ def test_a_machine_without_opengl_gets_one_sentence(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(mujoco, "Renderer", refuse, raising=False)
     with pytest.raises(RenderingError, match=r"images need OpenGL off screen: .* \(no EGL\)"):
-        ArmRenderer(so101(), CAMERAS)
+        ArmRenderer(BARE, CAMERAS)

@@ -5,6 +5,7 @@ import pytest
 
 from robot.physics.bodies import Body, BodyShape, BodyState, BodyStates, Point, SetBodies
 from robot.physics.world import World
+from tests.helpers.robots import so101
 from tests.robot.physics.test_servo_joints import Driven, driven, world_of
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -95,7 +96,7 @@ def test_an_arm_pushes_a_movable_body_and_is_stopped_by_a_fixed_one() -> None:
 
 
 def test_the_floor_stops_a_link_and_carries_it_and_the_base_stands_in_it() -> None:
-    arm = driven(physics=True, start_rad={})
+    arm = driven(robot=so101(), physics=True, start_rad={})
     world = world_of(arm)
     assert world.overlaps({"base_link", "floor"}) == []
     arm.move(SHOULDER_LIFT, 0.9, 90)
@@ -109,7 +110,7 @@ def test_the_floor_stops_a_link_and_carries_it_and_the_base_stands_in_it() -> No
 
 
 def test_fingers_that_close_on_a_body_hold_it_lift_it_and_drop_it() -> None:
-    arm = driven(physics=True, start_rad=AROUND)
+    arm = driven(robot=so101(), physics=True, start_rad=AROUND)
     world = world_of(arm)
     world.set_bodies(SetBodies(1, (BLOCK,)))
     arm.tick(10)
@@ -144,7 +145,7 @@ def test_a_rough_body_slides_on_the_floor_as_on_wood_and_a_slippery_one_as_far_a
 
 
 def test_a_slippery_body_is_not_lifted() -> None:
-    arm = driven(physics=True, start_rad=AROUND)
+    arm = driven(robot=so101(), physics=True, start_rad=AROUND)
     world = world_of(arm)
     world.set_bodies(SetBodies(1, (replace(BLOCK, friction=0.01, mass_kg=0.5),)))
     arm.move(GRIPPER, -0.1, 100)

@@ -14,7 +14,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
-from server.chunks.action_chunks import MAX_JUMP_RAD, PAUSE_S, PolicyPhase
+from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, PolicyPhase
 from server.chunks.gripper import SETTLES_S
 from server.execution.executor import CHECKS_AHEAD
 from server.execution.motions import SENDINGS_S
@@ -139,7 +139,7 @@ class Joining(NamedTuple):
     from_tick: int = 100
 
 
-JOININGS = [Joining(blend, 0.01, slowest_rad_s=0.1, from_tick=60) for blend in ("", "replace", "ensemble", "real_time")]
+JOININGS = [Joining(blend, 0.01, slowest_rad_s=0.1, from_tick=60) for blend in ("", "ensemble", "real_time")]
 
 
 @pytest.mark.parametrize("joining", [*JOININGS, Joining(planning_s=0.06), Joining(planning_s=0.2)])
@@ -218,16 +218,14 @@ HOSTILE: list[tuple[dict[str, Any], Callable[[dict[str, Any]], None], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("fields", "change", "words"), HOSTILE)
-async def test_a_bad_chunk_is_refused_in_one_sentence_and_the_one_before_it_goes_on(
-    policy: Policy, fields: dict[str, Any], change: Callable[[dict[str, Any]], None], words: str
-) -> None:
+async def test_a_bad_chunk_is_refused_in_one_sentence_and_the_one_before_it_goes_on(policy: Policy) -> None:
     await policy.send(0.2, chunk(ramp()))
-    bad = chunk(ramp(), **fields)
-    change(bad["trajectory"])
-    policy.publish(bad)
-    assert len(policy.refusals) == 1, words
-    assert words in policy.refusals[0]
+    for count, (fields, change, words) in enumerate(HOSTILE, 1):
+        bad = chunk(ramp(), **fields)
+        change(bad["trajectory"])
+        policy.publish(bad)
+        assert len(policy.refusals) == count, words
+        assert words in policy.refusals[-1]
     await asyncio.sleep(1.5)
     np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
 
@@ -296,7 +294,7 @@ async def test_an_object_that_comes_into_the_way_is_not_reached(policy: Policy) 
     policy.assert_within_limits()
 
 
-@pytest.mark.parametrize("after_s", np.arange(0.0, 0.1, 0.012).tolist())
+@pytest.mark.parametrize("after_s", np.arange(0.0, 0.1, 0.025).tolist())
 async def test_a_stop_at_any_moment_ends_the_chunks_until_they_pause(policy: Policy, after_s: float) -> None:
     async def stream() -> None:
         for number in range(12):
@@ -329,6 +327,8 @@ async def test_a_stop_ends_also_a_policy_that_sends_a_chunk_every_two_seconds_an
     stands = policy.goals_rad[-1]
     for _ in range(3):
         await policy.send(2.0, moved(0.4, 60))
+    policy.stage.send(NAME, ACTION_TYPE, chunk=moved(0.4, 60))
+    await asyncio.sleep(2.0)
     assert (policy.goals_rad[-1] == stands).all()
     assert "publish nothing on /arm/chunks for 5 s" in policy.refusals[-1]
     await asyncio.sleep(PAUSE_S)
@@ -362,7 +362,7 @@ async def test_the_action_gives_the_answer_as_feedback_and_its_end_as_result(pol
     policy.stage.graph.actions.send_goal(
         policy.stage.client,
         NAME,
-        "armbridge_msgs/action/FollowActionChunk",
+        ACTION_TYPE,
         {"chunk": chunk(ramp(), id="one")},
         policy.stage.answers.append,
         on_feedback=feedback.append,
@@ -374,7 +374,7 @@ async def test_the_action_gives_the_answer_as_feedback_and_its_end_as_result(pol
     np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
 
 
-@pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.029).tolist())
+@pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.067).tolist())
 async def test_a_stick_takes_over_at_any_moment_and_gives_back_without_a_jump(policy: Policy, after_s: float) -> None:
     streaming = asyncio.create_task(policy.stream(3.0))
     await asyncio.sleep(0.5 + after_s)
@@ -424,7 +424,7 @@ async def test_a_leader_takes_over_and_gives_back(policy: Policy) -> None:
     leading.cancel()
 
 
-@pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.029).tolist())
+@pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.067).tolist())
 @pytest.mark.parametrize("service", [PAUSE, STOP])
 async def test_a_pause_or_a_stop_of_the_policy_brakes_softly_at_any_moment(
     policy: Policy, service: str, after_s: float

@@ -27,7 +27,7 @@ __all__ = ["policy"]
 
 pytestmark = pytest.mark.stepped_time
 
-SEEDS = range(10, 10 + int(os.environ["CHUNK_SEEDS"])) if "CHUNK_SEEDS" in os.environ else range(2)
+SEEDS = range(10, 10 + int(os.environ["CHUNK_SEEDS"])) if "CHUNK_SEEDS" in os.environ else range(1)
 LIMITS = motion_limits(ROBOT, ARM_JOINTS, 1.0)
 NOISE_RAD = 0.05
 LAG_S = 0.02

@@ -223,10 +223,11 @@ class _Curve:
 
 @cache
 def official_arm(urdf: Path) -> tuple[pin.Model, pin.GeometryModel]:
-    """Loading takes two seconds and 300 MB, so it is done once."""
+    """Loading takes a second and 300 MB, so it is done once."""
     model = pin.buildModelFromUrdf(str(urdf))
-    geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parent)])
-    return model, geometry
+    # Boxes suffice to find contacts, and each file is loaded once.
+    options = {"package_dirs": [str(urdf.parent)], "mesh_loader": coal.CachedMeshLoader(coal.BV_OBB)}
+    return model, pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, **options)
 
 
 def _coal_shape(thing: Fields) -> coal.CollisionGeometry:
@@ -241,7 +242,7 @@ def _coal_shape(thing: Fields) -> coal.CollisionGeometry:
         case "cone":
             return coal.Cone(size[1], size[0])
         case "mesh":
-            mesh = coal.BVHModelOBBRSS()
+            mesh = coal.BVHModelOBB()
             mesh.beginModel(len(thing["triangles"]), len(thing["vertices"]))
             mesh.addVertices(np.asarray(thing["vertices"], dtype=np.float64))
             mesh.addTriangles(np.asarray(thing["triangles"], dtype=np.int64))

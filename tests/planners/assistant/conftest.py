@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from planners.assistant import link_shapes
 from planners.assistant.importing import ImportOptions, import_robot
 from tests.helpers.stl_arm import write_package
 
@@ -17,5 +18,7 @@ def urdf(tmp_path_factory) -> Path:
 def imported(urdf, tmp_path_factory) -> tuple[Path, list[str], list[str]]:
     """The folder, the lines about it, and the progress."""
     out, progress = tmp_path_factory.mktemp("out") / "arm", []
-    lines = import_robot(ImportOptions(urdf, out, samples=600), progress.append)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(link_shapes, "POINTS", 100_000)
+        lines = import_robot(ImportOptions(urdf, out, samples=600), progress.append)
     return out, lines, progress

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from protocol.codecs import cbor, json
 from protocol.codecs.pieces import encoded_pieces, encoding_cost_bytes, json_notation
 from protocol.publication import LARGE_BYTES
+from tests.helpers.resources import examples
 
 # Of a message the elements of a list are of one kind.
 VALUES: st.SearchStrategy[Any] = st.recursive(
@@ -21,7 +22,7 @@ VALUES: st.SearchStrategy[Any] = st.recursive(
     max_leaves=60,
 )
 
-MESH = {"vertices": [{"x": 0.1, "y": 0.2, "z": 0.3}] * 40_000, "triangles": [{"vertex_indices": [0, 1, 2]}] * 80_000}
+MESH = {"vertices": [{"x": 0.1, "y": 0.2, "z": 0.3}] * 10_000, "triangles": [{"vertex_indices": [0, 1, 2]}] * 20_000}
 SCENE = {"world": {"collision_objects": [{"id": "a", "meshes": [MESH]}, {"id": "b", "meshes": []}]}}
 
 
@@ -41,6 +42,7 @@ def test_pieces_together_are_the_json_or_cbor_of_the_whole_and_none_but_a_single
         assert encoding_cost_bytes(each, piece_bytes + 1) <= piece_bytes
 
 
+@examples(30)
 @given(VALUES)
 def test_a_frame_encoded_in_pieces_is_the_frame(value: Any) -> None:
     frame = {"value": value, "many": [{"value": value}] * 1000}
@@ -55,6 +57,7 @@ def test_a_list_of_few_elements_with_a_mesh_is_cut() -> None:
     assert max(map(len, pieces)) < 20_000
 
 
+@examples(30)
 @given(VALUES)
 def test_the_cost_of_encoding_is_estimated_without_looking_at_everything(value: Any) -> None:
     assert 0 <= encoding_cost_bytes(value, LARGE_BYTES) <= LARGE_BYTES

@@ -63,7 +63,7 @@ def test_a_grip_ends_well_holds_the_block_and_is_as_strong_as_it_is_allowed_to_b
     depth_m, load = [], []
     for share in (0.3, 1.0):
         arm = ArmInWorld(BLOCK, **AROUND)
-        closing = smooth_move({"gripper": (arm.goals_rad["gripper"], -0.1)}, 2.0)
+        closing = smooth_move({"gripper": (arm.goals_rad["gripper"], -0.1)}, 1.2)
         motion = arm.play(closing, gripping=True, torque_share=share)
         assert motion.outcome is Outcome.GRIPPED, motion.message
         assert arm.world.moved_bodies(every=True).bodies[0].held

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from planners.geometry.collision import DEPTH_ACCURACY_M
 from planners.problem import PlanningError, PlanningFailure
@@ -22,8 +21,14 @@ def never():
 
 def sampled(trajectory, times_s):
     """Positions, velocities and accelerations at times, shape (m, joints) each."""
-    curve = CubicHermiteSpline(trajectory.time_s, trajectory.positions_rad, trajectory.velocities_rad_s)
-    return tuple(curve(times_s, order) for order in range(3))
+    i = np.clip(np.searchsorted(trajectory.time_s, times_s, side="right") - 1, 0, len(trajectory.time_s) - 2)
+    span_s = np.diff(trajectory.time_s)[i, None]
+    u = (times_s - trajectory.time_s[i])[:, None] / span_s
+    p0, m0, m1 = trajectory.positions_rad[i], *(trajectory.velocities_rad_s[j] * span_s for j in (i, i + 1))
+    way = trajectory.positions_rad[i + 1] - p0
+    c2, c3 = 3.0 * way - 2.0 * m0 - m1, m0 + m1 - 2.0 * way
+    positions = p0 + u * (m0 + u * (c2 + u * c3))
+    return positions, (m0 + u * (2.0 * c2 + 3.0 * u * c3)) / span_s, (2.0 * c2 + 6.0 * u * c3) / span_s**2
 
 
 def fine_samples(trajectory, per_interval=4):

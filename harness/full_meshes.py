@@ -133,8 +133,8 @@ class Judge:
             yield f"{excess:.4f} times an acceleration limit"
 
     def _faults_of_contact(self, curve: _Curve) -> Iterator[str]:
-        for time_s in self._check_times_s(curve):
-            point = curve(np.array([time_s]))[0]
+        times_s = self._check_times_s(curve)
+        for time_s, point in zip(times_s, curve(times_s), strict=True):
             if self.collides(point):
                 yield f"touches at {time_s:.3f} s: {', '.join(self._touching(point))}"
                 return

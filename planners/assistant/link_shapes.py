@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose
-from planners.assistant.surface import ConvexPart, Deviation, Surface, merged, sample_with_normals
+from planners.assistant.surface import ConvexPart, Deviation, Surface, merged, sample
 from planners.errors import AssistantError
 from planners.geometry.parts import Parts, parts_of
 from planners.geometry.shapes import convex, corners, evenly_spread, kinematic_urdf, link_name, urdf_shapes
@@ -110,9 +110,8 @@ def primitive_points(shape: coal.CollisionGeometry) -> Vector:
         angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
         radius_m = shape.radius / np.cos(np.pi / SIDES)
         ring = radius_m * np.column_stack((np.cos(angles), np.sin(angles)))
-        return np.vstack(
-            [np.column_stack((ring, np.full(SIDES, end))) for end in (-shape.halfLength, shape.halfLength)]
-        )
+        ends_m = (-shape.halfLength, shape.halfLength)
+        return np.vstack([np.column_stack((ring, np.full(SIDES, end_m))) for end_m in ends_m])
     if isinstance(shape, coal.Sphere | coal.Capsule):
         half_m = shape.halfLength if isinstance(shape, coal.Capsule) else 0.0
         ball = shape.radius * evenly_spread(SPHERE_POINTS)
@@ -199,7 +198,7 @@ def _cloud(
     for index, (link, surface) in enumerate(surfaces):
         count = max(1, int(POINTS * surface.area_m2 / total)) if total > 0.0 else 1
         at = placements[link]
-        own, across = sample_with_normals(surface, count, random)
+        own, across = sample(surface, count, random)
         points.append(own @ at.rotation.T + at.translation)
         normals.append(across @ at.rotation.T)
         hue = (index if by_part else names.index(link)) * HUE_STEP % 1.0
@@ -212,17 +211,20 @@ def _view(
 ) -> NDArray[np.uint8]:
     right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
     towards = np.cross(right, up)
-    scale = SIZE * (1.0 - 2.0 * MARGIN) / max(size_m, 1e-9)
+    size_m = max(size_m, 1e-9)
+    scale = SIZE * (1.0 - 2.0 * MARGIN) / size_m
     seen = points - middle
-    columns = np.clip((0.5 * SIZE + scale * (seen @ right)).astype(int), 0, SIZE - 1)
-    rows = np.clip((0.5 * SIZE - scale * (seen @ up)).astype(int), 0, SIZE - 1)
-    # Later ones replace earlier ones: the nearest last.
-    order = np.argsort(seen @ towards, kind="stable")
+    columns, rows = (np.clip((0.5 * SIZE + scale * (seen @ to)).astype(int), 0, SIZE - 1) for to in (right, -up))
+    # Later ones replace earlier ones: the nearest last. Numbers of 16 bits are sorted many times as fast.
+    order = np.argsort(((seen @ towards / size_m + 0.5) * 65535.0).astype(np.uint16), kind="stable")
+    nearest = np.full((SIZE, SIZE), -1)
+    nearest[rows[order], columns[order]] = order
+    drawn = nearest >= 0
+    chosen = nearest[drawn]
     # Meshes in circulation have triangles that are turned inside out: both sides are lit.
-    facing = np.where((normals @ towards < 0.0)[:, np.newaxis], -normals, normals)
-    light = 0.45 + 0.55 * np.clip(facing @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    facing = np.copysign(1.0, normals[chosen] @ towards) * (normals[chosen] @ (LIGHT / np.linalg.norm(LIGHT)))
     pixels = np.full((SIZE, SIZE, 3), 255, dtype=np.uint8)
-    pixels[rows[order], columns[order]] = (255.0 * colours * light[:, np.newaxis])[order].astype(np.uint8)
+    pixels[drawn] = 255.0 * colours[chosen] * (0.45 + 0.55 * np.clip(facing, 0.0, 1.0))[:, np.newaxis]
     return pixels
 
 

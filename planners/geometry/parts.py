@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import coal
 import numpy as np
@@ -169,6 +169,12 @@ def parts_of(shapes: Sequence[pin.GeometryObject], enclosed_by: TriangleSurface 
     return Parts(geometries, Boxes.between(lower_m, upper_m), list(places.values()), place_of, enclosed_by)
 
 
+@lru_cache(1000)
+def _part(corners_m: bytes) -> coal.Convex:
+    """A convex part; models of the same arm share it."""
+    return convex(np.frombuffer(corners_m).reshape(-1, 3))
+
+
 class RobotParts:
     """Parts of a robot's links: convex ones where these are known, or else the shapes of the URDF with their meshes.
 
@@ -193,14 +199,10 @@ class RobotParts:
             by_link.setdefault(link_name(model, shape), []).append(shape)
         meshes = {link: parts_of(shapes) for link, shapes in by_link.items()}
         enclosed_by: dict[str, TriangleSurface | Parts] = {**meshes, **dict(load_surfaces(robot.surfaces, model))}
-        self._links = (
-            meshes
-            if not self.convex
-            else {
-                link: parts_of([on_link(model, link, convex(each)) for each in parts], enclosed_by.get(link))
-                for link, parts in robot.parts.items()
-            }
-        )
+        self._links = {
+            link: parts_of([on_link(model, link, _part(each.tobytes())) for each in parts], enclosed_by.get(link))
+            for link, parts in robot.parts.items()
+        } or meshes
 
     def of_link(self, link: str) -> Parts:
         """The parts of a link."""

@@ -304,7 +304,6 @@ class ActionChunks:
     def _take(self, published: PublishedMessage) -> None:
         message = published.msg
         try:
-            self._stream.check(max(self._arm.last_stop, self._stopped))
             self._submit(NAME, message, published.publisher)
         except RefusedError as error:
             self._publish(refused_answer(message, error))
@@ -324,6 +323,7 @@ class ActionChunks:
     def _submit(self, source: str, message: Message, publisher: object, goal: ActionGoal | None = None) -> str:
         """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
         now_s, former = self._clock(), self._followed
+        self._stream.check(max(self._arm.last_stop, self._stopped))
         if self._phase in (PolicyPhase.PAUSED, PolicyPhase.TAKEN_OVER):
             # Its request has taken control from nobody.
             self._leave_control(publisher)

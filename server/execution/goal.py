@@ -200,7 +200,7 @@ class MessageStream:
         silence_s, self._heard_s = now_s - self._heard_s, now_s
         if silence_s > self._pause_s:
             self._epoch = arrival_epoch()
-        elif is_stopped(last_stop, self._epoch):
+        if is_stopped(last_stop, self._epoch):
             text = f"the arm was stopped: publish nothing on {self._topic} for {self._pause_s:g} s to move it again"
             raise refused(MoveItErrorCode.PREEMPTED, text)
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from planners.geometry.collision import DEPTH_ACCURACY_M
 from planners.problem import PlanningError, PlanningFailure
@@ -19,11 +20,16 @@ def never():
     return False
 
 
+def sampled(trajectory, times_s):
+    """Positions, velocities and accelerations at times, shape (m, joints) each."""
+    curve = CubicHermiteSpline(trajectory.time_s, trajectory.positions_rad, trajectory.velocities_rad_s)
+    return tuple(curve(times_s, order) for order in range(3))
+
+
 def fine_samples(trajectory, per_interval=4):
     """Positions, velocities and accelerations between the samples, shape (m, joints) each."""
     shares = np.linspace(0.0, 1.0, per_interval, endpoint=False)
-    times_s = (trajectory.time_s[:-1, None] + np.diff(trajectory.time_s)[:, None] * shares).ravel()
-    return (np.array(part) for part in zip(*(trajectory.sample(t) for t in times_s), strict=True))
+    return sampled(trajectory, (trajectory.time_s[:-1, None] + np.diff(trajectory.time_s)[:, None] * shares).ravel())
 
 
 def assert_well_formed(trajectory):
@@ -54,13 +60,17 @@ def assert_keeps_positions(trajectory, lower_rad, upper_rad):
     assert np.all(trajectory.positions_rad <= upper_rad)
 
 
-def configurations(trajectory, collision, start_rad, step_m=0.001):
+def configurations(trajectory, collision, start_rad, step_m=0.002):
     """Configurations of all joints along a motion, no robot point moving more than ``step_m`` between them."""
     q = np.array([start_rad[name] for name in collision.joint_names])
     columns = [collision.joint_names.index(name) for name in trajectory.joint_names]
     speed = np.abs(trajectory.velocities_rad_s).max(axis=0, initial=0.0) @ collision.travel_m_per_rad[columns]
-    for time_s in np.linspace(0.0, trajectory.duration_s, 2 + int(speed * trajectory.duration_s / step_m)):
-        q[columns] = trajectory.sample(time_s)[0]
+    points = trajectory.positions_rad
+    if len(points) > 1:
+        count = 2 + int(speed * trajectory.duration_s / step_m)
+        points, _, _ = sampled(trajectory, np.linspace(0.0, trajectory.duration_s, count))
+    for point in points:
+        q[columns] = point
         yield q.copy()
 
 

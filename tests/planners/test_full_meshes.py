@@ -14,7 +14,7 @@ from tests.helpers import resources
 from tests.helpers.robots import so101
 
 # Of each list of a file, every so manieth problem: all of them are the benchmark's.
-SHARE = 6
+SHARE = 12
 SCENES = ("attached", "base_box", "empty", "pillars", "table")
 SCENES_OF_BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "scenes"
 
@@ -85,6 +85,7 @@ def test_the_judge_finds_what_is_wrong_with_a_line() -> None:
         faults = judge.faults({**asked, **change}, straight(asked["start"], asked["goal"], duration_s))
         assert any(words in fault for fault in faults) == bool(words), words
     for _, fields, judge in map(judged, SCENES):
-        for asked in (entry for entry in fields["joint_problems"] if not entry["direct_valid"]):
+        asked = next((entry for entry in fields["joint_problems"] if not entry["direct_valid"]), None)
+        if asked is not None:
             faults = judge.faults(asked, straight(asked["start"], asked["goal"], 3.0))
             assert any(fault.startswith("touches") for fault in faults)

@@ -95,7 +95,6 @@ BEHIND_THE_PLATE = {"shoulder_pan": -1.85}
     ("changed", "whole", "code"),
     [
         (BEHIND_THE_PLATE, False, TIMED_OUT),
-        (BEHIND_THE_PLATE | {"elbow_flex": 0.0}, False, TIMED_OUT),
         (BEHIND_THE_PLATE, True, TIMED_OUT),
         # Everything around this contact is behind the plate.
         ({"shoulder_pan": -1.4}, False, IN_CONTACT),

@@ -22,13 +22,12 @@ from robot.description.robot_folder import PACKAGE, find_example
 from tests.helpers.resources import in_proportion
 from tests.planners.ik.test_constraints import pose_of
 from tests.planners.invariants import assert_touches_nothing
-from tests.planners.scenes import scene, thing
+from tests.planners.scenes import thing
 
 # Group and tip; UR5's own SRDF has no group.
 ARMS = {
     "panda": ("arm", "panda_hand_tcp"),
     "ur5": ("manipulator", "tool0"),
-    "xarm7": ("xarm7", "link_eef"),
     "kinova": ("end_effector", "j2s6s200_end_effector"),
     "pr2": ("right_arm_and_torso", "r_wrist_roll_link"),
 }
@@ -91,9 +90,12 @@ class Arm:
         return self.planner.answer(problem)
 
 
+made = cache(Arm)
+
+
 @pytest.fixture(scope="module", params=ARMS)
 def arm(request):
-    return Arm(request.param)
+    return made(request.param)
 
 
 @pytest.mark.parametrize("seed", range(in_proportion(4)))
@@ -124,12 +126,12 @@ UR5_START = np.array([-3.53, 3.83, -0.58, -3.33, 4.76, 0.0])
 UR5_GOAL = Pose((0.35, 0.1, 0.6), (-0.5, 0.5, -0.5, 0.5))
 
 
-@pytest.fixture(scope="module")
-def ur5_on_floor():
+@pytest.fixture
+def ur5_on_floor(put):
     """UR5 on a floor, past which the shoulder cannot turn."""
-    arm = Arm("ur5")
+    arm = made("ur5")
     for part in (arm.planner, arm.collision):
-        assert part.set_scene(scene(thing(Box((3.0, 3.0, 0.1)), 0.0, 0.0, -0.06))) is None
+        put(part, thing(Box((3.0, 3.0, 0.1)), 0.0, 0.0, -0.06))
     return arm
 
 
@@ -165,14 +167,9 @@ STEPS = 400
 SAME_BRANCH_RAD = 0.2
 
 
-@cache
-def ur5():
-    return Arm("ur5")
-
-
 def placement(q):
-    ur5().forward.place(q)
-    return ur5().forward.placement(ur5().tip).copy()
+    made("ur5").forward.place(q)
+    return made("ur5").forward.placement(made("ur5").tip).copy()
 
 
 def exact(q, end):
@@ -186,10 +183,10 @@ def exact(q, end):
             here = placement(q)
             error_m = start.translation + share * (end.translation - start.translation) - here.translation
             error_rad = here.rotation @ pin.log3(here.rotation.T @ rotation)
-            jacobian = ur5().forward.jacobian(q, ur5().tip)
+            jacobian = made("ur5").forward.jacobian(q, made("ur5").tip)
             step = np.linalg.lstsq(jacobian, np.concatenate((error_m, error_rad)))[0]
             q += step
-            if np.abs(step).max() > 0.2 or np.any((q < ur5().lower_rad) | (q > ur5().upper_rad)):
+            if np.abs(step).max() > 0.2 or np.any((q < made("ur5").lower_rad) | (q > made("ur5").upper_rad)):
                 return None
         points.append(q)
     return np.array(points)
@@ -197,7 +194,7 @@ def exact(q, end):
 
 def test_the_tip_turns_in_place_by_two_radians():
     q = np.array([-0.042, 0.033, -2.174, 5.282, -1.528, 0.0])
-    assert ur5().follow(q, Pose((0.3, 0.1, 0.5)), avoid_collisions=False).fraction == 1.0
+    assert made("ur5").follow(q, Pose((0.3, 0.1, 0.5)), avoid_collisions=False).fraction == 1.0
 
 
 # Seeds 18 to 57 have exact paths that were refused, and 45 is stopped by a singularity.
@@ -205,12 +202,12 @@ def test_the_tip_turns_in_place_by_two_radians():
 def test_a_path_is_followed_on_the_branch_of_its_start_or_not_to_its_end(seed):
     # By the seed the tip turns in place, moves, or does both.
     rng = np.random.default_rng(seed)
-    q = ur5().state(rng)
+    q = made("ur5").state(rng)
     start, way_m, turn = placement(q), rng.normal(size=3), rng.normal(size=3)
     way_m *= (seed % 3 != 0) * rng.uniform(0.02, 0.25) / np.linalg.norm(way_m)
     turn *= (seed % 3 != 1) * rng.uniform(0.2, 2.2) / np.linalg.norm(turn)
     end = pin.SE3(start.rotation @ pin.exp3(turn), start.translation + way_m)
-    plan, points = ur5().follow(q, as_pose(end), avoid_collisions=False), exact(q, end)
+    plan, points = made("ur5").follow(q, as_pose(end), avoid_collisions=False), exact(q, end)
     assert isinstance(plan, CartesianPlan), plan
     assert (plan.fraction == 1.0) == (points is not None and seed != 45)
     for point in plan.trajectory.positions_rad if points is not None else ():

@@ -20,9 +20,10 @@ from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Trajectory
 from server import arrival
 from server.arrival import arrived_in
+from server.errors import GraphError
 from server.graph.node import Node
 from tests.helpers.fake_arm import FakeArm
-from tests.helpers.stage import REQUESTS, ServerStage, follow, inline_threads
+from tests.helpers.stage import CHUNK, REQUESTS, ServerStage, follow, inline_threads
 
 pytestmark = pytest.mark.stepped_time
 
@@ -135,8 +136,8 @@ class Stage(ServerStage):
     def stop_by_service(self) -> None:
         self.graph.services.call(self.other, "/arm/stop", {}, lambda _response: None)
 
-    def stop_following(self) -> None:
-        self.graph.services.call(self.other, "/teleop/stop", {}, lambda _response: None)
+    def stop_some(self, service: str) -> None:
+        self.graph.services.call(self.other, service, {}, lambda _response: None)
         self.arm.begun.clear()
 
     def task(self, loop: asyncio.AbstractEventLoop, coroutine: Any, **options: Any) -> asyncio.Task[Any]:
@@ -167,7 +168,7 @@ class Stage(ServerStage):
         epoch = STOP_EPOCHS.present
         if stop_at == 0:
             self._stop_now()
-        with arrived_in(epoch):
+        with arrived_in(epoch), suppress(GraphError):
             request(self)
         # In the context of nothing: what goes on by itself is no part of the request.
         with suppress(TimeoutError):
@@ -222,12 +223,38 @@ async def test_nothing_moves_after_a_stop_whichever_step_of_a_request_it_comes_b
             assert not stage.teleoperation.observes_states, f"after a stop before step {stop_at}"
 
 
+def chunk_on_topic(stage: Stage) -> None:
+    stage.publish("/arm/chunks", "armbridge_msgs/ActionChunk", {"trajectory": CHUNK})
+
+
+def unpaused_stick(stage: Stage) -> None:
+    stage.call("/servo_node/unpause_servo")
+    REQUESTS["a jog"](stage)
+
+
+@pytest.mark.parametrize(
+    ("request_", "service"),
+    [
+        (REQUESTS["a chunk"], "/arm/chunks/stop"),
+        (chunk_on_topic, "/arm/chunks/stop"),
+        (unpaused_stick, "/servo_node/stop_servo"),
+    ],
+)
+async def test_a_request_that_a_stop_of_its_own_kind_has_overtaken_moves_nothing(
+    request_: Callable[[Stage], None], service: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inline_threads(monkeypatch)
+    async with staged() as stage:
+        await stage.trial(request_, lambda: stage.stop_some(service), 0)
+        assert stage.arm.begun == []
+
+
 async def test_nothing_follows_after_a_stop_before_whichever_step_of_its_start(monkeypatch: pytest.MonkeyPatch) -> None:
     inline_threads(monkeypatch)
     async with staged() as stage:
         for stop_at in range(MOST_STEPS):
             stage.prepare()
-            if not await stage.trial(follow, stage.stop_following, stop_at):
+            if not await stage.trial(follow, lambda: stage.stop_some("/teleop/stop"), stop_at):
                 # The leader has left, to which the arm had gone before.
                 assert stop_at > LEAST_STEPS_OF_FOLLOWING
                 return

@@ -10,10 +10,10 @@ from enum import IntEnum
 from typing import Any
 
 from planners.servo.question import ServoStatus
-from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
+from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
@@ -229,15 +229,13 @@ class ServoNode:
     ) -> None:
         servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
         self._arm, self._queue, self._busy_joints = arm, queue, busy_joints
-        self._graph = graph
-        self._joints = setup.joints
-        self._parameters = servo
+        self._graph, self._joints, self._parameters = graph, setup.joints, servo
         self._resolve = planning.frames.resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
-        listener = ServoListener(self._status.publish, self._gate.interrupt)
-        self._session = ServoSession(arm, setup, planning, listener)
+        self._session = ServoSession(arm, setup, planning, ServoListener(self._status.publish, self._gate.interrupt))
+        self._last_stop = 0  # stop epoch of the last stop of steering alone
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
         for kind in CommandType:
@@ -258,9 +256,7 @@ class ServoNode:
             except RefusedError as error:
                 self._status.publish(ServoStatus.INVALID, str(error))
 
-        def reject(error: MessageError) -> None:
-            log.warning("%s: %s", topic, error)
-
+        reject = functools.partial(log.warning, "%s: %s", topic)
         self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject, rule=SWITCHING))
 
     def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
@@ -306,25 +302,29 @@ class ServoNode:
             return {"success": True}
 
         def pause(*, paused: bool) -> dict[str, Any]:
+            if not paused and is_stopped(self._last_stop):
+                return {"success": False, "message": STOPPED_SINCE}
             gate.paused = paused
             gate.reset()
             if paused:
                 session.release()
             return {"success": True, "message": "servo is paused" if paused else "servo takes commands"}
 
+        def stop(_request: Message) -> dict[str, Any]:
+            self._last_stop = STOP_EPOCHS.begin()
+            return pause(paused=True)
+
         def reset(_request: Message) -> dict[str, Any]:
             gate.reset()
             return {}
 
-        offer = self._graph.offer
-        offer(self._node, SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch, rule=SWITCHING)
-        offer(
-            self._node, PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]), rule=SWITCHING
-        )
-        offer(self._node, STOP_SERVICE, "std_srvs/Trigger", lambda _request: pause(paused=True), rule=STOPPING)
+        offer = functools.partial(self._graph.offer, self._node)
+        offer(SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch, rule=SWITCHING)
+        offer(PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]), rule=SWITCHING)
+        offer(STOP_SERVICE, "std_srvs/Trigger", stop, rule=STOPPING)
         for name in (START_SERVICE, UNPAUSE_SERVICE):
-            offer(self._node, name, "std_srvs/Trigger", lambda _request: pause(paused=False), rule=SWITCHING)
-        offer(self._node, RESET_SERVICE, "std_srvs/Empty", reset, rule=SWITCHING)
+            offer(name, "std_srvs/Trigger", lambda _request: pause(paused=False), rule=SWITCHING)
+        offer(RESET_SERVICE, "std_srvs/Empty", reset, rule=SWITCHING)
 
     def _present(self, client: object) -> bool:
         return any(client in self._graph.publishers(topic) for topic, _ in _TOPICS.values())

@@ -7,11 +7,9 @@ from hypothesis import strategies as st
 
 from planners.errors import ShapeError
 from planners.geometry import shapes
-from planners.geometry.collision import CollisionModel
 from planners.geometry.shapes import convex, enclosing, kinematic_urdf
 from planners.scene import Plane
 from robot.description import model
-from tests.helpers import robots
 from tests.helpers.resources import examples
 from tests.planners.scenes import FACES, outside_m
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
@@ -89,16 +87,6 @@ def test_a_scaled_shape_grows_about_its_middle():
         middle = 0.5 * (shape.aabb_local.min_ + shape.aabb_local.max_)
         np.testing.assert_allclose(larger.aabb_local.min_ - middle, 1.5 * (shape.aabb_local.min_ - middle), atol=1e-9)
         np.testing.assert_allclose(larger.aabb_local.max_ - middle, 1.5 * (shape.aabb_local.max_ - middle), atol=1e-9)
-
-
-def test_official_description_collides_only_where_the_hulls_do(shared_data, collision):
-    srdf = robots.SO101.folder / "so101.srdf"
-    official = CollisionModel(model.load(shared_data / "so101" / "so101_new_calib.urdf", srdf))
-    assert official.joint_names == collision.joint_names
-    states = np.random.default_rng(1).uniform(collision.lower_rad, collision.upper_rad, (500, 6))
-    touching = [q for q in states if official.in_collision(q)]
-    assert touching
-    assert all(collision.in_collision(q) for q in touching)
 
 
 def test_a_plane_is_solid_below_and_ends_at_its_surface():

@@ -158,16 +158,16 @@ def test_where_the_shortest_motion_touches_between_two_checks_its_earlier_parts_
 
 def test_the_work_that_is_asked_for_is_spent_and_little_more(task_over_a_wall):
     first = work(task_over_a_wall(optimization_time_s=0.0))
-    for time_s in (0.1, 0.5):
+    for time_s in (0.1, 0.3):
         spent = work(task_over_a_wall(optimization_time_s=time_s))
         assert time_s * NOMINAL_CHECKS_PER_S <= spent <= time_s * NOMINAL_CHECKS_PER_S + first + CHECKS_A_CERTIFICATE
 
 
 def test_the_best_motion_takes_all_the_time_that_is_allowed_and_is_no_longer(task_over_a_wall, collision, at_home):
     task = task_over_a_wall(optimization_time_s=np.inf, attempts=1)
-    clock = Budget(lambda: task.space.checks / NOMINAL_CHECKS_PER_S, 1.0, never)
+    clock = Budget(lambda: task.space.checks / NOMINAL_CHECKS_PER_S, 0.4, never)
     best = find_motion(task, clock)
-    assert 1.0 <= clock.spent_s <= 1.0 + CHECKS_A_CERTIFICATE / NOMINAL_CHECKS_PER_S
+    assert 0.4 <= clock.spent_s <= 0.4 + CHECKS_A_CERTIFICATE / NOMINAL_CHECKS_PER_S
     assert_touches_nothing(best.trajectory, collision, at_home)
     short = found(replace(task, optimization_time_s=0.024))
     assert best.trajectory.duration_s <= short.trajectory.duration_s

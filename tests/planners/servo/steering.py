@@ -8,7 +8,6 @@ from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.pipeline import Planner
 from planners.servo.question import Anchor, ServoAnswer, ServoCommand, ServoLimits, ServoQuestion
-from planners.servo.steering import WATCHED_M
 from robot.control.motion import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
@@ -17,6 +16,7 @@ from server.moveit.servo.servo_loop import LEAD_S
 TIP = "gripper_frame_link"
 PERIOD_S = 0.02
 TICK_S = 0.01
+CLOSE_M = 0.06
 READY = {"shoulder_lift": -0.5, "elbow_flex": 0.5}
 
 
@@ -85,10 +85,10 @@ class SteeredArm:
 
 
 def least_distance_m(arm: SteeredArm, collision: CollisionModel) -> float:
-    """The least distance of the arm from what is around it, on the way of its goals [m]."""
-    least_m = WATCHED_M
+    """The least distance of the arm from what is around it, on the way of its goals, at most :data:`CLOSE_M` [m]."""
+    least_m = CLOSE_M
     for joints_rad in arm.joints_rad:
         positions = arm.positions_rad | dict(zip(arm._names, joints_rad.tolist(), strict=True))
-        near = collision.near_pairs(np.array([positions[name] for name in collision.joint_names]), WATCHED_M)
+        near = collision.near_pairs(np.array([positions[name] for name in collision.joint_names]), CLOSE_M)
         least_m = min([least_m, *(pair.distance_m for pair in near if pair.by_object)])
     return least_m

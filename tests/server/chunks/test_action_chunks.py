@@ -14,7 +14,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
-from server.chunks.action_chunks import MAX_JUMP_RAD, PAUSE_S, PolicyPhase
+from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, PolicyPhase
 from server.chunks.gripper import SETTLES_S
 from server.execution.executor import CHECKS_AHEAD
 from server.execution.motions import SENDINGS_S
@@ -327,6 +327,8 @@ async def test_a_stop_ends_also_a_policy_that_sends_a_chunk_every_two_seconds_an
     stands = policy.goals_rad[-1]
     for _ in range(3):
         await policy.send(2.0, moved(0.4, 60))
+    policy.stage.send(NAME, ACTION_TYPE, chunk=moved(0.4, 60))
+    await asyncio.sleep(2.0)
     assert (policy.goals_rad[-1] == stands).all()
     assert "publish nothing on /arm/chunks for 5 s" in policy.refusals[-1]
     await asyncio.sleep(PAUSE_S)
@@ -360,7 +362,7 @@ async def test_the_action_gives_the_answer_as_feedback_and_its_end_as_result(pol
     policy.stage.graph.actions.send_goal(
         policy.stage.client,
         NAME,
-        "armbridge_msgs/action/FollowActionChunk",
+        ACTION_TYPE,
         {"chunk": chunk(ramp(), id="one")},
         policy.stage.answers.append,
         on_feedback=feedback.append,

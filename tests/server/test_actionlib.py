@@ -80,13 +80,16 @@ def test_an_ended_goal_is_told_of_for_five_seconds(stage: Stage) -> None:
     assert stage.statuses() == []
 
 
-def test_of_very_many_goals_the_oldest_that_have_ended_are_not_kept(stage: Stage) -> None:
+def test_of_very_many_goals_the_oldest_that_have_ended_are_not_kept(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.actionlib.MAX_GOALS", 20)
     stage.send("runs")
-    for number in range(3 * MAX_GOALS):
+    for number in range(60):
         stage.send(f"{number}")
         stage.goals[-1].finish(GoalStatus.SUCCEEDED, {})
     assert stage.statuses()[0] == ("runs", ActionlibStatus.ACTIVE)
-    assert [name for name, _ in stage.statuses()[1:]] == [f"{each}" for each in range(MAX_GOALS, 3 * MAX_GOALS)]
+    assert [name for name, _ in stage.statuses()[1:]] == [f"{each}" for each in range(20, 60)]
 
 
 def test_a_cancelled_goal_is_preempting_until_it_ends(stage: Stage) -> None:

@@ -31,7 +31,7 @@ LIMIT = 0.1
 TOLERANCE = 1e-6
 
 # The motions take longer under the limit; their greatest speed comes within this time [s].
-TRIAL_S, LOOK_S = 5.0, 0.5
+TRIAL_S, LOOK_S = 3.5, 0.5
 
 READY = ROBOT.named_states["arm"]["ready"]
 REACH = {"joint_names": list(ARM_JOINTS), "points": [{"positions": [0.8, 0.0, 0.0, 0.0, 0.0]}]}

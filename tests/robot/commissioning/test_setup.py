@@ -149,10 +149,7 @@ def break_off(kit, packets, error):
     port.writePort = write_some
 
 
-@pytest.mark.parametrize(
-    ("error", "powered_down"),
-    [(Broken(), False), (PortLost("/dev/stepped", "unplugged"), False), (PortLost("/dev/stepped", "unplugged"), True)],
-)
+@pytest.mark.parametrize(("error", "powered_down"), [(Broken(), False), (PortLost("/dev/stepped", "unplugged"), True)])
 def test_a_setup_broken_off_after_any_packet_is_finished_by_the_next(kit, error, powered_down):
     servo = kit.servos[5]
     fresh = {**kit.held(5), Register.BAUD_RATE: 1}

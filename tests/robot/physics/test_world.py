@@ -150,7 +150,6 @@ def test_a_slippery_body_is_not_lifted() -> None:
     world.set_bodies(SetBodies(1, (replace(BLOCK, friction=0.01, mass_kg=0.5),)))
     arm.move(GRIPPER, -0.1, 100)
     arm.move(SHOULDER_LIFT, -0.6, 100)
-    arm.tick(50)
     assert state_of(world, "block").position_m[2] < 0.05
 
 

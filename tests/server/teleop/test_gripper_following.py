@@ -78,7 +78,7 @@ def opening(at_s: float) -> float:
 
 
 async def test_the_gripper_follows_within_a_tenth_of_a_second(led: Led) -> None:
-    await led.lead(6.0, opening)
+    await led.lead(4.0, opening)
     first = round(SETTLED_S / PERIOD_S)
     goals = np.array(led.goals_rad)[first:]
     at_s = (np.arange(len(goals)) + first + 1) * PERIOD_S
@@ -101,7 +101,7 @@ async def test_a_dataset_has_the_gripper_within_a_tenth_of_a_second_of_its_actio
 
     for topic in (STATE_TOPIC, LEADER_TOPIC):
         led.arm.stage.graph.subscribe(Node("recorder"), topic, "sensor_msgs/JointState", Subscriber(take))
-    await led.lead(SETTLED_S + 6.0, opening)
+    await led.lead(SETTLED_S + 4.0, opening)
     recording = record(tmp_path / "run.mcap", [each for each in recorded if each.log_time_ns > START_NS + 1.5e9])
     done = export(ExportOptions([recording], tmp_path / "data", fps=50), REGISTRY, lambda _text: None)
     assert (done.actions, done.problems) == (LEADER_TOPIC, ())

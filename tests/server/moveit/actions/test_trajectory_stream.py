@@ -75,7 +75,7 @@ async def controller(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Controlle
 
 
 async def test_a_stream_of_points_moves_the_arm_without_a_stop_and_within_a_lag(controller: Controller) -> None:
-    await controller.stream(4.0)
+    await controller.stream(3.0)
     assert controller.refusals == []
     ticks = np.arange(len(controller.velocity_rad_s))
     wanted = np.array([sine((tick + 0.5) * PERIOD_S - LAG_S)[1] for tick in ticks])
@@ -95,8 +95,8 @@ async def test_a_stream_of_points_moves_the_arm_without_a_stop_and_within_a_lag(
 async def test_slow_planners_stop_no_stream(controller: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each check takes longer than the next message takes to come."""
     monkeypatch.setattr(stage_module, "PLANNING_S", 0.06)
-    await controller.stream(3.0)
-    speed = np.abs(controller.velocity_rad_s[60:280]).max(axis=1)
+    await controller.stream(2.0)
+    speed = np.abs(controller.velocity_rad_s[60:180]).max(axis=1)
     assert speed.min() > 0.05
     controller.assert_within_limits()
 
@@ -123,13 +123,13 @@ async def test_a_stream_stops_before_an_object(controller: Controller, caplog: p
     statuses = listen(controller.stage.graph, "/moveit_goal_status")
     controller.add_walls()
     caplog.set_level(logging.INFO)
-    await controller.stream(4.0, lambda at_s: [point(np.array([-0.3 * at_s, 0.6, -0.3, 0.0, 0.0]))])
+    await controller.stream(2.0, lambda at_s: [point(np.array([-0.6 * at_s, 0.6, -0.3, 0.0, 0.0]))])
     await asyncio.sleep(0.5)
     touching = [each for each in statuses if "wall" in each["message"]]
     assert len(touching) > 10
     lines = [each.getMessage() for each in caplog.records if "wall" in each.getMessage()]
     assert len(lines) <= 3, lines
-    assert controller.arm_rad[-1][0] > -1.2
+    assert controller.arm_rad[-1][0] > -1.0
 
 
 async def test_a_stream_is_one_line_in_the_log_also_one_whose_every_message_is_refused(

@@ -293,7 +293,7 @@ class Leaving:
     def __init__(self, policy: str = "park", *, parks: bool = True) -> None:
         self.drivers: set[object] = set()
         self.busy = lambda: ""
-        self.now_s, self.parks = 0.0, parks
+        self.now_s, self.parks, self.last_stop = 0.0, parks, 0
         self.done: list[str] = []
         self.state = SimpleNamespace(mode=Mode.HOLDING)
         settings = ArmSettings.model_validate({"on_last_client": policy, "last_client_delay_s": 5.0})
@@ -315,6 +315,15 @@ class Leaving:
     def due_after(self, seconds: float) -> bool:
         self.now_s += seconds
         return self.last.due()
+
+    async def leave(self) -> None:
+        """Be there, and leave for longer than the delay."""
+        self.drivers.add(1)
+        await asyncio.sleep(LOOKS_S)
+        self.drivers.clear()
+        await asyncio.sleep(LOOKS_S)
+        self.now_s += 10.0
+        await asyncio.sleep(LOOKS_S)
 
     def come_and_go(self) -> None:
         self.drivers.add(1)
@@ -353,12 +362,20 @@ def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_and_after_goals
 async def test_the_policy_says_what_becomes_of_the_arm(policy: str, *, parks: bool, done: list[str]) -> None:
     leaving = Leaving(policy, parks=parks)
     running = asyncio.create_task(leaving.last.run())
-    leaving.drivers.add(1)
-    await asyncio.sleep(LOOKS_S)
-    leaving.drivers.clear()
-    await asyncio.sleep(LOOKS_S)
-    leaving.now_s += 10.0
-    await asyncio.sleep(LOOKS_S)
+    await leaving.leave()
     running.cancel()
     await asyncio.wait([running])
     assert leaving.done == done
+
+
+async def test_an_arm_that_a_viewer_stops_on_its_way_to_the_rest_pose_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    leaving, parked = Leaving(), asyncio.get_running_loop().create_future()
+    monkeypatch.setattr(leaving, "park", lambda _source: parked)
+    running = asyncio.create_task(leaving.last.run())
+    await leaving.leave()
+    leaving.last_stop += 1
+    parked.set_result(CommandDone(0, done=False, message="stopped by /arm/stop"))
+    await asyncio.sleep(LOOKS_S)
+    running.cancel()
+    await asyncio.wait([running])
+    assert leaving.done == []

@@ -68,8 +68,7 @@ class ActionGoal(PendingRequest[Result]):
         self.request = request
         self.goal_id = goal_id or uuid.uuid4().bytes
         self.sender_id: Mark = None
-        self.cancel_requested = False
-        self.sender_left = False
+        self.cancel_requested = self.sender_left = False
         self._message_types = message_types
         self._on_feedback = on_feedback
         self._on_every_feedback: Callable[[dict[str, Any]], None] | None = None
@@ -104,6 +103,10 @@ class ActionGoal(PendingRequest[Result]):
     def fail(self, values: object, status: int = GoalStatus.ABORTED) -> None:
         """End the goal without a result message, with a sentence or with what the provider gave."""
         self._end(Result(ok=False, status=status, values=values))
+
+    def _end(self, end: Result) -> None:
+        super()._end(end)
+        self._when_canceled, self._on_feedback, self._on_every_feedback = [], None, None
 
     def when_canceled(self, callback: Callable[[], None]) -> None:
         """Have this called when somebody asks for the end of the goal; at once when somebody has."""

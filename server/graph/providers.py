@@ -42,7 +42,9 @@ class PendingRequest(Generic[End]):
         if self.ended:
             return
         self.ended = True
-        for callback in self._when_ended:
+        # They lead back here: without them it is freed at once, without the garbage collector.
+        callbacks, self._when_ended = self._when_ended, []
+        for callback in callbacks:
             try:
                 callback(end)
             except Exception:  # an error of one listener must not keep the others from stopping the arm
@@ -53,12 +55,8 @@ ProvidedKind: TypeAlias = Literal["service", "action"]
 
 _TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
-
 # Parts of the type of each kind: the request first.
-_PARTS: dict[ProvidedKind, tuple[str, ...]] = {
-    "service": ("Request", "Response"),
-    "action": ("Goal", "Feedback", "Result"),
-}
+_PARTS: dict[str, tuple[str, ...]] = {"service": ("Request", "Response"), "action": ("Goal", "Feedback", "Result")}
 
 AnyRequest = TypeVar("AnyRequest", bound=PendingRequest[Any])
 

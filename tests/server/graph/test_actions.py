@@ -1,3 +1,5 @@
+import gc
+import weakref
 from base64 import b64encode
 from typing import Any
 
@@ -74,6 +76,20 @@ def test_a_late_listener_is_told_of_a_cancel_at_once(world: World) -> None:
     goals[0].cancel()
     goals[0].when_canceled(lambda: told.append("cancel"))
     assert told == ["cancel"]
+
+
+def test_an_ended_goal_is_freed_without_the_garbage_collector(world: World) -> None:
+    provider, goals = world.offer()
+    world.send()
+    ended = weakref.ref(goals.pop())
+    gc.disable()
+    try:
+        world.actions.withdraw(provider, "/grip")
+        # This clock keeps also the timers that were cancelled.
+        world.clock.timers.clear()
+        assert ended() is None
+    finally:
+        gc.enable()
 
 
 def test_no_goal_lasts_for_ever(world: World) -> None:

@@ -243,7 +243,8 @@ class Goal(CancelScope):
 
     goal_id: str
     request: GoalRequest
-    report: Callable[[Progress], None] = lambda _progress: None
+    # Told of progress, with the goal; one that knew the goal itself would keep it until the garbage collector comes.
+    listener: Callable[[Goal, Progress], None] = lambda _goal, _progress: None
     _deferring: bool = field(init=False, default=False)
     _successor: str = field(init=False, default="")
     progress: Progress | None = field(init=False, default=None)
@@ -251,6 +252,11 @@ class Goal(CancelScope):
 
     def __post_init__(self) -> None:
         self.epoch = self.request.epoch
+
+    def report(self, progress: Progress) -> None:
+        """Take the latest progress, and tell the listener."""
+        self.progress = progress
+        self.listener(self, progress)
 
     @property
     def unlogged(self) -> bool:

@@ -137,17 +137,15 @@ class GoalQueue:
         return goal
 
     def _goal(self, request: GoalRequest) -> Goal:
-        def report(progress: Progress) -> None:
-            goal.progress = progress
-            for listener in self.listeners:
-                with _contained(goal):
-                    listener.on_progress(goal, progress)
-            with _contained(goal):
-                goal.request.on_progress(progress)
-
         deadline = ExecutionDeadline(self._executors.time_limits)
-        goal = Goal(next(self._ids), request, report, deadline=deadline)
-        return goal
+        return Goal(next(self._ids), request, self._tell, deadline=deadline)
+
+    def _tell(self, goal: Goal, progress: Progress) -> None:
+        for listener in self.listeners:
+            with _contained(goal):
+                listener.on_progress(goal, progress)
+        with _contained(goal):
+            goal.request.on_progress(progress)
 
     def cancel(self, goal_id: str, reason: str) -> None:
         """Cancel one goal, active or waiting; do nothing when it has been answered."""

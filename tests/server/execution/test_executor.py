@@ -67,8 +67,11 @@ class Rig:
     executor: GoalExecutor
     news: list[Progress] = field(default_factory=list)
 
+    def hear(self, _goal: Goal, progress: Progress) -> None:
+        self.news.append(progress)
+
     async def run(self, **positions_rad: float) -> Any:
-        self.goal = Goal("1", GoalRequest("/goal", to(**positions_rad)), self.news.append)
+        self.goal = Goal("1", GoalRequest("/goal", to(**positions_rad)), self.hear)
         return await self.executor.run(self.goal)
 
     async def stop(self, state: GoalState, **positions_rad: float) -> Any:
@@ -213,7 +216,12 @@ class Stage:
         return Plan(smooth_move(moves, 1.0) if moved else STILL, "straight line", 0.01)
 
     async def begin(self, motion: Motion, limits: TimeLimits | None = None) -> None:
-        self.goal = Goal("1", GoalRequest("/goal", motion), self.news.append, deadline=ExecutionDeadline(limits))
+        self.goal = Goal(
+            "1",
+            GoalRequest("/goal", motion),
+            lambda _goal, news: self.news.append(news),
+            deadline=ExecutionDeadline(limits),
+        )
         self.running = asyncio.create_task(self.executor.run(self.goal))
         await settle()
 
@@ -447,7 +455,7 @@ async def test_listeners_hear_of_a_given_trajectory_when_the_arm_has_it(stage: S
     await under_way(stage)
     heard: list[int] = []
     request = GoalRequest("/goal", ExternalTrajectory(Given(), frozenset(ARM)))
-    goal = Goal("2", request, lambda _progress: heard.append(len(stage.arm.played)))
+    goal = Goal("2", request, lambda *_: heard.append(len(stage.arm.played)))
     running = asyncio.create_task(stage.executor.run(goal))
     await until(lambda: heard)
     assert heard[0] == 2
@@ -511,7 +519,7 @@ async def test_a_goal_that_is_cancelled_as_its_replacement_is_to_be_planned_asks
     await under_way(stage)
     asked = len(stage.problems)
 
-    def report(progress: Progress) -> None:
+    def report(goal: Goal, progress: Progress) -> None:
         if progress.message == "planning in motion":
             goal.cancel("cancelled by a test")
 

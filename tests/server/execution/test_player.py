@@ -64,7 +64,12 @@ class Stage:
         self.arm.pass_time(seconds)
 
     def next_goal(self) -> Goal:
-        return Goal("1", GoalRequest("/goal"), self.news.append, deadline=ExecutionDeadline(LIMITS))
+        return Goal(
+            "1",
+            GoalRequest("/goal"),
+            lambda _goal, progress: self.news.append(progress),
+            deadline=ExecutionDeadline(LIMITS),
+        )
 
     async def begin(self) -> None:
         self.running = asyncio.create_task(self.player.play(self.goal, MOTION, questions))
@@ -93,7 +98,7 @@ async def test_every_outcome_has_its_code_and_message(stage: Stage, outcome: Out
 async def test_a_motion_whose_goal_ends_by_an_error_is_braked() -> None:
     stage = Stage()
 
-    def broken(_progress: Progress) -> None:
+    def broken(_goal: Goal, _progress: Progress) -> None:
         raise ValueError("a bug")
 
     stage.running = asyncio.create_task(stage.player.play(Goal("1", GoalRequest("/goal"), broken), MOTION, questions))

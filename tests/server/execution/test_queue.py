@@ -1,5 +1,7 @@
 import asyncio
 import functools
+import gc
+import weakref
 from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from operator import methodcaller
@@ -109,6 +111,15 @@ async def desk() -> AsyncIterator[Desk]:
     made = Desk()
     yield made
     await made.close()
+
+
+async def test_an_ended_goal_is_freed_without_the_garbage_collector(desk: Desk) -> None:
+    gc.disable()
+    try:
+        failure = PlanningFailure(MoveItErrorCode.FAILURE, "refused")
+        assert weakref.ref(desk.queue.reject(GoalRequest("/goal"), failure))() is None
+    finally:
+        gc.enable()
 
 
 async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:

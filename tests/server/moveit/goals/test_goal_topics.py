@@ -187,12 +187,12 @@ PLANNED = PlannedSequence(Performed({}), ("RRTConnect",))
 def goal(number: str = "7", on_progress: Any = None, *, proposed: bool = False) -> Goal:
     motion = PlannedMotion((), frozenset(), confirm=True, proposed=proposed)
     return Goal(
-        number, GoalRequest("/moveit_goal", motion, client="agent (10.0.0.5:5)"), on_progress or (lambda _: None)
+        number, GoalRequest("/moveit_goal", motion, client="agent (10.0.0.5:5)"), on_progress or (lambda *_: None)
     )
 
 
 async def test_a_client_that_hears_that_a_plan_waits_can_decide_at_once(gate: Gate) -> None:
-    def decide(progress: Progress) -> None:
+    def decide(_goal: Goal, progress: Progress) -> None:
         assert progress.state is GoalState.PLANNED
         gate.say(True)
 

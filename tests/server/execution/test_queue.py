@@ -117,7 +117,8 @@ async def test_an_ended_goal_is_freed_without_the_garbage_collector(desk: Desk) 
     gc.disable()
     try:
         failure = PlanningFailure(MoveItErrorCode.FAILURE, "refused")
-        assert weakref.ref(desk.queue.reject(GoalRequest("/goal"), failure))() is None
+        ended = weakref.ref(desk.queue.reject(GoalRequest("/goal"), failure))
+        assert ended() is None
     finally:
         gc.enable()
 

@@ -243,7 +243,7 @@ class Goal(CancelScope):
 
     goal_id: str
     request: GoalRequest
-    # Is told of progress. A listener with a reference to its goal would keep it until the garbage collector comes.
+    # Gets all progress. A listener with a reference to its goal would keep it until the garbage collector comes.
     listener: Callable[[Goal, Progress], None] = lambda _goal, _progress: None
     _deferring: bool = field(init=False, default=False)
     _successor: str = field(init=False, default="")

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from planners.assistant.surface import ConvexPart, Deviation, Surface, components, measure, sample
+from planners.assistant.surface import ConvexPart, Deviation, Surface, components, measure, sample, sample_with_normals
 from planners.geometry.shapes import evenly_spread
 from planners.geometry.surfaces import INSIDE
 from robot.trajectory import Vector
@@ -79,8 +79,8 @@ class Reference:
 
     def __init__(self, surface: Surface, random: np.random.Generator) -> None:
         self._random = random
-        self._tree = cKDTree(sample(surface, REFERENCE_POINTS, random)[0])
-        places, normals = sample(surface, DIPOLES, random)
+        self._tree = cKDTree(sample(surface, REFERENCE_POINTS, random))
+        places, normals = sample_with_normals(surface, DIPOLES, random)
         # Half the digits are enough to tell inside from outside, and take half the time.
         self._middle = places.mean(axis=0)
         self._places = (places - self._middle).astype(np.float32)
@@ -90,7 +90,7 @@ class Reference:
 
     def stands_out_m(self, part: ConvexPart, beyond_m: float, count: int = PART_POINTS) -> float:
         """Return how far a part stands out of the surface [m]; 0 where that is not beyond a distance [m]."""
-        points_m = np.vstack((part.vertices_m, sample(part.surface, count, self._random)[0]))
+        points_m = np.vstack((part.vertices_m, sample(part.surface, count, self._random)))
         distances_m, _ = self._tree.query(points_m)
         order = np.argsort(-distances_m)
         order = order[distances_m[order] > beyond_m]
@@ -214,7 +214,7 @@ def _best_cut(corners_m: Vector, part: ConvexPart, random: np.random.Generator) 
     vertices = corners_m.reshape(-1, 3)
     soup = Surface(vertices, np.arange(len(vertices)).reshape(-1, 3))
     hull_points = random.choice(part.vertices_m, min(CUT_POINTS // 4, len(part.vertices_m)), replace=False)
-    points = np.vstack((hull_points, sample(soup, CUT_POINTS, random)[0]))
+    points = np.vstack((hull_points, sample(soup, CUT_POINTS, random)))
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     best: tuple[float, int, float] | None = None
     for axis in range(3):

@@ -276,7 +276,7 @@ class _Import:
         if structure.gripper_joints:
             random = np.random.default_rng(seed)
             points = {
-                link: np.vstack([sample(each, GRIPPER_POINTS, random)[0] for each in _surfaces(link, shapes[link])])
+                link: np.vstack([sample(each, GRIPPER_POINTS, random) for each in _surfaces(link, shapes[link])])
                 for link in tree.links_below(structure.hand_link)
                 if link in shapes
             }

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from planners.assistant.decomposition import MAX_TRIANGLES, Limits, decompose
-from planners.assistant.surface import ConvexPart, Deviation, Surface, merged, sample
+from planners.assistant.surface import ConvexPart, Deviation, Surface, merged, sample_with_normals
 from planners.errors import AssistantError
 from planners.geometry.parts import Parts, parts_of
 from planners.geometry.shapes import convex, corners, evenly_spread, kinematic_urdf, link_name, urdf_shapes
@@ -198,7 +198,7 @@ def _cloud(
     for index, (link, surface) in enumerate(surfaces):
         count = max(1, int(POINTS * surface.area_m2 / total)) if total > 0.0 else 1
         at = placements[link]
-        own, across = sample(surface, count, random)
+        own, across = sample_with_normals(surface, count, random)
         points.append(own @ at.rotation.T + at.translation)
         normals.append(across @ at.rotation.T)
         hue = (index if by_part else names.index(link)) * HUE_STEP % 1.0

@@ -126,7 +126,12 @@ def components(surface: Surface) -> list[Surface]:
     return found
 
 
-def sample(surface: Surface, count: int, random: np.random.Generator) -> tuple[Vector, Vector]:
+def sample(surface: Surface, count: int, random: np.random.Generator) -> Vector:
+    """Return points drawn uniformly from a surface, shape (count, 3) [m]."""
+    return sample_with_normals(surface, count, random)[0]
+
+
+def sample_with_normals(surface: Surface, count: int, random: np.random.Generator) -> tuple[Vector, Vector]:
     """Return points drawn uniformly from a surface [m] and the unit normals there, shape (count, 3) each."""
     corners_m = surface.corners_m
     across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
@@ -142,12 +147,12 @@ def sample(surface: Surface, count: int, random: np.random.Generator) -> tuple[V
 
 def measure(surface: Surface, parts: Sequence[ConvexPart], random: np.random.Generator) -> Deviation:
     """Measure how far parts are from :data:`TEST_POINTS` samples of a surface: rather too far than too near."""
-    on_surface = sample(surface, TEST_POINTS, random)[0]
+    on_surface = sample(surface, TEST_POINTS, random)
     uncovered_m = np.min([part.depth_m(on_surface) for part in parts], axis=0).max()
     outer_m = _outer_points(parts, random)
     outside_m = 0.0
     if len(outer_m):
-        distances_m, _ = cKDTree(sample(surface, REFERENCE_POINTS, random)[0]).query(outer_m)
+        distances_m, _ = cKDTree(sample(surface, REFERENCE_POINTS, random)).query(outer_m)
         winding_number = of_triangles(surface.vertices_m, surface.triangles).winding_number
         farthest = (i for i in np.argsort(-distances_m) if abs(winding_number(outer_m[i])) < INSIDE)
         outside_m = next((float(distances_m[i]) for i in farthest), 0.0)
@@ -158,7 +163,7 @@ def _outer_points(parts: Sequence[ConvexPart], random: np.random.Generator) -> V
     """Return points of the parts' surfaces that no other part contains or touches, shape (n, 3) [m]."""
     areas = np.array([np.linalg.norm(np.ptp(part.vertices_m, axis=0)) ** 2 for part in parts])
     counts = np.maximum(8, TEST_POINTS * areas / areas.sum()).astype(int)
-    points_m = np.vstack([sample(part.surface, count, random)[0] for part, count in zip(parts, counts, strict=True)])
+    points_m = np.vstack([sample(part.surface, count, random) for part, count in zip(parts, counts, strict=True)])
     owner = np.repeat(np.arange(len(parts)), counts)
     outer = np.ones(len(points_m), dtype=bool)
     for index, part in enumerate(parts):

@@ -334,7 +334,8 @@ class LastClient:
         parking: ArmParking,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._arm, self._policy = arm, settings.on_last_client
+        self._arm = arm
+        self._policy = settings.on_last_client
         self._delay_s = settings.last_client_delay_s
         self._drivers = drivers
         self._queue = queue
@@ -368,12 +369,15 @@ class LastClient:
     async def _act(self) -> None:
         log.info("nobody who may drive is connected: the arm is to %s", self._policy)
         if self._policy == "park":
-            parking, last_stop = self._parking.park(LAST_CLIENT), self._arm.last_stop
-            parked = await parking
+            last_stop = self._arm.last_stop
+            parked = await self._parking.park(LAST_CLIENT)
             if parked.done:
                 return
-            if self._drivers or self._arm.last_stop != last_stop:
-                log.warning("%s; a client is connected again or has stopped the arm, which holds", parked.message)
+            if self._arm.last_stop != last_stop:
+                log.warning("%s; the arm was stopped, and holds", parked.message)
+                return
+            if self._drivers:
+                log.warning("%s; a client is connected again, and the arm holds", parked.message)
                 return
             log.warning("%s; it is relaxed where it is", parked.message)
         relaxed = await self._arm.order(Order.RELAX)

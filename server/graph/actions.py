@@ -68,7 +68,8 @@ class ActionGoal(PendingRequest[Result]):
         self.request = request
         self.goal_id = goal_id or uuid.uuid4().bytes
         self.sender_id: Mark = None
-        self.cancel_requested = self.sender_left = False
+        self.cancel_requested = False
+        self.sender_left = False
         self._message_types = message_types
         self._on_feedback = on_feedback
         self._on_every_feedback: Callable[[dict[str, Any]], None] | None = None

@@ -42,7 +42,7 @@ class PendingRequest(Generic[End]):
         if self.ended:
             return
         self.ended = True
-        # They lead back here: without them it is freed at once, without the garbage collector.
+        # The callbacks lead back to this request: without them it is freed at once, not by the garbage collector.
         callbacks, self._when_ended = self._when_ended, []
         for callback in callbacks:
             try:
@@ -56,7 +56,10 @@ ProvidedKind: TypeAlias = Literal["service", "action"]
 _TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
 # Parts of the type of each kind: the request first.
-_PARTS: dict[str, tuple[str, ...]] = {"service": ("Request", "Response"), "action": ("Goal", "Feedback", "Result")}
+_PARTS: dict[ProvidedKind, tuple[str, ...]] = {
+    "service": ("Request", "Response"),
+    "action": ("Goal", "Feedback", "Result"),
+}
 
 AnyRequest = TypeVar("AnyRequest", bound=PendingRequest[Any])
 

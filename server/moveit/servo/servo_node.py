@@ -229,12 +229,15 @@ class ServoNode:
     ) -> None:
         servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
         self._arm, self._queue, self._busy_joints = arm, queue, busy_joints
-        self._graph, self._joints, self._parameters = graph, setup.joints, servo
+        self._graph = graph
+        self._joints = setup.joints
+        self._parameters = servo
         self._resolve = planning.frames.resolve
         self._node = Node("servo_node")
         self._status = StatusPublisher(graph, self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
-        self._session = ServoSession(arm, setup, planning, ServoListener(self._status.publish, self._gate.interrupt))
+        listener = ServoListener(self._status.publish, self._gate.interrupt)
+        self._session = ServoSession(arm, setup, planning, listener)
         self._last_stop = 0  # stop epoch of the last stop of steering alone
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""

@@ -52,7 +52,7 @@ export class Ground {
 }
 
 function disc(color: THREE.ColorRepresentation): THREE.Mesh {
-  const geometry = new THREE.RingGeometry(0, HALF_M, 40, 8).translate(0, 0, DISC_Z_M);
+  const geometry = new THREE.RingGeometry(0, HALF_M, 24, 8).translate(0, 0, DISC_Z_M);
   const mesh = new THREE.Mesh(faded(geometry, color), flatMaterial(true));
   mesh.renderOrder = -3;
   return mesh;

@@ -3,8 +3,7 @@ import * as THREE from "three";
 // Share of the shortest edge, and its limit: an edge of 6 mm already looks like a printed part of that size.
 const EDGE_SHARE = 0.22;
 const MAX_EDGE_M = 0.006;
-const CYLINDER_SEGMENTS = 24;
-const BEVEL_STEPS = 2;
+const CYLINDER_SEGMENTS = 20;
 
 /** Return the radius of the edges of a shape with a shortest edge [m]. */
 export function edgeRadius_m(shortest_m: number): number {
@@ -72,17 +71,18 @@ function boxTriangles(): number[] {
   return triangles;
 }
 
-/** Create a cylinder about y with round rims; it fills the same bounds as the cylinder. */
+/** Create a cylinder about y with rims that look round, each one flat bevel as with the box; it fills the same bounds. */
 export function roundedCylinder(radius_m: number, length_m: number): THREE.BufferGeometry {
   const edge_m = edgeRadius_m(Math.min(radius_m, length_m));
-  const rim = (sign: number): THREE.Vector2[] =>
-    Array.from({ length: BEVEL_STEPS + 1 }, (_, step) => {
-      const angle_rad = (step / BEVEL_STEPS) * (Math.PI / 2);
-      const out_m = radius_m - edge_m * (1 - Math.sin(angle_rad));
-      return new THREE.Vector2(out_m, sign * (length_m / 2 - edge_m * (1 - Math.cos(angle_rad))));
-    });
-  const profile = [new THREE.Vector2(0, -length_m / 2), ...rim(-1), ...rim(1).reverse(), new THREE.Vector2(0, length_m / 2)];
-  return new THREE.LatheGeometry(profile, CYLINDER_SEGMENTS);
+  const [end_m, side_m] = [length_m / 2, length_m / 2 - edge_m];
+  const profile = [[0, -end_m], [radius_m - edge_m, -end_m], [radius_m, -side_m], [radius_m, side_m], [radius_m - edge_m, end_m], [0, end_m]];
+  const geometry = new THREE.LatheGeometry(profile.map(([out_m, y_m]) => new THREE.Vector2(out_m, y_m)), CYLINDER_SEGMENTS);
+  const { position: at, normal } = geometry.attributes as Record<string, THREE.BufferAttribute>;
+  for (let vertex = 0; vertex < at!.count; vertex += 1) {
+    const out = profile[vertex % profile.length]![0] === radius_m ? 1 / radius_m : 0;
+    normal!.setXYZ(vertex, out * at!.getX(vertex), out === 0 ? Math.sign(at!.getY(vertex)) : 0, out * at!.getZ(vertex));
+  }
+  return geometry;
 }
 
 export function roundShapes(shape: THREE.Object3D): void {

@@ -1,12 +1,12 @@
 import * as THREE from "three";
 
-// 1.2 m around the robot's root in 192 pixels: 6 mm each, which the blur hides. More pixels cost frames in software.
+// 1.2 m around the robot's root in 128 pixels: 9 mm each, which the blur hides. More pixels cost frames in software.
 const HALF_M = 0.6;
-const PIXELS = 192;
+const PIXELS = 128;
 const SHADOW_Z_M = -0.001;
 // Layer of what casts a shadow, beside the layer that the camera draws.
 const SHADOW_LAYER = 1;
-const BLUR_PX = 1.6;
+const BLUR_PX = 1.1;
 
 const FLATTEN = /* glsl */ `
   uniform vec3 light;

@@ -7,6 +7,15 @@ import sys
 
 from harness.waiting import TIMEOUT_S
 
+# ``armbridge emulate`` without the other commands, which take as long to load as it does.
+EMULATE = """
+import argparse
+from robot.emulator import process
+parser = argparse.ArgumentParser()
+process.add_options(parser)
+process.run(parser.parse_args())
+"""
+
 
 class RunningEmulator:
     """An emulator process and the test's end of its control socket."""
@@ -15,7 +24,7 @@ class RunningEmulator:
         ours, theirs = socket.socketpair()
         with theirs:
             self.process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "server.cli", "emulate", "--control-fd", str(theirs.fileno()), *options],
+                [sys.executable, "-P", "-c", EMULATE, "--control-fd", str(theirs.fileno()), *options],
                 pass_fds=[theirs.fileno()],
             )
         ours.settimeout(TIMEOUT_S)

@@ -1,10 +1,9 @@
 """Messages between the server and a planner process, and the transfer of scenes.
 
 The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
-:class:`MoreObjects` until it is whole, and requests, the next after the answer to the
-last. Each request gets one :class:`Answered`, and a problem that takes longer than most :class:`StillSearching` before.
-
-A scene is sent once: both ends know it by its version. A scene that is given up half-way is sent from its beginning.
+:class:`MoreObjects` until it is whole, and requests, the next after the answer to the last. Each request gets one
+:class:`Answered`, and a problem that takes longer than most :class:`StillSearching` before. Both ends know a scene by
+its version, and it is sent once, after a break from its beginning.
 """
 
 from __future__ import annotations

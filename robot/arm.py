@@ -143,6 +143,7 @@ class Arm(ArmClock):
         self._motions: dict[int, asyncio.Future[MotionEnded]] = {}
         self._streams: dict[int, ArmStream] = {}
         self._orders: dict[int, asyncio.Future[CommandDone]] = {}
+        self._emergency: int | None = None  # latest emergency stop, until a process answers it
         self._timeouts: set[asyncio.Task[None]] = set()
         self._held: list[MotionEnded | CommandDone] = []
         self._ids = itertools.count(1)
@@ -191,6 +192,9 @@ class Arm(ArmClock):
         self._process.configure(self._config, Stop(epoch=self.last_stop))
         if self._bodies is not None:
             self._process.send(self._bodies)
+        if self._emergency is not None and self._emergency not in self._orders:
+            # There was no process, or it ended before it answered.
+            self.order(Order.EMERGENCY_STOP)
 
     def simulate(self, command: SetBodies | PauseSimulation) -> None:
         """Command the world of an arm with physics; a restarted process has the same bodies, and no pause."""
@@ -299,15 +303,18 @@ class Arm(ArmClock):
         """Send an order to the arm before returning; its future is resolved in time and never raises.
 
         WRITE_CALIBRATION needs a calibration. The epoch is the stop epoch in which the order was requested, None for
-        now: after a later stop the arm is not enabled. Its time counts on the arm's clock.
+        now: after a later stop the arm is not enabled. Its time counts on the arm's clock. An emergency stop that no
+        process answers is made by the next one.
         """
         number = next(self._ids)
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[CommandDone] = loop.create_future()
         if order is Order.EMERGENCY_STOP:
             epoch = self.last_stop = STOP_EPOCHS.begin()
+            self._emergency = number
         if not self._process.order(Command(number, order, calibration, _epoch_of_request(epoch))):
-            answered.set_result(CommandDone(number, done=False, message="the arm process is not running"))
+            later = "; the emergency stop is made as soon as it runs" if order is Order.EMERGENCY_STOP else ""
+            answered.set_result(CommandDone(number, done=False, message=f"the arm process is not running{later}"))
             return answered
         self._orders[number] = answered
         answered.add_done_callback(lambda _: self._orders.pop(number, None))
@@ -410,6 +417,8 @@ class Arm(ArmClock):
             if message.motion_id in self._streams:
                 self._streams[message.motion_id].commanded = message
         elif isinstance(message, MotionEnded | CommandDone):
+            if isinstance(message, CommandDone) and message.number == self._emergency:
+                self._emergency = None
             # Held back until the next state, which must show it: that the arm holds again, a fault, an enabled arm.
             connected = self.state.mode is not Mode.DISCONNECTED
             if message.done if isinstance(message, CommandDone) else connected:

@@ -381,10 +381,7 @@ class CollisionModel:
         if parts.nearer_than(margin_m + float(self._apart_m[pair])):
             return False
         # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
-        first_is_link, second_is_link = (self._bodies[index].is_link for index in self._pairs[pair])
-        return not (
-            (first_is_link and parts.first_encloses_second()) or (second_is_link and parts.second_encloses_first())
-        )
+        return not parts.encloses(*(self._bodies[index].is_link for index in self._pairs[pair]))
 
     def _has_convex_parts(self, pair: int) -> bool:
         return self._parts.convex and not self._names[pair] & self._scaled

@@ -257,13 +257,11 @@ class PartPair:
                 found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
         return found.transformed(self._at_first)
 
-    def first_encloses_second(self) -> bool:
-        """Return true if a body of the second is inside the surface of the first, where the two do not touch."""
-        return self._first.encloses(self._second, self._between)
-
-    def second_encloses_first(self) -> bool:
-        """As :meth:`first_encloses_second`, the other way round."""
-        return self._second.encloses(self._first, self._between.inverse())
+    def encloses(self, by_first: bool, by_second: bool) -> bool:
+        """Return true if a body of one is inside the surface of the other, as far as asked, where they do not touch."""
+        return (by_first and self._first.encloses(self._second, self._between)) or (
+            by_second and self._second.encloses(self._first, self._between.inverse())
+        )
 
     def _near_pairs(self, margin_m: float) -> list[list[int]]:
         pairs: list[list[int]] = near_pairs(self._first.boxes, self._second.boxes, self._between, margin_m).tolist()

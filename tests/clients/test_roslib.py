@@ -4,7 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pytest
 
 from harness.server import RunningServer
 from harness.waiting import TIMEOUT_S
+from tests.clients.conftest import OF_DIALECT
 from tests.helpers.programs import environment_with, heard_by, install_with_npm
 
 HERE = Path(__file__).parent
@@ -36,9 +37,9 @@ def dialect(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def server(dialect: str) -> Iterator[RunningServer]:
-    with RunningServer(settings={"ARMBRIDGE_SERVER__ROS_VERSION": dialect[-1]}) as running:
-        yield running
+def server(dialect: str, request: pytest.FixtureRequest) -> RunningServer:
+    running: RunningServer = request.getfixturevalue(OF_DIALECT[dialect])
+    return running
 
 
 @pytest.fixture(scope="module")

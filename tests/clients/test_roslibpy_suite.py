@@ -20,6 +20,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from harness.server import RunningServer
+from tests.clients.conftest import OF_DIALECT
 
 PACKAGE = f"roslibpy=={metadata.version('roslibpy')}"
 
@@ -76,10 +77,13 @@ def fibonacci(url: str) -> Iterator[None]:
     thread.join()
 
 
-@pytest.mark.parametrize(("version", "transport"), [("1", "twisted"), ("2", "asyncio")])
-def test_the_tests_of_roslibpy_pass(source: Path, version: str, transport: str, tmp_path: Path) -> None:
-    with RunningServer(settings={"ARMBRIDGE_SERVER__ROS_VERSION": version}) as server, fibonacci(server.url):
-        for path in (source / "conftest.py", *(source / f"ros{version}").glob("*.py")):
+@pytest.mark.parametrize(("dialect", "transport"), [("ros1", "twisted"), ("ros2", "asyncio")])
+def test_the_tests_of_roslibpy_pass(
+    source: Path, dialect: str, transport: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    server: RunningServer = request.getfixturevalue(OF_DIALECT[dialect])
+    with fibonacci(server.url):
+        for path in (source / "conftest.py", *(source / dialect).glob("*.py")):
             (tmp_path / path.name).write_text(path.read_text().replace(PORT, str(server.port)))
         done = subprocess.run(
             [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "--rootdir", "."],

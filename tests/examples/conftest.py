@@ -1,26 +1,19 @@
-"""One server for all examples, whose simulated arm moves as fast as it can, and examples run as people run them."""
+"""The server of all clients, and examples run as people run them."""
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
-from harness.server import CLIENT_ENVIRONMENT, FAST, ROOT, RunningServer
+from harness.server import CLIENT_ENVIRONMENT, ROOT
+from tests.clients.conftest import server  # noqa: F401 - fixture
 from tests.helpers.programs import run
 
 EXAMPLES = ROOT / "examples"
 EXAMPLE_TIMEOUT_S = 300  # the physics of a busy machine is slow
 
 RunExample = Callable[..., subprocess.CompletedProcess[str]]
-
-
-@pytest.fixture(scope="package")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
-    states: Path = tmp_path_factory.mktemp("data") / "states.json"
-    with RunningServer(settings={**FAST, "ARMBRIDGE_GOALS__NAMED_STATES_FILE": str(states)}) as running:
-        yield running
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
-"""Arms as others publish them, served and moved over a real socket: Panda and UR5, whose poses are whole ones."""
+"""An arm as others publish it, served and moved over a real socket: Panda, whose poses are whole ones."""
 
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,17 +17,8 @@ from server.moveit.messages import pose_of, write_pose
 
 pytestmark = pytest.mark.skipif(find_example("panda") is None, reason="the package example-robot-data is not installed")
 
-# The package's own SRDF of the UR5 has no group; links that never touch are those of MoveIt's setup, as neighbours are.
-UR5_LINKS = ("base", "shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-UR5_PAIRS = [*itertools.pairwise(UR5_LINKS), ("wrist_1", "wrist_3")]
-UR5_SRDF = (
-    '<robot name="ur5"><group name="arm"><chain base_link="base_link" tip_link="tool0"/></group>'
-    + "".join(f'<disable_collisions link1="{a}_link" link2="{b}_link" reason="Never"/>' for a, b in UR5_PAIRS)
-    + "</robot>"
-)
-
 # Bent, and far from every limit [rad].
-BENT = {"panda": (0.0, -0.6, 0.0, -2.2, 0.0, 1.7, 0.7), "ur5": (0.3, -1.2, 1.4, -1.7, -1.5, 0.2)}
+BENT = (0.0, -0.6, 0.0, -2.2, 0.0, 1.7, 0.7)
 
 ARRIVED_RAD = 0.005
 POSITION_M = 0.012
@@ -37,7 +27,6 @@ POSITION_M = 0.012
 class ServedArm(NamedTuple):
     """A server with a published arm, and the arm's description."""
 
-    name: str
     running: RunningServer
     robot: RobotModel
 
@@ -46,15 +35,14 @@ class ServedArm(NamedTuple):
         return ForwardPlacements(self.robot).transforms({**rest, **positions_rad})[self.robot.tip_link]
 
 
-@pytest.fixture(scope="module", params=sorted(BENT))
-def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedArm]:
+@pytest.fixture(scope="module")
+def arm() -> Iterator[ServedArm]:
     robots = _robots()
     assert robots is not None
-    packages = (robots.parents[1],)
-    urdf, srdf = _urdfs(robots)[request.param], tmp_path_factory.mktemp("arm") / "arm.srdf"
-    srdf.write_text(UR5_SRDF if request.param == "ur5" else Path(urdf.parents[1] / "srdf" / "panda.srdf").read_text())
+    packages, urdf = (robots.parents[1],), _urdfs(robots)["panda"]
+    srdf = Path(urdf.parents[1] / "srdf" / "panda.srdf")
     with RunningServer(f"--port 0 --urdf {urdf} --srdf {srdf} --package-path {packages[0]}") as running:
-        yield ServedArm(request.param, running, model.load(urdf, srdf, packages))
+        yield ServedArm(running, model.load(urdf, srdf, packages))
 
 
 async def goes(client: ArmClient, **goal: Any) -> dict[str, float]:
@@ -66,7 +54,7 @@ async def goes(client: ArmClient, **goal: Any) -> dict[str, float]:
 
 async def test_goals_of_joints_and_of_whole_poses_and_straight_paths_are_reached(arm: ServedArm) -> None:
     root, joints = arm.robot.root_link, arm.robot.groups[arm.robot.default_group].joints
-    bent = dict(zip(joints, BENT[arm.name], strict=True))
+    bent = dict(zip(joints, BENT, strict=True))
     async with arm_client(arm.running.url) as client:
         at = await goes(client, joints={"name": joints, "position": list(bent.values())})
         assert {name: at[name] for name in joints} == pytest.approx(bent, abs=ARRIVED_RAD)

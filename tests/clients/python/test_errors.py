@@ -6,7 +6,7 @@ import json
 import socket
 import ssl
 import threading
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from http import HTTPStatus
 from pathlib import Path
@@ -33,18 +33,6 @@ from armbridge_client.messages import TYPES, String, TriggerRequest
 from harness.server import FAST, RunningServer, free_port
 from harness.waiting import until
 from server.access.certificates import CertificateFiles, ensure_certificate
-
-TOKENS = {
-    "ARMBRIDGE_ACCESS__VIEW_TOKENS__SCREEN": "v" * 24,
-    "ARMBRIDGE_ACCESS__PROPOSE_TOKENS__MODEL": "p" * 24,
-    "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": "o" * 24,
-}
-
-
-@pytest.fixture(scope="module")
-def guarded() -> Iterator[RunningServer]:
-    with RunningServer(settings={**FAST, **TOKENS}) as running:
-        yield running
 
 
 class ScriptedServer:

@@ -9,7 +9,7 @@ import pytest
 
 from armbridge_client import Arm, ControlledByOther, GoalRefused, RequestRefused, WaitingGoal, connect, pose
 from armbridge_client.messages import CompressedImage, JointState, MoveitGoalFeedback, TriggerRequest
-from harness.server import FAST, RunningServer
+from harness.server import RunningServer
 from harness.waiting import join, wait_until
 
 TABLE = pose(0.3, 0.0, 0.05)
@@ -166,13 +166,6 @@ def test_a_goal_waits_for_its_confirmation(server: RunningServer, arm: Arm, exec
             arm.move("ready", on_progress=on_progress)
         join(answering)
     arm.set_confirm_mode(on=False)
-
-
-@pytest.fixture(scope="module")
-def guarded() -> Iterator[RunningServer]:
-    tokens = {"ARMBRIDGE_ACCESS__PROPOSE_TOKENS__MODEL": "p" * 24, "ARMBRIDGE_ACCESS__OPERATE_TOKENS__ADA": "o" * 24}
-    with RunningServer(settings={**FAST, **tokens}) as running:
-        yield running
 
 
 @pytest.mark.parametrize("approves", [True, False])

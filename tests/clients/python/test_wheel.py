@@ -1,4 +1,4 @@
-"""The wheel of the client in an empty environment of each Python that this machine has, 3.10 the oldest."""
+"""The wheel of the client in an empty environment of the oldest and the newest Python; our own is between."""
 
 import os
 import shutil
@@ -45,7 +45,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
+@pytest.mark.parametrize("version", ["3.10", "3.13"])
 def test_the_wheel_moves_the_arm(version: str, wheel: Path, server: RunningServer, tmp_path: Path) -> None:
     interpreter = python(version)
     if interpreter is None:

@@ -1,5 +1,6 @@
 """Batches planned by the workers of Dask clusters, each a scheduler and workers on this machine."""
 
+import io
 import json
 import os
 import pickle
@@ -7,15 +8,16 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from harness.server import free_port
-from harness.waiting import TIMEOUT_S, wait_until
+from harness.waiting import TIMEOUT_S, running, wait_until
 from planners.errors import BatchError
 from planners.files import plan_command, problem_file
-from planners.problem import MoveItErrorCode, PlanningFailure
+from planners.problem import MoveItErrorCode, Plan, PlanningFailure
 from tests.helpers.resources import is_open
 from tests.helpers.robots import so101
 
@@ -25,7 +27,7 @@ ROOT = Path(__file__).parents[3]
 GAP, CLUTTER = (ROOT / "benchmarks" / "scenes" / f"{name}.json" for name in ("gap", "clutter"))
 
 # Long enough that the first of them is answered while most are not.
-SLOWLY = ("--optimize", "1")
+SLOWLY = {"optimization_time_s": 1.0}
 
 HOST = "127.0.0.1"
 
@@ -74,34 +76,21 @@ def cluster(empty_cluster: DaskCluster) -> DaskCluster:
     return empty_cluster
 
 
-class Command:
-    """``armbridge plan`` in a process of its own."""
+def planned(cluster: str | None, *paths: Path, json_path: Path | None = None) -> tuple[int, list[str], list[str]]:
+    """What ``armbridge plan`` does in its process: exit code, and the lines of stdout and stderr."""
+    output, errors = io.StringIO(), io.StringIO()
+    options = plan_command.Options(paths, json_path=json_path, settings={"seed": 3}, scheduler=cluster)
+    code = plan_command.run(options, so101(), output, errors)
+    return code, output.getvalue().splitlines(), errors.getvalue().splitlines()
 
-    def __init__(self, *arguments: str | Path, **environment: str) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "server.cli", "plan", *map(str, arguments)],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            # Tests that run in the background of a shell have interrupts ignored, and a child would inherit that.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
-        self.lines: list[str] = []
 
-    def wait_for_answers(self) -> None:
-        """Wait for the first row after the titles."""
-        assert self._process.stdout is not None
-        self.lines += [self._process.stdout.readline() for _ in range(2)]
-
-    def interrupt(self) -> None:
-        self._process.send_signal(signal.SIGINT)
-
-    def end(self) -> tuple[int, list[str], list[str]]:
-        """Exit code, and the lines of stdout and stderr."""
-        output, errors = self._process.communicate(timeout=TIMEOUT_S)
-        return self._process.returncode, [*self.lines, *output.splitlines()], errors.splitlines()
+def begun(cluster: DaskCluster) -> tuple[Iterator[tuple[int, Plan | PlanningFailure, float]], int]:
+    """Begin a batch; returns its answers, of which the first has come, and how many are still to come."""
+    file = problem_file.read(GAP, so101())
+    problems = [(file, replace(each.problem, **SLOWLY)) for each in file.problems if each.feasible][:4]
+    answers = plan_command.plan_on(cluster.address, problems)
+    next(answers)
+    return answers, len(problems) - 1
 
 
 def few(path: Path, folder: Path) -> Path:
@@ -114,12 +103,13 @@ def few(path: Path, folder: Path) -> Path:
 
 
 def test_a_cluster_without_workers_and_a_scheduler_that_does_not_answer_are_one_line(
-    empty_cluster: DaskCluster,
+    empty_cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    result = Command(GAP, "--scheduler", empty_cluster.address).end()
-    assert result == (2, [], [f"armbridge: the Dask scheduler {empty_cluster.address} has no workers"])
-    address = f"tcp://127.0.0.1:{free_port()}"
-    code, lines, (error,) = Command(GAP, "--scheduler", address).end()
+    address = empty_cluster.address
+    assert planned(address, GAP) == (2, [], [f"armbridge: the Dask scheduler {address} has no workers"])
+    monkeypatch.setattr(plan_command, "CONNECT_TIMEOUT_S", 0.1)
+    address = f"tcp://{HOST}:{free_port()}"
+    code, lines, (error,) = planned(address, GAP)
     assert (code, lines) == (2, [])
     assert error.startswith(f"armbridge: the Dask scheduler {address} cannot be reached: ")
 
@@ -127,8 +117,8 @@ def test_a_cluster_without_workers_and_a_scheduler_that_does_not_answer_are_one_
 def test_several_files_are_planned_as_here(cluster: DaskCluster, tmp_path: Path) -> None:
     here, there = tmp_path / "here.json", tmp_path / "there.json"
     files = few(GAP, tmp_path), few(CLUTTER, tmp_path)
-    local = Command(*files, "--seed", "3", "--json", here).end()
-    far = Command(*files, "--seed", "3", "--json", there, "--scheduler", cluster.address).end()
+    local = planned(None, *files, json_path=here)
+    far = planned(cluster.address, *files, json_path=there)
     assert (far[0], far[1][-1], far[2]) == (local[0], local[1][-1], [])
     assert json.loads(there.read_text()) == json.loads(here.read_text())
     assert {line.split()[0] for line in far[1]} == {line.split()[0] for line in local[1]}
@@ -153,32 +143,31 @@ def test_workers_with_another_armbridge_are_named_with_both_versions(cluster: Da
 
 
 def test_an_interrupt_takes_back_what_is_not_planned(cluster: DaskCluster) -> None:
-    command = Command(GAP, CLUTTER, *SLOWLY, "--scheduler", cluster.address)
-    command.wait_for_answers()
-    command.interrupt()
-    code, _, errors = command.end()
-    assert (code, errors) == (1, ["armbridge: stopped before every problem was planned"])
+    command = [sys.executable, "-m", "server.cli", "plan", GAP, "--optimize", "1", "--scheduler", cluster.address]
+    with running(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        # The titles and the first row.
+        assert all(process.stdout.readline() for _ in range(2))
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate()
+    assert (process.returncode, errors) == (1, "armbridge: stopped before every problem was planned\n")
     with distributed.Client(cluster.address) as client:
         assert client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.tasks)) == []
 
 
-def test_problems_of_a_worker_that_dies_are_planned_by_another(cluster: DaskCluster, tmp_path: Path) -> None:
-    answers, file = tmp_path / "out.json", few(GAP, tmp_path)
-    command = Command(file, "--all", *SLOWLY, "--json", answers, "--scheduler", cluster.address)
-    command.wait_for_answers()
+def test_problems_of_a_worker_that_dies_are_planned_by_another(cluster: DaskCluster) -> None:
+    answers, open_ = begun(cluster)
     cluster.workers[0].kill()
-    _, lines, errors = command.end()
-    assert errors == []
-    assert len(json.loads(answers.read_text())) == len(problem_file.read(file, so101()).problems)
-    assert not any("CRASH" in line for line in lines)
+    rest = list(answers)
+    assert len(rest) == open_
+    assert all(isinstance(answer, Plan) for _, answer, _ in rest)
 
 
 def test_a_scheduler_that_is_lost_ends_the_batch(cluster: DaskCluster) -> None:
-    command = Command(GAP, *SLOWLY, "--scheduler", cluster.address)
-    command.wait_for_answers()
+    answers, _ = begun(cluster)
     cluster.scheduler.kill()
-    code, _, errors = command.end()
-    assert (code, errors) == (2, [f"armbridge: the Dask scheduler {cluster.address} was lost"])
+    with pytest.raises(BatchError, match=f"the Dask scheduler {cluster.address} was lost"):
+        list(answers)
 
 
 def test_a_worker_that_joined_late_with_another_armbridge_plans_nothing() -> None:

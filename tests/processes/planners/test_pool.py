@@ -33,6 +33,9 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 ROOT = Path(__file__).parents[3]
 MEMORY_LIMIT_BYTES = 300 << 20
 
+# With its hulls alone it is loaded in no time.
+ROBOT = dataclasses.replace(so101(), parts={}, surfaces={})
+
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def pool() -> AsyncIterator[PlannerPool]:
@@ -42,7 +45,7 @@ async def pool() -> AsyncIterator[PlannerPool]:
         # Two, also on a machine with one.
         cores = os.sched_getaffinity(0) | {0, 1}
         patch.setattr(os, "sched_getaffinity", lambda _pid: cores)
-        made = PlannerPool(so101(), memory_limit_bytes=MEMORY_LIMIT_BYTES)
+        made = PlannerPool(ROBOT, memory_limit_bytes=MEMORY_LIMIT_BYTES)
         await made.start()
         yield made
         await made.close()
@@ -213,11 +216,11 @@ import asyncio, os
 from planners import pool as planner_pool
 from planners.pool import PlannerPool
 from tests.helpers.motions import broken
-from tests.helpers.robots import so101
 from harness.waiting import until
+from tests.processes.planners.test_pool import ROBOT
 async def serve():
     planner_pool.WORKER_MODULE = "tests.helpers.broken_planner"
-    pool = PlannerPool(so101())
+    pool = PlannerPool(ROBOT)
     await pool.start()
     asking = asyncio.create_task(pool.ask(broken({broken_planner.NATIVE_LOOP!r})))
     await until(lambda: pool.idle_count == 1 and len(pool.pids) == 2)

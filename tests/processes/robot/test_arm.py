@@ -15,6 +15,7 @@ from harness.server import read_write_log
 from harness.waiting import TIMEOUT_S, until
 from robot.arm import RESTART_LINES, Arm, start_arm_process
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
+from robot.faults import FaultCode
 from robot.hardware.config import SerialConfig
 from robot.messages import ArmState, ChangePace, EndState, Mode, Order, Outcome, Pace
 from robot.processes import RestartDelay, StartedChild
@@ -62,6 +63,25 @@ async def test_an_order_is_answered_when_the_process_dies(rig: ArmOnServos) -> N
     answer = rig.arm.order(Order.RELAX)
     rig.kill()
     assert "ended before it had answered" in (await asyncio.wait_for(answer, TIMEOUT_S)).message
+
+
+@pytest.mark.parametrize("dead", [True, False])
+async def test_an_emergency_stop_that_finds_no_process_or_a_dying_one_is_made_by_the_next(
+    restarted: ArmOnServos, dead: bool
+) -> None:
+    await until(lambda: restarted.arm.state.mode is Mode.HOLDING)
+    restarted.kill(signal.SIGKILL if dead else signal.SIGSTOP)
+    if dead:
+        await until(lambda: restarted.arm.state.mode is Mode.DISCONNECTED)
+    answer = restarted.arm.order(Order.EMERGENCY_STOP)
+    if not dead:
+        restarted.kill()
+    assert not (await asyncio.wait_for(answer, TIMEOUT_S)).done
+    await until(lambda: restarted.arm.state.mode is Mode.FAULT)
+    fault = restarted.arm.state.fault
+    assert fault is not None
+    assert fault.code is FaultCode.EMERGENCY_STOP
+    assert not restarted.arm.state.torque_enabled
 
 
 async def test_an_order_to_a_hanging_process_is_answered(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,7 +307,8 @@ async def test_an_arm_process_that_hangs_at_its_end_is_killed(
     relaxing.kill(signal.SIGSTOP)
     await asyncio.wait_for(relaxing.arm.close(), TIMEOUT_S)
     assert not runs(pid)
-    assert "the arm process has said nothing" in caplog.text or "does not end and is killed" in caplog.text
+    # Two limits run: for its end, and for its silence.
+    assert "the arm process has been silent" in caplog.text or "does not end and is killed" in caplog.text
 
 
 async def test_an_arm_process_that_is_not_waited_for_ends_by_itself_in_its_end_state(relaxing: ArmOnServos) -> None:

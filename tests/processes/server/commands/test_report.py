@@ -1,3 +1,4 @@
+import io
 import json
 import stat
 import zipfile
@@ -5,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.server import free_port, read_write_log, server_on_bus
+from harness.server import free_port, read_write_log
 from robot.calibration import save
 from server import cli
 from server.commands.terminal import ExitCode
@@ -15,8 +16,8 @@ from tests.server.commands.conftest import Run
 TOKENS = {name: f"{name}-0123456789abcdef" for name in ("own", "admin", "filed", "variable")}
 
 
-def members(path: Path) -> dict[str, str]:
-    with zipfile.ZipFile(path) as archive:
+def members(file: Path | io.BytesIO) -> dict[str, str]:
+    with zipfile.ZipFile(file) as archive:
         return {name: archive.read(name).decode() for name in archive.namelist()}
 
 
@@ -94,17 +95,3 @@ def test_without_a_server_servos_are_only_read(armbridge: Run, file: Path, tmp_p
     assert checks["servos"] == checks["calibration"] == "good"
     assert json.loads(told["arm/calibration.json"])["elbow_flex"]["id"] == 3
     assert read_write_log(write_log) == []
-
-
-def test_a_running_server_is_asked_instead_of_the_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with server_on_bus(ACCESS__TOKEN=TOKENS["own"]) as served:
-        monkeypatch.setenv("ARMBRIDGE_ACCESS__TOKEN", TOKENS["own"])
-        output = tmp_path / "report.zip"
-        port = str(served.server.port)
-        assert cli.main(["report", "--output", str(output), "--port", port, "--serial", "/dev/none"]) == ExitCode.DONE
-        assert served.server.process.poll() is None
-    told = members(output)
-    assert {"server/log.txt", "server/diagnostics.json", "server/metrics.txt"} <= told.keys()
-    assert not [name for name in told if name.startswith("bus/")]
-    assert "problems.txt" not in told
-    assert TOKENS["own"] not in "".join(told.values())

@@ -1,6 +1,5 @@
 import io
 import json
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,8 +8,11 @@ import pytest
 from harness.server import RunningServer as Server
 from harness.server import free_port
 from harness.waiting import wait_until
+from server import cli
+from server.commands.terminal import ExitCode
 from server.config import Settings
 from server.monitoring.report import Redactor, Report, RunningServer
+from tests.processes.server.commands.test_report import members
 
 TOKEN = "one-0123456789abcdef"
 VIEW_TOKEN = "two-0123456789abcdef"
@@ -30,8 +32,7 @@ def told_by(port: int, token: str | None) -> dict[str, str]:
     """The members that a server adds to a report of somebody."""
     report = Report(Redactor([], Path("/nobody")))
     RunningServer(settings(port), token).add_to(report)
-    with zipfile.ZipFile(io.BytesIO(report.archive())) as archive:
-        return {name: archive.read(name).decode() for name in archive.namelist()}
+    return members(io.BytesIO(report.archive()))
 
 
 def settings(port: int) -> Settings:
@@ -60,6 +61,20 @@ def test_a_viewer_gets_all_but_the_log_and_without_a_token_there_is_the_health_a
     assert "armbridge_" not in told["server/metrics.txt"]
     assert RunningServer(settings(port), None).add_to(Report(Redactor([], Path("/nobody")))) == set()
     assert "server/diagnostics.json" in told["problems.txt"]
+
+
+def test_a_report_asks_a_running_server_instead_of_the_bus(
+    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ARMBRIDGE_ACCESS__TOKEN", TOKEN)
+    output = tmp_path / "report.zip"
+    options = ["--output", str(output), "--port", str(port), "--serial", "/dev/none"]
+    assert cli.main(["report", *options]) == ExitCode.DONE
+    told = members(output)
+    assert {"server/log.txt", "server/diagnostics.json", "server/metrics.txt"} <= told.keys()
+    assert not [name for name in told if name.startswith("bus/")]
+    assert "problems.txt" not in told
+    assert TOKEN not in "".join(told.values())
 
 
 def test_a_port_where_nobody_listens_has_no_server(port: int) -> None:

@@ -182,7 +182,7 @@ def _print_costs(costs_percent: dict[str, list[float]], arm: str) -> None:
 
 
 def _ready_s(browser: Browser, server: RunningServer) -> float:
-    with opened(browser, draws=True) as page:
+    with opened(browser, draws=True, own=True) as page:
         page.open(server.port)
         return float(page.page.evaluate("window.armbridge.drawn.arm_ms")) / 1e3
 

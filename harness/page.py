@@ -54,8 +54,17 @@ SIZES = [(1440, 900), (1024, 768), (820, 1180), PHONE, LYING_PHONE]
 # Software rendering on two shared cores: what takes 0.1 s on a quiet machine takes minutes beside fifty other programs.
 PATIENCE_MS = 1e3 * TIMEOUT_S
 
-# How often the page is asked whether something is so.
-LOOK_MS = 20
+# How often the page looks whether something is so, and how often a test asks.
+LOOK_MS, ASK_MS = 20, 50
+
+UNTIL = """(async () => {
+    const end = performance.now() + %s;
+    while (!(%s)) {
+        if (performance.now() > end) return false;
+        await new Promise(done => setTimeout(done, %s));
+    }
+    return true;
+})()"""
 
 # Page and tests drive in turns, without waiting for each other.
 SHARED = {"ARMBRIDGE_ACCESS__CONTROL": "shared"}
@@ -106,6 +115,7 @@ def chromium() -> Iterator[Browser]:
         try:
             yield browser
         finally:
+            _LEFT.clear()
             browser.close()
 
 
@@ -151,20 +161,19 @@ class OpenPage:
         self.until("window.armbridge?.drawn.arm_ms > 0")
 
     def leave(self) -> None:
-        """Leave the server; the next page begins as new, but with the scripts and meshes that the browser has.
-
-        A page in a context of its own takes half as long again to open.
-        """
+        """Leave the server; the next page begins as new, but with the scripts and meshes that the browser has."""
         origin = self.page.evaluate("location.origin")
         if origin != "null":
             # Here as well: what a page of a busy browser has stored last may reach the disk after the session's order.
-            self.page.evaluate("localStorage.clear()")
+            self.page.evaluate("localStorage.clear(); sessionStorage.clear()")
         self.page.goto("about:blank")
         if origin != "null":
             session = self.page.context.new_cdp_session(self.page)
             session.send("Storage.clearDataForOrigin", {"origin": origin, "storageTypes": "local_storage"})
             session.detach()
-        self.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+        # As a test that failed may have left it.
+        self.page.mouse.up()
+        self.page.mouse.move(0, 0)
         self.errors.clear()
         self.hosts.clear()
 
@@ -175,20 +184,18 @@ class OpenPage:
     def until(self, condition: str, timeout_ms: float = PATIENCE_MS) -> None:
         """Wait until an expression in the page is true.
 
-        Asked again and again from here: Playwright's own way of waiting evaluates texts in the page, which the page's
-        Content-Security-Policy forbids.
+        The page looks by itself, which costs a tenth of asking it again and again. Playwright's own way of waiting
+        evaluates texts in the page, which the page's Content-Security-Policy forbids.
         """
-        until_s = time.monotonic() + timeout_ms / 1e3
-        while not self.page.evaluate(condition):
-            assert time.monotonic() < until_s, f"{condition} within {timeout_ms} ms: {self.describe()}"
-            self.page.wait_for_timeout(LOOK_MS)
+        met = self.page.evaluate(UNTIL % (timeout_ms, condition, LOOK_MS))
+        assert met, f"{condition} within {timeout_ms} ms: {self.describe()}"
 
     def wait(self, condition: Callable[[], object]) -> None:
         """Wait until something is so that is asked from here, while the page goes on."""
         until_s = time.monotonic() + PATIENCE_MS / 1e3
         while not condition():
             assert time.monotonic() < until_s, self.describe()
-            self.page.wait_for_timeout(LOOK_MS)
+            self.page.wait_for_timeout(ASK_MS)
 
     def describe(self) -> str:
         """Return the visible text, for the message of a failed test."""
@@ -223,7 +230,10 @@ class OpenPage:
     def open_panels(self) -> Iterator[str]:
         """Show one panel after the other, each with all its sections open."""
         for panel in PANELS:
-            self.open_panel(panel)
+            shown = f"document.querySelector('#panel-{panel}')?.checkVisibility()"
+            # At once: a click waits for frames, and that the rail is clicked is seen wherever a test opens one panel.
+            self.page.evaluate(f"{shown} || document.querySelector('#tab-{panel}').click()")
+            self.until(shown)
             self.page.evaluate(f"document.querySelectorAll('#panel-{panel} details').forEach(each => each.open = true)")
             yield panel
 
@@ -366,19 +376,42 @@ def at_ready(page: OpenPage, url: str) -> None:
     assert goal(url, "/moveit_goal_named", {"data": "ready"})["val"] == 1
 
 
+# Pages that were left, by what cannot be changed in an open one.
+_LEFT: dict[str, list[OpenPage]] = {}
+
+
 @contextmanager
 def opened(
-    browser: Browser, size: tuple[int, int] = DESKTOP, *, draws: bool = False, **options: Any
+    browser: Browser,
+    size: tuple[int, int] = DESKTOP,
+    *,
+    draws: bool = False,
+    own: bool = False,
+    color_scheme: Any = "light",
+    **options: Any,
 ) -> Iterator[OpenPage]:
-    """A page in a context of its own: nothing is kept from the one before.
+    """A page as new. Where a page of its kind was left it is that one, which opens with a third of the CPU.
 
     Args:
         draws: for tests that look at the picture of the arm, which is empty without it.
+        own: in a context of its own, to put scripts and routes into, which cannot be taken out; closed at the end.
     """
-    context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+    left = [] if own else _LEFT.setdefault(f"{draws} {options}", [])
+    page = left.pop() if left else _new_page(browser, draws, options)
+    try:
+        page.page.set_viewport_size({"width": size[0], "height": size[1]})
+        page.page.emulate_media(color_scheme=color_scheme)
+        yield page
+        if not own:
+            page.leave()
+            left.append(page)
+    finally:
+        if page not in left:
+            page.page.context.close()
+
+
+def _new_page(browser: Browser, draws: bool, options: dict[str, Any]) -> OpenPage:
+    context = browser.new_context(**options)
     if not draws:
         context.add_init_script(DRAW_NOTHING)
-    try:
-        yield OpenPage(context.new_page())
-    finally:
-        context.close()
+    return OpenPage(context.new_page())

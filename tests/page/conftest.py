@@ -1,4 +1,4 @@
-"""One browser, with a tab a module; tests are skipped, with the reason, where there is no browser or no built page."""
+"""One browser; tests are skipped, with the reason, where there is no browser or no built page."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from harness.page import OpenPage, chromium, opened, what_is_missing
+from harness.page import DESKTOP, OpenPage, chromium, opened, what_is_missing
 from harness.server import RunningServer
 
 
@@ -33,18 +33,27 @@ def server(settings: dict[str, str]) -> Iterator[RunningServer]:
         yield running
 
 
-@pytest.fixture(scope="module")
-def module_tab(browser: Browser) -> Iterator[OpenPage]:
+@pytest.fixture
+def tab(browser: Browser) -> Iterator[OpenPage]:
+    """An empty tab in which nothing goes wrong."""
     with opened(browser) as open_page:
+        yield open_page
+        assert open_page.errors == []
+
+
+@pytest.fixture(scope="session")
+def routed_page(browser: Browser) -> Iterator[OpenPage]:
+    with opened(browser, own=True) as open_page:
         yield open_page
 
 
 @pytest.fixture
-def tab(module_tab: OpenPage) -> Iterator[OpenPage]:
-    """An empty tab in which nothing goes wrong; nothing is kept from the page before."""
-    yield module_tab
-    errors = list(module_tab.errors)
-    module_tab.leave()
+def routed(routed_page: OpenPage) -> Iterator[OpenPage]:
+    """An empty tab, for tests that put themselves between page and server; the last route is the one that holds."""
+    routed_page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    yield routed_page
+    errors = list(routed_page.errors)
+    routed_page.leave()
     assert errors == []
 
 

@@ -27,10 +27,16 @@ def change_topic(page: OpenPage, topic: str, change: Callable[[dict[str, Any]], 
     page.change_operations(changed)
 
 
-@pytest.fixture
-def page(browser: Browser) -> Iterator[OpenPage]:
-    with opened(browser, draws=True) as open_page:
+@pytest.fixture(scope="module")
+def module_page(browser: Browser) -> Iterator[OpenPage]:
+    with opened(browser, draws=True, own=True) as open_page:
         yield open_page
+
+
+@pytest.fixture
+def page(module_page: OpenPage) -> Iterator[OpenPage]:
+    yield module_page
+    module_page.leave()
 
 
 def notices(page: OpenPage) -> str:

@@ -27,12 +27,18 @@ assert ARM.calibration is not None
 JOINTS = {joint.joint: joint for joint in ARM.calibration.joints}
 
 
-@pytest.fixture
-def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ServerOnBus]:
+@pytest.fixture(scope="module")
+def calibrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("calibrations")
+
+
+@pytest.fixture(scope="module")
+def arm(calibrations: Path) -> Iterator[ServerOnBus]:
     """A server with an emulated arm, for which lerobot has no calibration yet."""
-    monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
-    with server_on_bus() as running:
-        yield running
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("HF_LEROBOT_CALIBRATION", str(calibrations))
+        with server_on_bus() as running:
+            yield running
 
 
 @pytest.fixture
@@ -79,8 +85,27 @@ def show_direction(page: OpenPage, emulator: EmulatorControl, name: str) -> None
     move_by_hand(page, emulator, {name: (present + sign * SHOWN_TICKS) % 4096})
 
 
+def test_an_arm_is_verified_on_the_page_in_every_pose(page: OpenPage, arm: ServerOnBus) -> None:
+    page.part("verify").click()
+    page.until_state("s.commissioning.step === 'torque'")
+    answer(page, "Move")
+    compared = []
+    while commissioning(page)["procedure"]:
+        page.until_state("s.commissioning.procedure === '' || s.commissioning.answers.length > 0")
+        state = commissioning(page)
+        if not state["procedure"]:
+            break
+        compared.append(state["step"])
+        page.until_text("swept-elbow_flex-droop", "°")
+        answer(page, "Yes")
+    assert len(compared) >= 3
+    page.until_text("procedure-result", "he arm looks as the model")
+    assert page.part("findings").is_hidden()
+    assert page.errors == []
+
+
 def test_an_arm_is_calibrated_on_the_page_into_a_file_of_lerobot(
-    page: OpenPage, arm: ServerOnBus, tmp_path: Path
+    page: OpenPage, arm: ServerOnBus, calibrations: Path
 ) -> None:
     page.part("calibration-name").fill(NAME)
     page.part("calibrate").click()
@@ -109,30 +134,11 @@ def test_an_arm_is_calibrated_on_the_page_into_a_file_of_lerobot(
     answer(page, "Write")
     page.until_text("procedure-result", "The calibration is in the servos")
     page.until_state("s.link.connected && s.arm.mode === 'relaxed'")
-    (file,) = tmp_path.rglob(f"{NAME}.json")
+    (file,) = calibrations.rglob(f"{NAME}.json")
     written = json.loads(file.read_text())
     assert written.keys() == JOINTS.keys()
     for name, joint in JOINTS.items():
         swept = written[name]["range_max"] - written[name]["range_min"]
         assert swept == pytest.approx(joint.range_max - joint.range_min, abs=2 * HELD_TICKS), name
         assert written[name]["drive_mode"] == 0, name
-    assert page.errors == []
-
-
-def test_an_arm_is_verified_on_the_page_in_every_pose(page: OpenPage, arm: ServerOnBus) -> None:
-    page.part("verify").click()
-    page.until_state("s.commissioning.step === 'torque'")
-    answer(page, "Move")
-    compared = []
-    while commissioning(page)["procedure"]:
-        page.until_state("s.commissioning.procedure === '' || s.commissioning.answers.length > 0")
-        state = commissioning(page)
-        if not state["procedure"]:
-            break
-        compared.append(state["step"])
-        page.until_text("swept-elbow_flex-droop", "°")
-        answer(page, "Yes")
-    assert len(compared) >= 3
-    page.until_text("procedure-result", "he arm looks as the model")
-    assert page.part("findings").is_hidden()
     assert page.errors == []

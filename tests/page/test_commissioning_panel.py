@@ -92,8 +92,8 @@ class ScriptedProcedures:
 
 
 @pytest.fixture
-def page(tab: OpenPage) -> OpenPage:
-    return tab
+def page(routed: OpenPage) -> OpenPage:
+    return routed
 
 
 @pytest.fixture
@@ -251,7 +251,7 @@ def test_the_reason_of_a_refusal_is_told(page: OpenPage, procedures: ScriptedPro
 
 
 def test_the_range_of_the_joint_in_hand_is_drawn_on_the_arm(browser: Browser, server: RunningServer) -> None:
-    with opened(browser, draws=True) as page:
+    with opened(browser, draws=True, own=True) as page:
         assert_range_is_drawn(page, opened_on_procedures(page, server))
 
 

@@ -54,7 +54,7 @@ SETTINGS = SHARED
 
 @pytest.fixture(scope="module")
 def desktop(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as page:
+    with opened(browser, own=True) as page:
         yield _opened_at_drive(page, server)
 
 
@@ -66,7 +66,7 @@ def page(desktop: OpenPage, server: RunningServer) -> OpenPage:
 
 @pytest.fixture
 def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser, PHONE, has_touch=True, is_mobile=True) as page:
+    with opened(browser, PHONE, own=True, has_touch=True, is_mobile=True) as page:
         yield _ready(_opened_at_drive(page, server), server)
 
 

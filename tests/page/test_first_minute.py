@@ -60,32 +60,31 @@ def test_a_relaxed_arm_says_so_and_holds_at_one_click(page: OpenPage) -> None:
     page.until_state("s.arm.mode === 'holding'")
 
 
-def test_nothing_moves_by_the_page_while_the_arm_sinks_and_is_relaxed(browser: Browser, server: RunningServer) -> None:
+def test_nothing_moves_by_the_page_while_the_arm_sinks_and_is_relaxed(routed: OpenPage, server: RunningServer) -> None:
     sinks = True
 
     def as_if_it_sank(operation: dict[str, Any]) -> dict[str, Any] | None:
         told = operation.get("topic") == "/arm/state" and values_of(operation["msg"])["mode"] == "relaxed"
         return None if sinks and told else operation
 
-    with opened(browser) as page:
-        page.change_operations(as_if_it_sank)
-        page.open(server.port)
-        page.until_state("s.arm.mode === 'holding'")
-        assert page.part("gripper-open").is_enabled()
-        page.part("relax").click()
-        page.until_text("message", "it sinks")
-        page.until_text("state-pill", "RELAXING")
-        for test_id in ("gripper-open", "gripper-close", "plan-and-move"):
-            assert page.part(test_id).is_disabled(), test_id
-        page.open_panel("drive")
-        assert page.part("jog-gripper-plus").is_disabled()
-        sinks = False
-        page.open(server.port)
-        page.until_text("message", "The arm is relaxed")
-        page.open_panel("move")
-        assert page.part("gripper-open").is_disabled()
-        page.part("hold").click()
-        page.until("!document.querySelector('[data-testid=gripper-open]').matches(':disabled')")
+    routed.change_operations(as_if_it_sank)
+    routed.open(server.port)
+    routed.until_state("s.arm.mode === 'holding'")
+    assert routed.part("gripper-open").is_enabled()
+    routed.part("relax").click()
+    routed.until_text("message", "it sinks")
+    routed.until_text("state-pill", "RELAXING")
+    for test_id in ("gripper-open", "gripper-close", "plan-and-move"):
+        assert routed.part(test_id).is_disabled(), test_id
+    routed.open_panel("drive")
+    assert routed.part("jog-gripper-plus").is_disabled()
+    sinks = False
+    routed.open(server.port)
+    routed.until_text("message", "The arm is relaxed")
+    routed.open_panel("move")
+    assert routed.part("gripper-open").is_disabled()
+    routed.part("hold").click()
+    routed.until("!document.querySelector('[data-testid=gripper-open]').matches(':disabled')")
 
 
 def test_panels_open_and_close_by_the_rail_and_a_pinned_one_stays(page: OpenPage) -> None:
@@ -152,14 +151,13 @@ def test_the_bar_is_compact_and_stops_the_arm_on_every_screen(
         assert page.errors == []
 
 
-def test_a_server_of_another_version_says_so(browser: Browser, server: RunningServer) -> None:
+def test_a_server_of_another_version_says_so(routed: OpenPage, server: RunningServer) -> None:
     def with_other_version(operation: dict[str, Any]) -> dict[str, Any]:
         if operation.get("service") == "/arm/who_am_i":
             told = json.loads(operation["values"]["message"])
             operation["values"]["message"] = json.dumps({**told, "version": "99.0"})
         return operation
 
-    with opened(browser) as page:
-        page.change_operations(with_other_version)
-        page.open(server.port)
-        page.until_text("notices", "The server is version 99.0")
+    routed.change_operations(with_other_version)
+    routed.open(server.port)
+    routed.until_text("notices", "The server is version 99.0")

@@ -106,7 +106,7 @@ setInterval(() => {
 
 
 def test_frames_that_come_late_have_fewer_pixels_until_the_arm_rests(browser: Browser, server: RunningServer) -> None:
-    with opened(browser, draws=True) as page:
+    with opened(browser, draws=True, own=True) as page:
         page.page.add_init_script(LATE_FRAMES)
         page.open(server.port)
         # Without the canvas that was not laid out yet.

@@ -1,4 +1,4 @@
-"""A phone as a controller of the emulated arm: by its tilt and by WebXR; and the code that brings the page to it."""
+"""A phone as a controller of the emulated arm: by its tilt and by WebXR."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Browser
-from websockets.sync import client as blocking
 
-from harness.clients import call_on, tip
+from harness.clients import tip
 from harness.page import PHONE, SHARED, OpenPage, at_ready, opened
 from harness.server import RunningServer
 
@@ -82,7 +81,7 @@ SETTINGS = SHARED
 
 @pytest.fixture(scope="module")
 def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser, PHONE, has_touch=True, is_mobile=True) as page:
+    with opened(browser, PHONE, own=True, has_touch=True, is_mobile=True) as page:
         page.page.add_init_script(SENSORS + LISTEN)
         page.open(server.port)
         page.open_panel("drive")
@@ -213,37 +212,3 @@ def test_a_server_for_this_machine_says_what_is_missing(page: OpenPage) -> None:
     page.part("phone-show-code").click()
     page.until_text("phone-note", "listens to this machine only")
     assert page.part("phone-qr").count() == 0
-
-
-TOKEN = "administrator-0123456789"
-
-
-def test_the_code_lets_one_phone_in(browser: Browser) -> None:
-    settings = {"ARMBRIDGE_ACCESS__TOKEN": TOKEN}
-    with RunningServer("--port 0 --host 0.0.0.0", settings) as server, opened(browser) as page:
-        page.open(server.port, f"#token={TOKEN}")
-        page.open_panel("drive")
-        page.page.locator("#section-phone > summary").click()
-        page.part("phone-show-code").click()
-        page.until_text("phone-note", "lets one phone in")
-        page.until_text("phone-note", "not encrypted")
-        address = page.part("phone-address").text_content() or ""
-        assert finder_pattern(page) == [True, False, True, True, True, False, True]
-        token = address.partition("#token=")[2]
-        assert token not in ("", TOKEN)
-        with opened(browser, PHONE, has_touch=True, is_mobile=True) as phone:
-            phone.open(server.port, f"#token={token}")
-            phone.until_state("s.identity?.role === 'operate'")
-            with blocking.connect(f"ws://127.0.0.1:{server.port}") as other:
-                other.send(f'{{"op": "auth", "token": "{token}"}}')
-                with pytest.raises(Exception, match="one-time token lets one connection in"):
-                    call_on(other, "/arm/who_am_i")
-        assert not any(token in line for line in server.lines)
-
-
-def finder_pattern(page: OpenPage) -> list[bool]:
-    """The fourth row of the pattern in the corner of every QR code, dark modules being true."""
-    path = "document.querySelector('[data-testid=phone-qr] path')"
-    inside = f"{path}.isPointInFill(new DOMPoint(column + 0.5, 3.5))"
-    dark: list[bool] = page.page.evaluate(f"Array.from({{ length: 7 }}, (_, column) => {inside})")
-    return dark

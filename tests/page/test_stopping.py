@@ -39,18 +39,24 @@ def record(server: RunningServer) -> Iterator[ArmRecord]:
         yield kept
 
 
-@pytest.fixture
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    """A phone that shows Drive, with the arm in a pose from which it can be driven everywhere."""
-    with opened(browser, PHONE, has_touch=True, is_mobile=True) as open_page:
+@pytest.fixture(scope="module")
+def phone(browser: Browser) -> Iterator[OpenPage]:
+    with opened(browser, PHONE, own=True, has_touch=True, is_mobile=True) as open_page:
         open_page.page.add_init_script(GAMEPAD)
-        open_page.open(server.port)
-        open_page.open_panel("drive")
-        open_page.until("document.querySelectorAll('.jog-row').length > 5")
-        at_ready(open_page, server.url)
-        open_page.part("jog-wrist_flex-plus").scroll_into_view_if_needed()
         yield open_page
-        assert open_page.errors == []
+
+
+@pytest.fixture
+def page(phone: OpenPage, server: RunningServer) -> Iterator[OpenPage]:
+    """A phone that shows Drive, with the arm in a pose from which it can be driven everywhere."""
+    phone.open(server.port)
+    phone.open_panel("drive")
+    phone.until("document.querySelectorAll('.jog-row').length > 5")
+    at_ready(phone, server.url)
+    phone.part("jog-wrist_flex-plus").scroll_into_view_if_needed()
+    yield phone
+    assert phone.errors == []
+    phone.leave()
 
 
 @pytest.fixture

@@ -105,7 +105,7 @@ def test_an_episode_is_not_offered_where_nothing_is_recorded(page: OpenPage) -> 
 def test_a_sequence_that_the_browser_does_not_store_is_not_called_saved(
     browser: Browser, server: RunningServer
 ) -> None:
-    with opened(browser) as page:
+    with opened(browser, own=True) as page:
         page.page.add_init_script(NO_STORAGE)
         page.open(server.port)
         page.open_panel("sequence", "saved-sequences")

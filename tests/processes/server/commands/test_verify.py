@@ -19,12 +19,14 @@ def verify(url: str, typed: str, *options: str) -> subprocess.CompletedProcess[s
     return run(sys.executable, "-m", "server.cli", "verify", "--url", url, *options, input=typed)
 
 
-def test_a_person_at_a_terminal_compares_the_arm_pose_by_pose(tmp_path: Path) -> None:
+def test_a_person_at_a_terminal_compares_the_arm_pose_by_pose(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "token"
     file.write_text(f"{TOKEN}\n")
-    with RunningServer(settings={"ARMBRIDGE_ACCESS__TOKEN": TOKEN}) as server:
-        without_token = verify(server.url, "\n")
-        assert (without_token.returncode, without_token.stderr[:11]) == (ExitCode.FAILED, "armbridge: ")
+    with RunningServer("--port 0 --rate 5", {"ARMBRIDGE_ACCESS__TOKEN": TOKEN}) as server:
+        without_token = cli.main(["verify", "--url", server.url])
+        assert (without_token, capsys.readouterr().err[:11]) == (ExitCode.FAILED, "armbridge: ")
         # Input that ends cancels the procedure.
         assert verify(server.url, "", "--token-file", str(file)).returncode == ExitCode.FAILED
         assert server.has_logged("verify ended early: cancelled")

@@ -188,11 +188,14 @@ def test_a_viewer_looks_and_stops(guarded: RunningServer) -> None:
         assert sentence(agent("stop"))
 
 
-def test_a_wrong_token_and_a_dead_server_are_sentences(guarded: RunningServer) -> None:
+def test_a_wrong_token_is_a_sentence(guarded: RunningServer) -> None:
     with begun(guarded, token="nobody-0123456789") as agent:
         assert "token" in refusal(agent("where"))
-    with RunningServer() as server, begun(server) as agent:
-        assert sentence(agent("where"))
-        server.end(signal.SIGKILL)
-        assert re.search("not connected|connection", refusal(agent("where")))
-        assert refusal(agent("move", named="ready"))
+
+
+def test_a_dead_server_is_a_sentence(server: RunningServer, agent: Agent) -> None:
+    """The last test of this server."""
+    assert sentence(agent("where"))
+    server.end(signal.SIGKILL)
+    assert re.search("not connected|connection", refusal(agent("where")))
+    assert refusal(agent("move", named="ready"))

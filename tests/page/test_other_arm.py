@@ -14,6 +14,7 @@ from harness.page import SHARED, OpenPage, opened
 from harness.server import FAST_ARMS, ROOT, RunningServer
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
 from tests.page.test_drive import hold, press_until
+from tests.page.test_page import set_speed
 
 JOINTS = ["lift", "a2", "a3", "a4", "a5", "a6", "a7"]
 # Panels in which every joint of the group is named.
@@ -111,6 +112,7 @@ def test_an_arm_with_a_lift_has_all_panels_and_moves(browser: Browser, fetch: Ru
         assert len(joints) == 8
         assert_every_panel_shows(page, joints)
         before_m = tip(fetch.url, "gripper_link")
+        set_speed(page, 100)
         page.part("named-tucked").click()
         page.part("plan-and-move").click()
         page.until_state("s.goal.code === 1")

@@ -2,6 +2,7 @@
 
 import ast
 import itertools
+import json
 import re
 import shlex
 import signal
@@ -19,7 +20,7 @@ from websockets.sync.client import connect
 
 from harness.clients import call_on
 from harness.server import CLIENT_ENVIRONMENT, FAST, FAST_ARMS, RunningServer, free_port
-from harness.waiting import running
+from harness.waiting import TIMEOUT_S, running
 from server import cli
 from tests.examples.conftest import EXAMPLE_TIMEOUT_S, EXAMPLES, RunExample
 from tests.helpers.programs import run
@@ -162,9 +163,13 @@ def test_an_example_that_fails_by_the_physics_ends_with_1(fault: str, told: str,
 
 def test_a_taught_push_becomes_episodes(run_example: RunExample, tmp_path: Path) -> None:
     with RunningServer(f"--port 0 --simulation physics --record {tmp_path / 'run.mcap'}", FAST) as recorded:
-        # A busy machine may take longer for its first answer than the example waits.
-        with connect(recorded.url) as other:
+        # On a busy machine the first answer takes longer than the example waits, and an image longer than an episode.
+        with connect(recorded.url, max_size=None) as other:
             assert call_on(other, "/teach/list")["names"] == []
+            for topic in ("/front/image/compressed", "/wrist/image/compressed"):
+                other.send(json.dumps({"op": "subscribe", "topic": topic, "type": "sensor_msgs/CompressedImage"}))
+                while json.loads(other.recv(timeout=TIMEOUT_S)).get("topic") != topic:
+                    pass
         done = run_example("record_episodes.py", "--url", recorded.url)
     assert done.returncode == 0, done.stderr
     taught, *episodes = done.stdout.splitlines()

@@ -119,10 +119,11 @@ async def test_stop_ends_the_motion_along_its_path_and_empties_the_queue(client:
     await client.publish("/stop", {})
     results = (await client.until(RESULT, lambda all_: len(all_) == seen + 4))[seen:]
     assert [result["val"] for result in results] == [-7] * 4
-    await asyncio.sleep(0.3)
-    stopped = client.messages("/joint_states")[-1]
+    seen = len(client.messages("/joint_states"))
+    at_rest = pytest.approx([0.0] * 6, abs=0.05)
+    states = await client.until("/joint_states", lambda all_: len(all_) > seen and all_[-1]["velocity"] == at_rest)
+    stopped = states[-1]
     assert 0.2 < stopped["position"][0] < 1.2
-    assert stopped["velocity"] == pytest.approx([0.0] * 6, abs=0.05)
     assert stopped["position"][1:5] == pytest.approx([0.0] * 4, abs=ARRIVED_RAD)
 
 

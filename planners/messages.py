@@ -3,7 +3,7 @@
 The server sends :class:`LoadRobot` once. Then, in any number: a scene as :class:`NewScene` followed by
 :class:`MoreObjects` until it is whole, and requests, the next after the answer to the last. Each request gets one
 :class:`Answered`, and a problem that takes longer than most :class:`StillSearching` before. Both ends know a scene by
-its version, and it is sent once, after a break from its beginning.
+its version, and it is sent once; after a break it is sent again from its beginning.
 """
 
 from __future__ import annotations

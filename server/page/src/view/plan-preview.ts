@@ -109,7 +109,7 @@ export class Ghost implements SceneComponent {
   }
 }
 
-// On a path of half a metre the points are then 4 mm apart, and the curve, drawn through every second, looks smooth.
+// On a path of half a metre the points are then 4 mm apart, and the curve looks smooth.
 const SAMPLES = 120;
 const MIN_SAMPLES = 12;
 const RADIUS_M = 0.0015;
@@ -164,7 +164,7 @@ export class ToolPath implements SceneComponent {
     const points = distinctPoints(path);
     if (points.length < 2) return;
     const curve = new CatmullRomCurve3(points, false, "centripetal");
-    this.line = new Mesh(new TubeGeometry(curve, Math.ceil(points.length / 2), RADIUS_M, SIDES), this.materials.path);
+    this.line = new Mesh(new TubeGeometry(curve, points.length, RADIUS_M, SIDES), this.materials.path);
     this.scene.add(this.line);
   }
 }

@@ -82,7 +82,7 @@ class ActionGoal(PendingRequest[Result]):
         self.goal_id = goal_id or uuid.uuid4().bytes
         # The action_msgs/GoalInfo, and the latest action_msgs/GoalStatus.
         uuid_of_goal = {"uuid": b64encode(self.goal_id).decode()}
-        self.info = {"goal_id": uuid_of_goal, "stamp": message_types.now().as_message()}
+        self.info: dict[str, Any] = {"goal_id": uuid_of_goal, "stamp": message_types.now().as_message()}
         self.status: int = GoalStatus.EXECUTING
         self.sender_id: Mark = None
         self.sender_left = False

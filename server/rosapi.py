@@ -77,7 +77,7 @@ Handler: TypeAlias = Callable[[Request], dict[str, Any]]
 # Handlers by their services' names below /rosapi.
 Handlers: TypeAlias = dict[str, Handler]
 
-# Types that are not named as their services in rosapi_msgs; rosapi has what is in ROS 1 only.
+# Types that are not named after their services, and types of ROS 1 alone.
 TYPES = {
     "action_servers": "rosapi_msgs/srv/GetActionServers",
     "get_ros_version": "rosapi_msgs/srv/GetROSVersion",

@@ -159,7 +159,7 @@ class Actions(Providers[ActionGoal]):
         self._topics = topics
         self._clock = clock
         # By action, the oldest goal first: goals with a status to publish, and the time of their end [s].
-        self._told: dict[str, dict[ActionGoal, float | None]] = {}
+        self._published: dict[str, dict[ActionGoal, float | None]] = {}
 
     def offer(
         self,
@@ -181,7 +181,7 @@ class Actions(Providers[ActionGoal]):
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._add(offer, rule)
-        self._told[name] = {}
+        self._published[name] = {}
         feedback_type = f"{offer.type_name}_FeedbackMessage"
         try:
             self._topics.advertise(node, name + STATUS, STATUS_TYPE, latch=True)
@@ -260,7 +260,7 @@ class Actions(Providers[ActionGoal]):
     def _end_requests(self, offer: Provider[ActionGoal]) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         super()._end_requests(offer)
-        del self._told[offer.name]
+        del self._published[offer.name]
         for topic in (STATUS, FEEDBACK):
             self._topics.unadvertise(offer.node, offer.name + topic)
 
@@ -271,12 +271,12 @@ class Actions(Providers[ActionGoal]):
             self._topics.publish(node, topic, message, prevalidated=True)
 
     def _publish_status(self, node: Node, goal: ActionGoal) -> None:
-        """Publish the goals of an action, one of which has begun, is to be cancelled, or has ended."""
-        told, now_s = self._told.get(goal.action), self._clock()
-        if told is None or not self._is_open(node, goal.action + STATUS, STATUS_TYPE):
+        """Publish the goals of an action as one begins, is asked to end, or has ended."""
+        published, now_s = self._published.get(goal.action), self._clock()
+        if published is None or not self._is_open(node, goal.action + STATUS, STATUS_TYPE):
             return
-        told[goal] = now_s if goal.ended else None
-        ended = [(each, ended_s) for each, ended_s in told.items() if ended_s is not None]
+        published[goal] = now_s if goal.ended else None
+        ended = [(each, ended_s) for each, ended_s in published.items() if ended_s is not None]
         for place, (each, ended_s) in enumerate(ended):
             # A goal that was never taken on has no status in ROS.
             if (
@@ -284,8 +284,8 @@ class Actions(Providers[ActionGoal]):
                 or ended_s <= now_s - ENDED_KEPT_S
                 or place < len(ended) - MAX_PUBLISHED
             ):
-                del told[each]
-        statuses = [{"goal_info": each.info, "status": int(each.status)} for each in list(told)[-MAX_PUBLISHED:]]
+                del published[each]
+        statuses = [{"goal_info": each.info, "status": int(each.status)} for each in list(published)[-MAX_PUBLISHED:]]
         self._topics.publish(node, goal.action + STATUS, {"status_list": statuses}, prevalidated=True)
 
     def _is_open(self, node: Node, topic: str, type_name: str) -> bool:

@@ -129,7 +129,7 @@ class SavedScene:
         self._kept = contents
         try:
             await asyncio.to_thread(self._replace, kept_message(contents, self._state.robot))
-        except Exception as error:  # noqa: BLE001 - a bug in the writing of one scene does not end that of the next
+        except Exception as error:  # a bug in writing one scene does not keep the next ones from it
             if not self._failing:
                 bug = not isinstance(error, OSError | ValueError)
                 log.warning("the planning scene is not kept in %s: %s", self._path, error, exc_info=bug)

@@ -103,6 +103,15 @@ async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_contin
     assert len(desk.asked) == 1
 
 
+async def test_a_goal_that_a_stop_has_overtaken_is_answered_and_forgotten(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(desk, "last_stop", lambda _joints: math.inf)
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
+    assert not desk.controller._goals
+
+
 async def test_a_stamp_too_far_in_the_future_is_refused(desk: Desk) -> None:
     for ahead_s in (700.0, 2e4, 3e8):
         stamp = {"sec": int(time.time() + ahead_s), "nanosec": 0}

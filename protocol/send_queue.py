@@ -232,8 +232,8 @@ class SendQueue:
         self._count_leaving(0)
         self._budget.note_reading(self)
         for subscription in [one for one in self._waiting if one.closed]:
-            for waiting in list(self._waiting[subscription]):
-                self._take(waiting)
+            for unwanted in list(self._waiting[subscription]):
+                self._take(unwanted)
         due: list[_Waiting] = []
         due_bytes = 0
         for waiting in self._due(now):

@@ -115,11 +115,12 @@ def list_converter(name: str, max_length: int | None = None) -> ConvertList:
     element = float if name == "float32" else strict_type(name, max_length)
     if element is None:
         return lambda _values: None
-    elements: Any = list[element]  # type: ignore[valid-type]
+    # In a struct, whose types msgspec keeps; those of a list alone it would read each time.
+    struct = msgspec.defstruct("Elements", [("elements", list[element])], array_like=True)  # type: ignore[valid-type]
 
     def to_elements(values: list[Any]) -> list[Any] | None:
         try:
-            converted: list[Any] = msgspec.convert(values, elements)
+            converted: list[Any] = msgspec.convert((values,), struct).elements  # type: ignore[attr-defined]
         except (msgspec.ValidationError, OverflowError):
             return None
         return converted if name != "float32" or _fit_float32(converted) else None
